@@ -1,113 +1,349 @@
-"""Damage files of every kind that the program reads, and command lines; read each, and count what comes of it.
+"""Damage files of every kind that the program reads, and command lines; read each in a process of its own.
 
-    python scripts/fuzz.py --inputs 1000000 --seconds 1500 --page docs/hostile_files.md
-    python scripts/fuzz.py --reader "match file" --seconds 20 --keep /tmp/findings
+    python scripts/fuzz.py --minutes 25
+    python scripts/fuzz.py "match file" PEDR --minutes 1 --kept /tmp/findings
 
-Every file is read in a worker process with 2 GB of memory beyond what it has, and killed after 10 s. The same --seed
-makes the same files: file 17 of a reader is the same whatever else is read. What ends badly is made as small as it
-goes; --keep takes it, as files and as a findings.json for tests/fuzz. Exit status 1 if anything ended badly.
+Hypothesis draws the damage, makes what ends badly as small as it goes, and tries it first the next time: --kept is the
+folder of its examples. A file may take 2 GB of memory beyond what the process has, and 10 s (60 s for commands). Prints
+a table of how the readings ended, and what ended badly as an entry for tests/fuzz/findings.json; then exit status 1.
 """
 
+import dataclasses
+import faulthandler
 import json
+import math
 import os
+import pickle
+import re
+import resource
+import shutil
+import signal
 import sys
+import tempfile
 import time
-from collections.abc import Sequence
-from pathlib import Path
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from enum import Enum, StrEnum
+from functools import cache, partial
+from multiprocessing import get_context
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # a fork has no other threads
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 os.environ.setdefault("PROJ_DEBUG", "0")  # as the program has it where it imports rasterio
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # their writers of files
 
-from fuzz_campaign import Campaign, require_sound
-from fuzz_commands import warm
-from fuzz_judging import JUDGES
-from fuzz_minimal import edited, minimal, outcome_apart
-from fuzz_page import page
+import msgspec
+import numpy as np
+from command_server import load
+from fuzz_edits import edited
 from fuzz_readers import every
-from fuzz_trials import GOOD, Reader, Tally, content_of
-from study import at_least, command, positive, show, status, write_text
+from fuzz_seeds import Reader, Seed, obeyed
+from hypothesis import HealthCheck, Verbosity, given, settings
+from hypothesis.database import DirectoryBasedExampleDatabase
+from study import at_least, command, positive, status, table
+
+from mgsgraph.errors import InputError, MgsgraphError
+
+MEMORY = 2 << 30
+"""bytes of address space beyond what the process has when it begins."""
+LONGEST = 2000
+"""Characters of a message."""
+_ROOM = tempfile.TemporaryDirectory(prefix="fuzz.", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
+EXAMPLES = 100
+"""Files of a round, after which the clock is looked at."""
+
+
+class End(StrEnum):
+    """What became of a file."""
+
+    READ = "read"
+    REFUSED = "clear error"
+    UNCLEAR = "unclear error"
+    RAISED = "traceback"
+    PRINTED = "printed"
+    WRONG = "wrong"
+    WRITTEN = "half-written"
+    MEMORY = "memory"
+    HANG = "hang"
+    SIGNAL = "signal"
+
+
+GOOD = (End.READ, End.REFUSED)
+
+
+class Outcome(NamedTuple):
+    """An end, the words about it, and what was read, as places and plain values."""
+
+    end: End
+    words: str = ""
+    read: dict[str, Any] | None = None
+
+
+# --- what was read
+
+
+def flat(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """All values in a record by their places in it."""
+    if isinstance(value, np.ndarray):
+        yield f"{where}#", (value.shape, value.dtype.str, value.tobytes() if value.dtype != object else repr(value))
+        if value.dtype.kind in "fc" and not np.all(np.isfinite(value)):
+            yield where, "nan"
+    elif isinstance(value, (float, np.floating)):
+        yield where, value.hex() if math.isfinite(value) else "nan"
+    elif value is None or depth > 12 or isinstance(value, (str, bytes, int, Enum, PurePath, np.generic)):
+        yield where, repr(value) if depth <= 12 else type(value).__name__
+    elif isinstance(value, dict):
+        for key, one in value.items():
+            yield from flat(one, f"{where}.{key}", depth + 1)
+    elif isinstance(value, (list, tuple, set, frozenset)) and not hasattr(value, "_fields"):
+        for k, one in enumerate(sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value):
+            yield from flat(one, f"{where}[{k}]", depth + 1)
+        yield where, len(value)
+    elif not callable(value) or dataclasses.is_dataclass(value):
+        yield where, type(value).__name__
+        for name in _names(value):
+            yield from flat(getattr(value, name, None), f"{where}.{name}", depth + 1)
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    if isinstance(value, msgspec.Struct):
+        return value.__struct_fields__
+    if dataclasses.is_dataclass(value):
+        return tuple(one.name for one in dataclasses.fields(value))
+    return getattr(value, "_fields", ()) or tuple(getattr(value, "__dict__", ()))
+
+
+def _odd(read: dict[str, Any]) -> set[str]:
+    """Where numbers are not finite; indices are left out."""
+    return {re.sub(r"\[\d+\]", "[]", where) for where, value in read.items() if value == "nan"}
+
+
+# --- one file, in a process of its own
+
+
+def outcome(reader: Reader, data: bytes) -> Outcome:
+    """What becomes of a content that stands in its file's place."""
+    folder = Path(_ROOM.name) / str(os.getpid()) / re.sub(r"\W", "_", reader.name)
+    seed = _seed(reader)
+    _lay(folder, {**seed.files, seed.main: data})
+    before, told, said = _listing(folder), os.memfd_create("told"), [os.memfd_create(name) for name in ("out", "err")]
+    child = os.fork()
+    if child == 0:
+        try:
+            _settle_down(reader, said)
+            _tell(reader, folder / seed.main, told)
+        finally:
+            os._exit(0)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    with suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)  # what it has begun itself
+    answer, out, err = (_text(one) for one in (told, *said))
+    words = err.decode(errors="replace")
+    if ended < 0:
+        name = signal.Signals(-ended).name
+        return Outcome(End.HANG if name == "SIGALRM" else End.SIGNAL, f"{name} {words[-300:]}")
+    by_itself = Outcome(End.READ if reader.read is obeyed else End.SIGNAL, str(ended))
+    found: Outcome = pickle.loads(answer) if answer else by_itself
+    if reader.read is obeyed:
+        found = _of_command(found, words)
+    elif found.end in GOOD and (out or err):
+        found = Outcome(End.PRINTED, (out + err).decode(errors="replace")[:300])
+    if found.end is End.REFUSED and (left := sorted(set(before.items()) ^ set(_listing(folder).items()))):
+        return Outcome(End.WRITTEN, f"{left[:3]}; {found.words}")
+    return found
+
+
+@cache
+def _seed(reader: Reader) -> Seed:
+    return reader.seed()
+
+
+def _lay(folder: Path, files: dict[str, bytes]) -> None:
+    """A folder with the files, and with what is no file."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    if "words.json" in files:
+        (folder / "folder").mkdir()
+        os.mkfifo(folder / "pipe")
+        for name, target in (("zero", "/dev/zero"), ("full", "/dev/full"), ("loop", "loop"), ("dangling", "nowhere/x")):
+            (folder / name).symlink_to(target)
+        for name, content in (("empty", b""), ("broken.isd", b'{"a": '), ("broken.toml", b"[" * 3000)):
+            (folder / name).write_bytes(content)
+
+
+def _listing(folder: Path) -> dict[str, int]:
+    """Files by name with their sizes; what SQLite keeps beside a database is left out."""
+    return {
+        str(path.relative_to(folder)): path.lstat().st_size if path.is_file() and not path.is_symlink() else -1
+        for path in folder.rglob("*") if not path.name.endswith(("-wal", "-shm", "-journal"))
+    }  # fmt: skip
+
+
+def _text(memory: int) -> bytes:
+    size = os.fstat(memory).st_size
+    text = os.pread(memory, size, 0)
+    os.close(memory)
+    return text
+
+
+def _settle_down(reader: Reader, said: list[int]) -> None:
+    """Nothing to read, printing into memory, a time and little memory; what is begun ends with this process."""
+    os.setpgid(0, 0)
+    for number, stream in enumerate((os.open(os.devnull, os.O_RDONLY), *said)):
+        os.dup2(stream, number)
+    sys.stdout = os.fdopen(1, "w", closefd=False, errors="backslashreplace")
+    sys.stderr = os.fdopen(2, "w", closefd=False, buffering=1, errors="backslashreplace")
+    faulthandler.enable(2)
+    warnings.simplefilter("always")
+    warnings.showwarning = lambda text, kind, *more: print(f"{kind.__name__}: {text}", file=sys.stderr)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, reader.patience)
+
+
+def _tell(reader: Reader, path: Path, told: int) -> None:
+    try:
+        found = Outcome(End.READ, "", dict(flat(reader.read(path))))
+    except SystemExit as left:
+        found = Outcome(End.READ, str(left.code or 0))
+    except BaseException as error:
+        found = _of_error(error, str(path.parents[1]))
+    sys.stdout.flush()
+    os.write(told, pickle.dumps(found))
+
+
+def _of_error(error: BaseException, folder: str) -> Outcome:
+    """What an error is to a user."""
+    text, causes = str(error), [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) and len(causes) < 20:
+        causes.append(cause)
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if "/mgsgraph/" in one.filename]
+    place = f"{frames[-1].filename.split('/mgsgraph/')[-1]}:{frames[-1].name}:{frames[-1].lineno}" if frames else "?"
+    said = f"{type(error).__name__} at {place}: {ascii(text)[:300]}"
+    if any(isinstance(one, MemoryError) for one in causes):
+        return Outcome(End.MEMORY, said)
+    if not isinstance(error, MgsgraphError):
+        return Outcome(End.RAISED, said)
+    whole = not isinstance(error, InputError) or (error.where and error.found)
+    clear = text.isprintable() and len(text) < LONGEST and folder in text and whole
+    return Outcome(End.REFUSED if clear else End.UNCLEAR, said)
+
+
+def _of_command(found: Outcome, err: str) -> Outcome:
+    """What a command's exit status and its words are to a user."""
+    lines = [line for line in err.splitlines() if line.strip()]
+    if found.end is not End.READ:
+        return found
+    if "Traceback" in err:
+        return Outcome(End.RAISED, err[-300:])
+    if found.words == "2":
+        clear = len(lines) == 1 and len(err) < 2 * LONGEST and lines[0].expandtabs().isprintable()
+        return Outcome(End.REFUSED if clear else End.UNCLEAR, ascii(err)[:300])
+    if found.words not in ("0", "1"):  # 130: broken off by the clock
+        return Outcome(End.HANG if found.words == "130" else End.UNCLEAR, f"exit status {found.words}")
+    return Outcome(End.PRINTED, err[:300]) if "Warning" in err else found
+
+
+@cache
+def sound(reader: Reader) -> dict[str, Any]:
+    """What is read of the undamaged file; nothing where it is refused."""
+    return outcome(reader, _seed(reader).files[_seed(reader).main]).read or {}
+
+
+def judged(reader: Reader, data: bytes) -> Outcome:
+    """The same, of a reading also whether it is one that can be."""
+    found, right = outcome(reader, data), sound(reader)
+    if found.end is not End.READ or reader.read is obeyed:
+        return found
+    if new := sorted(one for one in _odd(found.read or {}) - _odd(right) if not one.endswith(reader.gaps)):
+        return Outcome(End.WRONG, f"{new[:5]} are not finite")
+    return Outcome(End.WRONG, "another result") if reader.same and found.read != right else found
+
+
+# --- many
+
+Found = tuple[Counter[str], dict[str, Any] | None]
+_HUNTS: list[Callable[[], Found]] = []
+
+
+def hunt(reader: Reader, seconds: float, kept: Path | None = None) -> Found:
+    """Files of a reader for some seconds; how they ended, and the smallest that ended badly."""
+    seed, ends, until = _seed(reader), Counter[str](), time.monotonic() + seconds
+    whole, bad = seed.files[seed.main], list[tuple[bytes, Outcome]]()
+    database = None if kept is None else DirectoryBasedExampleDatabase(kept / re.sub(r"\W", "_", reader.name))
+
+    @settings(
+        max_examples=EXAMPLES, deadline=None, database=database, derandomize=False, report_multiple_bugs=False,
+        suppress_health_check=list(HealthCheck), verbosity=Verbosity.quiet,
+    )  # fmt: skip
+    @given(edited(whole, reader.form))
+    def trial(data: bytes) -> None:
+        if time.monotonic() > until and not bad:
+            return
+        found = judged(reader, data)
+        ends[found.end] += 1
+        if found.end not in GOOD:
+            bad.append((data, found))
+            raise AssertionError(found.end)
+
+    try:
+        while time.monotonic() < until:
+            trial()
+    except AssertionError:
+        data, found = bad[-1]  # Hypothesis runs the smallest once more
+        head, tail = _alike(whole, data), _alike(whole[::-1], data[::-1])
+        tail = min(tail, min(len(whole), len(data)) - head)
+        edit = [head, len(whole) - tail, [[data[head : len(data) - tail].hex(), 1]]]
+        return ends, {"reader": reader.name, "end": str(found.end), "key": found.words, "edits": [edit]}
+    return ends, None
+
+
+def _alike(one: bytes, other: bytes) -> int:
+    """Number of first bytes that are the same."""
+    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+
+
+def _hunted(number: int) -> Found:
+    return _HUNTS[number]()  # of before the fork: readers hold functions, which can't be sent
 
 
 def main() -> None:
     """Command line."""
     parser = command(__doc__)
-    parser.add_argument("--reader", action="append", default=[], help="readers whose names hold this; may be repeated")
-    parser.add_argument("--inputs", type=at_least(1), default=10_000_000, help="files and command lines to try")
-    parser.add_argument("--seconds", type=positive, default=60.0)
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("reader", nargs="*", help="readers whose names hold this; all, if none is named")
+    parser.add_argument("--minutes", type=positive, default=10.0)
     parser.add_argument("--jobs", type=at_least(1), default=os.cpu_count() or 1)
-    parser.add_argument("--keep", type=Path, help="folder for what ended badly")
-    parser.add_argument("--page", type=Path, help="Markdown file for the tables")
-    parser.add_argument("--list", action="store_true", help="name the readers and end")
+    parser.add_argument("--kept", type=Path, default=Path(".hypothesis/fuzz"), help="folder of Hypothesis' examples")
     wanted = parser.parse_args()
 
     def job() -> int:
-        readers = every(wanted.reader, JUDGES)
-        if wanted.list:
-            print("\n".join(f"{reader.name}, {len(reader.seed.files[reader.seed.main])} bytes" for reader in readers))
-            return 0
-        if any(reader.name.startswith("mgsgraph ") for reader in readers):
-            warm()
-        require_sound(readers)
-        campaign, began = Campaign(readers, wanted.seed, wanted.jobs), time.monotonic()
-        campaign.run(wanted.inputs, wanted.seconds, show)
-        seconds = time.monotonic() - began
-        show("")
-        again = _again(readers, campaign.tallies, wanted.seed)
-        for reader, tally in zip(readers, campaign.tallies, strict=True):
-            _print(reader, tally)
-        print(f"{campaign.inputs} files in {seconds:.0f} s", flush=True)
-        if wanted.page:
-            write_text(page(readers, campaign.tallies, again, seconds, wanted.seed), wanted.page)
-        if wanted.keep:
-            _keep(readers, campaign.tallies, wanted.seed, wanted.keep)
-        return int(any(end not in GOOD for tally in campaign.tallies for end in tally.ends))
+        readers = every(wanted.reader)
+        seconds = 60.0 * wanted.minutes * wanted.jobs / max(len(readers), 1)
+        if any(one.read is obeyed for one in readers):
+            load()
+        for one in readers:
+            _seed(one)  # once, for all processes
+        _HUNTS.extend(partial(hunt, one, seconds, wanted.kept) for one in readers)
+        with ProcessPoolExecutor(wanted.jobs, get_context("fork")) as pool:
+            found = list(pool.map(_hunted, range(len(readers))))
+        rows = [[one.name, *(f"{ends[end]:,}" for end in End)] for one, (ends, _) in zip(readers, found, strict=True)]
+        print("\n".join(table(("reader", *End), rows)))
+        findings = [finding for _, finding in found if finding is not None]
+        print("\n".join(json.dumps(finding) for finding in findings))
+        return int(bool(findings))
 
     sys.exit(status(parser.prog, job))
-
-
-def _again(readers: Sequence[Reader], tallies: Sequence[Tally], seed: int) -> dict[tuple[str, str], bool]:
-    """Of each reader and kind of bad end, whether the file ends badly in a process of its own, too: what a library has
-    left behind, or another process on the machine, may have ended it.
-    """
-    found = dict[tuple[str, str], bool]()
-    for reader, tally in zip(readers, tallies, strict=True):
-        for number, outcome in tally.found:
-            if (reader.name, outcome.key) not in found:
-                apart = outcome_apart(reader, content_of(reader, seed, number)[0])
-                found[reader.name, outcome.key] = apart.end not in GOOD
-    return found
-
-
-def _print(reader: Reader, tally: Tally) -> None:
-    ends = ", ".join(f"{count} {end}" for end, count in tally.ends.items())
-    print(f"{reader.name}: {tally.ends.total()} in {tally.seconds:.1f} s, slowest {tally.slowest:.2f} s: {ends}")
-    for number, outcome in tally.found:
-        print(f"    {number}: {outcome.end}: {outcome.key} | {outcome.words[:200]!r}")
-
-
-def _keep(readers: Sequence[Reader], tallies: Sequence[Tally], seed: int, folder: Path) -> None:
-    """One of each kind of what ended badly, made as small as it goes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    kept = list[dict[str, object]]()
-    for reader, tally in zip(readers, tallies, strict=True):
-        for number, outcome in {outcome.key: (number, outcome) for number, outcome in tally.found}.values():
-            data, kind = content_of(reader, seed, number)
-            changes, sure = minimal(reader, data, outcome)
-            sound = reader.seed.files[reader.seed.main]
-            name = f"{reader.name}_{number}_{Path(reader.seed.main).name}".replace("/", "_").replace(" ", "_")
-            (folder / name).write_bytes(edited(sound, changes) if sure else data)
-            kept.append({
-                "reader": reader.name, "owner": reader.owner, "end": str(outcome.end), "key": outcome.key,
-                "words": outcome.words,
-                "damage": kind, "file": name, "again": sure,
-                "edits": [[one.start, one.stop, one.new.decode("latin-1")] for one in changes],
-            })  # fmt: skip
-            show(f"{len(kept)} kept")
-    (folder / "findings.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-    show("")
 
 
 if __name__ == "__main__":

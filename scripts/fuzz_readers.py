@@ -1,45 +1,41 @@
-"""Every way into the program for files from outside, each with a sound file and the damage that its format can take."""
+"""Every way into the program for files from outside, for what it keeps itself and for command lines, each with a sound
+file and the form of its damage.
+"""
 
+import gzip
+import json
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import archive_index
 import cubes
 import fuzz_seeds as seeds
 import mex
 import mgs
 import numpy as np
 import rasters
-from fuzz_addresses import png
-from fuzz_commands import of_commands
-from fuzz_kinds import BYTES, CSV, DAF, JSON, PVL, TIFF, TOML, Row
-from fuzz_readers_of_data import of_real_files
-from fuzz_readers_of_tables import of_altimetry, of_archives, of_networks, of_what_is_kept
-from fuzz_seeds import made, of_pair, of_tests, text
-from fuzz_structures import records
-from fuzz_trials import Judge, Reader, Seed
+from fuzz_seeds import Reader, Seed, made, of_pair, of_tests, text
 
 from mgsgraph.geometry.body import Ellipsoid
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 _IMAGE = "E0202855.img"
+_SHOTS = (".ranges", ".spacecraft", ".areoid_radii", ".off_nadir", ".pulses", ".times")
+"""Where tables of shots may have gaps."""
 
 
-def every(only: Sequence[str] = (), judges: dict[str, Judge] | None = None) -> list[Reader]:
+def every(only: Sequence[str] = ()) -> list[Reader]:
     """All readers, or those whose names hold one of some words."""
-    rows = [
-        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *of_networks(), *of_altimetry(),
-        *of_what_is_kept(), *of_archives(), *of_real_files(), *of_commands(),
-    ]  # fmt: skip
-    chosen = [row for row in rows if not only or any(word in row.name for word in only)]
-    return [
-        Reader(row.name, row.read, row.seed(), row.changes, row.owner, (judges or {}).get(row.name), *row[5:])
-        for row in chosen
-    ]
+    rows = (
+        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *_networks(), *_altimetry(), *_kept(),
+        *_archives(), *_real_files(), *_commands(),
+    )  # fmt: skip
+    return [row for row in rows if not only or any(word in row.name for word in only)]
 
 
-def _cases() -> Iterator[Row]:
+def _cases() -> Iterator[Reader]:
     from mgsgraph.case.case_file import decode, stated
     from mgsgraph.case.draft import draft_case
     from mgsgraph.case.reading import read_case
@@ -49,18 +45,18 @@ def _cases() -> Iterator[Row]:
         (path.parent / "out.toml").unlink(missing_ok=True)
         return draft_case([path.parent], path.parent / "out.toml").text
 
-    yield Row("case file", "F", lambda path: (stated(path), decode(path)), seeds.case_seed, TOML, gaps=(".trend[]",
+    yield Reader("case file", lambda path: (stated(path), decode(path)), seeds.case_seed, "pvl", gaps=(".trend[]",
     ".position_sigma_m", ".angle_sigma_mrad"))
-    yield Row("whole case", "F", read_case, seeds.case_seed, TOML)
-    yield Row("mgsgraph new, support data", "E", drafted, partial(seeds.case_seed, "image_A.isd"), JSON)
-    yield Row("mgsgraph new, network", "E", drafted, partial(seeds.case_seed, "network.pvl"), PVL)
-    yield Row("kind of a table", "E", kind_of, lambda: text("a.csv", seeds.ode_table()), CSV)
-    yield Row("kind of a label", "E", kind_of, lambda: text("a.img", mgs.image_bytes()), PVL)
-    yield Row("kind of JSON", "E", kind_of, partial(of_pair, "lidar.json"), JSON)
-    yield Row("kind of gzip", "E", kind_of, lambda: text("a.gz", seeds.packed(seeds.mla_table())), BYTES)
+    yield Reader("whole case", read_case, seeds.case_seed, "pvl")
+    yield Reader("mgsgraph new, support data", drafted, partial(seeds.case_seed, "image_A.isd"), "json")
+    yield Reader("mgsgraph new, network", drafted, partial(seeds.case_seed, "network.pvl"), "pvl")
+    yield Reader("kind of a table", kind_of, lambda: text("a.csv", seeds.ode_table()), "csv")
+    yield Reader("kind of a label", kind_of, lambda: text("a.img", mgs.image_bytes()), "pvl")
+    yield Reader("kind of JSON", kind_of, partial(of_pair, "lidar.json"), "json")
+    yield Reader("kind of gzip", kind_of, lambda: text("a.gz", seeds.packed(seeds.mla_table())), "bytes")
 
 
-def _images() -> Iterator[Row]:
+def _images() -> Iterator[Reader]:
     from mgsgraph.files.cameras.label import read_line_scan_label, read_line_times
     from mgsgraph.files.labels.isis_cube import read_isis_cube
     from mgsgraph.files.pvl import read_label
@@ -77,25 +73,21 @@ def _images() -> Iterator[Row]:
     def isis_label(folder: Path) -> None:
         (folder / "a.pvl").write_text(cubes.LABEL + "End\n")
 
-    table = [("time", "<f8"), ("exposure", "<f8"), ("line", "<i4")]
-    prefix = np.dtype({"names": ["time", "exposure"], "formats": ["<f8", "<f4"], "offsets": [0, 4], "itemsize": 512})
     hrsc = mex.image_bytes([mex.START + 0.01 * k for k in range(20)], [10.0] * 20)
-    doubles, rows = [records("<f8", 65536)] * 20, [records(table, 4096)] * 10
     support = lambda: text("image.isd", seeds.support_data())  # noqa: E731
-    yield Row("support data", "B", lambda path: read_isd(path, "M00/00001"), support, JSON)
-    yield Row("support data of ISIS", "B", lambda path: read_isd(path, "SIM/A"), partial(of_pair, "image_A.isd"), JSON)
+    yield Reader("support data", lambda path: read_isd(path, "M00/00001"), support, "json")
+    yield Reader("support data of ISIS", lambda path: read_isd(path, "SIM/A"), partial(of_pair, "image_A.isd"), "json")
     state = lambda: text("a.json", seeds.model_state())  # noqa: E731
-    yield Row("model state of CSM", "B", lambda path: read_model_state(path, "A/1"), state, JSON)
-    yield Row("ISIS cube with tables", "B", read_isis_cube, lambda: made("image.cub", cubes.written), (*PVL, *doubles))
-    yield Row("label of a cube", "B", read_label, lambda: made("a.pvl", isis_label), PVL, gaps=(".value",))
-    yield Row("line-scan label, PDS3", "B", read_line_scan_label, lambda: text("M0402852.IMG", mgs.image_bytes()), PVL)
-    yield Row("line times, cube", "B", partial(times, 196.7), lambda: text("a.cub", mex.cube_bytes()), (*PVL, *rows))
-    changes = (*PVL, *[records(prefix, 2048)] * 10)
-    yield Row("line times, PDS3", "B", partial(times, 0.19), lambda: text("a.img", hrsc), changes)
-    yield Row("line times, text", "B", times_of_text, lambda: made("line_times.csv", mex.times_file), CSV)
+    yield Reader("model state of CSM", lambda path: read_model_state(path, "A/1"), state, "json")
+    yield Reader("ISIS cube with tables", read_isis_cube, lambda: made("image.cub", cubes.written), "labelled")
+    yield Reader("label of a cube", read_label, lambda: made("a.pvl", isis_label), "pvl", gaps=(".value",))
+    yield Reader("line-scan label, PDS3", read_line_scan_label, lambda: text("M0402852.IMG", mgs.image_bytes()), "pvl")
+    yield Reader("line times, cube", partial(times, 196.7), lambda: text("a.cub", mex.cube_bytes()), "labelled")
+    yield Reader("line times, PDS3", partial(times, 0.19), lambda: text("a.img", hrsc), "labelled")
+    yield Reader("line times, text", times_of_text, lambda: made("line_times.csv", mex.times_file), "csv")
 
 
-def _kernels() -> Iterator[Row]:
+def _kernels() -> Iterator[Reader]:
     from mgsgraph.files.labels.kernels import loaded
     from mgsgraph.files.labels.labelled_image import read_labelled_image
 
@@ -106,16 +98,16 @@ def _kernels() -> Iterator[Row]:
     def image_of(path: Path) -> object:
         return read_labelled_image(path.with_name(_IMAGE), [path.with_name("mgs.tm")])
 
-    yield Row("image with its kernels", "B", image_of, partial(seeds.kernels_seed, _IMAGE), PVL)
+    yield Reader("image with its kernels", image_of, partial(seeds.kernels_seed, _IMAGE), "pvl")
     for name in ("mgs.tls", "mgs.tsc", "mars.tpc", "mgs.tf", "moc.ti"):
-        yield Row(f"text kernel {name}", "B", image_of, partial(seeds.kernels_seed, name), PVL, share=0.4)
-    yield Row("text kernel alone", "B", furnished, partial(seeds.of_site, "mgs.tls"), PVL)
-    yield Row("meta-kernel", "B", image_of, partial(seeds.kernels_seed, "mgs.tm"), PVL)
-    yield Row("binary kernel, SPK", "B", image_of, partial(seeds.kernels_seed, "mgs_ext1.bsp"), DAF, share=0.8)
-    yield Row("binary kernel, CK", "B", image_of, partial(seeds.kernels_seed, "mgs_sc_ext1.bc"), DAF)
+        yield Reader(f"text kernel {name}", image_of, partial(seeds.kernels_seed, name), "pvl")
+    yield Reader("text kernel alone", furnished, partial(seeds.of_site, "mgs.tls"), "pvl")
+    yield Reader("meta-kernel", image_of, partial(seeds.kernels_seed, "mgs.tm"), "pvl")
+    yield Reader("binary kernel, SPK", image_of, partial(seeds.kernels_seed, "mgs_ext1.bsp"), "bytes")
+    yield Reader("binary kernel, CK", image_of, partial(seeds.kernels_seed, "mgs_sc_ext1.bc"), "bytes")
 
 
-def _pictures() -> Iterator[Row]:
+def _pictures() -> Iterator[Reader]:
     from mgsgraph.files.pvl import read_label
     from mgsgraph.files.rasters.pictures import is_moc, pixel_area, read_moc_pixels, read_picture
 
@@ -136,16 +128,16 @@ def _pictures() -> Iterator[Row]:
     def cube(folder: Path) -> None:
         tests.cube(folder / "a.cub", np.arange(30).reshape(5, 6).astype("uint8"), "UnsignedByte")
 
-    yield Row("picture, TIFF", "A", read_picture, tiff("uint8"), TIFF, gaps=("",))
+    yield Reader("picture, TIFF", read_picture, tiff("uint8"), "bytes", gaps=("",))
     deflated = tiff("uint16", compress="deflate", predictor=2)
-    yield Row("picture, packed TIFF", "A", read_picture, deflated, TIFF, gaps=("",))
-    yield Row("picture, PNG", "A", read_picture, encoded("a.png", "PNG"), (*BYTES, *[png] * 5))
-    yield Row("picture, JPEG", "A", read_picture, encoded("a.jpg", "JPEG"), BYTES)
-    yield Row("picture, ISIS cube", "A", read_picture, lambda: made("a.cub", cube), PVL)
-    yield Row("pixels of MOC", "A", moc, lambda: text("M0402852.img", mgs.image_bytes()), PVL)
+    yield Reader("picture, packed TIFF", read_picture, deflated, "bytes", gaps=("",))
+    yield Reader("picture, PNG", read_picture, encoded("a.png", "PNG"), "bytes")
+    yield Reader("picture, JPEG", read_picture, encoded("a.jpg", "JPEG"), "bytes")
+    yield Reader("picture, ISIS cube", read_picture, lambda: made("a.cub", cube), "pvl")
+    yield Reader("pixels of MOC", moc, lambda: text("M0402852.img", mgs.image_bytes()), "pvl")
 
 
-def _terrain() -> Iterator[Row]:
+def _terrain() -> Iterator[Reader]:
     from mgsgraph.files.rasters.megdr import read_megdr
     from mgsgraph.files.rasters.terrain_file import read_terrain
 
@@ -159,10 +151,304 @@ def _terrain() -> Iterator[Row]:
     def terrain(path: Path) -> object:
         return read_terrain(path, body=MARS)
 
-    posts = (*BYTES, *[records(">i2", 0)] * 10)
     gaps = (".values", ".posts", ".radii")
     for name in ("equirectangular", "polar stereographic"):
         seed = partial(made, "dem.tif", partial(raster, name))
-        yield Row(f"terrain, {name}", "A", terrain, seed, (*TIFF, *[records("<f8", 300)] * 4), gaps=gaps)
-    yield Row("terrain, MEGDR's label", "A", read_megdr, partial(seeds.grid_seed, "megr_x.lbl"), PVL)
-    yield Row("terrain, MEGDR's posts", "A", read_megdr, partial(seeds.grid_seed, "megr_x.img"), posts)
+        yield Reader(f"terrain, {name}", terrain, seed, "bytes", gaps=gaps)
+    yield Reader("terrain, MEGDR's label", read_megdr, partial(seeds.grid_seed, "megr_x.lbl"), "pvl")
+    yield Reader("terrain, MEGDR's posts", read_megdr, partial(seeds.grid_seed, "megr_x.img"), "bytes")
+
+
+def _networks() -> Iterator[Reader]:
+    from mgsgraph.files.networks.asp_match import read_match, read_match_text
+    from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
+    from mgsgraph.files.networks.binary import read_control_network, read_network
+    from mgsgraph.files.networks.table import read_tie_points, read_whole
+    from mgsgraph.files.place_table import read_places
+    from mgsgraph.studio.verdicts import read_verdicts
+
+    match, gcp, nvm = (of_tests(f"files/networks/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
+    pair, written = ("one", "two"), seeds.written_network
+    ground = gcp.DOCUMENTED + "\n" + gcp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
+    rows = "".join(f"p{k},{10 + k},{20 - k},33900{k}0.5\n" for k in range(6))
+    said = "".join(f'p{k},accept,"good, {k}"\n' for k in range(6))
+
+    def of_pvl(path: Path) -> object:
+        return read_network(path), read_control_network(path)
+
+    def nvm_beside(path: Path) -> object:
+        return read_nvm(path.with_name("a.nvm"))
+
+    yield Reader("network, PVL", of_pvl, partial(of_pair, "network.pvl"), "pvl", gaps=(".measure_sigmas",))
+    yield Reader("network, PVL, version 1", read_network, partial(seeds.old_network, 1), "pvl")
+    yield Reader("network, PVL, version 3", read_network, partial(seeds.old_network, 3), "pvl")
+    yield Reader("network, binary", read_network, partial(written, "network.net", "net"), "bytes")
+    yield Reader("network, binary, version 1", read_network, partial(seeds.old_network, 0), "bytes")
+    table = partial(written, "network.csv", "csv")
+    yield Reader("network, table", lambda path: read_whole(path, MARS), table, "csv")
+    ties, gaps = (lambda path: read_tie_points(path, MARS)), (".places", ".measure_sigmas")
+    yield Reader("tie points, table", ties, table, "csv", gaps=gaps)
+    yield Reader("tie points, Parquet", ties, partial(written, "network.parquet", "parquet"), "bytes", gaps=gaps)
+    binary = partial(text, "run-one__two.match", match.SOUND)
+    yield Reader("match file", lambda path: read_match(path, pair), binary, "bytes", gaps=(".sigmas",))
+    of_text = partial(written, "run", "match-text")
+    yield Reader("match file, text", lambda path: read_match_text(path, pair), of_text, "csv")
+    control = partial(text, "a.gcp", ground)
+    yield Reader("ground control", lambda path: read_ground_control_network(path, MARS), control, "csv")
+    yield Reader("NVM", read_nvm, lambda: text("a.nvm", nvm.TEXT, **{"a_offsets.txt": nvm.OFFSETS}), "csv")
+    yield Reader("NVM's offsets", nvm_beside, lambda: text("a_offsets.txt", nvm.OFFSETS, **{"a.nvm": nvm.TEXT}), "csv")
+    places = partial(text, "places.csv", "id,longitude_deg,latitude_deg,radius_m\n" + rows)
+    yield Reader("table of places", lambda path: read_places(path, MARS, "ground"), places, "csv")
+    verdicts = partial(text, "verdicts.csv", "# network 0123456789abcdef\nid,verdict,note\n" + said)
+    yield Reader("verdicts", read_verdicts, verdicts, "csv")
+
+
+def _altimetry() -> Iterator[Reader]:
+    from mgsgraph.files.altimetry.lidar import read_lidar
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
+
+    tests = of_tests("files/altimetry/test_pedr_text.py")
+    lola = "LOLARDR_092490702.DAT"
+    rows = "".join(f"12.{k},-45.{k},339000{k}.25,{100 + k}.5,a\n" for k in range(6))
+
+    def pedr_text(folder: Path) -> None:
+        tests.table(folder, *(tests.shot(175.4789 - 5e-5 * k, 379000.0 + k) for k in range(4)))
+
+    yield Reader("lidar JSON", read_lidar, partial(of_pair, "lidar.json"), "json")
+    yield Reader("PEDR", read_shots, partial(seeds.of_site, "ap19215l.b"), "bytes", gaps=_SHOTS)
+    yield Reader("PEDR's label", read_shots, partial(seeds.of_site, "ap19215l.b"), "pvl", gaps=_SHOTS)
+    yield Reader("PEDR as text", read_shots, lambda: made("ap18933l.tab", pedr_text), "csv", gaps=_SHOTS)
+    yield Reader("shots of ODE", read_shots, lambda: text("shots.csv", seeds.ode_table()), "csv", gaps=_SHOTS)
+    yield Reader("shots, CSV", read_shots, lambda: text("shots.csv", seeds.profile_csv()), "csv", gaps=_SHOTS)
+    yield Reader("shots of MLA", read_shots, lambda: text("shots.csv", seeds.mla_table()), "csv", gaps=_SHOTS)
+    packed = lambda: text("shots.csv.gz", seeds.packed(seeds.mla_table()))  # noqa: E731
+    yield Reader("shots, packed", read_shots, packed, "gzip", gaps=_SHOTS)
+    yield Reader("LOLA's records", read_shots, lambda: text(lola, seeds.lola_records()), "bytes", gaps=_SHOTS)
+    labelled = lambda: text("a.LBL", seeds.lola_label(lola), **{lola: seeds.lola_records()})  # noqa: E731
+    yield Reader("LOLA's label", read_shots, labelled, "pvl", gaps=_SHOTS)
+    cloud = partial(text, "cloud.csv", "longitude_deg,latitude_deg,radius_m,time_s,profile\n" + rows)
+    yield Reader("altimetry cloud", lambda path: read_altimetry_cloud(path, MARS), cloud, "csv", gaps=_SHOTS)
+    binary = lambda: text(lola, seeds.lola_records())  # noqa: E731
+    yield Reader("altimetry cloud, LOLA", lambda path: read_altimetry_cloud(path), binary, "bytes", gaps=_SHOTS)
+
+
+def _kept() -> Iterator[Reader]:
+    """What has checksums: a flipped bit is refused, or nobody reads it."""
+    from mgsgraph.case.assembly import window_beside
+    from mgsgraph.errors import require
+    from mgsgraph.export.network_content import source_networks
+    from mgsgraph.fetch.store import LOCK, Lock, LockedFile
+    from mgsgraph.files.networks.table import read_tie_points
+    from mgsgraph.files.opening import sha256_of
+    from mgsgraph.files.output.folders import EXPORT
+    from mgsgraph.files.output.table import write_json
+    from mgsgraph.files.writing import FILES, MATCH, read_record
+    from mgsgraph.project.campaign import open_record
+    from mgsgraph.project.project import open_project
+    from mgsgraph.project.reading import read_state
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.results import case_of
+
+    def record(path: Path) -> object:
+        with open_record(path.parent) as opened:
+            require(opened.entries, str(path), "its last case is done again")
+            return dict(opened.entries)
+
+    def project(path: Path) -> object:
+        with open_project(path.parent) as opened:
+            state = opened.name, opened.settings, opened.networks, opened.changes(), opened.last_solution()
+        return state, read_state(path.parent)
+
+    def campaign(folder: Path) -> None:
+        case = seeds.pair_folder() / "case.toml"
+        seeds.commanded("campaign", case, "--out", folder, "--no-figures")
+
+    def locked(folder: Path) -> None:
+        file = LockedFile("https://example.org/a.img", 12, "0f" * 32, "2026-11-23T00:00:00Z")
+        Lock(folder, {f"images/{name}.img": file for name in "abc"}, {}, {"case.toml": "1e" * 32}).write()
+
+    def exported(folder: Path) -> None:
+        seeds.commanded("export", seeds.worked_folder() / "result", "--to", "csm", "--out", folder / "out")
+        (folder / "out" / EXPORT).rename(folder / EXPORT)
+
+    def matched(folder: Path) -> None:
+        content = (seeds.pair_folder() / "network.pvl").read_bytes()
+        (folder / "network.pvl").write_bytes(content)
+        sums = {"network.pvl": sha256_of(folder / "network.pvl")}
+        write_json(folder / MATCH, {"program": "mgsgraph", "settings": {"half_window": 12}, FILES: sums})
+
+    def matches(path: Path) -> object:
+        return read_tie_points(path.with_name("network.pvl")), window_beside(path.with_name("network.pvl"))
+
+    sources = lambda path: source_networks(path.parent, [], MARS)  # noqa: E731
+    result, lines = partial(of_pair, "result/solution.json"), lambda: made("campaign.jsonl", campaign)
+    rows = (
+        Reader("result", read_solution, partial(of_pair, "result/solution.npz"), "npz", gaps=(".sigmas",)),
+        Reader("result's record", lambda path: case_of(path.parent), result, "json"),
+        Reader("project", project, partial(of_pair, "project/project.sqlite"), "sqlite"),
+        Reader("campaign's record", record, lines, "json"),
+        Reader("record of matches", matches, lambda: made(MATCH, matched), "json"),
+        Reader("ties of matches", matches, lambda: made("network.pvl", matched), "pvl", gaps=(".measure_sigmas",)),
+        Reader("record of an export", read_record, lambda: made(EXPORT, exported), "json"),
+        Reader("lock of fetch", lambda path: Lock.read(path.parent), lambda: made(LOCK, locked), "json"),
+    )
+    yield Reader("result's networks", sources, partial(of_pair, "result/solution.json", "network.pvl"), "json")
+    for row in rows:
+        yield row
+        yield row._replace(name=f"{row.name}, a bit", form="bit", same=True)
+
+
+def _archives() -> Iterator[Reader]:
+    from mgsgraph.fetch.case_file import _INSTRUMENT, camera_focal_length
+    from mgsgraph.fetch.download import PartialFile
+    from mgsgraph.fetch.needs import Archives
+    from mgsgraph.fetch.search import read_index
+
+    addresses = "".join(f'{name} = "https://example.org/{name}/"\n' for name in ("images", "kernels", "pedr"))
+    said = json.dumps({"url": "http://x.org/a", "total": 9, "etag": '"1"', "modified": ""})
+
+    def index(folder: Path) -> None:
+        images = [archive_index.IndexEntry(1141, f"E02/0{k}", "2000-03-01T10:00:00.00", {}) for k in range(1001, 1004)]
+        archive_index.write_indexes(folder, images)
+
+    def rows(path: Path) -> object:
+        return read_index(path.with_name("imgindx.tab"), path.with_name("imgindx.lbl"))
+
+    def part(path: Path) -> object:
+        return PartialFile(path.with_name("a.img"), "http://x.org/a").source
+
+    def focal(path: Path) -> object:
+        return camera_focal_length(path.parents[len(Path(_INSTRUMENT).parts) - 1])
+
+    at = "mgsc_1141/index/imgindx"
+    yield Reader("mirrors", Archives.read, partial(text, "mirrors.toml", addresses), "pvl")
+    yield Reader("part of fetch", part, lambda: text("a.img.part.json", said, **{"a.img.part": b"abc"}), "json")
+    yield Reader("index of a volume", rows, lambda: made(f"{at}.tab", index), "csv")
+    yield Reader("index's label", rows, lambda: made(f"{at}.lbl", index), "pvl")
+    kernel = "KPL/IK\n\\begindata\nINS-94031_PIXEL_SIZE = ( 0.000013 )\n\\begintext\n"
+    yield Reader("instrument kernel of fetch", focal, partial(text, str(_INSTRUMENT), kernel), "pvl")
+
+
+# --- real files, where ../shared/data is there; nothing of them is kept
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+_LABEL = "m0402852_isis.lbl"
+
+
+def _beside(folder: str, main: str, *others: str) -> Seed:
+    return Seed({name: (DATA / folder / name).read_bytes() for name in (main, *others)}, main)
+
+
+def _begin(folder: str, name: str, lines: int) -> Seed:
+    """The first lines of a long table."""
+    with (DATA / folder / name).open("rb") as file:
+        return Seed({name: b"".join(file.readline() for _ in range(lines))}, name)
+
+
+def _packed(folder: str, name: str, lines: int) -> Seed:
+    with gzip.open(DATA / folder / name) as file:
+        return Seed({name: seeds.packed(b"".join(file.readline() for _ in range(lines)))}, name)
+
+
+def _real_files() -> Iterator[Reader]:
+    """None where there are no such files."""
+    if not DATA.is_dir():
+        return
+    import mgs
+
+    from mgsgraph.files.altimetry.lidar import read_lidar
+    from mgsgraph.files.altimetry.shots import read_shots
+    from mgsgraph.files.labels.isis_cube import read_isis_cube
+    from mgsgraph.files.labels.labelled_image import read_labelled_image
+    from mgsgraph.files.networks.binary import read_network
+    from mgsgraph.files.support_data.isd import read_isd
+
+    kernels = [path.name for path in mgs.kernels(DATA)]
+    moc, lola, hadley, m04 = "mgs_moc_wa_three", "lro_nac_lola", "lro_nac_hadley", "mgs_moc_m0402852"
+
+    def image(path: Path) -> object:
+        return read_labelled_image(path.with_name(_LABEL), [path.with_name(name) for name in kernels])
+
+    yield Reader("real network of MOC", read_network, partial(_beside, moc, "controlnetwork.net"), "pvl")
+    yield Reader("real network of LROC", read_network, partial(_beside, hadley, "observationPair.net"), "pvl")
+    yield Reader("real tables of a cube", read_isis_cube, partial(_beside, moc, "cube1.isd", "cube1.pvl"), "json")
+    label = partial(_beside, moc, "cube1.pvl", "cube1.isd")
+    yield Reader("real label of a cube", read_isis_cube, label, "pvl")
+    isd = partial(_beside, lola, "lidarObservationImage2.isd")
+    yield Reader("real support data", lambda path: read_isd(path, "LRO/1"), isd, "json")
+    yield Reader("real lidar JSON", read_lidar, partial(_beside, lola, "lidarData.json"), "json")
+    ode = partial(_begin, "mola_pedr_ode", "curiosity_topography.csv", 12)
+    yield Reader("real shots of ODE", read_shots, ode, "csv", gaps=_SHOTS)
+    yield Reader("real shots of LOLA", read_shots, partial(_begin, lola, "lidarPoints.csv", 12), "csv", gaps=_SHOTS)
+    shots = partial(_packed, hadley, "RDR_hadley_LOLA.csv.gz", 12)
+    yield Reader("real shots, packed", read_shots, shots, "gzip", gaps=_SHOTS)
+    for name in ("m0402852.ale_1.bsp", "mgs_sc_map2_1_sliced_-94000.bc", _LABEL):
+        others = [one for one in (_LABEL, *kernels) if one != name]
+        kind = "label of MOC" if name == _LABEL else f"binary kernel, {Path(name).suffix}"
+        yield Reader(f"real {kind}", image, partial(_beside, m04, name, *others), "pvl" if name == _LABEL else "bytes")
+
+
+# --- command lines
+
+_RESULT = ("result/solution.npz", "result/solution.json")
+_PROJECT = ("project/project.sqlite",)
+_LINES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "add": ("half SIM/B=image_B.isd --ties network.pvl --shots lidar.json --dry-run", ("half/project.sqlite",)),
+    "adjust": ("case.toml --out out --no-figures", ()),
+    "analyze": ("result --weak 2 --components --out out", _RESULT),
+    "campaign": ("case.toml --out out --no-figures", ()),
+    "check": ("case.toml", ()),
+    "convert": ("network.pvl out.net --to net --thin 5 --case case.toml", ()),
+    "export": ("result --to isis --out out --scaled", _RESULT),
+    "help": ("case images", ()),
+    "init": ("out --case case.toml --name x", ()),
+    "new": ("image_A.isd image_B.isd network.pvl lidar.json --out out.toml --name x", ()),
+    "plan": ("result candidates.toml --out out", (*_RESULT, "candidates.toml")),
+    "project": ("case.toml SIM/A --points places.csv --into image --height 10 --out out.csv", ("places.csv",)),
+    "remove": ("project SIM/B", _PROJECT),
+    "report": ("result --out out.html", _RESULT),
+    "review": ("case.toml --out out.net --verdicts verdicts.csv", ("verdicts.csv",)),
+    "shots": ("shots.csv --case case.toml --margin 5 --out out.csv", ("shots.csv",)),
+    "solve": ("project --no-figures", _PROJECT),
+    "status": ("project", _PROJECT),
+    "coregister": ("case.toml --out out", ()),
+    "dem": ("result --out out --post 50", _RESULT),
+    "nodes": ("case.toml --out out", ()),
+    "match": ("case.toml --out out --no-figures", ()),
+    "register": ("case.toml --out out", ()),
+}
+"""A line for each verb but fetch, which would ask archives, and the files that it needs besides those of the pair. The
+last five are refused: the pair has no pixels, no strips and no profile of an altimeter.
+"""
+
+
+def _commands() -> Iterator[Reader]:
+    """Every verb with odd words, and some with damaged files."""
+    for verb, (line, more) in _LINES.items():
+        said = partial(_command_seed, verb, line, more, seeds.WORDS)
+        yield Reader(f"mgsgraph {verb}", seeds.obeyed, said, "words", patience=60.0)
+    damaged = (
+        ("check", "case.toml", "pvl"), ("adjust", "network.pvl", "pvl"), ("adjust", "lidar.json", "json"),
+        ("check", "image_A.isd", "json"), ("status", *_PROJECT, "sqlite"), ("solve", *_PROJECT, "sqlite"),
+        ("solve", *_PROJECT, "bit"), ("report", "result/solution.npz", "npz"),
+        ("analyze", "result/solution.npz", "bit"),
+        ("export", "result/solution.json", "json"), ("shots", "shots.csv", "csv"), ("project", "places.csv", "csv"),
+        ("review", "verdicts.csv", "csv"), ("new", "network.pvl", "pvl"),
+    )  # fmt: skip
+    for verb, name, form in damaged:
+        said = partial(_command_seed, verb, *_LINES[verb], name)
+        kind = ", a bit" if form == "bit" else ""
+        yield Reader(f"mgsgraph {verb}, damaged {Path(name).name}{kind}", seeds.obeyed, said, form, patience=60.0)
+
+
+def _command_seed(verb: str, line: str, more: tuple[str, ...], main: str) -> Seed:
+    places = "".join(f"p{k},{k},{k},3390000.5\n" for k in range(4))
+    own = {
+        "places.csv": "id,longitude_deg,latitude_deg,radius_m\n" + places,
+        "candidates.toml": 'format = 1\n[[control]]\nname = "far"\nlongitude_deg = 0.0\nlatitude_deg = 0.0\n'
+        "radius_m = 3.39e6\n",
+        "verdicts.csv": "id,verdict,note\nTIE00001,reject,bad\n", "shots.csv": seeds.profile_csv(),
+    }  # fmt: skip
+    folder = seeds.worked_folder() if more else seeds.pair_folder()
+    files = {name: own[name].encode() if name in own else (folder / name).read_bytes() for name in (*seeds.PAIR, *more)}
+    return Seed({seeds.WORDS: json.dumps([verb, *line.split()]).encode()} | files, main)

@@ -5,35 +5,55 @@ A seed is a folder's worth of files; they are made once, in a folder in memory, 
 
 import atexit
 import gzip
-import importlib.util
 import io
 import json
 import os
+import runpy
 import shutil
 import struct
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
-from fuzz_structures import bomb
-from fuzz_trials import Seed
+from fuzz_edits import bomb
+
+
+class Seed(NamedTuple):
+    """Files by their names, and which of them is damaged."""
+
+    files: Mapping[str, bytes]
+    main: str
+
+
+class Reader(NamedTuple):
+    """A way into the program."""
+
+    name: str
+    read: Callable[[Path], Any]
+    seed: Callable[[], Seed]
+    """Of its sound files, written when they are wanted."""
+    form: str
+    """Of its damage, of `fuzz_edits.FORMS`."""
+    gaps: tuple[str, ...] = ()
+    """Ends of the places where what is read may have gaps (NaN): posts that are missing."""
+    same: bool = False
+    """Whether all that is not refused must be read as of the sound file."""
+    patience: float = 10.0
+    """s that it may take."""
+
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
 
 
-def of_tests(path: str) -> ModuleType:
+def of_tests(path: str) -> SimpleNamespace:
     """A module of the tests, for the files that it can write."""
-    spec = importlib.util.spec_from_file_location(f"tests_{Path(path).stem}", TESTS / path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return SimpleNamespace(**runpy.run_path(str(TESTS / path)))
 
 
 def made(main: str, write: Callable[[Path], Any]) -> Seed:
@@ -57,25 +77,26 @@ def text(name: str, content: str | bytes, **others: str | bytes) -> Seed:
 
 
 def commanded(*arguments: object) -> None:
-    """`mgsgraph` with these arguments, in a fork."""
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            from mgsgraph.cli import main
+    """`mgsgraph` with these arguments; exit status 1 is that of a doubtful result."""
+    words = [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
+    done = subprocess.run(words, stdout=subprocess.DEVNULL, check=False)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"{' '.join(words)}: exit {done.returncode}")
 
-            null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, 1)
-            sys.argv = ["mgsgraph", *map(str, arguments)]
-            main()
-            status = 0
-        except SystemExit as left:
-            status = int(left.code or 0)
-        finally:
-            os._exit(status)
-    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if status not in (0, 1):
-        raise RuntimeError(f"mgsgraph {' '.join(map(str, arguments))}: exit {status}")
+
+PAIR = ("case.toml", "image_A.isd", "image_B.isd", "network.pvl", "lidar.json")
+WORDS = "words.json"
+"""File with a command line, in the folder that it is given in."""
+
+
+def obeyed(path: Path) -> None:
+    """The command line beside or above a file; ends the process, as a command does."""
+    from mgsgraph.cli import main
+
+    os.chdir(next(folder for folder in path.parents if (folder / WORDS).exists()))
+    os.environ["HOME"] = str(Path.cwd())
+    sys.argv = ["mgsgraph", *json.loads(Path(WORDS).read_bytes())]
+    main()
 
 
 # --- the simulated pair and what becomes of it
@@ -114,10 +135,7 @@ def of_pair(main: str, *others: str) -> Seed:
 
 
 def case_seed(main: str = "case.toml") -> Seed:
-    return of_pair(
-        main,
-        *(name for name in ("case.toml", "image_A.isd", "image_B.isd", "network.pvl", "lidar.json") if name != main),
-    )
+    return of_pair(main, *(name for name in PAIR if name != main))
 
 
 # --- a simulated site: kernels, image, profile, grids
@@ -132,14 +150,10 @@ def site_seed() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_site(simulate_site("eos", 1, SimulationOptions(pictures=False)), folder)
-        small = {
-            path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in (".img", ".json", ".pvl")
-        }
-        for path in folder.glob("E*.img"):
-            small[path.name] = path.read_bytes()[: 1 << 13]
-        for path in folder.glob("*.b"):
-            small[path.name] = short_profile(path.read_bytes())
-    return small
+        files = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in (".json", ".pvl")}
+    short = {".img": lambda content: content[: 1 << 13], ".b": short_profile}
+    kept = {name for name in files if not name.endswith(".img") or name.startswith("E")}
+    return {name: short.get(Path(name).suffix, bytes)(files[name]) for name in kept}
 
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
@@ -163,13 +177,8 @@ def of_site(main: str, *others: str) -> Seed:
 
 def kernels_seed(main: str) -> Seed:
     """All kernels of the site, and an image."""
-    files = site_seed()
-    kept = {
-        name: files[name]
-        for name in files
-        if Path(name).suffix in (".tls", ".tsc", ".tpc", ".tf", ".ti", ".bsp", ".bc", ".tm", ".img")
-    }
-    return Seed({main: kept[main]} | kept, main)
+    suffixes = {".tls", ".tsc", ".tpc", ".tf", ".ti", ".bsp", ".bc", ".tm", ".img"}
+    return of_site(main, *(name for name in site_seed() if Path(name).suffix in suffixes - {main}))
 
 
 def grid_seed(main: str) -> Seed:
@@ -204,12 +213,10 @@ def lola_records(count: int = 3) -> bytes:
 
 
 def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
-    lines = (
-        "PDS_VERSION_ID = PDS3", "RECORD_TYPE = FIXED_LENGTH", f'^TABLE = "{name}"',
-        'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"',
-        "OBJECT = TABLE", f"ROWS = {rows}", '^STRUCTURE = "LOLARDR.FMT"', "END_OBJECT = TABLE", "END",
-    )  # fmt: skip
-    return "\r\n".join(lines) + "\r\n"
+    table = f'OBJECT = TABLE\nROWS = {rows}\n^STRUCTURE = "LOLARDR.FMT"\nEND_OBJECT = TABLE\nEND\n'
+    said = 'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"\n'
+    head = f'PDS_VERSION_ID = PDS3\nRECORD_TYPE = FIXED_LENGTH\n^TABLE = "{name}"\n'
+    return (head + said + table).replace("\n", "\r\n")
 
 
 def mla_table() -> str:
@@ -243,14 +250,6 @@ def packed(content: str | bytes) -> bytes:
 # --- networks
 
 
-@cache
-def network() -> Any:
-    """Three points in two images, one with a covariance."""
-    from mgsgraph.files.networks.binary import read_network
-
-    return read_network(pair_folder() / "network.pvl")
-
-
 def written_network(name: str, form: str) -> Seed:
     """The pair's network in one of `convert`'s formats."""
 
@@ -260,11 +259,9 @@ def written_network(name: str, form: str) -> Seed:
         commanded("convert", pair_folder() / "network.pvl", output, "--to", form, *more)
 
     with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        write(folder)
-        files = {path.name: path.read_bytes() for path in folder.iterdir()}
-    main = name if name in files else min(files, key=lambda one: (one.endswith("_offsets.txt"), one))
-    return Seed({main: files[main]} | files, main)
+        write(Path(place))
+        names = sorted(path.name for path in Path(place).iterdir())
+        return folder_seed(Path(place), name if name in names else names[0])
 
 
 def old_network(version: int) -> Seed:

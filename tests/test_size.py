@@ -39,8 +39,8 @@ CEILINGS = {
     "geometry": (2586, 42152, 16),
     "factors": (449, 7855, 14),
     "single files": (839, 10027, 10),
-    "scripts": (6953, 104807, 51),
-    "tests": (43383, 641522, 356),
+    "scripts": (5276, 83794, 38),
+    "tests": (43340, 640902, 356),
     "docs": (293, 3783, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

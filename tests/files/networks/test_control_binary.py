@@ -263,7 +263,7 @@ def test_any_prefix_is_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_files_are_refused_or_networks(tmp_path: Path) -> None:
-    """Some hundreds here; scripts/fuzz.py does tens of thousands."""
+    """Some hundreds here; scripts/fuzz.py does thousands."""
     rng = random.Random(8)
     path = tmp_path / "damaged.net"
     refusals = 0
