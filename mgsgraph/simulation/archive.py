@@ -24,10 +24,8 @@ from mgsgraph.simulation.orbit import (
     MOON_BODY,
     CentralBody,
     CircularPass,
-    circular_attitude,
-    circular_orbit,
+    circular_trajectory,
     on_ellipsoid,
-    sampled_trajectory,
 )
 from mgsgraph.units import DEG
 
@@ -224,12 +222,8 @@ class Archive:
         )  # fmt: skip
         half = 0.5 * camera.lines * camera.period
         times = seen + half * np.linspace(-1.05, 1.05, _RECORDS)
-        trajectory = sampled_trajectory(
-            flown.epoch, times, circular_orbit(flown).state(times), circular_attitude(flown, times),
-            camera.body.to_fixed(flown.epoch + times),
-        )  # fmt: skip
-        timing = one_rate(seen - half, camera.period)
-        size = camera.lines, camera.samples
+        timing, size = one_rate(seen - half, camera.period), (camera.lines, camera.samples)
+        trajectory = circular_trajectory(flown, times)
         return line_image(self.name(j), size, camera.interior(ahead), timing, trajectory, camera.body.ellipsoid)
 
     def true(self, j: int) -> OrientationCorrection:

@@ -14,7 +14,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
 from mgsgraph.record import Record
-from mgsgraph.simulation.ground import rays_to_sines
+from mgsgraph.simulation.ground import SiteTerrain, block_grid, rays_to_sines
 
 MARGIN = 30.0
 """pixels which true image points keep from the edges: six default sigmas of a footprint's measure."""
@@ -147,6 +147,34 @@ def tie_network(
         surface=surface,
         passes=tuple(passes),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainErrors(Record):
+    """A terrain model like MOLA's and what is wrong with it."""
+
+    posts_per_degree: int = 64
+    """Resolution of the grid."""
+    vertical: float = 10.0
+    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `block_terrain`)."""
+    planimetric: float = 200.0
+    """m, sigma eastward and northward of the common shift, which is an unknown of the network; 0 for none."""
+    missing: float = 0.0
+    """Share of posts that are missing."""
+
+
+def terrain_model(
+    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
+) -> tuple[Surface | None, Array]:
+    """Terrain model as control of points (n, 3) in m, and what it lacks of the truth, (1, 2) m east and north; no rows
+    where posts miss, no shift (0, 2) without a model or where it has none.
+    """
+    if errors is None:
+        return None, np.zeros((0, 2))
+    shift = errors.planimetric * rng.standard_normal(2)
+    grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
+    sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
+    return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
 
 
 def project(

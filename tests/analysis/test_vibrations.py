@@ -17,8 +17,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.results.figures.analysis import vibrations_sheet
 from mgsgraph.simulation.ctx import (
+    CONTROL,
     PIXEL,
-    ControlSettings,
     CtxSettings,
     JitterSettings,
     Look,
@@ -33,7 +33,7 @@ CALM = JitterSettings(pitch=0.0, roll=0.0)
 def case(
     look: Look = "across", jitter: JitterSettings = CALM, control: bool = False, seed: int = 11
 ) -> tuple[SimulatedCtxPair, Solution]:
-    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=ControlSettings() if control else None)
+    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=CONTROL if control else None)
     mine = simulate_ctx_pair(settings, seed)
     return mine, adjust_network(mine.network, SolverSettings(starts=0))
 
