@@ -61,7 +61,7 @@ def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] 
 
 def take(adjustment: IncrementalAdjustment, made: SimulatedStrip, k: int) -> Impact:
     """The strip's next step."""
-    step = made.addition(k)
+    step = made.steps[k]
     return adjustment.add(step.image, _there(step.ties, step.laser), NOISE.prior, NOISE.tie, NOISE.shot_image)
 
 

@@ -12,7 +12,6 @@ its laser shots. What is drawn for a step knows nothing of later ones: a shorter
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -313,21 +312,6 @@ class StripSettings(PairSettings):
         return (1.0 - self.overlap) * self.lines * self.period
 
 
-class StripAddition(NamedTuple):
-    """What an archive gains with one image."""
-
-    image: PushbroomImage
-    """The new image, nominal."""
-    ties: TiePoints
-    """New points with all their measures, and known points with their measure in the new image; no points at first."""
-    laser: LaserProfile | None
-    """The new image's shots; and known shots that it sees, named again as they were, but simultaneous with no image, so
-    that their ranges don't count twice. None where there are neither."""
-
-    def __repr__(self) -> str:
-        return f"StripAddition({self.image.name}; {self.ties!r}; {self.laser!r})"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedStrip(Record):
     """A simulated strip: what an adjustment is given, and the truth it should find."""
@@ -370,11 +354,15 @@ class SimulatedStrip(Record):
         """One per image: true orientation = nominal (+) correction."""
         return tuple(step.true for step in self.steps)
 
-    def addition(self, k: int) -> StripAddition:
-        """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip."""
+    def addition(self, k: int) -> tuple[PushbroomImage, TiePoints, LaserProfile | None]:
+        """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip.
+
+        Shots of earlier images that it sees are named again as they were, but simultaneous with no image, so that their
+        ranges don't count twice.
+        """
         require(0 <= k < len(self.steps), "simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
         step = self.steps[k]
-        return StripAddition(step.image, step.ties, step.laser)
+        return step.image, step.ties, step.laser
 
     def upto(self, count: int) -> "SimulatedStrip":
         """The strip as it was when only the first `count` images had been taken."""

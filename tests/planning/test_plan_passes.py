@@ -18,10 +18,11 @@ from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import TargetSigmas, plan, targets_of
 from mgsgraph.planning.state import CurrentState, added, correction_of, state_of_solution, together, updated
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_flight import in_segments
 from mgsgraph.units import MGON
 
 AS_PROMISED = 0.01
-LATE = "HRSC/00/S2"
+LATE = "HRSC/00/S2/2"
 """The last one of the strip: its trajectory ends with it."""
 
 
@@ -30,7 +31,7 @@ def strip() -> Network:
     """One strip of a trajectory that is known well but for what changes on the way."""
     errors = TrajectoryErrors(attitude=1.0 * MGON, attitude_drift=0.5 * MGON, position=2.0, position_drift=1.0)
     settings = BlockSettings(strips=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
-    return simulate_hrsc_block(settings, seed=2).network
+    return in_segments(simulate_hrsc_block(settings, seed=2).network, 2)
 
 
 @cache

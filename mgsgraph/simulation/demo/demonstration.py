@@ -11,13 +11,12 @@ from typing import Any, TypeVar
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import has_opencv
 from mgsgraph.registration.case import CaseRegistration, register_case
 from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.registration.relief import register_by_relief
-from mgsgraph.simulation.archive import ARCHIVE_KINDS, ArchiveSettings, archive_settings, lay_out
+from mgsgraph.simulation.archive import ARCHIVE_KINDS, archive_settings, lay_out
 from mgsgraph.simulation.archive_files import write_archive
 from mgsgraph.simulation.demo.truth import (
     BY_RELIEF,
@@ -32,7 +31,7 @@ from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site, simulate_three_sites
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.workers import Stages
+from mgsgraph.workers import Progress, Stages, no_progress
 
 PAIR = "pair"
 """The small pair of synthetic images, beside the study sites."""
@@ -47,70 +46,53 @@ DEMONSTRATED = (*SITE_NAMES, PAIR)
 SIMULATED = (*DEMONSTRATED, STRIP, THREE_SITES, ARCHIVE)
 """What `mgsgraph simulate` knows."""
 
+_OPTIONS = {STRIP: ("images", "ties", "steps"), ARCHIVE: ("kind", "images", "ties")}
+"""What campaigns can be asked for."""
 _T = TypeVar("_T")
 
 
-def simulation_options(
+def simulation(
     site: str,
+    seed: int,
     attitude_time_bias: float | None = None,
     pictures: bool = True,
-    known: Sequence[str] = SIMULATED,
+    kind: str | None = None,
+    images: int | None = None,
+    ties: int | None = None,
+    steps: bool = False,
+    progress: Progress = no_progress,
+) -> tuple[Callable[[], Any], Callable[[Any, Path], Path]]:
+    """How a study site or a campaign is simulated, and how it is written to a folder; `steps` says whether what each
+    image of a strip adds is written, too. InputError where there is no such site, or it can't have an option.
+    """
+    options = simulation_options(site, attitude_time_bias, pictures)
+    given = {"kind": kind, "images": images, "ties": ties, "steps": steps or None}
+    for name, value in given.items():
+        if value is not None and name not in _OPTIONS.get(site, ()):
+            owner = next(one for one, names in _OPTIONS.items() if name in names)
+            raise InputError(name, f"given for {site}", f"the site {owner}", "leave it out")
+    if site == STRIP:
+        numbers: dict[str, Any] = {name: n for name, n in (("images", images), ("ties", ties)) if n is not None}
+        return partial(simulate_strip, StripSettings(**numbers), seed), partial(write_strip, steps=steps)
+    if site == ARCHIVE:
+        settings = archive_settings(kind or ARCHIVE_KINDS[0], images, ties)
+        return partial(lay_out, settings, seed), partial(write_archive, progress=progress)
+    if site == PAIR:
+        return partial(simulate_pair, seed=seed), write_pair
+    if site == THREE_SITES:
+        return partial(simulate_three_sites, seed, options), write_three_sites
+    return partial(simulate_site, site, seed, options), write_site
+
+
+def simulation_options(
+    site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
 ) -> SimulationOptions:
-    """Options of a simulation; InputError unless the site is among the `known` ones, and can have them."""
+    """Options of a study site's simulation; InputError unless the site is among the `known` ones, and can have them."""
     if site not in known:
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
     return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
-
-
-def strip_settings(site: str, images: int | None, ties: int | None, steps: bool) -> StripSettings:
-    """Settings of a strip, the default ones of what isn't given; InputError where another site is given any."""
-    given: dict[str, Any] = {name: value for name, value in (("images", images), ("ties", ties)) if value is not None}
-    for name in (*(given if site != ARCHIVE else ()), *(["steps"] if steps else [])) if site != STRIP else ():
-        raise InputError(name, f"given for {site}", f"the site {STRIP}", "leave it out")
-    return replace(StripSettings(), **given) if site == STRIP else StripSettings()
-
-
-def chosen_archive(site: str, kind: str | None, images: int | None, ties: int | None) -> ArchiveSettings | None:
-    """Settings of an archive of a kind, the default ones of what isn't given; None for another site, and InputError
-    where that is given a kind.
-    """
-    if site == ARCHIVE:
-        return archive_settings(kind or ARCHIVE_KINDS[0], images, ties)
-    if kind is not None:
-        raise InputError("kind", f"given for {site}", f"the site {ARCHIVE}", "leave it out")
-    return None
-
-
-def write_simulation(
-    site: str,
-    folder: Path,
-    seed: int,
-    options: SimulationOptions,
-    strip: StripSettings,
-    steps: bool,
-    stages: Stages,
-    archive: ArchiveSettings | None = None,
-) -> Path:
-    """Simulate a study site or a campaign, and write its files to a folder that is absent or empty; the case's path.
-
-    Of a strip, `steps` says whether what each image adds is written, too; `archive` are the settings of one. InputError
-    if the folder holds anything.
-    """
-    with fresh_folder(folder, "truth.json") as aside:
-        write = partial(simulated_files, folder=aside, stages=stages)
-        if site == PAIR:
-            _, path = write(partial(simulate_pair, seed=seed), write_pair)
-        elif site == STRIP:
-            _, path = write(partial(simulate_strip, strip, seed), partial(write_strip, steps=steps))
-        elif archive is not None:
-            _, path = write(partial(lay_out, archive, seed), partial(write_archive, progress=stages.detail))
-        elif site == THREE_SITES:
-            _, path = write(partial(simulate_three_sites, seed, options), write_three_sites)
-        else:
-            _, path = write(partial(simulate_site, site, seed, options), write_site)
-        return folder / path.name
 
 
 def simulated_files(

@@ -20,6 +20,7 @@ from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network
 from mgsgraph.network.parts import pass_unknowns, without_images
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_flight import in_segments
 from mgsgraph.simulation.rig import NacSettings, PassErrors, simulate_nac_pair
 
 WITHIN = 0.01
@@ -30,7 +31,7 @@ WITHIN = 0.01
 def strips(spacing: float = 10.0) -> Network:
     """Two HRSC strips, each line cut into two images."""
     settings = BlockSettings(strips=2, length=60e3, points=240, terrain=None, spacing=spacing)
-    return simulate_hrsc_block(settings, seed=4).network
+    return in_segments(simulate_hrsc_block(settings, seed=4).network, 2)
 
 
 @cache
