@@ -11,7 +11,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label, points_content
+from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label
+from mgsgraph.files.networks.messages import points_content
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage

@@ -29,16 +29,17 @@ from mgsgraph.simulation.observations import (
     MARGIN,
     NoiseSettings,
     Shots,
+    TrueImage,
     Visible,
     free_points,
     profile,
     require_count,
     require_seed,
     shots_along,
+    true_image,
 )
 from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass, ground_track, site_at
 from mgsgraph.simulation.pair import PairSettings
-from mgsgraph.simulation.true_images import TrueImage, true_image
 from mgsgraph.units import DEG, KM
 
 SOURCE = "simulated strip"

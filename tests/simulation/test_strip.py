@@ -16,7 +16,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings

@@ -14,7 +14,7 @@ A network is read from either of its forms, told apart by what is in the file.
 
 import re
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -29,7 +29,7 @@ from mgsgraph.files.networks.messages import (
     encoded,
     finite,
     message_class,
-    point_message,
+    points_content,
     read_point,
     second_versions,
 )
@@ -390,18 +390,6 @@ def binary_network(network: ControlNetwork) -> bytes:
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))
     return b"".join((label, header, points))
-
-
-def points_content(points: Iterable[ControlPoint], where: Callable[[int], str] = "point {}".format) -> bytes:
-    """Points one after the other as they lie in the file; `where` names one by its number in what is refused."""
-    parts = list[bytes]()
-    for index, point in enumerate(points):
-        try:
-            message = point_message(point).SerializeToString()
-        except InputError as error:
-            raise error.within(where(index)) from None
-        parts += (_SIZE.pack(len(message)), message)
-    return b"".join(parts)
 
 
 def network_header(network: ControlNetwork) -> bytes:

@@ -22,23 +22,21 @@ from mgsgraph.results.registration import discrepancy_json, write_registration_i
 from mgsgraph.results.relief import write_coregistration_into
 from mgsgraph.results.results import write_into
 from mgsgraph.simulation.demo.demonstration import (
+    BY_RELIEF,
     DRAWING,
     INPUTS,
+    KERNELS,
     PAIR,
+    TIES,
     Demonstration,
     demonstrate,
     demonstrate_pair,
-    true_points,
-)
-from mgsgraph.simulation.demo.truth import (
-    BY_RELIEF,
-    KERNELS,
-    TIES,
     disagreement_table,
     overall,
     pair_statements,
     point_errors,
     point_statements,
+    true_points,
 )
 from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.mgs_files import grid_file

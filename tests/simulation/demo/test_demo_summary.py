@@ -12,11 +12,14 @@ from mgsgraph.simulation.demo import demonstration
 from mgsgraph.simulation.demo.demonstration import (
     DEMONSTRATED,
     DRAWING,
+    KERNELS,
     PAIR,
     RELIEF,
     STAGES,
+    TIES,
     Demonstration,
     demonstrate,
+    overall,
     simulation_options,
 )
 from mgsgraph.simulation.demo.summary import (
@@ -24,7 +27,6 @@ from mgsgraph.simulation.demo.summary import (
     demo_statements,
     summary_json,
 )
-from mgsgraph.simulation.demo.truth import KERNELS, TIES, overall
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.text import root_mean_square
 

@@ -7,7 +7,7 @@ import pytest
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.demo.truth import point_errors
+from mgsgraph.simulation.demo.demonstration import point_errors
 
 
 def test_errors_of_points_are_normalised_by_all_coordinates() -> None:
