@@ -19,9 +19,9 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
 from mgsgraph.simulation.archive import Archive
 from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions
-from mgsgraph.simulation.case_files import case_text, json_text, sampled_fields, toml_lines
+from mgsgraph.simulation.case_files import case_text, json_text, sampled_fields, sigma_lines, toml_lines
 from mgsgraph.simulation.files import write_texts, writing
-from mgsgraph.units import ISIS_OFFSET, MRAD
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
 _WRITTEN = "2000-01-01T00:00:00"
@@ -129,10 +129,7 @@ def _control_points(region: Region, ids: Sequence[str], names: Sequence[str]) ->
 def _case(archive: Archive, measured: Index) -> str:
     """The case file; images without a measure are left out of it."""
     settings = archive.settings
-    lines = toml_lines(
-        "[orientation]", degree=settings.degree, position_sigma_m=settings.position,
-        angle_sigma_mrad=settings.angle / MRAD, trend=settings.trend,
-    ) + toml_lines("[ties]", network=NETWORK, sigma_px=settings.tie)  # fmt: skip
+    lines = sigma_lines(settings.noise, NETWORK)
     for j in np.flatnonzero(measured).tolist():
         lines += toml_lines("[[images]]", name=archive.name(j), isd=image_path(archive, j))
     return case_text(f"simulated archive {settings.kind}, {len(archive)} images", lines)

@@ -138,8 +138,8 @@ def _drawn(
 
 def _shares(archive: Archive, footprints: Footprints, image: Index) -> Array:
     """(k, 2) shares of the half length and width of images (k,) by which the ground may lie elsewhere than thought."""
-    settings = archive.settings
-    moved = 2.0 * (settings.position + settings.angle * settings.plan.camera.altitude) + 0.3 * settings.plan.relief
+    noise, plan = archive.settings.noise, archive.settings.plan
+    moved = 2.0 * (noise.position + noise.angle * plan.camera.altitude) + 0.3 * plan.relief
     return np.asarray(moved / np.linalg.norm(footprints.halves[image], axis=2))
 
 
@@ -170,7 +170,7 @@ def _projected(
     exact = pixels[kept]
     return Region(
         points[counts > 1], counts[counts > 1], image[kept],
-        exact + archive.settings.tie * rng.standard_normal(exact.shape),
+        exact + archive.settings.noise.tie * rng.standard_normal(exact.shape),
     )  # fmt: skip
 
 

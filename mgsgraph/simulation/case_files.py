@@ -140,13 +140,17 @@ Tables = list[str]
 def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
     """Case of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
     lines = [line for image in images for line in toml_lines("[[images]]", name=image.name, isd=image_file(image))]
-    lines += toml_lines("[orientation]", degree=noise.prior.degree, **_orientation(noise))
-    lines += _ties(noise.tie)
+    lines += sigma_lines(noise)
     lines += toml_lines(
         "[laser]", file="lidar.json", image_sigma_px=float(noise.shot_image), range_sigma_m=float(noise.range),
         ground_sigma_m=float(noise.ground),
     )  # fmt: skip
     return case_text(name, lines)
+
+
+def sigma_lines(noise: NoiseSettings, network: str = "network.pvl") -> Tables:
+    """What is known of all orientations, and of the ties in a network's file."""
+    return toml_lines("[orientation]", degree=noise.prior.degree, **_orientation(noise)) + _ties(noise.tie, network)
 
 
 def site_case(simulated: SimulatedSite) -> str:
@@ -195,8 +199,8 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
     return lines
 
 
-def _ties(sigma: float) -> Tables:
-    return toml_lines("[ties]", network="network.pvl", sigma_px=float(sigma))
+def _ties(sigma: float, network: str = "network.pvl") -> Tables:
+    return toml_lines("[ties]", network=network, sigma_px=float(sigma))
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
