@@ -31,6 +31,7 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_point,
     planned_profile,
+    require_candidates,
 )
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.state import NetworkState
@@ -140,11 +141,7 @@ def read_candidates(
     wanted = decode_candidates(path)
     kinds = (wanted.images, wanted.profiles, wanted.control)
     names = [one.name for kind in kinds for one in kind]
-    if not names:
-        expected = "at least one of [[images]], [[profiles]] and [[control]]"
-        raise InputError(str(path), "no candidate", expected)
-    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
-        raise InputError(str(path), f"two candidates named {name!r}", "each name once")
+    require_candidates(str(path), names)
     coverage, found = ImageCoverage(state), list[Candidate]()
     plans = [
         *(partial(_image, coverage, one, wanted, path, k) for k, one in enumerate(wanted.images)),

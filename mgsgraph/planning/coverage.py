@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.incremental.trajectories import with_expected
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
@@ -126,8 +126,7 @@ class ImageCoverage:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
         body = self.network.images[0].body
         up = places / np.linalg.norm(places, axis=1)[:, None]
-        level = np.array([body.equatorial, body.equatorial, body.polar]) + height
-        radius = 1.0 / np.linalg.norm(up / level, axis=1)
+        radius = surface_radii(up, Ellipsoid(body.equatorial + height, body.polar + height))
         if self.grid is not None:
             over = self.grid.at(places)
             radius = np.where(np.isfinite(over), over, radius)

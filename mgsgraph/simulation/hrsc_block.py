@@ -16,7 +16,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Mask, assign
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
@@ -148,11 +148,6 @@ class SimulatedBlock(Record):
     """(k,) True for rays that belong to no point: gross errors."""
     relief: SiteTerrain
     """True ground."""
-
-    def __post_init__(self) -> None:
-        blunders = np.array(self.blunders, dtype=np.bool_)
-        blunders.flags.writeable = False
-        assign(self, blunders=blunders)
 
     def true_nodes(self, strip: int) -> Array:
         """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""

@@ -16,7 +16,6 @@ which follows from the line of sight. So what is read back differs from what was
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,28 +75,13 @@ class PedrFrames(Record):
     one. When absent, 0.30 m and 1 cm more in each frame, so that readers have something to take off."""
 
     def __post_init__(self) -> None:
-        where = "PEDR frames"
-        times = frozen(self.times, f"{where}, times", (None,))
-        if times.size == 0:
-            raise InputError(where, "no shots", "at least one")
-        late = np.abs(times - times[0] - _TICK * np.arange(times.size))
+        late = np.abs(self.times - self.times[0] - _TICK * np.arange(self.times.size))
         if late.max() > 1e-5:
             k = int(np.argmax(late > 1e-5))
-            raise InputError(f"{where}, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second without a gap")
-        shapes = {"footprints": (3,), "spacecraft": (3,)} | dict.fromkeys(
-            ("ranges", "areoid_radii", "off_nadir", "spread"), ()
-        )
-        fields: dict[str, Any] = {
-            name: frozen(getattr(self, name), f"{where}, {name}", (times.size, *rest)) for name, rest in shapes.items()
-        }
-        ground = np.array(self.ground, dtype=bool)
-        if ground.shape != times.shape:
-            raise InputError(f"{where}, ground", f"shape {ground.shape}", f"({times.size},)")
-        ground.flags.writeable = False
-        frames = -(-times.size // SHOTS)
+            raise InputError("PEDR frames, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second with no gap")
+        frames = -(-self.times.size // SHOTS)
         crossovers: ArrayLike = 0.30 + 0.01 * np.arange(frames) if self.crossovers is None else self.crossovers
-        assign(self, times=times, ground=ground, crossovers=frozen(crossovers, f"{where}, crossovers", (frames,)))
-        assign(self, **fields)
+        assign(self, crossovers=frozen(crossovers, "PEDR frames, crossovers", (frames,)))
 
 
 def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] | None = None) -> AltimeterShots:

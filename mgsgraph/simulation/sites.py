@@ -144,10 +144,9 @@ def site_settings(name: str) -> SiteSettings:
     InputError
         If there is no such site.
     """
-    for site in _SITES:
-        if site.name == name:
-            return site
-    raise InputError("site", repr(name), " or ".join(SITE_NAMES))
+    if name not in _SITES:
+        raise InputError("site", repr(name), " or ".join(SITE_NAMES))
+    return _SITES[name]
 
 
 def drawn_errors(prior: OrientationPrior, noise: float, rng: np.random.Generator) -> KernelErrors:
@@ -178,4 +177,4 @@ def _image_of_table(image: dict[str, Any]) -> ImageSettings:
     return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": found})
 
 
-_SITES = tuple(_of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"])
+_SITES = {site["name"]: _of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"]}

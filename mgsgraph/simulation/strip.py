@@ -20,7 +20,7 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import narrow_image
@@ -331,9 +331,6 @@ class SimulatedStrip(Record):
     """One for each nadir image, its shots measured in every image that shows them."""
     true_footprints: tuple[Array, ...]
     """(m, 3) m, body-fixed, for each of these, in the order of its ids."""
-
-    def __post_init__(self) -> None:
-        assign(self, true_ties=frozen(self.true_ties, "simulated strip, true ties", (len(self.ties.ids), 3)))
 
     @classmethod
     def of_steps(cls, settings: StripSettings, seed: int, steps: tuple[Step, ...]) -> "SimulatedStrip":
