@@ -29,7 +29,7 @@ from mgsgraph.network import PointClass, SharedKind
 from mgsgraph.registration.minima import ReliefSettings
 from mgsgraph.registration.relief import profile_names, registered
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_pair, cells_of
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.imagery import true_matches

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, two_step_statistics
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM, MGON

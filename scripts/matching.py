@@ -26,7 +26,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.matching.match import Matches
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.results.matching import match_into
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES

@@ -31,7 +31,7 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.passes import PolynomialPrior
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching

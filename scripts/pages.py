@@ -53,7 +53,7 @@ from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_ta
 from mgsgraph.results.soundness import drivers_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
-from mgsgraph.simulation.demo.truth import disagreement_table
+from mgsgraph.simulation.demo.demonstration import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import PairSettings, simulate_pair

@@ -21,7 +21,7 @@ from mgsgraph.network.parts import KnownImage, Unknown, without_images
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass, ground_track, site_at
-from mgsgraph.simulation.strip import SimulatedStrip, Steps, StripSettings, merged_profiles, merged_ties, simulate_strip
+from mgsgraph.simulation.strip import SimulatedStrip, Steps, StripSettings, simulate_strip
 from mgsgraph.units import DEG
 
 NOISE = NoiseSettings()
@@ -53,12 +53,7 @@ def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] 
         steps.noise = replace(NOISE, position=0.1, angle=1e-7) if k in known else NOISE
         passage = CircularPass(-11e6 + 88_775.0 * k, sites[k], float(headings[k]), settings.altitude, tilt)
         steps.add(narrow_image(f"FAN/{k}", passage, settings.lines, settings.samples, settings.period), rng)
-    taken = tuple(steps.taken)
-    return SimulatedStrip(
-        settings, 5, taken, merged_ties([one.ties for one in taken]), np.concatenate([one.true_ties for one in taken]),
-        merged_profiles([one.laser for one in taken if one.laser]),
-        tuple(one.true_footprints for one in taken if one.true_footprints.size),
-    )  # fmt: skip
+    return SimulatedStrip.of_steps(settings, 5, tuple(steps.taken))
 
 
 # --- adding
@@ -66,7 +61,7 @@ def fan(images: int = 5, ties: int = 10, shots: int = 4, known: tuple[int, ...] 
 
 def take(adjustment: IncrementalAdjustment, made: SimulatedStrip, k: int) -> Impact:
     """The strip's next step."""
-    step = made.addition(k)
+    step = made.steps[k]
     return adjustment.add(step.image, _there(step.ties, step.laser), NOISE.prior, NOISE.tie, NOISE.shot_image)
 
 

@@ -23,10 +23,10 @@ from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
 from mgsgraph.simulation.files import writing
 from mgsgraph.simulation.ground import areoid_under, terrain_grid
 from mgsgraph.simulation.mgs_files import (
-    image_label,
     kernel_segment,
     label_time,
     pedr_file,
+    product_id,
     write_moc_image,
 )
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
@@ -115,13 +115,17 @@ def _write_images(simulated: SimulatedSite, folder: Path) -> None:
         entry = _entry(simulated, image)
         entries += [entry, *_beside(entry)]
         path = _placed(folder / entry.path)
-        write_moc_image(path, image_label(image, simulated.settings.title), image.pixels)
+        write_moc_image(path, image.settings, image.clock_start, _rationale(simulated), image.pixels)
     write_indexes(folder, entries)
+
+
+def _rationale(simulated: SimulatedSite) -> str:
+    return f"Simulated image of {simulated.settings.title}"
 
 
 def _entry(simulated: SimulatedSite, image: SimulatedImage) -> IndexEntry:
     """The image in the index; its places are those of the nominal orientation on the ellipsoid."""
-    settings, label = image.settings, image_label(image, simulated.settings.title)
+    settings, start = image.settings, datetime.fromisoformat(image.settings.start)
     high, wide = float(settings.lines), float(settings.samples)
     lines = np.array([0.5 * high, 0.0, 0.0, high, high])
     samples = np.array([0.5 * wide, 0.0, wide, 0.0, wide])
@@ -141,7 +145,7 @@ def _entry(simulated: SimulatedSite, image: SimulatedImage) -> IndexEntry:
         "SCALED_IMAGE_WIDTH": across / KM,
         "SCALED_IMAGE_HEIGHT": along / KM,
         "SPACECRAFT_ALTITUDE": simulated.settings.altitude / KM,
-        "RATIONALE_DESC": label.rationale,
+        "RATIONALE_DESC": _rationale(simulated),
         "ORBIT_NUMBER": settings.orbit,
     }
     places = geodetic(ground, image.nominal.body)[:, :2] / DEG
@@ -149,7 +153,7 @@ def _entry(simulated: SimulatedSite, image: SimulatedImage) -> IndexEntry:
         ("CENTER", "UPPER_LEFT", "UPPER_RIGHT", "LOWER_LEFT", "LOWER_RIGHT"), places.tolist(), strict=True
     ):
         more |= {f"{corner}_LONGITUDE": -longitude % 360.0, f"{corner}_LATITUDE": latitude}
-    return IndexEntry(_volume(datetime.fromisoformat(settings.start)), label.product_id, label.start_time, more)
+    return IndexEntry(_volume(start), product_id(settings), label_time(start), more)
 
 
 def _beside(entry: IndexEntry) -> list[IndexEntry]:

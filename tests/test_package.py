@@ -49,7 +49,7 @@ ONLY_IN = {
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
         "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.catalog",
-        "mgsgraph.studio.linked",
+        "mgsgraph.simulation.archive_ties", "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

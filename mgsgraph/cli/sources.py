@@ -123,19 +123,14 @@ def simulate(
     know of, comes on top: 0.95 s move the nadir image by the 325 m of the papers' text.
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.simulation.demo.demonstration import (
-        chosen_archive,
-        simulation_options,
-        strip_settings,
-        write_simulation,
-    )
+    from mgsgraph.files.output.folders import fresh_folder
+    from mgsgraph.simulation.demo.demonstration import simulated_files, simulation
 
-    options = simulation_options(site, attitude_time_bias, not no_pictures)
-    strip = strip_settings(site, images, ties, steps)
-    archive = chosen_archive(site, kind, images, ties)
     with stage_bar(2) as stages:
-        case = write_simulation(site, out, seed, options, strip, steps, stages, archive)
-    click.echo(f"The case is {case}; the truth lies beside it in truth.json")
+        made = simulation(site, seed, attitude_time_bias, not no_pictures, kind, images, ties, steps, stages.detail)
+        with fresh_folder(out, "truth.json") as aside:
+            _, path = simulated_files(*made, aside, stages)
+    click.echo(f"The case is {out / path.name}; the truth lies beside it in truth.json")
 
 
 @click.command()

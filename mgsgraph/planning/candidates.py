@@ -228,6 +228,14 @@ def planned_point(
     return Candidate(name, kind, addition, "", tuple(seen))
 
 
+def require_candidates(where: str, names: Sequence[str]) -> None:
+    """Raise InputError for no candidate, and for a name that stands twice."""
+    if not names:
+        raise InputError(where, "no candidate", "at least one image, profile or control point")
+    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
+        raise InputError(where, f"two candidates named {name!r}", "each name once")
+
+
 def _points(ids: Iterable[str], kind: PointClass, places: Array, covariances: Array | None = None) -> GroundPoints:
     """Points at places (n, 3) in m: constrained with their covariances (n, 3, 3) in m^2, free without."""
     n, constrained = places.shape[0], PointKind.FREE if covariances is None else PointKind.CONSTRAINED

@@ -20,7 +20,6 @@ from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.decoding import read_toml, validated
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
-from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import footprints_in_images
 from mgsgraph.network.joining import joining
@@ -32,6 +31,7 @@ from mgsgraph.planning.candidates import (
     planned_image,
     planned_point,
     planned_profile,
+    require_candidates,
 )
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.state import NetworkState
@@ -39,8 +39,6 @@ from mgsgraph.text import some
 from mgsgraph.units import DEG
 
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
-_SAME_TIME, _SAME_LOOK = 1e-3, 1e-4
-"""s and rad: images nearer to each other than this are one; a spacecraft's two cameras look apart, or elsewhere."""
 _NAME_THE_IMAGE = "name it: image = ... in [[profiles]]"
 _FAR = 0.1
 """Share of the body's radius by which a control point may be off it."""
@@ -143,11 +141,7 @@ def read_candidates(
     wanted = decode_candidates(path)
     kinds = (wanted.images, wanted.profiles, wanted.control)
     names = [one.name for kind in kinds for one in kind]
-    if not names:
-        expected = "at least one of [[images]], [[profiles]] and [[control]]"
-        raise InputError(str(path), "no candidate", expected)
-    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
-        raise InputError(str(path), f"two candidates named {name!r}", "each name once")
+    require_candidates(str(path), names)
     coverage, found = ImageCoverage(state), list[Candidate]()
     plans = [
         *(partial(_image, coverage, one, wanted, path, k) for k, one in enumerate(wanted.images)),
@@ -177,22 +171,9 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     image = read_image(entry, wanted.spice, path.parent, where)
     if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
-    for known in coverage.network.images:
-        if not entry.of_pass and _same_exposure(image, known):
-            found = f"image {entry.name!r}, which is {known.name!r} of the network under another name"
-            raise InputError(where, found, "a new image", "take it out of the candidates")
     image = orientation.nominal_of(image)
     brought = joining(coverage.definitions, entry.name, entry.of_pass, where=f"{where}, of_pass")
     return planned_image(coverage, KnownImage(image, prior, entry.held), ties, brought)
-
-
-def _same_exposure(one: PushbroomImage, other: PushbroomImage) -> bool:
-    """Whether two images were taken at the same time from the same place."""
-    middles = [image.timing.at(np.array([0.5 * image.lines]))[0] + image.trajectory.epoch for image in (one, other)]
-    if abs(float(middles[0][0] - middles[1][0])) > _SAME_TIME:
-        return False
-    apart = [image.pose(np.array([0.5 * image.lines])).matrix[0, 2] for image in (one, other)]
-    return bool(np.linalg.norm(apart[0] - apart[1]) < _SAME_LOOK)
 
 
 def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: int) -> Candidate:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsgraph.adjustment.incremental.trajectories import with_expected
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.connectivity import network_footprints
@@ -23,8 +24,6 @@ _NEAR, _RELIEF = 1.2, 20e3
 """Radii of a footprint, and m, within which a point may show in its image: relief moves oblique ones."""
 _RASTER = 1024.0
 """Places at which an overlap is looked for."""
-_TERRAIN_STEPS = 12
-"""Corrections of a height over terrain; each leaves the part slope times tangent of the incidence angle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,13 +108,10 @@ class ImageCoverage:
         ellipsoid; NaN where they miss the body.
         """
         points, _ = view.image.image_to_ground(lines, samples, height, view.correction)
-        heights = np.full(lines.size, height)
-        for _ in range(_TERRAIN_STEPS if self.grid is not None else 0):
-            assert self.grid is not None
-            above = np.linalg.norm(points, axis=1) - self.grid.at(points)
-            heights -= np.where(np.isfinite(above), above, 0.0)
-            points, _ = view.image.image_to_ground(lines, samples, heights, view.correction)
-        return points
+        if self.grid is None:
+            return points
+        met = meet_terrain(*view.image.sightlines(lines, samples, view.correction), self.grid)
+        return np.where(np.isfinite(met), met, points)
 
     def common_ground(
         self, one: OrientedImage, other: OrientedImage, height: float, places: Array
@@ -130,8 +126,7 @@ class ImageCoverage:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
         body = self.network.images[0].body
         up = places / np.linalg.norm(places, axis=1)[:, None]
-        level = np.array([body.equatorial, body.equatorial, body.polar]) + height
-        radius = 1.0 / np.linalg.norm(up / level, axis=1)
+        radius = surface_radii(up, Ellipsoid(body.equatorial + height, body.polar + height))
         if self.grid is not None:
             over = self.grid.at(places)
             radius = np.where(np.isfinite(over), over, radius)

@@ -15,7 +15,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
-from mgsgraph.planning.candidates import Candidate, Kind
+from mgsgraph.planning.candidates import Candidate, Kind, require_candidates
 from mgsgraph.planning.state import CurrentState, NetworkState, Update, added, updated
 from mgsgraph.record import Record
 
@@ -331,7 +331,9 @@ def plan(
     WeakNetwork
         When the network itself is too weak.
     """
-    _require_candidates(candidates, choose)
+    require_candidates("plan", [one.name for one in candidates])
+    if choose < 1:
+        raise InputError("plan", f"{choose} to choose", "at least 1")
     targets = targets_of(state, wanted)
     judge = Evaluator(state, targets, criterion)
     useful = [one for one in sorted(candidates, key=lambda one: one.name) if one.addition is not None]
@@ -375,13 +377,3 @@ def _order(one: Evaluation) -> tuple[bool, float, float, str]:
     """Best first: what can't be judged last; then the fall of the sigma, the information, the name."""
     drop, bits = (float(f"{value:.{_ALIKE - 1}e}") for value in (one.drop, one.bits))
     return bool(one.reason), -drop, -bits, one.name
-
-
-def _require_candidates(candidates: Sequence[Candidate], choose: int) -> None:
-    if not candidates:
-        raise InputError("plan", "no candidate", "at least one image, profile or control point")
-    names = [one.name for one in candidates]
-    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
-        raise InputError("plan", f"two candidates named {name!r}", "each name once")
-    if choose < 1:
-        raise InputError("plan", f"{choose} to choose", "at least 1")

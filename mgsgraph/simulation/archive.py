@@ -15,19 +15,17 @@ from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
-from mgsgraph.simulation.observations import require_count, require_seed
+from mgsgraph.simulation.observations import NoiseSettings, require_count, require_seed
 from mgsgraph.simulation.orbit import (
     MARS_BODY,
     MOON_BODY,
     CentralBody,
     CircularPass,
-    circular_attitude,
-    circular_orbit,
+    circular_trajectory,
     on_ellipsoid,
-    sampled_trajectory,
 )
 from mgsgraph.units import DEG
 
@@ -50,6 +48,10 @@ _MORE_ABOUT_A_PLACE = 4.0
 """Images of a cluster beyond the first two, on the average."""
 _SCATTER = 0.45
 """Share of an image's size by which those of a cluster lie off its middle, at most."""
+
+
+_TIE = 0.5
+"""pixels, sigma of line and sample of a measure."""
 
 
 class _Camera(NamedTuple):
@@ -134,34 +136,17 @@ class ArchiveSettings:
     """Number of images."""
     ties: int
     """Number of tie points, about: those that only one image turns out to show are left out."""
-    degree: int
-    """Of the polynomials of the line by which orientations are corrected: 6 (degree + 1) unknowns of each image."""
-    position: float = 30.0
-    """m, sigma of the constant position correction in each direction."""
-    angle: float = 1e-4
-    """rad, sigma of the constant rotation correction about each axis."""
-    tie: float = 0.5
-    """pixels, sigma of line and sample of a measure."""
+    noise: NoiseSettings
+    """Sigmas of corrections and of the measures of ties; its trend has a factor for each degree of the polynomials."""
 
     def __post_init__(self) -> None:
         require_count("archive settings, images", self.images, 2)
         require_count("archive settings, ties", self.ties, 1)
-        require_count("archive settings, degree", self.degree, 0)
 
     @property
     def plan(self) -> _Plan:
         """Camera and layout."""
         return _PLANS[self.kind]
-
-    @property
-    def trend(self) -> tuple[float, ...]:
-        """Sigma of the coefficients of u^0, u^1, ... in units of the constant ones."""
-        return (1.0, 0.1, 0.01)[: self.degree + 1]
-
-    @property
-    def prior(self) -> OrientationPrior:
-        """Of each image's corrections."""
-        return OrientationPrior(np.outer(self.trend, [self.position] * 3 + [self.angle] * 3))
 
 
 def archive_settings(
@@ -180,8 +165,9 @@ def archive_settings(
     images = plan.images if images is None else images
     ties = max(round(plan.ties * images / plan.images), 1) if ties is None else ties
     degree = plan.degree if degree is None else degree
-    require(degree <= 2, "archive settings, degree", f"{degree}", "0, 1 or 2")
-    return ArchiveSettings(kind=kind, images=images, ties=ties, degree=degree)  # type: ignore[arg-type]
+    require(0 <= degree <= 2, "archive settings, degree", f"{degree}", "0, 1 or 2")
+    noise = NoiseSettings(tie=_TIE, trend=NoiseSettings().trend[: degree + 1])
+    return ArchiveSettings(kind=kind, images=images, ties=ties, noise=noise)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,12 +210,8 @@ class Archive:
         )  # fmt: skip
         half = 0.5 * camera.lines * camera.period
         times = seen + half * np.linspace(-1.05, 1.05, _RECORDS)
-        trajectory = sampled_trajectory(
-            flown.epoch, times, circular_orbit(flown).state(times), circular_attitude(flown, times),
-            camera.body.to_fixed(flown.epoch + times),
-        )  # fmt: skip
-        timing = one_rate(seen - half, camera.period)
-        size = camera.lines, camera.samples
+        timing, size = one_rate(seen - half, camera.period), (camera.lines, camera.samples)
+        trajectory = circular_trajectory(flown, times)
         return line_image(self.name(j), size, camera.interior(ahead), timing, trajectory, camera.body.ellipsoid)
 
     def true(self, j: int) -> OrientationCorrection:
@@ -254,7 +236,7 @@ def lay_out(settings: ArchiveSettings, seed: int = 1) -> Archive:
     places = np.repeat(places, lines, axis=0)[:n]
     ahead = np.resize(camera.ahead, n)
     sites = on_ellipsoid(from_planetocentric(np.column_stack([places, np.ones(n)])), body=camera.body.ellipsoid)
-    sigmas = settings.prior.sigmas
+    sigmas = settings.noise.prior.sigmas
     return Archive(
         settings, seed, sites, np.arcsin(np.cos(_INCLINATION) / np.cos(places[:, 1])),
         of_places.uniform(-camera.aside, camera.aside, n), ahead,

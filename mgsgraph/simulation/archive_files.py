@@ -3,129 +3,29 @@
 Everything is written image by image and region by region, whatever the size of the archive.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.files.networks.binary import LABEL_BYTES, network_header, network_label
-from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType
-from mgsgraph.files.support_data.isd_layout import rotation_table, state_table, support_fields
+from mgsgraph.files.networks.messages import points_content
+from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Index
-from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.archive import Archive
 from mgsgraph.simulation.archive_ties import Footprints, Region, footprint, regions
-from mgsgraph.simulation.case_files import json_text
+from mgsgraph.simulation.case_files import case_text, json_text, sampled_fields, sigma_lines, toml_lines
 from mgsgraph.simulation.files import write_texts, writing
-from mgsgraph.units import ISIS_OFFSET, MRAD
+from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
-_DIGITS = 8
-"""Of a point's number in its id."""
 _WRITTEN = "2000-01-01T00:00:00"
 """Date in the network; fixed, so that the same archive gives the same bytes."""
-_BEHIND_ID = bytes([0x10, PointType.FREE, 0x40, 0, 0x48, 0, 0x58, 0])
-"""type (2), referenceIndex (8), aprioriSurfPointSource (9) and aprioriRadiusSource (11) of every point."""
-_MEASURES = bytes([0xCA, 0x01])
-"""Tag of a point's field 25."""
-Bytes = NDArray[np.uint8]
-
-
-def point_ids(first: int, count: int) -> Bytes:
-    """(count, 9) ASCII of the ids T00000001 and so on of points from number `first` on, counted from zero."""
-    numbers = np.arange(first + 1, first + count + 1)[:, None] // 10 ** np.arange(_DIGITS - 1, -1, -1) % 10
-    ids = np.full((count, _DIGITS + 1), ord("T"), dtype=np.uint8)
-    ids[:, 1:] = numbers + ord("0")
-    return ids
-
-
-class NetworkWriter:
-    """A network that is written region by region; its label is put before it at the end."""
-
-    def __init__(self, path: Path, network_id: str, target: str, names: Sequence[str]) -> None:
-        """`names` of all images, of one length."""
-        self._path = path
-        self._head = ControlNetwork(
-            network_id=network_id, target_name=target, points=(), user_name="mgsgraph", created=_WRITTEN,
-            last_modified=_WRITTEN, description="Simulated archive",
-        )  # fmt: skip
-        encoded = np.array([name.encode() for name in names])
-        self._names = encoded.view(np.uint8).reshape(len(names), -1)
-        self.points, self.measures, self._bytes = 0, 0, 0
-        self._header = network_header(self._head)
-
-    def __enter__(self) -> Self:
-        self._file: BinaryIO = self._path.open("wb")
-        self._file.write(bytes(LABEL_BYTES))
-        self._file.write(self._header)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self._file.seek(0)
-            self._file.write(network_label(self._head, self.points, self.measures, len(self._header), self._bytes))
-        self._file.close()
-
-    def add(self, region: Region) -> None:
-        """Write the points of a region with their measures."""
-        content = self._content(region)
-        self._file.write(content.data)
-        self.points += len(region.points)
-        self.measures += region.images.size
-        self._bytes += content.size
-
-    def _content(self, region: Region) -> Bytes:
-        measures = self._measure_records(region)
-        length = measures.shape[1]
-        sizes = length * region.counts
-        heads = self._heads(region.counts.size, sizes)
-        begins = np.cumsum(heads.shape[1] + sizes) - heads.shape[1] - sizes
-        content = np.empty(heads.size + measures.size, dtype=np.uint8)
-        content[begins[:, None] + np.arange(heads.shape[1])] = heads
-        point = np.repeat(np.arange(region.counts.size), region.counts)
-        rank = np.arange(point.size) - np.repeat(np.cumsum(region.counts) - region.counts, region.counts)
-        places = begins[point] + heads.shape[1] + length * rank
-        content[places[:, None] + np.arange(length)] = measures
-        return content
-
-    def _heads(self, count: int, sizes: Index) -> Bytes:
-        """(count, bytes) of each point: its size, id and what all have alike; `sizes` in bytes are its measures'."""
-        ids = point_ids(self.points, count)
-        behind = np.frombuffer(_BEHIND_ID, dtype=np.uint8)
-        before = np.array([0x0A, ids.shape[1]], dtype=np.uint8)
-        size = (before.size + ids.shape[1] + behind.size + sizes).astype("<u4").view(np.uint8).reshape(count, 4)
-        return np.hstack([size, np.tile(before, (count, 1)), ids, np.tile(behind, (count, 1))])
-
-    def _measure_records(self, region: Region) -> Bytes:
-        """(measures, bytes): serial number (1), type (2), sample (3) and line (4), behind tag and length."""
-        names = self._names[region.images]
-        pixels = region.measures[:, ::-1] + ISIS_OFFSET
-        kind = [0x10, MeasureType.REGISTERED_SUBPIXEL]
-        parts = [[0x0A, names.shape[1]], names, [*kind, 0x19], _float_bytes(pixels[:, 0]), [0x21],
-                 _float_bytes(pixels[:, 1])]  # fmt: skip
-        rows = [
-            part if isinstance(part, np.ndarray) else np.tile(np.array(part, dtype=np.uint8), (len(names), 1))
-            for part in parts
-        ]
-        length = sum(row.shape[1] for row in rows)
-        begin = np.frombuffer(_MEASURES + bytes([length]), dtype=np.uint8)
-        return np.hstack([np.tile(begin, (len(names), 1)), *rows])
-
-
-def _float_bytes(values: NDArray[np.float64]) -> Bytes:
-    """(n, 8) bytes of numbers (n,), little endian."""
-    return np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(values.size, 8)
-
-
-
 NETWORK, TRUE_POINTS, TRUE_CORRECTIONS = "network.net", "true_points.parquet", "true_corrections.npz"
 _IN_A_FOLDER = 1000
 """Files of a subfolder, at most."""
@@ -178,75 +78,58 @@ def _write_images(archive: Archive, folder: Path, progress: Progress) -> Footpri
 
 def _support_data(image: PushbroomImage) -> dict[str, Any]:
     """Image support data as ALE lays them out, without the keys that only say the same again."""
-    trajectory = image.trajectory
-    assert isinstance(trajectory, Trajectory)
-    epoch, state = trajectory.epoch, trajectory.position
-    pointing, turning = (
-        rotation_table(epoch + table.times, table.quaternions, table.constant)
-        for table in (trajectory.camera, trajectory.body)
-    )
     return {
         "name_sensor": "SIMULATED LINE CAMERA",
         "naif_keywords": {"INS-99901_LIGHTTIME_CORRECTION": "NONE"},
-        **support_fields(
-            image, epoch, state_table(epoch + state.times, state.positions, state.velocities), pointing, turning
-        ),
+        **sampled_fields(image),
         "optical_distortion": {},
     }
 
 
 def _write_ties(archive: Archive, footprints: Footprints, folder: Path, progress: Progress) -> Index:
-    """Write network and true places; number of measures (images,) of each image."""
+    """Write network and true places, region by region; number of measures (images,) of each image."""
     import pyarrow.parquet
 
     names = [archive.name(j) for j in range(len(archive))]
-    measured = np.zeros(len(archive), dtype=np.int64)
-    target = target_name(archive.settings.plan.camera.body.ellipsoid)
+    measured, points, size = np.zeros(len(archive), dtype=np.int64), 0, 0
+    head = ControlNetwork(
+        network_id=f"simulated_{archive.settings.kind}", created=_WRITTEN, last_modified=_WRITTEN, points=(),
+        target_name=target_name(archive.settings.plan.camera.body.ellipsoid), user_name="mgsgraph",
+        description="Simulated archive",
+    )  # fmt: skip
+    header = network_header(head)
+    schema = pyarrow.schema([("point_id", pyarrow.string()), *((f"{axis}_m", pyarrow.float64()) for axis in "xyz")])
     with (
-        NetworkWriter(folder / NETWORK, f"simulated_{archive.settings.kind}", target, names) as network,
-        pyarrow.parquet.ParquetWriter(folder / TRUE_POINTS, _true_schema()) as truth,
+        (folder / NETWORK).open("wb") as network,
+        pyarrow.parquet.ParquetWriter(folder / TRUE_POINTS, schema) as truth,
     ):
+        network.write(bytes(LABEL_BYTES) + header)
         for region in regions(archive, footprints, lambda done, of: progress("ties of images", done, of)):
-            truth.write_table(_true_table(region, network.points))
-            network.add(region)
+            ids = [f"T{points + i + 1:08d}" for i in range(len(region.points))]
+            truth.write_table(pyarrow.table([ids, *region.points.T], schema=schema))
+            content = points_content(_control_points(region, ids, names))
+            network.write(content)
+            points, size = points + len(ids), size + len(content)
             measured += np.bincount(region.images, minlength=len(archive))
+        network.seek(0)
+        network.write(network_label(head, points, int(measured.sum()), len(header), size))
     return measured
 
 
-def _true_schema() -> Any:
-    import pyarrow
-
-    return pyarrow.schema([("point_id", pyarrow.string()), *((f"{axis}_m", pyarrow.float64()) for axis in "xyz")])
-
-
-def _true_table(region: Region, first: int) -> Any:
-    """True places of a region's points, whose numbers begin at `first`."""
-    import pyarrow
-
-    ids = point_ids(first, len(region.points))
-    offsets = np.arange(0, ids.size + 1, ids.shape[1], dtype=np.int32)
-    names = pyarrow.StringArray.from_buffers(len(ids), pyarrow.py_buffer(offsets), pyarrow.py_buffer(ids.tobytes()))
-    columns = [names, *(pyarrow.array(np.ascontiguousarray(axis)) for axis in region.points.T)]
-    return pyarrow.Table.from_arrays(columns, schema=_true_schema())
+def _control_points(region: Region, ids: Sequence[str], names: Sequence[str]) -> Iterator[ControlPoint]:
+    """Free points by these ids with all their measures in images by name."""
+    pixels, images = iter((region.measures + ISIS_OFFSET).tolist()), iter(region.images.tolist())
+    for name, count in zip(ids, region.counts.tolist(), strict=True):
+        seen = zip(islice(images, count), islice(pixels, count), strict=True)
+        yield ControlPoint(name, PointType.FREE, reference=0, measures=tuple(
+            ControlMeasure(names[j], MeasureType.REGISTERED_SUBPIXEL, sample, line) for j, (line, sample) in seen
+        ))  # fmt: skip
 
 
 def _case(archive: Archive, measured: Index) -> str:
     """The case file; images without a measure are left out of it."""
     settings = archive.settings
-    lines = [
-        "format = 1",
-        f'name = "simulated archive {settings.kind}, {len(archive)} images"',
-        "",
-        "[orientation]",
-        f"degree = {settings.degree}",
-        f"position_sigma_m = {settings.position}",
-        f"angle_sigma_mrad = {settings.angle / MRAD}",
-        f"trend = {list(settings.trend)}",
-        "",
-        "[ties]",
-        f'network = "{NETWORK}"',
-        f"sigma_px = {settings.tie}",
-    ]
+    lines = sigma_lines(settings.noise, NETWORK)
     for j in np.flatnonzero(measured).tolist():
-        lines += ["", "[[images]]", f'name = "{archive.name(j)}"', f'isd = "{image_path(archive, j)}"']
-    return "\n".join([*lines, ""])
+        lines += toml_lines("[[images]]", name=archive.name(j), isd=image_path(archive, j))
+    return case_text(f"simulated archive {settings.kind}, {len(archive)} images", lines)

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mgsgraph.geometry.body import surface_radii
 from mgsgraph.geometry.image import PushbroomImage
@@ -18,6 +19,8 @@ _REGION = 20_000
 """Points of a region, about."""
 _DRAWN = 4
 """Places drawn for each point that is wanted."""
+_REACH = 1.15
+"""Half diagonals of the largest image about a middle in which ground is looked for: images lie off a little."""
 _KEPT = 1 << 13
 """Images kept in memory; those of a region are used several times."""
 _WAVES = np.array([[1.0, 61e3, 0.0], [0.5, 23e3, 1.3], [0.2, 9e3, 2.9]])
@@ -59,53 +62,18 @@ def footprint(image: PushbroomImage) -> tuple[Array, Array]:
     return middle, 0.5 * np.stack([last - first, right - left])
 
 
-class _Cells:
-    """Cells of the ground, of equal height and about equal width, and which images reach into each."""
+class _Nearby:
+    """Which images may show the ground in a direction: all whose middles are within half a diagonal, and some more."""
 
-    def __init__(self, footprints: Footprints, size: float) -> None:
-        """Cells whose side is `size`, in rad."""
-        self._bands = int(np.ceil(np.pi / size))
-        middle = (np.arange(self._bands) + 0.5) * np.pi / self._bands - 0.5 * np.pi
-        self._columns = np.maximum(np.rint(2.0 * np.pi * np.cos(middle) / size).astype(np.int64), 1)
-        self._first = np.cumsum(self._columns) - self._columns
-        pairs = [self._reached(footprints, part, size) for part in _parts(len(footprints.middles), 1000)]
-        cells, self.images = (np.concatenate(each) for each in zip(*pairs, strict=True))
-        order = np.lexsort([self.images, cells])
-        self.images = self.images[order]
-        self._cells, self._starts = np.unique(cells[order], return_index=True)
-        self._ends = np.append(self._starts[1:], order.size)
-
-    def of(self, directions: Array) -> Index:
-        """Numbers (k,) of the cells that directions (k, 3) meet."""
-        latitude = np.arcsin(np.clip(directions[:, 2], -1.0, 1.0))
-        longitude = np.arctan2(directions[:, 1], directions[:, 0])
-        band = np.clip(((latitude + 0.5 * np.pi) * (self._bands / np.pi)).astype(np.int64), 0, self._bands - 1)
-        column = ((longitude / (2.0 * np.pi) + 0.5) * self._columns[band]).astype(np.int64)
-        return np.asarray(self._first[band] + np.minimum(column, self._columns[band] - 1))
+    def __init__(self, footprints: Footprints) -> None:
+        radius = np.linalg.norm(footprints.middles, axis=1, keepdims=True)
+        self._middles = cKDTree(footprints.middles / radius)
+        self._reach = _REACH * float((np.linalg.norm(footprints.halves, axis=(1, 2)) / radius[:, 0]).max())
 
     def candidates(self, directions: Array) -> tuple[Index, Index]:
         """Points (c,) and images (c,) that may show them, by points."""
-        cells = self.of(directions)
-        k = np.minimum(np.searchsorted(self._cells, cells), self._cells.size - 1)
-        found = self._cells[k] == cells
-        counts = np.where(found, self._ends[k] - self._starts[k], 0)
-        point = np.repeat(np.arange(cells.size), counts)
-        within = np.arange(point.size) - np.repeat(np.cumsum(counts) - counts, counts)
-        return point, self.images[self._starts[k][point] + within]
-
-    def _reached(self, footprints: Footprints, part: Index, size: float) -> tuple[Index, Index]:
-        """Cells (c,) and images (c,) of some images that reach into them."""
-        radius = np.linalg.norm(footprints.middles[part], axis=1)
-        halves = np.linalg.norm(footprints.halves[part], axis=2).max(axis=0) / radius.min()
-        along, across = (
-            each.ravel() for each in np.meshgrid(*(
-                np.linspace(-1.05, 1.05, 2 + int(np.ceil(4.2 * half / size))) for half in halves
-            ))
-        )  # fmt: skip
-        image = np.repeat(part, along.size)
-        directions = footprints.directions(image, np.tile(along, part.size), np.tile(across, part.size))
-        pairs = np.unique(np.column_stack([self.of(directions), image]), axis=0)
-        return pairs[:, 0], pairs[:, 1]
+        near = cKDTree(directions).sparse_distance_matrix(self._middles, self._reach, output_type="ndarray")
+        return near["i"], near["j"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +101,7 @@ def regions(archive: Archive, footprints: Footprints, progress: Count = no_progr
     progress : Count
         Called with how many images are done.
     """
-    width = np.linalg.norm(footprints.halves[:, 1], axis=1).min() / np.linalg.norm(footprints.middles[0])
-    cells = _Cells(footprints, float(width))
+    nearby = _Nearby(footprints)
     order = _by_place(footprints)
     wanted = archive.settings.ties / len(archive)
     many = max(int(_REGION / wanted), 1)
@@ -146,13 +113,13 @@ def regions(archive: Archive, footprints: Footprints, progress: Count = no_progr
         upto = round(wanted * (k * many + owners.size))
         quota: Index = np.diff(np.linspace(drawn_so_far, upto, owners.size + 1).astype(np.int64)).astype(np.int64)
         drawn_so_far = upto
-        directions = _drawn(archive, footprints, cells, owners, quota, rng)
-        yield _projected(archive, footprints, cells, image_of, directions, rng)
+        directions = _drawn(archive, footprints, nearby, owners, quota, rng)
+        yield _projected(archive, footprints, nearby, image_of, directions, rng)
         progress(k * many + owners.size, len(archive))
 
 
 def _drawn(
-    archive: Archive, footprints: Footprints, cells: _Cells, owners: Index, quota: Index, rng: np.random.Generator
+    archive: Archive, footprints: Footprints, nearby: _Nearby, owners: Index, quota: Index, rng: np.random.Generator
 ) -> Array:
     """(n, 3) directions to places at random in some images, which another image shows as well; of each image as many
     as wanted, `quota` (images,), where it has so much ground in common.
@@ -160,7 +127,7 @@ def _drawn(
     owner = np.repeat(np.arange(owners.size), _DRAWN * quota + 8)
     along, across = rng.uniform(-0.99, 0.99, (2, owner.size))
     directions = footprints.directions(owners[owner], along, across)
-    point, image = cells.candidates(directions)
+    point, image = nearby.candidates(directions)
     slack = _shares(archive, footprints, image)
     inside = np.all(np.abs(footprints.coordinates(image, directions[point])) < 1.0 - slack, axis=1)
     good = np.bincount(point[inside], minlength=owner.size) > 1
@@ -171,18 +138,18 @@ def _drawn(
 
 def _shares(archive: Archive, footprints: Footprints, image: Index) -> Array:
     """(k, 2) shares of the half length and width of images (k,) by which the ground may lie elsewhere than thought."""
-    settings = archive.settings
-    moved = 2.0 * (settings.position + settings.angle * settings.plan.camera.altitude) + 0.3 * settings.plan.relief
+    noise, plan = archive.settings.noise, archive.settings.plan
+    moved = 2.0 * (noise.position + noise.angle * plan.camera.altitude) + 0.3 * plan.relief
     return np.asarray(moved / np.linalg.norm(footprints.halves[image], axis=2))
 
 
 def _projected(
-    archive: Archive, footprints: Footprints, cells: _Cells, image_of: Callable[[int], PushbroomImage],
+    archive: Archive, footprints: Footprints, nearby: _Nearby, image_of: Callable[[int], PushbroomImage],
     directions: Array, rng: np.random.Generator,
 ) -> Region:  # fmt: skip
     """The points in these directions (n, 3) that two or more images truly show, with measures."""
     points = on_waves(archive, directions)
-    point, image = cells.candidates(directions)
+    point, image = nearby.candidates(directions)
     places = footprints.coordinates(image, directions[point])
     near = np.flatnonzero(np.all(np.abs(places) < 1.0 + _shares(archive, footprints, image), axis=1))
     near = near[np.argsort(image[near], kind="stable")]
@@ -203,7 +170,7 @@ def _projected(
     exact = pixels[kept]
     return Region(
         points[counts > 1], counts[counts > 1], image[kept],
-        exact + archive.settings.tie * rng.standard_normal(exact.shape),
+        exact + archive.settings.noise.tie * rng.standard_normal(exact.shape),
     )  # fmt: skip
 
 
@@ -223,8 +190,3 @@ def _by_place(footprints: Footprints) -> Index:
     height = 2.0 * np.linalg.norm(footprints.halves[:, 0], axis=1).max() / np.linalg.norm(footprints.middles[0])
     band = np.floor(latitude / height).astype(np.int64)
     return np.lexsort([np.where(band % 2 == 0, longitude, -longitude), band])
-
-
-def _parts(size: int, most: int) -> list[Index]:
-    """Numbers 0 to `size` in parts of at most `most`."""
-    return [np.arange(first, min(first + most, size)) for first in range(0, size, most)]

@@ -22,7 +22,7 @@ from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.simulation.orbit import MARS, CircularPass, circular_trajectory
+from mgsgraph.simulation.orbit import MARS, CircularPass, tilted_trajectory
 from mgsgraph.simulation.sites import ImageSettings
 from mgsgraph.units import MM
 
@@ -72,7 +72,7 @@ def narrow_image(name: str, flown: CircularPass, lines: int, samples: int, perio
     """Nominal image of a camera like MOC-NA on a circle, its middle line at the epoch; `period` in s per line."""
     half, middle = 0.5 * lines * period, 0.5 * _NARROW_SUMMING * samples
     interior = interior_orientation(_NARROW_FOCAL_LENGTH, _NARROW_PITCH, middle, summing=_NARROW_SUMMING)
-    return line_image(name, (lines, samples), interior, one_rate(-half, period), circular_trajectory(flown, half))
+    return line_image(name, (lines, samples), interior, one_rate(-half, period), tilted_trajectory(flown, half))
 
 
 def moc_image(settings: ImageSettings, trajectory: Trajectory, start: float) -> PushbroomImage:

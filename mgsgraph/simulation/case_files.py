@@ -1,7 +1,7 @@
 """The case files (case.toml) of what is simulated: which files there are, and the sigmas that an adjustment assumes."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,6 @@ from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network
 from mgsgraph.files.support_data.isd_layout import (
     J2000,
-    RotationTable,
     SunTable,
     rotation_table,
     state_table,
@@ -22,7 +21,7 @@ from mgsgraph.files.support_data.isd_layout import (
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
+from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.mgs_files import grid_file, moc_file, pedr_file
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.site import BRIDGE_PRIOR, SimulatedSite, SimulatedThreeSites
@@ -47,10 +46,6 @@ def image_file(image: PushbroomImage) -> str:
 
 def support_data(image: PushbroomImage) -> dict[str, Any]:
     """CSM image support data as ALE lays them out, of an image without distortion; km, mm and ISIS lines."""
-    trajectory = image.trajectory
-    if not isinstance(trajectory, Trajectory):
-        raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
-    epoch, state = trajectory.epoch, trajectory.position
     return {
         "isis_camera_version": 2,
         "name_platform": "MARS GLOBAL SURVEYOR",
@@ -58,16 +53,23 @@ def support_data(image: PushbroomImage) -> dict[str, Any]:
         "reference_height": {"maxheight": 1000, "minheight": -1000, "unit": "m"},
         "naif_keywords": {"BODY_CODE": 499, "INS-94031_LIGHTTIME_CORRECTION": "NONE"},
         "detector_line_summing": 1,
-        **support_fields(
-            image, epoch, state_table(epoch + state.times, state.positions, state.velocities),
-            _attitude(trajectory.camera, epoch), _attitude(trajectory.body, epoch), _sun(trajectory),
-        ),
+        **sampled_fields(image, _sun),
         "optical_distortion": {},
-    }  # fmt: skip
+    }
 
 
-def _attitude(table: AttitudeTable, epoch: float) -> RotationTable:
-    return rotation_table(epoch + table.times, table.quaternions, table.constant)
+def sampled_fields(image: PushbroomImage, sun: Callable[[Trajectory], SunTable | None] = lambda _: None) -> Any:
+    """What every image's support data have: camera, times, and its sampled trajectory, with the Sun where wanted."""
+    trajectory = image.trajectory
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
+    epoch, state = trajectory.epoch, trajectory.position
+    camera, body = (
+        rotation_table(epoch + table.times, table.quaternions, table.constant)
+        for table in (trajectory.camera, trajectory.body)
+    )
+    states = state_table(epoch + state.times, state.positions, state.velocities)
+    return support_fields(image, epoch, states, camera, body, sun(trajectory))
 
 
 def _sun(trajectory: Trajectory) -> SunTable:
@@ -137,14 +139,18 @@ Tables = list[str]
 
 def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSettings) -> str:
     """Case of simulated images beside network.pvl and lidar.json, with the sigmas of the simulation."""
-    lines = [line for image in images for line in _table("[[images]]", name=image.name, isd=image_file(image))]
-    lines += _table("[orientation]", degree=noise.prior.degree, **_orientation(noise))
-    lines += _ties(noise.tie)
-    lines += _table(
+    lines = [line for image in images for line in toml_lines("[[images]]", name=image.name, isd=image_file(image))]
+    lines += sigma_lines(noise)
+    lines += toml_lines(
         "[laser]", file="lidar.json", image_sigma_px=float(noise.shot_image), range_sigma_m=float(noise.range),
         ground_sigma_m=float(noise.ground),
     )  # fmt: skip
-    return _case(name, lines)
+    return case_text(name, lines)
+
+
+def sigma_lines(noise: NoiseSettings, network: str = "network.pvl") -> Tables:
+    """What is known of all orientations, and of the ties in a network's file."""
+    return toml_lines("[orientation]", degree=noise.prior.degree, **_orientation(noise)) + _ties(noise.tie, network)
 
 
 def site_case(simulated: SimulatedSite) -> str:
@@ -156,8 +162,8 @@ def site_case(simulated: SimulatedSite) -> str:
     lines += _profiles(simulated, "", **_drawn_sigmas(simulated))
     radius, topography = (f"{grid_file(simulated, kind)}.lbl" for kind in ("r", "t"))
     sigmas = {"vertical_sigma_m": grid.vertical_sigma or 0.0, "planimetric_sigma_m": grid.planimetric_sigma or 0.0}
-    lines += _table("[terrain]", radius=radius, topography=topography, **sigmas)
-    return _case(settings.title, lines)
+    lines += toml_lines("[terrain]", radius=radius, topography=topography, **sigmas)
+    return case_text(settings.title, lines)
 
 
 def papers_case(simulated: SimulatedSite) -> str:
@@ -168,7 +174,7 @@ def papers_case(simulated: SimulatedSite) -> str:
     lines += _ties(simulated.options.tie_noise)
     sigmas = {**_PAPERS_SIGMAS, "image_sigma_px": _IMAGE_SIGMA[settings.name]}
     lines += _profiles(simulated, "", image_rows="back-projected", **sigmas)
-    return _case(f"{settings.title}, papers", lines + _table("[solver]", line="measured", angles="opk-paper"))
+    return case_text(f"{settings.title}, papers", lines + toml_lines("[solver]", line="measured", angles="opk-paper"))
 
 
 def three_sites_case(simulated: SimulatedThreeSites) -> str:
@@ -176,11 +182,11 @@ def three_sites_case(simulated: SimulatedThreeSites) -> str:
     lines, bridge = Tables(), simulated.bridge
     for site in simulated.sites:
         lines += _images(site, site.settings, f"{site.settings.name}/")
-    lines += _table("[[images]]", name=bridge.name, isd=image_file(bridge), orientation=_orientation(BRIDGE_PRIOR))
-    lines += _table("[ties]", network="network.pvl")
+    lines += toml_lines("[[images]]", name=bridge.name, isd=image_file(bridge), orientation=_orientation(BRIDGE_PRIOR))
+    lines += toml_lines("[ties]", network="network.pvl")
     for site in simulated.sites:
         lines += _profiles(site, f"{site.settings.name}/", **_drawn_sigmas(site))
-    return _case("Eos, Gusev, Isidis and a bridge", lines)
+    return case_text("Eos, Gusev, Isidis and a bridge", lines)
 
 
 def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") -> Tables:
@@ -188,12 +194,13 @@ def _images(simulated: SimulatedSite, settings: SiteSettings, folder: str = "") 
     lines, kernels = Tables(), [f"{folder}mgs.tm"]
     for image in simulated.images:
         label, orientation = folder + moc_file(image), _site_orientation(settings.prior(image.settings), settings.trend)
-        lines += _table("[[images]]", name=image.settings.name, label=label, kernels=kernels, orientation=orientation)
+        name = image.settings.name
+        lines += toml_lines("[[images]]", name=name, label=label, kernels=kernels, orientation=orientation)
     return lines
 
 
-def _ties(sigma: float) -> Tables:
-    return _table("[ties]", network="network.pvl", sigma_px=float(sigma))
+def _ties(sigma: float, network: str = "network.pvl") -> Tables:
+    return toml_lines("[ties]", network=network, sigma_px=float(sigma))
 
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
@@ -202,7 +209,7 @@ def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     lines = Tables()
     for image in simulated.images:
         name = image.settings.name
-        lines += _table("[[shots]]", file=folder + pedr_file(image), image=name, **known, **sigmas)
+        lines += toml_lines("[[shots]]", file=folder + pedr_file(image), image=name, **known, **sigmas)
     return lines
 
 
@@ -231,11 +238,12 @@ def _site_orientation(prior: OrientationPrior, trend: tuple[float, ...]) -> dict
     }  # fmt: skip
 
 
-def _case(name: str, lines: Tables) -> str:
+def case_text(name: str, lines: Tables) -> str:
+    """A case file of this name with these lines."""
     return "\n".join(["format = 1", f'name = "{name}"', *lines, ""])
 
 
-def _table(header: str, **values: Value) -> Tables:
+def toml_lines(header: str, **values: Value) -> Tables:
     """A TOML table, after an empty line."""
     return ["", header, *(f"{key} = {_toml(value)}" for key, value in values.items())]
 

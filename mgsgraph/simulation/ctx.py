@@ -21,11 +21,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Basis, OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass
 from mgsgraph.simulation.camera import interior_orientation
-from mgsgraph.simulation.ground import SiteTerrain, block_grid, make_terrain
+from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.hrsc_flight import strip_correction
-from mgsgraph.simulation.observations import MARGIN, project, tie_network
+from mgsgraph.simulation.observations import MARGIN, TerrainErrors, project, terrain_model, tie_network
 from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.simulation.rig import MountedCamera
 from mgsgraph.units import DEG, MM
@@ -118,16 +118,8 @@ _ROUNDS = 8
 """Of drawing ties, before images count as sharing too little ground."""
 
 
-@dataclass(frozen=True, slots=True)
-class ControlSettings:
-    """A coarse terrain model, and what is wrong with it."""
-
-    posts_per_degree: int = 128
-    """463 m apart, as MOLA's grid."""
-    vertical: float = 10.0
-    """m rms, noise of each post."""
-    planimetric: float = 100.0
-    """m, sigma eastward and northward of its common shift, an unknown of the network."""
+CONTROL = TerrainErrors(posts_per_degree=128, planimetric=100.0)
+"""A coarse terrain model: posts 463 m apart, as MOLA's grid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,7 +146,7 @@ class CtxSettings:
     """px, distance at which errors of measures are correlated by 1/e."""
     jitter: JitterSettings = field(default_factory=JitterSettings)
     """What the tables lack."""
-    control: ControlSettings | None = field(default_factory=ControlSettings)
+    control: TerrainErrors | None = CONTROL
     """The terrain model; None for none."""
     site: str = "gusev"
     """Whose ground is shown (`ground.SITES`)."""
@@ -178,8 +170,8 @@ class SimulatedCtxPair:
     """Two passes of one image each, whose nodes have a prior of a constant and a linear error (`smooth_prior`)."""
     truth: tuple[TrueJitter, ...]
     """Of each image."""
-    shift: Array
-    """(2,) m east and north, by which the terrain model lies off the truth; zero without one."""
+    shifts: Array
+    """(1, 2) m east and north, by which the terrain model lies off the truth; (0, 2) without one."""
     true_points: Array
     """(n, 3) m, body-fixed, of the network's points."""
     terrain: SiteTerrain
@@ -231,7 +223,7 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     true = tuple(one.correction for one in truth)
     points, pixels = _drawn_ties(settings, images, true, terrain, of_ties)
     rays = _measured(settings, pixels, seed, of_ties)
-    surface, shift = _surface(settings.control, terrain, points, of_terrain)
+    surface, shifts = terrain_model(settings.control, terrain, points, of_terrain)
     prior = smooth_prior(settings.jitter)
     passes = [
         Pass(image.name, np.array([k]), evenly_spaced(
@@ -240,7 +232,7 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
         for k, image in enumerate(images)
     ]  # fmt: skip
     network = tie_network(images, passes, rays, len(points), surface)
-    return SimulatedCtxPair(settings, seed, network, truth, shift, points, terrain)
+    return SimulatedCtxPair(settings, seed, network, truth, shifts, points, terrain)
 
 
 def image_times(image: PushbroomImage) -> tuple[float, float]:
@@ -335,13 +327,3 @@ def _smooth(places: Array, window: float, rng: np.random.Generator) -> Array:
         values[:, column] = np.sqrt(2.0 / _WAVES) * np.cos(places @ waves.T + phases).sum(axis=1)
     return values
 
-
-def _surface(
-    control: ControlSettings | None, terrain: SiteTerrain, points: Array, rng: np.random.Generator
-) -> tuple[Surface | None, Array]:
-    """The terrain model as control of points (n, 3) in m, and its shift (2,) in m east and north."""
-    if control is None:
-        return None, np.zeros(2)
-    shift = control.planimetric * rng.standard_normal(2)
-    grid = block_grid(terrain, points, control.posts_per_degree, control.vertical, -shift, 0.0, rng)
-    return Surface(grid, grid.control_sigmas(points), control.planimetric), shift

@@ -32,7 +32,6 @@ from mgsgraph.simulation.case_files import (
     tie_network_text,
 )
 from mgsgraph.simulation.mgs_files import (
-    image_label,
     kernel_segment,
     moc_file,
     pedr_file,
@@ -157,7 +156,8 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
         write_grids(simulated, folder)
         write_kernels([kernel_segment(image) for image in simulated.images], folder)
         for image in simulated.images:
-            write_moc_image(folder / moc_file(image), image_label(image, simulated.settings.title), image.pixels)
+            rationale = f"Simulated image of {simulated.settings.title}"
+            write_moc_image(folder / moc_file(image), image.settings, image.clock_start, rationale, image.pixels)
             write_pedr(folder / pedr_file(image), image.profile)
     return folder / CASE_FILES[weighting]
 

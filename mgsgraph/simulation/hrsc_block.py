@@ -16,11 +16,11 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Mask, assign
-from mgsgraph.network import ImageRays, Network, NodePrior, Pass, Surface
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.ground import SiteTerrain, block_grid, block_terrain
+from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import (
     FlownStrip,
     Jitter,
@@ -31,7 +31,7 @@ from mgsgraph.simulation.hrsc_flight import (
     strip_images,
     true_correction,
 )
-from mgsgraph.simulation.observations import Visible, tie_network
+from mgsgraph.simulation.observations import TerrainErrors, Visible, terrain_model, tie_network
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MGON
 
@@ -84,20 +84,6 @@ class TrajectoryErrors(Record):
             )
         )
         return NodePrior(wander, bias, drift, self.correlation_time)
-
-
-@dataclass(frozen=True, slots=True)
-class TerrainErrors(Record):
-    """A terrain model like MOLA's and what is wrong with it."""
-
-    posts_per_degree: int = 64
-    """Resolution of the grid."""
-    vertical: float = 10.0
-    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `block_terrain`)."""
-    planimetric: float = 200.0
-    """m, sigma eastward and northward of the common shift, which is an unknown of the network; 0 for none."""
-    missing: float = 0.0
-    """Share of posts that are missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +149,6 @@ class SimulatedBlock(Record):
     relief: SiteTerrain
     """True ground."""
 
-    def __post_init__(self) -> None:
-        blunders = np.array(self.blunders, dtype=np.bool_)
-        blunders.flags.writeable = False
-        assign(self, blunders=blunders)
-
     def true_nodes(self, strip: int) -> Array:
         """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
         one = self.network.passes[strip]
@@ -220,7 +201,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, of_points)
-    surface, shifts = _surface(settings.terrain, relief, points, of_terrain)
+    surface, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
     trajectories = [
         Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
     ]
@@ -266,14 +247,3 @@ def _rays(visible: Visible, matches: PointMatching, rng: np.random.Generator) ->
     off = np.where(blunders, size, 0.0)[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
     return ImageRays(point, image, noisy + off, np.full(noisy.shape, matches.sigma)), blunders
 
-
-def _surface(
-    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
-) -> tuple[Surface | None, Array]:
-    """Terrain model as control, and what it lacks of the truth, (1, 2) m east and north; no rows where posts miss."""
-    if errors is None:
-        return None, np.zeros((0, 2))
-    shift = errors.planimetric * rng.standard_normal(2)
-    grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
-    return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]

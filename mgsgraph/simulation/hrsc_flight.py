@@ -172,8 +172,6 @@ _TABLE = 129
 """Lines of an image of which the ground is tabulated, for first guesses."""
 _BESIDE = 1.3
 """Half widths of a swath beyond which a point isn't looked for in it."""
-_BLOCK = 1 << 13
-"""Points projected at once: what lies between stays in the processor's cache."""
 _ROUNDS = 20
 """Of drawing, before strips count as too small."""
 
@@ -254,15 +252,9 @@ class FlownStrip:
         return np.asarray(inside & (np.abs(across - middle) < _BESIDE * half))
 
     def _projected(self, j: int, points: Array) -> Array:
-        """True line and sample (n, 2) in image j; NaN where unseen. In the order of lines, so that neighbours share
-        rows of the tables.
-        """
+        """True line and sample (n, 2) in image j; NaN where unseen."""
         guess = np.interp(_angles(self.axes, points)[0], self.swaths[j].along, self.swaths[j].lines)
-        order, pixels = np.argsort(guess), np.empty((len(points), 2))
-        for first in range(0, len(points), _BLOCK):
-            some = order[first : first + _BLOCK]
-            pixels[some], _ = self.images[j].ground_to_image(points[some], self.true, guess[some])
-        return pixels
+        return self.images[j].ground_to_image(points, self.true, guess)[0]
 
 
 def matched_points(

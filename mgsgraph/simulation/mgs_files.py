@@ -6,7 +6,6 @@ as many records as the 2048 bytes of the archived compressed file's. CHECKSUM is
 modulo 2^32: found by trial on the data of the real M0100115.imq.
 """
 
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -19,121 +18,43 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.ground import areoid_under
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
+from mgsgraph.simulation.sites import ImageSettings, template
 from mgsgraph.simulation.spice_files import KernelSegment
 from mgsgraph.units import MILLISECOND
 
 _LABEL_BYTES = 2048
 """bytes of the label of the archive's compressed images (RECORD_BYTES of M0100115.imq)."""
-_WRITTEN = "2001-12-01T00:00:00"
-"""Date of production in the label; fixed, so that the same image gives the same bytes."""
 
 
-@dataclass(frozen=True, slots=True)
-class MocImageLabel:
-    """What a label says that depends on the image."""
-
-    product_id: str
-    """Such as E02/00665."""
-    start_time: str
-    """UTC of the first line, such as 2001-03-08T12:52:54.00."""
-    stop_time: str
-    """UTC of the end of the last line."""
-    clock_start: str
-    """Spacecraft clock count at the top edge of the first line, such as 610472061:131."""
-    exposure: float
-    """s, of one detector line before summing."""
-    crosstrack_summing: int
-    """detector pixels per sample."""
-    downtrack_summing: int = 1
-    """exposures per line."""
-    edit_mode: int = 0
-    """detector pixels before the first one used."""
-    orbit: int = 1
-    """Number of the orbit."""
-    rationale: str = "Simulated"
-    """What the image was taken for."""
-
-
-def write_moc_image(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8]) -> None:
+def write_moc_image(
+    path: Path, settings: ImageSettings, clock_start: str, rationale: str, pixels: NDArray[np.uint8]
+) -> None:
     """Write an image of grey values (lines, samples) with its label attached, or replace it; the same arguments give
-    the same bytes. InputError if the pixels are no picture, a value can't stand in a label, or the file can't be
-    written.
+    the same bytes. The label has the spacecraft clock count at the top edge of the first line, such as 610472061:131,
+    and what the image was taken for; lines and samples are those of the picture.
+
+    Raises InputError if the pixels are no picture, a value can't stand in a label, or the file can't be written.
     """
     if pixels.ndim != 2 or pixels.dtype != np.uint8 or pixels.size == 0:
         raise InputError(f"{path}, pixels", f"{pixels.dtype} of shape {pixels.shape}", "(lines, samples) of uint8")
-    head = _label(path, label, pixels)
+    for text in (path.name, settings.name, clock_start, rationale):
+        if '"' in text or not text.isascii() or not text.isprintable():
+            raise InputError("MOC label", repr(text), "printable ASCII without quotation marks")
+    (lines, samples), start = pixels.shape, datetime.fromisoformat(settings.start)
+    records, head = -(-_LABEL_BYTES // samples) - 1, " " * samples * _LABEL_BYTES
+    while len(head) > records * samples:  # a narrow image with a long rationale
+        records += 1
+        head = template("moc.lbl").format(
+            name=path.name, settings=settings, product=product_id(settings), clock_start=clock_start,
+            rationale=rationale, lines=lines, samples=samples, records=records, file_records=records + lines,
+            first=records + 1, level="SDP" if path.suffix == ".imq" else "DSDP", start=label_time(start),
+            stop=label_time(start + timedelta(seconds=settings.duration)), exposure=settings.exposure / MILLISECOND,
+            checksum=int(pixels.view(np.int8).sum(dtype=np.int64)) % 2**32,
+        ).replace("\n", "\r\n")  # fmt: skip
     try:
-        path.write_bytes(head + pixels.tobytes())
+        path.write_bytes(head.ljust(records * samples).encode("ascii") + pixels.tobytes())
     except OSError as error:
         raise InputError(str(path), f"can't be written ({error.strerror})", "a folder that may be written") from None
-
-
-def _label(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8]) -> bytes:
-    """The label, filled up to whole records."""
-    samples = pixels.shape[1]
-    records = -(-_LABEL_BYTES // samples)
-    text = _text(path, label, pixels, records)
-    while len(text) > records * samples:  # a narrow image with a long rationale
-        records += 1
-        text = _text(path, label, pixels, records)
-    return text.ljust(records * samples)
-
-
-def _text(path: Path, label: MocImageLabel, pixels: NDArray[np.uint8], records: int) -> bytes:
-    lines, samples = pixels.shape
-    checksum = int(pixels.view(np.int8).sum(dtype=np.int64)) % 2**32
-    statements = [
-        "PDS_VERSION_ID = PDS3",
-        f"FILE_NAME = {_quoted(path.name)}",
-        "RECORD_TYPE = FIXED_LENGTH",
-        f"RECORD_BYTES = {samples}",
-        f"FILE_RECORDS = {records + lines}",
-        f"LABEL_RECORDS = {records}",
-        f"^IMAGE = {records + 1}",
-        "SPACECRAFT_NAME = MARS_GLOBAL_SURVEYOR",
-        'MISSION_PHASE_NAME = "MAPPING"',
-        "TARGET_NAME = MARS",
-        'INSTRUMENT_ID = "MOC-NA"',
-        "PRODUCER_ID = MGSGRAPH_SIMULATION",
-        f'DATA_SET_ID = "MGS-M-MOC-NA/WA-2-{"SDP" if path.suffix == ".imq" else "DSDP"}-L0-V1.0"',
-        f"PRODUCT_CREATION_TIME = {_WRITTEN}",
-        'SOFTWARE_NAME = "mgsgraph simulate"',
-        'UPLOAD_ID = "UNK"',
-        f"PRODUCT_ID = {_quoted(label.product_id)}",
-        f"START_TIME = {label.start_time}",
-        f"IMAGE_TIME = {label.start_time}",
-        f"STOP_TIME = {label.stop_time}",
-        f"SPACECRAFT_CLOCK_START_COUNT = {_quoted(label.clock_start)}",
-        'SPACECRAFT_CLOCK_STOP_COUNT = "N/A"',
-        "FOCAL_PLANE_TEMPERATURE = 254.0 <K>",
-        'GAIN_MODE_ID = "6A"',
-        'OFFSET_MODE_ID = "32"',
-        f"LINE_EXPOSURE_DURATION = {label.exposure / MILLISECOND:.6f} <MILLISECONDS>",
-        f"DOWNTRACK_SUMMING = {label.downtrack_summing}",
-        f"CROSSTRACK_SUMMING = {label.crosstrack_summing}",
-        f'EDIT_MODE_ID = "{label.edit_mode}"',
-        f"RATIONALE_DESC = {_quoted(label.rationale)}",
-        'DATA_QUALITY_DESC = "OK"',
-        f"ORBIT_NUMBER = {label.orbit}",
-        "OBJECT = IMAGE",
-        f"LINES = {lines}",
-        f"LINE_SAMPLES = {samples}",
-        "LINE_PREFIX_BYTES = 0",
-        "LINE_SUFFIX_BYTES = 0",
-        "SAMPLE_TYPE = UNSIGNED_INTEGER",
-        "SAMPLE_BITS = 8",
-        "SAMPLE_BIT_MASK = 2#11111111#",
-        f"CHECKSUM = 16#{checksum:08X}#",
-        "END_OBJECT = IMAGE",
-        "END",
-    ]
-    return ("\r\n".join(statements) + "\r\n").encode("ascii")
-
-
-def _quoted(text: str) -> str:
-    if '"' in text or not text.isascii() or not text.isprintable():
-        raise InputError("MOC label", repr(text), "printable ASCII without quotation marks")
-    return f'"{text}"'
 
 
 # --- of a simulated site
@@ -163,23 +84,9 @@ def kernel_segment(image: SimulatedImage) -> KernelSegment:
     return KernelSegment(image.settings.name, image.settings.phase, trajectory)
 
 
-def image_label(image: SimulatedImage, title: str) -> MocImageLabel:
-    """What the label of an image says; `title` is the site's."""
-    settings = image.settings
-    start = datetime.fromisoformat(settings.start)
-    stop = start + timedelta(seconds=settings.duration)
-    return MocImageLabel(
-        product_id=settings.name.replace("-", "/"),
-        start_time=label_time(start),
-        stop_time=label_time(stop),
-        clock_start=image.clock_start,
-        exposure=settings.exposure,
-        crosstrack_summing=settings.crosstrack_summing,
-        downtrack_summing=settings.downtrack_summing,
-        edit_mode=settings.edit_mode,
-        orbit=settings.orbit,
-        rationale=f"Simulated image of {title}",
-    )
+def product_id(settings: ImageSettings) -> str:
+    """The image's name in labels and indices."""
+    return settings.name.replace("-", "/")
 
 
 def label_time(time: datetime) -> str:

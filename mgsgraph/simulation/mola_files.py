@@ -16,7 +16,6 @@ which follows from the line of sight. So what is read back differs from what was
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +26,7 @@ from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
 from mgsgraph.record import Record
+from mgsgraph.simulation.sites import template
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG
@@ -75,28 +75,13 @@ class PedrFrames(Record):
     one. When absent, 0.30 m and 1 cm more in each frame, so that readers have something to take off."""
 
     def __post_init__(self) -> None:
-        where = "PEDR frames"
-        times = frozen(self.times, f"{where}, times", (None,))
-        if times.size == 0:
-            raise InputError(where, "no shots", "at least one")
-        late = np.abs(times - times[0] - _TICK * np.arange(times.size))
+        late = np.abs(self.times - self.times[0] - _TICK * np.arange(self.times.size))
         if late.max() > 1e-5:
             k = int(np.argmax(late > 1e-5))
-            raise InputError(f"{where}, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second without a gap")
-        shapes = {"footprints": (3,), "spacecraft": (3,)} | dict.fromkeys(
-            ("ranges", "areoid_radii", "off_nadir", "spread"), ()
-        )
-        fields: dict[str, Any] = {
-            name: frozen(getattr(self, name), f"{where}, {name}", (times.size, *rest)) for name, rest in shapes.items()
-        }
-        ground = np.array(self.ground, dtype=bool)
-        if ground.shape != times.shape:
-            raise InputError(f"{where}, ground", f"shape {ground.shape}", f"({times.size},)")
-        ground.flags.writeable = False
-        frames = -(-times.size // SHOTS)
+            raise InputError("PEDR frames, times", f"shot {k} is {late[k]:.6f} s off", "10 shots a second with no gap")
+        frames = -(-self.times.size // SHOTS)
         crossovers: ArrayLike = 0.30 + 0.01 * np.arange(frames) if self.crossovers is None else self.crossovers
-        assign(self, times=times, ground=ground, crossovers=frozen(crossovers, f"{where}, crossovers", (frames,)))
-        assign(self, **fields)
+        assign(self, crossovers=frozen(crossovers, "PEDR frames, crossovers", (frames,)))
 
 
 def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] | None = None) -> AltimeterShots:
@@ -109,8 +94,7 @@ def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] 
     frames : PedrFrames
         The shots.
     product_label : mapping, optional
-        Further keywords of the label with their values as they stand there, such as ``{"START_TIME": "2001-03-08"}``;
-        they replace those that are always written.
+        Further keywords of the label with their values as they stand there, such as ``{"START_TIME": "2001-03-08"}``.
 
     Returns
     -------
@@ -135,28 +119,12 @@ def _label(path: Path, frames: PedrFrames, count: int, more: Mapping[str, str]) 
     """Label of the first ten records. PEDR2TAB looks for the software's version in its first record, 25 characters
     after the keyword's first: 7.125 or more means that there are crossover corrections.
     """
-    statements = {
-        "PDS_VERSION_ID": "PDS3",
-        "RECORD_TYPE": "FIXED_LENGTH",
-        "FILE_RECORDS": f"{count + HEADER_RECORDS}",
-        "RECORD_BYTES": f"{FRAME.itemsize}",
-        "LABEL_RECORDS": f"{HEADER_RECORDS}",
-        "FILE_NAME": f'"{path.name.upper()}"',
-        "^PEDR_TABLE": f"{HEADER_RECORDS + 1}",
-        "DATA_SET_ID": '"MGS-M-MOLA-3-PEDR-L1A-V1.0"',
-        "PRODUCT_ID": f'"{path.name.upper()}"',
-        "SPACECRAFT_NAME": "MARS_GLOBAL_SURVEYOR",
-        "INSTRUMENT_ID": "MOLA",
-        "TARGET_NAME": "MARS",
-        "SOFTWARE_NAME": '"MGSGRAP 7.30"',
-        "PRODUCT_CREATION_TIME": "2001-12-01T00:00:00",
-        "START_ORBIT_NUMBER": f"{frames.orbit}",
-    } | dict(more)
-    lines = ["CCSD3ZF0000100000001NJPL3KS0PDSX"]
-    lines += [f"{key} = {value}" for key, value in statements.items()]
-    lines += ["OBJECT = PEDR_TABLE", "INTERCHANGE_FORMAT = BINARY", f"ROWS = {count}", f"ROW_BYTES = {FRAME.itemsize}"]
-    lines += ["END_OBJECT = PEDR_TABLE", "END"]
-    text, size = "\r\n".join(lines) + "\r\n", HEADER_RECORDS * FRAME.itemsize
+    text = template("pedr.lbl").format(
+        records=count + HEADER_RECORDS, bytes=FRAME.itemsize, label_records=HEADER_RECORDS, name=path.name.upper(),
+        table=HEADER_RECORDS + 1, orbit=frames.orbit, rows=count,
+        more="".join(f"{key} = {value}\n" for key, value in more.items()),
+    ).replace("\n", "\r\n")  # fmt: skip
+    size = HEADER_RECORDS * FRAME.itemsize
     if not text.isascii() or len(text) > size:
         raise InputError(f"{path}, label", f"{len(text)} characters", f"at most {size}, ASCII")
     return text.encode("ascii").ljust(size)
@@ -303,41 +271,8 @@ def _megdr_label(name: str, layout: MegdrLayout) -> str:
     """LINE = LPO - RES (LAT - CLAT), SAMPLE = SPO + RES (LON - CLON) (dsmap.cat)."""
     rows, columns = layout.shape
     resolution = round(DEG / layout.step)
-    line_offset = 1.0 + layout.first_latitude / layout.step
-    sample_offset = 1.0 - (layout.first_longitude / DEG - 180.0) * resolution
-    return f"""PDS_VERSION_ID            = "PDS3"
-RECORD_TYPE               = FIXED_LENGTH
-RECORD_BYTES              = {2 * columns}
-FILE_RECORDS              = {rows}
-^IMAGE                    = "{name.upper()}.IMG"
-DATA_SET_ID               = "MGS-M-MOLA-5-MEGDR-L3-V1.0"
-PRODUCT_ID                = "{name.upper()}.IMG"
-SPACECRAFT_NAME           = "MARS GLOBAL SURVEYOR"
-INSTRUMENT_ID             = MOLA
-TARGET_NAME               = MARS
-PRODUCT_VERSION_ID        = "SIMULATED"
-OBJECT                    = IMAGE
-  LINES                   = {rows}
-  LINE_SAMPLES            = {columns}
-  SAMPLE_TYPE             = MSB_INTEGER
-  SAMPLE_BITS             = 16
-  UNIT                    = METER
-  SCALING_FACTOR          = 1
-  OFFSET                  = {layout.offset:.0f}
-END_OBJECT                = IMAGE
-OBJECT                    = IMAGE_MAP_PROJECTION
-  MAP_PROJECTION_TYPE     = "SIMPLE CYLINDRICAL"
-  A_AXIS_RADIUS           = 3396.0 <KM>
-  B_AXIS_RADIUS           = 3396.0 <KM>
-  C_AXIS_RADIUS           = 3396.0 <KM>
-  POSITIVE_LONGITUDE_DIRECTION = "EAST"
-  CENTER_LATITUDE         = 0.0 <DEGREE>
-  CENTER_LONGITUDE        = 180.0 <DEGREE>
-  MAP_RESOLUTION          = {resolution} <PIXEL/DEGREE>
-  LINE_PROJECTION_OFFSET  = {line_offset:.6f}
-  SAMPLE_PROJECTION_OFFSET = {sample_offset:.6f}
-  COORDINATE_SYSTEM_TYPE  = "BODY-FIXED ROTATING"
-  COORDINATE_SYSTEM_NAME  = "PLANETOCENTRIC"
-END_OBJECT                = IMAGE_MAP_PROJECTION
-END
-"""
+    return template("megdr.lbl").format(
+        record=2 * columns, rows=rows, columns=columns, name=name.upper(), offset=layout.offset,
+        resolution=resolution, line_offset=1.0 + layout.first_latitude / layout.step,
+        sample_offset=1.0 - (layout.first_longitude / DEG - 180.0) * resolution,
+    )  # fmt: skip

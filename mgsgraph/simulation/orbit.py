@@ -290,13 +290,26 @@ def circular_attitude(flown: CircularPass, times: Array) -> Array:
     return np.asarray(camera @ rotation.exponential(-turned))
 
 
-def circular_trajectory(flown: CircularPass, half: float, step: float = TABLE_STEP) -> Trajectory:
-    """The pass, sampled every `step` seconds for `half` seconds and a step either side of its epoch."""
-    times = circle_times(half, step)
+def circular_trajectory(
+    flown: CircularPass,
+    times: Array,
+    camera: Array | None = None,
+    mount: Array | None = None,
+    tilt: Array | None = None,
+) -> Trajectory:
+    """The pass at times (n,) in s past its epoch, of a camera that is turned by `camera` (3, 3) against the axes of
+    `circular_attitude`; `mount` and `tilt` as `sampled_trajectory` has them.
+    """
+    turned = circular_attitude(flown, times)
     return sampled_trajectory(
-        flown.epoch, times, circular_orbit(flown).state(times), circular_attitude(flown, times),
-        flown.body.to_fixed(flown.epoch + times), _CIRCLE_MOUNT, _CIRCLE_TILT,
+        flown.epoch, times, circular_orbit(flown).state(times), turned if camera is None else camera @ turned,
+        flown.body.to_fixed(flown.epoch + times), mount, tilt,
     )  # fmt: skip
+
+
+def tilted_trajectory(flown: CircularPass, half: float, step: float = TABLE_STEP) -> Trajectory:
+    """The pass as pair, strip and bridge have it, sampled about its epoch, with constant parts of its rotations."""
+    return circular_trajectory(flown, circle_times(half, step), None, _CIRCLE_MOUNT, _CIRCLE_TILT)
 
 
 def circle_times(half: float, step: float = TABLE_STEP) -> Array:

@@ -15,7 +15,7 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, assign, frozen
+from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, displaced_footprints, narrow_image
 from mgsgraph.simulation.ground import CENTRE, rays_to_sines
@@ -110,13 +110,6 @@ class SimulatedPair(Record):
     """Laser shots taken from the first image's spacecraft, measured in both images."""
     true_footprints: Array
     """(m, 3) m, body-fixed, in the order of `laser.ids`."""
-
-    def __post_init__(self) -> None:
-        assign(
-            self,
-            true_ties=frozen(self.true_ties, "simulated pair, true ties", (len(self.ties.ids), 3)),
-            true_footprints=frozen(self.true_footprints, "simulated pair, footprints", (len(self.laser.ids), 3)),
-        )
 
     def __repr__(self) -> str:
         names = ", ".join(image.name for image in self.images)

@@ -20,7 +20,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north, intersect_ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation, LrocNacDistortion
-from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import (
     SUPPORT,
     OrientationCorrection,
@@ -43,9 +43,7 @@ from mgsgraph.simulation.orbit import (
     MOON_BODY,
     CircularPass,
     circle_times,
-    circular_attitude,
-    circular_orbit,
-    sampled_trajectory,
+    circular_trajectory,
     site_at,
 )
 from mgsgraph.units import DEG
@@ -70,14 +68,9 @@ class MountedCamera:
     def image(self, name: str, flown: CircularPass, lines: int, period: float) -> PushbroomImage:
         """Nominal image whose middle line is taken at the pass's epoch; `period` in s per line."""
         half = 0.5 * lines * period
-        times = circle_times(half)
-        camera = self.mount @ circular_attitude(flown, times)
-        trajectory = sampled_trajectory(
-            flown.epoch, times, circular_orbit(flown).state(times), camera, flown.body.to_fixed(flown.epoch + times),
-            self.mount,
-        )  # fmt: skip
-        timing: LineTiming = one_rate(-half, period)
-        return line_image(name, (lines, self.samples), self.interior, timing, trajectory, flown.body.ellipsoid)
+        trajectory = circular_trajectory(flown, circle_times(half), self.mount, self.mount)
+        size = lines, self.samples
+        return line_image(name, size, self.interior, one_rate(-half, period), trajectory, flown.body.ellipsoid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,10 +194,6 @@ class SimulatedRig:
     """(n, 3) m, body-fixed: true places of the network's points."""
     shared: tuple[Array, ...]
     """True value of each of the network's shared unknowns."""
-
-    def without_mounting(self) -> Network:
-        """The same with mountings as they are stated, without error: the trajectory must take what they lack."""
-        return replace(self.network, shared=())
 
     def __repr__(self) -> str:
         return f"SimulatedRig({self.network!r})"

@@ -37,11 +37,11 @@ from mgsgraph.simulation.orbit import (
     HEADING,
     CircularPass,
     SitePass,
-    circular_trajectory,
     nominal_trajectory,
     site_at,
     site_pass,
     sun_direction,
+    tilted_trajectory,
     true_trajectory,
 )
 from mgsgraph.simulation.sites import (
@@ -456,7 +456,7 @@ def bridge_image() -> PushbroomImage:
     first, last = _SPAN
     flown = CircularPass(_EPOCH, site_at(_CROSSING, 0.0), HEADING, _ALTITUDE)
     interior = interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * _SAMPLES)
-    trajectory = circular_trajectory(flown, max(-first, last), _TABLE_STEP)
+    trajectory = tilted_trajectory(flown, max(-first, last), _TABLE_STEP)
     size = round((last - first) / _PERIOD), _SAMPLES
     return line_image(BRIDGE, size, interior, one_rate(first, _PERIOD), trajectory)
 

@@ -8,15 +8,18 @@ ratio of 0.41 and that orientation, which both want 22.0 deg. Table 1's emission
 """
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from pathlib import Path
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.decoding import toml_table
+from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.record import Record
-from mgsgraph.units import ARCMIN, ARCSEC, DEG, KM
+from mgsgraph.units import ARCMIN, ARCSEC, DEG
 
 SiteName = Literal["eos", "gusev", "isidis"]
 SITE_NAMES: tuple[SiteName, ...] = get_args(SiteName)
@@ -141,10 +144,9 @@ def site_settings(name: str) -> SiteSettings:
     InputError
         If there is no such site.
     """
-    for site in _SITES:
-        if site.name == name:
-            return site
-    raise InputError("site", repr(name), " or ".join(SITE_NAMES))
+    if name not in _SITES:
+        raise InputError("site", repr(name), " or ".join(SITE_NAMES))
+    return _SITES[name]
 
 
 def drawn_errors(prior: OrientationPrior, noise: float, rng: np.random.Generator) -> KernelErrors:
@@ -153,78 +155,26 @@ def drawn_errors(prior: OrientationPrior, noise: float, rng: np.random.Generator
     return KernelErrors(coefficients[:, :3], coefficients[:, 3:], noise=noise)
 
 
-def _errors(
-    position: tuple[float, float, float],
-    noise_arcsec: float,
-    bias: float = 0.0,
-    pitch: tuple[float, float] = (0.0, 0.0),
-    roll: tuple[float, float] = (0.0, 0.0),
-    yaw: tuple[float, float] = (0.0, 0.0),
-) -> KernelErrors:
-    """Angles in minutes of arc, noise in seconds of arc."""
-    turned = np.array([roll, pitch, yaw]).T * ARCMIN
-    return KernelErrors(np.array([position]), turned, bias, noise_arcsec * ARCSEC)
+def template(name: str) -> str:
+    """A text that comes with this package: a table of settings, or a label or kernel with places for values."""
+    return read_text(Path(__file__).with_name("data") / name)
 
 
-# The CK is 0.7 s off at Gusev and Isidis, to one digit: a camera that turns at 8.9e-4 rad/s 383 km above the ground is
-# moved by 341 m per second, and Table 5 wants 229 and 225 m in all. MOLA's image corrections there are negative along
-# the flight in both nadir images (-24.2 and -24.8 px), so their nominal orientation looks back: their CK runs ahead.
-# One SPK serves both images of Gusev and of Isidis: their along-track errors are the same. Eos has kernels of its own
-# for each image; the left one's pitch, the right one's roll and yaw are those of Tables 2 and 5.
-_SITES = (
-    SiteSettings(
-        name="eos", title="Eos Chasma", longitude=318.36 * DEG, latitude=-13.26 * DEG, altitude=381.0 * KM,
-        images=(
-            ImageSettings(
-                name="E02-02855", emission=0.16 * DEG, held=False, start="2001-03-31T18:17:09", exposure=0.6026e-3,
-                downtrack_summing=3, crosstrack_summing=3, lines=9856, samples=672, edit_mode=16,
-                profile="ap19215l", shots=174, spacing=305.0, orbit=9215, phase="ext1",
-                errors=_errors((15.0, 35.0, -20.0), 5.0, pitch=(1.0, 6.0)),
-            ),
-            ImageSettings(
-                name="E04-01275", emission=17.97 * DEG, held=True, start="2001-05-18T00:48:12", exposure=0.6026e-3,
-                downtrack_summing=2, crosstrack_summing=2, lines=7424, samples=1024, edit_mode=0,
-                profile="ap19802l", shots=76, spacing=341.0, orbit=9802, phase="ext2",
-                errors=_errors((-20.0, -40.0, 15.0), 3.0, roll=(1.0, 1.0), yaw=(19.0, 0.0)),
-            ),
-        ),
-        ties=162,
-        angle_sigmas=(3.0 * ARCMIN, 6.0 * ARCMIN, 10.0 * ARCMIN), trend=(1.0, 1.0, 0.1),
-    ),
-    SiteSettings(
-        name="gusev", title="Gusev Crater", longitude=175.3 * DEG, latitude=-14.6 * DEG, altitude=380.0 * KM,
-        images=(
-            ImageSettings(
-                name="E02-00665", emission=0.2 * DEG, held=False, start="2001-03-08T12:52:54", exposure=0.7231e-3,
-                downtrack_summing=2, crosstrack_summing=2, lines=10112, samples=1024, edit_mode=0,
-                profile="ap18933l", shots=142, spacing=305.0, orbit=8933, phase="ext1",
-                errors=_errors((15.0, 30.0, -12.0), 4.0, bias=0.67),
-            ),
-            ImageSettings(
-                name="E02-01453", emission=22.1 * DEG, held=True, start="2001-03-17T18:39:14", exposure=0.482067e-3,
-                downtrack_summing=3, crosstrack_summing=2, lines=8960, samples=1024, edit_mode=0,
-                profile="ap19043l", shots=124, spacing=341.0, orbit=9043, phase="ext1",
-                errors=_errors((-12.0, 30.0, 8.0), 2.0),
-            ),
-        ),
-        ties=154,
-    ),
-    SiteSettings(
-        name="isidis", title="Isidis Planitia", longitude=87.9 * DEG, latitude=4.5 * DEG, altitude=380.0 * KM,
-        images=(
-            ImageSettings(
-                name="E02-01301", emission=13.0 * DEG, held=True, start="2001-03-15T23:34:57", exposure=0.4821e-3,
-                downtrack_summing=2, crosstrack_summing=2, lines=7680, samples=1024, edit_mode=0,
-                profile="ap19019l", shots=71, spacing=340.0, orbit=9019, phase="ext1",
-                errors=_errors((10.0, -25.0, 10.0), 1.0),
-            ),
-            ImageSettings(
-                name="E02-02016", emission=0.2 * DEG, held=False, start="2001-03-23T04:17:44", exposure=0.7231e-3,
-                downtrack_summing=2, crosstrack_summing=2, lines=7680, samples=1024, edit_mode=0,
-                profile="ap19117l", shots=107, spacing=304.0, orbit=9117, phase="ext1",
-                errors=_errors((-15.0, -25.0, -8.0), 3.0, bias=0.66),
-            ),
-        ),
-        ties=41,
-    ),
-)
+def _of_table(site: dict[str, Any]) -> SiteSettings:
+    """A site as sites.toml has it; the units are said there."""
+    angles = {"longitude": site["longitude"] * DEG, "latitude": site["latitude"] * DEG}
+    more = {name: tuple(site[name]) for name in ("trend",) if name in site}
+    if "angle_sigmas" in site:
+        more["angle_sigmas"] = tuple(sigma * ARCMIN for sigma in site["angle_sigmas"])
+    return SiteSettings(**site | angles | more | {"images": tuple(_image_of_table(one) for one in site["images"])})
+
+
+def _image_of_table(image: dict[str, Any]) -> ImageSettings:
+    errors = image["errors"]
+    turned = np.array([errors.get(axis, (0.0, 0.0)) for axis in ("roll", "pitch", "yaw")]).T * ARCMIN
+    bias, noise = errors.get("attitude_time_bias", 0.0), errors["noise"] * ARCSEC
+    found = KernelErrors(np.array([errors["position"]]), turned, bias, noise)
+    return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": found})
+
+
+_SITES = {site["name"]: _of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"]}

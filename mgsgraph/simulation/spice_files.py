@@ -16,7 +16,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.camera import BORESIGHT_SAMPLE, FOCAL_LENGTH_MM, PITCH_MM
 from mgsgraph.simulation.orbit import MARS, MERIDIAN, MOUNT_ANGLES, POLE_DEC, POLE_RA, mars_about_sun
-from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS
+from mgsgraph.simulation.sites import ARCHIVE_ATTITUDE_BIAS, template
 from mgsgraph.units import KM
 
 SPACECRAFT, STRUCTURE, CAMERA, MARS_ID, MARS_SYSTEM, SUN, ORIGIN = -94, -94000, -94031, 499, 4, 10, 0
@@ -37,6 +37,10 @@ _TDT_TO_TAI, _LEAP_SECONDS = 32.184, 32
 """s, TDT - TAI; s, TAI - UTC in 2001."""
 _K, _EB, _M0, _M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
 """TDB - TDT = K sin(E), E = M + EB sin(M), M = M0 + M1 t (SPICE leap seconds kernel)."""
+
+
+CAMERA_FRAME_TEXT = template("moc_frame.ti").format(angles=" ".join(repr(angle) for angle in MOUNT_ANGLES))
+"""The camera's frame, as instrument kernels have it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +77,18 @@ def write_kernels(segments: Sequence[KernelSegment], folder: Path) -> tuple[str,
 
     Returns the file names in the order in which they are to be loaded. `mgs.tm` lists them too, for use in that folder.
     """
-    texts = {"mgs.tls": _LEAP_SECOND_TEXT, "mgs.tsc": _clock_text(), "mars.tpc": _constants_text()}
-    texts |= {"mgs.tf": _FRAME_TEXT, "moc.ti": addendum_text()}
+    texts = {
+        "mgs.tls": template("mgs.tls"),
+        "mgs.tsc": template("mgs.tsc").format(
+            ticks=_TICKS, begin=_PARTITION[0], end=_PARTITION[1], zero=_CLOCK_ZERO, rate=_CLOCK_RATE
+        ),
+        "mars.tpc": template("mars.tpc").format(
+            ascension=POLE_RA, declination=POLE_DEC, meridian=MERIDIAN, equatorial=MARS.equatorial / KM,
+            polar=MARS.polar / KM,
+        ),
+        "mgs.tf": template("mgs.tf"),
+        "moc.ti": addendum_text(),
+    }  # fmt: skip
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="ascii", newline="\n")
     names = [*texts, "mars.bsp"]
@@ -86,7 +100,8 @@ def write_kernels(segments: Sequence[KernelSegment], folder: Path) -> tuple[str,
             _write_positions(folder / f"mgs_{phase}.bsp", members)
             _write_attitudes(folder / f"mgs_sc_{phase}.bc", members)
             names += [f"mgs_{phase}.bsp", f"mgs_sc_{phase}.bc"]
-    (folder / "mgs.tm").write_text(_list_text(names), encoding="ascii", newline="\n")
+    listed = template("mgs.tm").format(listed="\n".join(f"  '{name}'" for name in names))
+    (folder / "mgs.tm").write_text(listed, encoding="ascii", newline="\n")
     return tuple(names)
 
 
@@ -151,124 +166,9 @@ def _angular_velocities(trajectory: Trajectory) -> Array:
     return np.asarray(0.5 * (np.vstack([inertial[:1], inertial]) + np.vstack([inertial, inertial[-1:]])))
 
 
-def _clock_text() -> str:
-    return f"""KPL/SCLK
-
-Clock of the simulated Mars Global Surveyor.
-
-\\begindata
-SCLK_KERNEL_ID           = ( @2001-01-01/00:00:00.00 )
-SCLK_DATA_TYPE_94        = ( 1 )
-SCLK01_TIME_SYSTEM_94    = ( 2 )
-SCLK01_N_FIELDS_94       = ( 2 )
-SCLK01_MODULI_94         = ( 4294967296 {_TICKS} )
-SCLK01_OFFSETS_94        = ( 0 0 )
-SCLK01_OUTPUT_DELIM_94   = ( 2 )
-SCLK_PARTITION_START_94  = ( {_PARTITION[0]:.13E} )
-SCLK_PARTITION_END_94    = ( {_PARTITION[1]:.13E} )
-SCLK01_COEFFICIENTS_94   = ( {0.0:.13E} {_CLOCK_ZERO:.13E} {_CLOCK_RATE:.13E} )
-\\begintext
-"""
-
-
-def _constants_text() -> str:
-    equatorial, polar = MARS.equatorial / KM, MARS.polar / KM
-    return f"""KPL/PCK
-
-Mars, IAU 2000 (Seidelmann et al. 2002).
-
-\\begindata
-BODY499_POLE_RA  = ( {POLE_RA[0]} {POLE_RA[1]} 0.0 )
-BODY499_POLE_DEC = ( {POLE_DEC[0]} {POLE_DEC[1]} 0.0 )
-BODY499_PM       = ( {MERIDIAN[0]} {MERIDIAN[1]} 0.0 )
-BODY499_RADII    = ( {equatorial} {equatorial} {polar} )
-\\begintext
-"""
-
-
 def addendum_text() -> str:
     """The camera in the words of ISIS's addendum (mocAddendum004.ti): millimetres."""
-    pitch = repr(PITCH_MM)
-    return f"""KPL/IK
-
-MOC narrow angle camera. Focal length and pixel pitch in mm, angles in radians; keywords as in ISIS's addendum.
-
-\\begindata
-INS{CAMERA}_SPK_TIME_BIAS     = 0.0
-INS{CAMERA}_CK_TIME_BIAS      = {ARCHIVE_ATTITUDE_BIAS}
-INS{CAMERA}_CK_TIME_TOLERANCE = 1
-INS{CAMERA}_FOCAL_LENGTH      = {FOCAL_LENGTH_MM}
-INS{CAMERA}_PIXEL_PITCH       = {pitch}
-INS{CAMERA}_BORESIGHT_SAMPLE  = {BORESIGHT_SAMPLE}
-INS{CAMERA}_ALONGTRACK_OFFSET = 0.0
-INS{CAMERA}_TRANSX            = ( 0.0 0.0 {pitch} )
-INS{CAMERA}_TRANSY            = ( 0.0 {pitch} 0.0 )
-INS{CAMERA}_ITRANSS           = ( 0.0 0.0 {1.0 / PITCH_MM!r} )
-INS{CAMERA}_ITRANSL           = ( 0.0 {1.0 / PITCH_MM!r} 0.0 )
-
-{CAMERA_FRAME_TEXT}\\begintext
-"""
-
-
-def _list_text(names: Sequence[str]) -> str:
-    listed = "\n".join(f"  '{name}'" for name in names)
-    return f"""KPL/MK
-
-Kernels of the simulated site; SPICE looks for them in the current folder.
-
-\\begindata
-KERNELS_TO_LOAD = (
-{listed}
-)
-\\begintext
-"""
-
-
-CAMERA_FRAME_TEXT = f"""FRAME_MGS_MOC_NA         = {CAMERA}
-FRAME_{CAMERA}_NAME        = 'MGS_MOC_NA'
-FRAME_{CAMERA}_CLASS       = 4
-FRAME_{CAMERA}_CLASS_ID    = {CAMERA}
-FRAME_{CAMERA}_CENTER      = {SPACECRAFT}
-TKFRAME_{CAMERA}_SPEC      = 'ANGLES'
-TKFRAME_{CAMERA}_RELATIVE  = 'MGS_SPACECRAFT'
-TKFRAME_{CAMERA}_ANGLES    = ( {" ".join(repr(angle) for angle in MOUNT_ANGLES)} )
-TKFRAME_{CAMERA}_AXES      = ( 1 2 3 )
-TKFRAME_{CAMERA}_UNITS     = 'RADIANS'
-"""
-
-_FRAME_TEXT = f"""KPL/FK
-
-Frame of the Mars Global Surveyor's structure, to which its attitude (CK) refers.
-
-\\begindata
-FRAME_MGS_SPACECRAFT     = {STRUCTURE}
-FRAME_{STRUCTURE}_NAME        = 'MGS_SPACECRAFT'
-FRAME_{STRUCTURE}_CLASS       = 3
-FRAME_{STRUCTURE}_CLASS_ID    = {STRUCTURE}
-FRAME_{STRUCTURE}_CENTER      = {SPACECRAFT}
-CK_{STRUCTURE}_SCLK           = {SPACECRAFT}
-CK_{STRUCTURE}_SPK            = {SPACECRAFT}
-\\begintext
-"""
-
-_LEAP_MONTHS = (
-    "1972-JAN", "1972-JUL", "1973-JAN", "1974-JAN", "1975-JAN", "1976-JAN", "1977-JAN", "1978-JAN",
-    "1979-JAN", "1980-JAN", "1981-JUL", "1982-JUL", "1983-JUL", "1985-JUL", "1988-JAN", "1990-JAN",
-    "1991-JAN", "1992-JUL", "1993-JUL", "1994-JUL", "1996-JAN", "1997-JUL", "1999-JAN", "2006-JAN",
-    "2009-JAN", "2012-JUL", "2015-JUL", "2017-JAN",
-)  # fmt: skip
-"""From when on TAI - UTC is 10 s, 11 s and so on."""
-_LEAPS = "\n                     ".join(f"{k}, @{month}-1" for k, month in enumerate(_LEAP_MONTHS, start=10))
-
-_LEAP_SECOND_TEXT = f"""KPL/LSK
-
-Leap seconds, announced by the IERS, and the constants of TDB.
-
-\\begindata
-DELTET/DELTA_T_A = {_TDT_TO_TAI}
-DELTET/K         = 1.657D-3
-DELTET/EB        = 1.671D-2
-DELTET/M         = ( 6.239996D0 1.99096871D-7 )
-DELTET/DELTA_AT  = ( {_LEAPS} )
-\\begintext
-"""
+    return template("moc.ti").format(
+        bias=ARCHIVE_ATTITUDE_BIAS, focal_length=FOCAL_LENGTH_MM, pitch=PITCH_MM, scale=1.0 / PITCH_MM,
+        boresight=BORESIGHT_SAMPLE, frame=CAMERA_FRAME_TEXT,
+    )  # fmt: skip

@@ -12,7 +12,6 @@ its laser shots. What is drawn for a step knows nothing of later ones: a shorter
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import narrow_image
@@ -30,16 +29,17 @@ from mgsgraph.simulation.observations import (
     MARGIN,
     NoiseSettings,
     Shots,
+    TrueImage,
     Visible,
     free_points,
     profile,
     require_count,
     require_seed,
     shots_along,
+    true_image,
 )
 from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass, ground_track, site_at
 from mgsgraph.simulation.pair import PairSettings
-from mgsgraph.simulation.true_images import TrueImage, true_image
 from mgsgraph.units import DEG, KM
 
 SOURCE = "simulated strip"
@@ -239,42 +239,34 @@ def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
 
 def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
     """Shots of several steps by the profile that brought them: one for each step with new shots."""
-    owner = dict[str, tuple[int, int]]()
-    news = list[tuple[LaserProfile, Index]]()
-    measures = list[list[tuple[int, str, int, int]]]()
-    for step, part in enumerate(parts):
-        new = np.array([i for i, name in enumerate(part.ids) if name not in owner], dtype=np.int64)
+    _, of_part = Names.united([part.ids for part in parts])
+    shot = np.concatenate([own[part.measure_shot] for own, part in zip(of_part, parts, strict=True)])
+    images = RepeatedNames.concatenated([part.measure_image for part in parts])
+    measures = np.concatenate([part.measures for part in parts])
+    order, known, found = np.argsort(shot, kind="stable"), 0, list[LaserProfile]()
+    for own, part in zip(of_part, parts, strict=True):
+        new = np.flatnonzero(own >= known)
+        rows = order[np.isin(shot[order], own[new])]
         if new.size:
-            owner |= {part.ids[i]: (len(news), local) for local, i in enumerate(new.tolist())}
-            news.append((part, new))
-            measures.append([])
-        for row, (shot, image) in enumerate(zip(part.measure_shot.tolist(), part.measure_image, strict=True)):
-            owned, local = owner[part.ids[shot]]
-            measures[owned].append((local, image, step, row))
-    return tuple(_with_measures(*new, seen, parts) for new, seen in zip(news, measures, strict=True))
+            found.append(_with_measures(part, new, shot[rows] - known, images[rows], measures[rows]))
+        known += new.size
+    return tuple(found)
 
 
-def _with_measures(
-    part: LaserProfile, which: Index, measures: list[tuple[int, str, int, int]], parts: Sequence[LaserProfile]
-) -> LaserProfile:
-    """Some shots (n,) of a step with measures (shot, image, and the step and row where they stand) of any."""
-    measures = sorted(measures, key=lambda measure: measure[0])
-    number = np.full(len(part.ids), -1)
-    number[which] = np.arange(which.size)
-    along = number[part.simultaneous_shot]
+def _with_measures(part: LaserProfile, new: Index, shot: Index, images: RepeatedNames, measures: Array) -> LaserProfile:
+    """New shots (n,) of a step with their measures: shot among these (k,), images (k names), places (k, 2)."""
+    along = np.isin(part.simultaneous_shot, new)
     return replace(
         part,
-        ids=part.ids[which],
-        times=part.times[which],
-        ranges=part.ranges[which],
-        range_sigmas=part.range_sigmas[which],
-        footprints=part.footprints[which],
-        covariances=part.covariances[which],
-        simultaneous_shot=along[along >= 0],
-        simultaneous_image=part.simultaneous_image[along >= 0],
-        measure_shot=np.array([measure[0] for measure in measures], dtype=np.int64),
-        measure_image=RepeatedNames.of([measure[1] for measure in measures]),
-        measures=np.array([parts[step].measures[row] for _, _, step, row in measures]).reshape(-1, 2),
+        simultaneous_shot=np.searchsorted(new, part.simultaneous_shot[along]),
+        simultaneous_image=part.simultaneous_image[along],
+        measure_shot=shot,
+        measure_image=images,
+        measures=measures,
+        **{
+            name: getattr(part, name)[new]
+            for name in ("ids", "times", "ranges", "range_sigmas", "footprints", "covariances")
+        },
     )
 
 
@@ -321,21 +313,6 @@ class StripSettings(PairSettings):
         return (1.0 - self.overlap) * self.lines * self.period
 
 
-class StripAddition(NamedTuple):
-    """What an archive gains with one image."""
-
-    image: PushbroomImage
-    """The new image, nominal."""
-    ties: TiePoints
-    """New points with all their measures, and known points with their measure in the new image; no points at first."""
-    laser: LaserProfile | None
-    """The new image's shots; and known shots that it sees, named again as they were, but simultaneous with no image, so
-    that their ranges don't count twice. None where there are neither."""
-
-    def __repr__(self) -> str:
-        return f"StripAddition({self.image.name}; {self.ties!r}; {self.laser!r})"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedStrip(Record):
     """A simulated strip: what an adjustment is given, and the truth it should find."""
@@ -355,8 +332,15 @@ class SimulatedStrip(Record):
     true_footprints: tuple[Array, ...]
     """(m, 3) m, body-fixed, for each of these, in the order of its ids."""
 
-    def __post_init__(self) -> None:
-        assign(self, true_ties=frozen(self.true_ties, "simulated strip, true ties", (len(self.ties.ids), 3)))
+    @classmethod
+    def of_steps(cls, settings: StripSettings, seed: int, steps: tuple[Step, ...]) -> "SimulatedStrip":
+        """The strip that steps make up."""
+        return cls(
+            settings, seed, steps, merged_ties([step.ties for step in steps]),
+            np.concatenate([step.true_ties for step in steps]),
+            merged_profiles([step.laser for step in steps if step.laser]),
+            tuple(step.true_footprints for step in steps if step.true_footprints.size),
+        )  # fmt: skip
 
     @property
     def images(self) -> tuple[PushbroomImage, ...]:
@@ -368,17 +352,21 @@ class SimulatedStrip(Record):
         """One per image: true orientation = nominal (+) correction."""
         return tuple(step.true for step in self.steps)
 
-    def addition(self, k: int) -> StripAddition:
-        """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip."""
+    def addition(self, k: int) -> tuple[PushbroomImage, TiePoints, LaserProfile | None]:
+        """What becomes possible when image `k` is added to images 0 .. k - 1; together these are the whole strip.
+
+        Shots of earlier images that it sees are named again as they were, but simultaneous with no image, so that their
+        ranges don't count twice.
+        """
         require(0 <= k < len(self.steps), "simulated strip, addition", f"image {k}", f"0 .. {len(self.steps) - 1}")
         step = self.steps[k]
-        return StripAddition(step.image, step.ties, step.laser)
+        return step.image, step.ties, step.laser
 
     def upto(self, count: int) -> "SimulatedStrip":
         """The strip as it was when only the first `count` images had been taken."""
         many = len(self.steps)
         require(1 <= count <= many, "simulated strip, upto", f"{count} images", f"1 .. {many}")
-        return _of_steps(self.settings, self.seed, self.steps[:count])
+        return SimulatedStrip.of_steps(self.settings, self.seed, self.steps[:count])
 
     def __repr__(self) -> str:
         shots = sum(len(laser.ids) for laser in self.lasers)
@@ -413,20 +401,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
     streams = np.random.default_rng(seed).spawn(settings.images)
     for image, rng in zip(_images(settings), streams, strict=True):
         steps.add(image, rng)
-    return _of_steps(settings, seed, tuple(steps.taken))
-
-
-def _of_steps(settings: StripSettings, seed: int, steps: tuple[Step, ...]) -> SimulatedStrip:
-    lasers = merged_profiles([step.laser for step in steps if step.laser])
-    return SimulatedStrip(
-        settings,
-        seed,
-        steps,
-        merged_ties([step.ties for step in steps]),
-        np.concatenate([step.true_ties for step in steps]),
-        lasers,
-        tuple(step.true_footprints for step in steps if step.true_footprints.size),
-    )
+    return SimulatedStrip.of_steps(settings, seed, tuple(steps.taken))
 
 
 def _images(settings: StripSettings) -> list[PushbroomImage]:

@@ -19,7 +19,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
 

@@ -32,11 +32,11 @@ from mgsgraph.network import Network
 from mgsgraph.simulation.hrsc_block import (
     BlockSettings,
     SimulatedBlock,
-    TerrainErrors,
     TrajectoryErrors,
     simulate_hrsc_block,
 )
 from mgsgraph.simulation.hrsc_flight import PointMatching
+from mgsgraph.simulation.observations import TerrainErrors
 
 SETTINGS = SolverSettings(reject=4.0)
 WRONG, HIGH = 7, 900.0

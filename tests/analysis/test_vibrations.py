@@ -15,8 +15,8 @@ from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.simulation.ctx import (
+    CONTROL,
     PIXEL,
-    ControlSettings,
     CtxSettings,
     JitterSettings,
     Look,
@@ -31,7 +31,7 @@ CALM = JitterSettings(pitch=0.0, roll=0.0)
 def case(
     look: Look = "across", jitter: JitterSettings = CALM, control: bool = False, seed: int = 11
 ) -> tuple[SimulatedCtxPair, Solution]:
-    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=ControlSettings() if control else None)
+    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=CONTROL if control else None)
     mine = simulate_ctx_pair(settings, seed)
     return mine, adjust_network(mine.network, SolverSettings(starts=0))
 

@@ -40,7 +40,7 @@ from mgsgraph.results.relief import (
     relief_statements,
     slopes_of,
 )
-from mgsgraph.simulation.demo.truth import (
+from mgsgraph.simulation.demo.demonstration import (
     BY_RELIEF,
     KERNELS,
     TIES,

@@ -30,7 +30,8 @@ from mgsgraph.results.two_steps import (
     two_steps_statements,
     write_two_steps,
 )
-from mgsgraph.simulation.hrsc_block import BlockSettings, TerrainErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.observations import TerrainErrors
 from mgsgraph.units import DEG, MGON
 
 TERRAIN = TerrainErrors(missing=0.02)

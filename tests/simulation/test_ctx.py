@@ -103,7 +103,7 @@ def test_terrain_model_is_as_wrong_as_its_sigmas_say() -> None:
     up = mine.true_points / np.linalg.norm(mine.true_points, axis=1, keepdims=True)
     east = np.cross([0.0, 0.0, 1.0], up)
     east /= np.linalg.norm(east, axis=1, keepdims=True)
-    moved = mine.true_points - mine.shift[0] * east - mine.shift[1] * np.cross(up, east)
+    moved = mine.true_points - mine.shifts[0, 0] * east - mine.shifts[0, 1] * np.cross(up, east)
     above, _ = surface.grid.height_above(moved)
     assert 5.0 < above.std() < 11.0  # posts of 10 m, averaged by the surface between them
     assert abs(above.mean()) < 2.0

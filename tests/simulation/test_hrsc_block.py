@@ -11,9 +11,9 @@ from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TerrainErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at
-from mgsgraph.simulation.observations import MARGIN
+from mgsgraph.simulation.observations import MARGIN, TerrainErrors
 from mgsgraph.units import DEG, MGON
 
 SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)

@@ -75,7 +75,7 @@ def test_every_image_is_measured_and_every_point_twice(archive: Archive, folder:
     assert set(ties.measure_image) == {archive.name(j) for j in range(len(archive))}
     case = read_case(folder / "case.toml")
     assert len(case.network.images) == len(archive)
-    np.testing.assert_allclose(case.network.priors[0].sigmas, archive.settings.prior.sigmas, rtol=1e-12)
+    np.testing.assert_allclose(case.network.priors[0].sigmas, archive.settings.noise.prior.sigmas, rtol=1e-12)
 
 
 def test_measures_are_the_truth_and_noise(folder: Path, images: list[PushbroomImage], archive: Archive) -> None:
@@ -86,13 +86,13 @@ def test_measures_are_the_truth_and_noise(folder: Path, images: list[PushbroomIm
     number = {image.name: j for j, image in enumerate(images)}
     measured = np.array([number[name] for name in ties.measure_image])
     off = ties.measures - pixels[measured, ties.measure_point]
-    assert_unit_variance((off / archive.settings.tie).ravel())
+    assert_unit_variance((off / archive.settings.noise.tie).ravel())
     shown = np.count_nonzero(np.isfinite(pixels[:, :, 0]))
     assert 0.99 * shown < measured.size <= shown
 
 
 def test_true_corrections_are_drawn_from_the_prior(archive: Archive) -> None:
-    assert_unit_variance((archive.corrections / archive.settings.prior.sigmas).ravel())
+    assert_unit_variance((archive.corrections / archive.settings.noise.prior.sigmas).ravel())
 
 
 def test_support_data_are_small_and_as_taken(archive: Archive, images: list[PushbroomImage], folder: Path) -> None:

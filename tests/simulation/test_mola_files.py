@@ -15,8 +15,9 @@ from mgsgraph.files.altimetry.binary import read_pedr
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.rasters.pictures import read_moc_pixels
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
-from mgsgraph.simulation.mgs_files import MocImageLabel, write_moc_image
+from mgsgraph.simulation.mgs_files import write_moc_image
 from mgsgraph.simulation.mola_files import PedrFrames, write_pedr
+from mgsgraph.simulation.sites import ImageSettings, site_settings
 from mgsgraph.units import DEG
 
 CM, MICRODEG = 1e-2, 1e-6 * DEG
@@ -180,10 +181,14 @@ def test_shots_with_gaps_or_wild_values_are_refused(tmp_path: Path) -> None:
 # --- MOC
 
 
-LABEL = MocImageLabel(
-    product_id="E02/00665", start_time="2001-03-08T12:52:54.00", stop_time="2001-03-08T12:53:08.62",
-    clock_start="668523185:17", exposure=1.4462e-3, crosstrack_summing=2, orbit=8933, rationale="Gusev",
+IMAGE = replace(
+    site_settings("gusev").images[0], name="E02-00665", exposure=1.4462e-3, downtrack_summing=1, crosstrack_summing=2,
+    edit_mode=0,
 )
+
+
+def write(path: Path, grey: np.ndarray, image: ImageSettings = IMAGE, rationale: str = "Gusev") -> None:
+    write_moc_image(path, image, "668523185:17", rationale, grey)
 
 
 def pixels(lines: int, samples: int) -> np.ndarray:
@@ -193,7 +198,7 @@ def pixels(lines: int, samples: int) -> np.ndarray:
 @pytest.mark.parametrize(("samples", "summing", "records"), [(1024, 2, 2), (672, 3, 4), (256, 8, 8)])
 def test_images_are_read_back(tmp_path: Path, samples: int, summing: int, records: int) -> None:
     path, grey = tmp_path / "E0200665.img", pixels(33, samples)
-    write_moc_image(path, replace(LABEL, crosstrack_summing=summing), grey)
+    write(path, grey, replace(IMAGE, crosstrack_summing=summing))
     assert path.stat().st_size == (33 + records) * samples
     label = read_line_scan_label(path)
     assert (label.camera.name, label.product, label.start) == ("MGS MOC-NA", "E02/00665", "668523185:17")
@@ -202,14 +207,14 @@ def test_images_are_read_back(tmp_path: Path, samples: int, summing: int, record
     np.testing.assert_array_equal(read_moc_pixels(path), grey)
     again = tmp_path / "again"
     again.mkdir()
-    write_moc_image(again / path.name, replace(LABEL, crosstrack_summing=summing), grey)
+    write(again / path.name, grey, replace(IMAGE, crosstrack_summing=summing))
     assert (again / path.name).read_bytes() == path.read_bytes()
 
 
 def test_label_is_laid_out_as_the_real_one(tmp_path: Path, shared_data: Path) -> None:
     """Same keywords in nearly the same places as M01/00115, same number of label records, blanks to the end."""
     real = (shared_data / "mgs_moc_pair" / "M0100115.img").read_bytes()[: 4 * 672]
-    write_moc_image(tmp_path / "M0100115.img", LABEL, pixels(4864, 672))
+    write(tmp_path / "M0100115.img", pixels(4864, 672))
     ours = (tmp_path / "M0100115.img").read_bytes()[: 4 * 672]
     keys = [re.findall(rb"^(\^?\w+) ?=", text, re.MULTILINE) for text in (ours, real)]
     assert keys[0] == keys[1]
@@ -235,7 +240,7 @@ def test_checksum_rule_is_the_archive_s(shared_data: Path) -> None:
 
 
 def test_checksum_follows_the_rule(tmp_path: Path) -> None:
-    write_moc_image(tmp_path / "x.img", LABEL, pixels(20, 1024))
+    write(tmp_path / "x.img", pixels(20, 1024))
     stated, found = _checksum((tmp_path / "x.img").read_bytes())
     assert stated == found
 
@@ -243,9 +248,9 @@ def test_checksum_follows_the_rule(tmp_path: Path) -> None:
 def test_what_is_no_picture_is_refused(tmp_path: Path) -> None:
     for wrong in (np.zeros((3, 4)), np.zeros((3, 4, 1), dtype=np.uint8), np.zeros((0, 4), dtype=np.uint8)):
         with pytest.raises(InputError, match=r"expected \(lines, samples\) of uint8"):
-            write_moc_image(tmp_path / "x.img", LABEL, wrong)
+            write(tmp_path / "x.img", wrong)
     with pytest.raises(InputError, match="quotation marks"):
-        write_moc_image(tmp_path / "x.img", replace(LABEL, rationale='a "b"'), pixels(3, 1024))
+        write(tmp_path / "x.img", pixels(3, 1024), rationale='a "b"')
     with pytest.raises(InputError, match="can't be written"):
-        write_moc_image(tmp_path / "nowhere" / "x.img", LABEL, pixels(3, 1024))
+        write(tmp_path / "nowhere" / "x.img", pixels(3, 1024))
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.network import PointClass
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
@@ -193,7 +193,7 @@ def test_additions_are_the_whole(strip: SimulatedStrip) -> None:
     ties, shots, ranges = dict[tuple[str, str], tuple[float, float]](), {}, []
     known: set[str] = set()
     for k, image in enumerate(strip.images):
-        added = strip.addition(k)
+        added = strip.steps[k]
         assert added.image is image
         rows, fired = of_ties(added.ties), of_laser(added.laser) if added.laser else {}
         there = {one.name for one in strip.images[: k + 1]}
@@ -219,7 +219,7 @@ def test_additions_are_the_whole(strip: SimulatedStrip) -> None:
 def test_new_ties_are_seen_by_the_new_image_and_one_before(strip: SimulatedStrip) -> None:
     known: set[str] = set()
     for k in range(1, 7):
-        added = strip.addition(k)
+        added = strip.steps[k]
         images: dict[str, set[str]] = {}
         for point, image in of_ties(added.ties):
             images.setdefault(point, set()).add(image)
@@ -237,7 +237,7 @@ def test_known_shots_come_again_as_they_were_and_without_a_range_that_counts(str
     }
     again = 0
     for k in range(7):
-        laser = strip.addition(k).laser
+        laser = strip.steps[k].laser
         assert laser is not None
         for i, name in enumerate(laser.ids):
             assert given[name] == (laser.times[i], laser.ranges[i], *laser.footprints[i])

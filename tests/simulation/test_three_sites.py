@@ -7,7 +7,7 @@ import pytest
 
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.geometry.body import planetocentric
-from mgsgraph.simulation.demo.truth import nees
+from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_three_sites
 from mgsgraph.simulation.site import (
     BRIDGE,

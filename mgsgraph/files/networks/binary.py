@@ -29,7 +29,7 @@ from mgsgraph.files.networks.messages import (
     encoded,
     finite,
     message_class,
-    point_message,
+    points_content,
     read_point,
     second_versions,
 )
@@ -386,14 +386,7 @@ def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
     if not network.points:
         raise InputError(network.source or "network", "no control point", "some to write")
-    parts = list[bytes]()
-    for index, point in enumerate(network.points):
-        try:
-            message = point_message(point).SerializeToString()
-        except InputError as error:
-            raise error.within(network.where(index)) from None
-        parts += (_SIZE.pack(len(message)), message)
-    points, measures = b"".join(parts), sum(len(point.measures) for point in network.points)
+    points, measures = points_content(network.points, network.where), sum(len(one.measures) for one in network.points)
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))
     return b"".join((label, header, points))

@@ -14,7 +14,7 @@ with the keyword of ISIS's PVL; what is not there reads as UNSET or NULL. Left o
 values of log entries, which ISIS neither writes nor reads, and the header's numPoints, which it doesn't write.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -257,6 +257,18 @@ def point_message(point: ControlPoint) -> Any:
         for axis, value in zip("xyz", place or (None,) * 3, strict=True)
     }
     return _message(point, "Point", places, measures=measures)
+
+
+def points_content(points: Iterable[ControlPoint], where: Callable[[int], str] = "point {}".format) -> bytes:
+    """Points one after the other as they lie in the file; `where` names one by its number in what is refused."""
+    parts = list[bytes]()
+    for index, point in enumerate(points):
+        try:
+            message = point_message(point).SerializeToString()
+        except InputError as error:
+            raise error.within(where(index)) from None
+        parts += (len(message).to_bytes(4, "little"), message)
+    return b"".join(parts)
 
 
 def _message(record: Any, kind: str, others: dict[str, Any] | None = None, **inner: Any) -> Any:

@@ -17,30 +17,26 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import PointClass
-from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.minima import ReliefRegistration
 from mgsgraph.results.registration import discrepancy_json, write_registration_into
 from mgsgraph.results.relief import write_coregistration_into
 from mgsgraph.results.results import write_into
 from mgsgraph.simulation.demo.demonstration import (
+    BY_RELIEF,
     DRAWING,
     INPUTS,
+    KERNELS,
     PAIR,
+    TIES,
     Demonstration,
     demonstrate,
     demonstrate_pair,
-    true_points,
-)
-from mgsgraph.simulation.demo.truth import (
-    BY_RELIEF,
-    KERNELS,
-    TIES,
-    BeforeAfter,
     disagreement_table,
     overall,
     pair_statements,
     point_errors,
     point_statements,
+    true_points,
 )
 from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.mgs_files import grid_file
@@ -101,9 +97,8 @@ def _as_list(sentences: Sequence[str]) -> list[str]:
 
 
 def tables(demo: Demonstration) -> tuple[Table, ...]:
-    """What was put in; disagreements of MOLA and MOC; what is left of the images' errors, and of all shifts."""
-    apart = disagreement_table(demo.disagreements)
-    return put_in_table(demo.simulated), apart, orientation_table(demo), shifts_table(demo)
+    """What was put in; disagreements of MOLA and MOC; and of all shifts, true and found."""
+    return put_in_table(demo.simulated), disagreement_table(demo.disagreements), shifts_table(demo)
 
 
 def put_in_table(simulated: SimulatedSite) -> Table:
@@ -121,31 +116,6 @@ def put_in_table(simulated: SimulatedSite) -> Table:
         Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
         Column("shift_{}", np.array([image.profile.shift for image in images]), "m", "of all its footprints",
                ("east", "north"), label="shift (m)", text=">+7.1f"),
-    ))  # fmt: skip
-
-
-def orientation_table(demo: Demonstration) -> Table:
-    """By how much the orientation of each image misplaces the ground under the footprints, mean along and across."""
-    found = [
-        [pair for pair in demo.orientation if pair.after.image == image.name]
-        for image in demo.solution.network.images
-    ]
-    found = [pairs for pairs in found if pairs]
-    ways = ("along", "across")
-
-    def means(of: Callable[[BeforeAfter], Misregistration], what: str) -> Array:
-        return np.array([_pooled([of(pair) for pair in pairs], what).mean(axis=0) for pairs in found]).reshape(-1, 2)
-
-    return Table("orientation", "Truth: by how much each image misplaces the ground (ties don't see what all share)", (
-        Column("image", [pairs[0].after.image for pairs in found], text="<10"),
-        Column("before_{}", means(lambda pair: pair.before, "metres"), "m", "by the kernels", ways,
-               label="kernels (m)", text=">+8.1f"),
-        Column("after_{}", means(lambda pair: pair.after, "metres"), "m", "adjusted", ways, label="adjusted (m)",
-               text=">+8.1f", gap=2),
-        Column("sigma_{}", means(lambda pair: pair.after, "metre_sigmas"), "m", "predicted", ways,
-               label="predicted sigma (m)", text=">8.1f", gap=2),
-        Column("largest_sigmas_{}", np.array([largest_sigmas_off(pairs) for pairs in found]).reshape(-1, 2), "",
-               "largest error in predicted sigmas", ways, label="largest (sigmas)", text=">8.1f", gap=2),
     ))  # fmt: skip
 
 
@@ -187,17 +157,6 @@ def demo_statements(demo: Demonstration) -> list[str]:
     return [headline(demo), *point_statements(demo.solution, true_points(demo))]
 
 
-def largest_sigmas_off(pairs: Sequence[BeforeAfter]) -> tuple[float, float]:
-    """Largest error along and across the flight, in predicted sigmas."""
-    along, across = np.concatenate([np.abs(pair.sigmas_off) for pair in pairs]).max(axis=0).tolist()
-    return along, across
-
-
-def _pooled(found: Sequence[Misregistration], name: str) -> Array:
-    """One of the (k, 2) arrays of several profiles as one."""
-    return np.concatenate([getattr(one, name) for one in found])
-
-
 # --- summary.json
 
 
@@ -213,7 +172,6 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         "sigma0": solution.sigma0,
         "truth": {
             "counting": "projected minus true places; along and across the flight; sigmas are predicted ones",
-            "orientation": [_before_after(pair) for pair in demo.orientation],
             "footprints": [
                 {"state": one.state, "profile": one.profile, **discrepancy_json(one.found)}
                 for one in demo.disagreements
@@ -221,7 +179,7 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         },
         "orientation": [_orientation(demo, j) for j in range(len(solution.network.images))],
         "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
-        **{one.name: one.records() for one in tables(demo) if one.name != "orientation"},
+        **{one.name: one.records() for one in tables(demo)},
         "points": {
             one.name.lower(): dict(zip(("rms_before_m", "rms_after_m", "nees_per_freedom"), errors, strict=True))
             for one in (PointClass.TIE, PointClass.LASER)
@@ -230,17 +188,6 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         "seconds": demo.stages.seconds,
         "statements": demo_statements(demo),
     })
-    return record
-
-
-def _before_after(pair: BeforeAfter) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        "profile": pair.profile,
-        "before": discrepancy_json(pair.before),
-        "after": discrepancy_json(pair.after),
-    }
-    if pair.after.shots.size and np.all(pair.after.pixel_sigmas > 0.0):
-        record |= dict(zip(("largest_sigmas_along", "largest_sigmas_across"), largest_sigmas_off([pair]), strict=True))
     return record
 
 
