@@ -82,6 +82,7 @@ def main() -> None:
     guard_streams()
     try:
         _require_memory()
+        _require_threads()
         _require_text((os.getcwd(), *sys.argv[1:]))
         status = group(standalone_mode=False)
         _end_of_signals()  # all is written, only the interpreter's end is left
@@ -134,6 +135,12 @@ def _require_memory() -> None:
     if limit != resource.RLIM_INFINITY and limit < _LEAST:
         raise MgsgraphError(f"{limit / 1e6:.0f} MB of memory for a process (ulimit -v); expected {_LEAST / 1e6:.0f} MB "
                             "at least; raise the limit")  # fmt: skip
+
+
+def _require_threads() -> None:
+    """Raise MgsgraphError for a number of threads that numba can't take."""
+    if (wanted := os.environ.get("NUMBA_NUM_THREADS", "1")).lstrip("-").isdecimal() and int(wanted) < 1:
+        raise MgsgraphError(f"NUMBA_NUM_THREADS: {wanted}; expected 1 or more; set another, or none")
 
 
 def _require_text(words: Iterable[str]) -> None:

@@ -61,7 +61,7 @@ def demo(
     from mgsgraph.case.reading import Case
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
-    from mgsgraph.files.output.folders import fresh_folder
+    from mgsgraph.files.output.folders import DEMO, fresh_folder
     from mgsgraph.simulation.demo.demonstration import DEMONSTRATED, STAGES, simulation_options
     from mgsgraph.simulation.demo.summary import write_demo
 
@@ -70,7 +70,7 @@ def demo(
             return run(case, bar)
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
-    with fresh_folder(out) as folder, stage_bar(len(STAGES)) as stages:
+    with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
         solution, closing = write_demo(site, folder, seed, options, adjusting, stages, not no_figures, not no_relief)
     print_solution(solution)
     click.echo("\nWhat was wrong, and what is right now")
@@ -258,7 +258,7 @@ def _match(
 
     require_replaceable(out, MATCH)
     name, scene = read_scene(case, height, height_sigma)
-    with _interruptible("tiles that are done are kept"), counting_bars() as show:
+    with counting_bars() as show:
         matches = match_into(name, scene, out, settings, workers, figures, show)
     print_sentences(match_statements(matches, scene))
     click.echo(f"The network is {out / 'network.pvl'}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import matched
 import numpy as np
 import pytest
+from click.exceptions import Abort
 from commands import call, run, run_afresh
 from increments import strip
 
@@ -108,42 +109,14 @@ def test_nodes_take_ties_too(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("mgsgraph.matching.patches._SIZE", 200)
-    on_tile, done = matching._on_tile, list[int]()
+def test_an_interrupted_run_leaves_nothing(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> object:
+        raise KeyboardInterrupt
 
-    def interrupted(*arguments: object) -> object:
-        if len(done) == 2:
-            raise KeyboardInterrupt
-        done.append(arguments[1].number)  # type: ignore[attr-defined]
-        return on_tile(*arguments)  # type: ignore[arg-type]
-
-    out = tmp_path / "out"
-    arguments = ("match", site, "--out", out, *FEW, "--workers", "1", "--step", "7")
-    with monkeypatch.context() as patch:
-        patch.setattr(matching, "_on_tile", interrupted)
-        assert call(*arguments) == 130
-    said = capsys.readouterr()
-    assert said.err.splitlines()[-1] == (
-        "mgsgraph: interrupted; tiles that are done are kept, the same command goes on"
-    )
-    assert not said.out
-    assert [path.name for path in tmp_path.iterdir()] == [".out.matching"]
-    assert len(list((tmp_path / ".out.matching").glob("*_tile_*.npz"))) == 2
-
-    again = list[int]()
-
-    def counted(*arguments: object) -> object:
-        again.append(arguments[1].number)  # type: ignore[attr-defined]
-        return on_tile(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(matching, "_on_tile", counted)
-    assert call(*arguments) == 0
-    assert again
-    assert not set(again) & set(done)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    monkeypatch.setattr(matching, "_on_tile", interrupted)
+    with pytest.raises((KeyboardInterrupt, Abort)):
+        call("match", site, "--out", tmp_path / "out", *FEW, "--workers", "1", "--step", "7")
+    assert not list(tmp_path.iterdir())
 
 
 # ---- bad input

@@ -24,9 +24,7 @@ def test_before_and_after_an_adjustment(mola_case: Path, tmp_path: Path) -> None
     assert set(record["orientations"]) == {"nominal", "adjusted"}
     assert [line[2:] for line in done.stdout.splitlines() if line.startswith("- ")] == record["statements"]
     assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
-    orientations = "nominal orientation", "adjusted orientation"
-    for said in ("fall in SIM/A", *orientations, "along and across the flight"):
-        assert said in done.stdout
+    assert "fall in SIM/A" in done.stdout
 
     again = run("register", mola_case, "--out", out, "--no-figures")  # an earlier registration is replaced
     assert again.returncode == 0, again.stderr

@@ -50,14 +50,13 @@ def test_from_a_case_to_the_page_and_the_map(case_file: Path, tmp_path: Path) ->
     done = run("adjust", case_file, "--two-steps", "--reject", "5", "-v", "--out", out)
     assert done.returncode == 0, done.stderr
     names = {path.name for path in out.iterdir()}
-    assert {f"two_steps.{kind}" for kind in ("txt", "json", "csv")} <= names
+    assert {f"two_steps.{kind}" for kind in ("json", "csv")} <= names
     assert {"heights.csv", "height_cells.csv", "height_map_1.png", "solution.npz"} <= names
     for said in ("step 1, no terrain", "step 2, terrain", "mgon", "smaller by"):
         assert said in done.stdout
     for said in ("step 1 of 2, without terrain", "step 2 of 2, with terrain"):
         assert said in done.stdout + done.stderr
-    page = (out / "two_steps.txt").read_text(encoding="utf-8")
-    assert done.stdout[done.stdout.index("Figures of merit") :].startswith(page[page.index("Figures of merit") :])
+    assert "Figures of merit" in done.stdout
     record = json.loads((out / "two_steps.json").read_text(encoding="utf-8"))
     assert record["program"] == "mgsgraph"
     assert all(one["converged"] for one in record["steps"])
@@ -101,4 +100,4 @@ def test_the_solution_outlives_its_merit(
     assert told.exit_code != 0
     assert json.loads((out / "solution.json").read_text(encoding="utf-8"))["program"] == "mgsgraph"
     assert (out / "solution.npz").exists()
-    assert not (out / "two_steps.txt").exists()
+    assert not (out / "two_steps.json").exists()

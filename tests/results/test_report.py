@@ -336,18 +336,6 @@ def test_every_figure_is_there_and_nothing_is_asked_for(browser: Any, page: Path
     assert {url for url in seen.asked if not url.startswith("data:")} == {page.as_uri()}
 
 
-def test_what_figures_say_can_be_selected(browser: Any, page: Path) -> None:
-    """Axes' labels are text, ids are there once, and what an id is asked for by is there."""
-    seen = Opened(browser, page, viewport={"width": 1280, "height": 800})
-    tab = seen.tab
-    tab.evaluate("getSelection().selectAllChildren(document.querySelector('figure[data-name=map]'))")
-    assert "km east of longitude" in tab.evaluate("getSelection().toString()")
-    ids = tab.evaluate("[...document.querySelectorAll('.drawing [id]')].map(one => one.id)")
-    assert len(ids) == len(set(ids))
-    asked = tab.evaluate("[...document.querySelectorAll('.drawing use')].map(one => one.getAttribute('xlink:href'))")
-    assert {one.removeprefix("#") for one in asked} <= set(ids)
-
-
 @pytest.mark.parametrize(("width", "some"), [(380, True), (1280, False)])
 def test_what_is_wider_than_the_screen_says_so(browser: Any, page: Path, width: int, some: bool) -> None:
     tab = Opened(browser, page, viewport={"width": width, "height": 800}).tab

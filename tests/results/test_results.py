@@ -27,8 +27,7 @@ TABLES = ["solution.json", "points.csv", "orientation.csv", "residuals.csv", "co
 def make_result(folder: Path, text: str = "old") -> Path:
     folder.mkdir()
     (folder / "solution.json").write_text(json.dumps({"program": "mgsgraph", "text": text}))
-    (folder / "inputs").mkdir()
-    (folder / "inputs" / "file").write_text(text)
+    (folder / "points.csv").write_text(text)
     return folder
 
 
@@ -200,11 +199,22 @@ def test_a_folder_that_fills_meanwhile_is_left_alone(tmp_path: Path) -> None:
     assert everything(tmp_path) == {"out/thesis.tex": "years of work"}
 
 
+def test_a_demonstration_is_replaced_by_another_one_alone_and_no_file_among_its_inputs_is_lost(tmp_path: Path) -> None:
+    out = make_result(tmp_path / "out")
+    (out / "inputs").mkdir()
+    (out / "inputs" / "case.toml").write_text("")
+    assert_refused(out, "'inputs', too, which would be lost")
+    (out / "demo.json").write_text(json.dumps({"program": "mgsgraph", "files": ["inputs/case.toml"]}))
+    assert_refused(out, "another kind of result")
+    require_replaceable(out, "demo.json")
+    (out / "inputs" / "mine.toml").write_text("")
+    with pytest.raises(InputError, match=r"'inputs/mine\.toml', too, which would be lost"):
+        require_replaceable(out, "demo.json")
+
+
 def test_the_working_folder_is_not_pulled_away(tmp_path: Path) -> None:
-    inside = make_result(tmp_path / "out") / "inputs"
-    with working_in(inside):
-        for path in (Path(), Path("..")):
-            assert_refused(path, "the folder you are in")
+    with working_in(make_result(tmp_path / "out")):
+        assert_refused(Path(), "the folder you are in")
     with working_in(tmp_path):
         require_replaceable(Path("out"))
 

@@ -38,10 +38,13 @@ EXPORT = "export.json"
 COREGISTRATION = "coregistration.json"
 """Record of a registration by relief, beside the solution that makes the folder a result."""
 
-_KINDS = (RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, COMPARISON, EXPORT)
+DEMO = "demo.json"
+"""File that makes a folder a demonstration by this program, results and all; it names the files of its case."""
+
+_KINDS = (DEMO, RECORD, REGISTRATION, PLAN, ANALYSIS, NODES, MATCH, DEM, COMPARISON, EXPORT)
 """The first of these in a folder says of what kind its results are."""
 TABLES = (
-    RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
+    DEMO, RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
     "residuals.parquet", "connectivity.csv",
     "shared.csv", "passes.csv", "drivers.csv", "report.html",
     "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
@@ -66,10 +69,8 @@ FIGURES = (
 """Kinds of figures, .png, numbered where there are several (registration_1); earlier versions wrote .svg, and
 overviews, too.
 """
-_INPUTS = "inputs"
-"""Folder that a demonstration keeps its case in."""
 _OURS = re.compile(
-    "|".join(map(re.escape, (*TABLES, _INPUTS)))
+    "|".join(map(re.escape, TABLES))
     + rf"|({'|'.join(FIGURES)})(_\d+)?\.(png|svg)"
     + r"|sigmas_[A-Za-z0-9._-]+\.(csv|png|svg)"  # of one image, whose name is in it
 )
@@ -160,7 +161,7 @@ def _warn_of_unrelated_files(folder: Path, record: str) -> None:
 
 
 def _unrelated_files(folder: Path) -> list[str]:
-    """Names in a folder of ours that no result has, in order; in folders of an export, too."""
+    """Names in a folder of ours that no result has, in order; in folders of an export and a demonstration, too."""
     listed = _listed(folder)
     folders = {name.split("/")[0] for name in listed if "/" in name}
     names = {entry.name for entry in folder.iterdir() if not _OURS.fullmatch(entry.name)}
@@ -169,9 +170,12 @@ def _unrelated_files(folder: Path) -> list[str]:
 
 
 def _listed(folder: Path) -> set[str]:
-    """Names that an export says it has made, in folders of it too."""
-    names = _record(folder / EXPORT).get("files")
-    return {EXPORT, *map(str, names)} if isinstance(names, list) else set()
+    """Names that an export or a demonstration says it has made, in folders of it too."""
+    found = set[str]()
+    for record in (EXPORT, DEMO):
+        names = _record(folder / record).get("files")
+        found |= {record, *map(str, names)} if isinstance(names, list) else set()
+    return found
 
 
 def _kind(folder: Path) -> str | None:

@@ -29,6 +29,8 @@ from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Positio
 from mgsgraph.units import MM
 
 _HIGHEST, _HIGHEST_OF_PLATFORM_0 = 8, 4
+_HALVINGS = 16
+"""Of the time between two samples, at the most."""
 _MOST = 200_000
 """Samples; those of a WorldView image that jitter_solve has bent are 180,000."""
 _NORMS = 0.5, 2.0
@@ -238,18 +240,24 @@ def _dense(
     samples: _EvenTable, made: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
     edges: Array, where: str,
 ) -> Table:  # fmt: skip
-    """A table at so many times in each step that its own interpolation is near enough to usgscsm's while the image is
-    taken, between its edges (2,); just before and after each sample, for a path may turn sharply there.
+    """A table at the samples, and at as many times between them as its own interpolation needs to be near enough to
+    usgscsm's while the image is taken, between its edges (2,). It begins just before and after each sample, for a path
+    may turn sharply there.
     """
-    steps, pixels, parts = np.arange(len(samples.nodes) - 1)[:, None], np.full(1, np.inf), 1
-    while parts * steps.size <= _MOST:
-        times = samples.times(steps + np.linspace(_CORNER, 1.0 - _CORNER, parts + 1)).ravel()
-        table, between = made(samples, times), (times[:-1, None] + np.diff(times)[:, None] * _BETWEEN).ravel()
-        pixels = off(table, between[(between > edges[0]) & (between < edges[1])])
-        if pixels.max(initial=0.0) <= _TOLERANCE:
+    times = samples.times(np.arange(len(samples.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
+    pixels = np.zeros(0)
+    for _ in range(_HALVINGS):
+        table = made(samples, times)
+        inside = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
+        between = times[inside, None] + np.diff(times)[inside, None] * _BETWEEN
+        pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)
+        poor = inside[~(pixels <= _TOLERANCE)]
+        if not poor.size:
             return table
-        parts *= 2
-    found = f"{pixels.max(initial=0.0):.2g} pixels lost by interpolation, as dense as samples may be"
+        times = np.sort(np.concatenate([times, 0.5 * (times[poor] + times[poor + 1])]))
+        if times.size > _MOST:
+            break
+    found = f"{pixels.max():.2g} pixels lost by interpolation, as dense as samples may be"
     raise InputError(where, found, f"a path smooth enough to lose less than {_TOLERANCE:g}")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import PLACES
 from mgsgraph.case.reading import Case
-from mgsgraph.files.output.folders import PROGRAM
+from mgsgraph.files.output.folders import DEMO, PROGRAM
 from mgsgraph.files.output.table import Column, Table, plain, write_json
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
@@ -68,6 +68,7 @@ def write_demo(
         pair, solution = demonstrate_pair(inputs, seed, adjusting, stages)
         with stages.stage(DRAWING):
             write_into(solution, folder, figures)
+        _write_record(folder)
         return solution, _as_list(pair_statements(solution, pair))
     demo = demonstrate(site, inputs, seed, options, adjusting, stages, relief)
     with stages.stage(DRAWING):
@@ -78,7 +79,14 @@ def write_demo(
         write_registration_into(demo.registration, folder, figures)
         disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
     write_json(folder / SUMMARY, summary_json(demo))
+    _write_record(folder)
     return demo.solution, closing_lines(demo)
+
+
+def _write_record(folder: Path) -> None:
+    """Name the files of the case, so that no other file among them is lost when the demonstration is made anew."""
+    files = sorted(path.relative_to(folder).as_posix() for path in (folder / INPUTS).rglob("*") if path.is_file())
+    write_json(folder / DEMO, {"program": PROGRAM, "format": FORMAT, "files": files})
 
 
 def closing_lines(demo: Demonstration) -> list[str]:
