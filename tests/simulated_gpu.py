@@ -144,9 +144,10 @@ def _odd(name: str, line: str) -> dict[str, float]:
 
 
 def _any_columns(line: str) -> dict[str, float]:
-    from factors.test_bundle import with_any_columns
+    sys.path.append(str(Path(__file__).parent / "factors"))  # `factors` itself is the package
     from normals import pack, take_apart
     from odd_networks import made
+    from test_bundle import with_any_columns
 
     now = made("shifts and terrain", line)
     variables, points = now.layout.variables, take_apart(now.layout, now.rows)

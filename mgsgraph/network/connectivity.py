@@ -16,28 +16,35 @@ from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import KM
 
 if TYPE_CHECKING:
+    from scipy.sparse import coo_array
+
     from mgsgraph.geometry.footprint import Footprint
+
+
+def _graph(nodes: int, edges: Index, weights: Array) -> "coo_array":
+    """Edges (p, 2) with weights (p,)."""
+    from scipy.sparse import coo_array  # slow to import
+
+    one, other = np.asarray(edges, dtype=np.int32).reshape(-1, 2).T  # older csgraph takes no others
+    return coo_array((weights, (one, other)), (nodes, nodes))
 
 
 def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
     """Images that pairs (p, 2) join, largest group first, then by their first image."""
-    from scipy.sparse import coo_array  # slow to import
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.csgraph import connected_components  # slow to import
 
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (images, images))
-    number = connected_components(links, directed=False)[1]
+    number = connected_components(_graph(images, pairs, np.ones(len(pairs))), directed=False)[1]
     found = np.split(np.argsort(number, kind="stable"), np.flatnonzero(np.diff(np.sort(number))) + 1)
     return sorted(map(tuple, map(np.ndarray.tolist, sorted(found, key=lambda one: one[0]))), key=len, reverse=True)
 
 
 def spine(images: int, pairs: Index, points: Index) -> Index:
     """Rows of the maximum spanning tree of each island by common points, weakest first."""
-    from scipy.sparse import coo_array  # slow to import
-    from scipy.sparse.csgraph import minimum_spanning_tree
+    from scipy.sparse.csgraph import minimum_spanning_tree  # slow to import
 
     rows = np.argsort(-points, kind="stable")
     rows = rows[points[rows] > 0]
-    ranks = coo_array((np.arange(1.0, rows.size + 1.0), tuple(pairs[rows].T)), (images, images))
+    ranks = _graph(images, pairs[rows], np.arange(1.0, rows.size + 1.0))
     return rows[np.sort(minimum_spanning_tree(ranks).data).astype(np.int64)[::-1] - 1]
 
 
@@ -47,8 +54,7 @@ def bridges(images: int, pairs: Index, linked: Mask, tree: Index) -> Mask:
     Every other link marks both its images with one random number. The exclusive or of all marks in a branch of the tree
     is that of the links that lead out of it: zero where there are none.
     """
-    from scipy.sparse import coo_array  # slow to import
-    from scipy.sparse.csgraph import breadth_first_order
+    from scipy.sparse.csgraph import breadth_first_order  # slow to import
 
     marks = np.where(linked, np.random.default_rng(0).integers(1, 2**63, len(pairs)), 0)
     marks[tree] = 0
@@ -57,8 +63,7 @@ def bridges(images: int, pairs: Index, linked: Mask, tree: Index) -> Mask:
         np.bitwise_xor.at(branch, side, marks)
     roots = [(one[0], images) for one in groups(images, pairs[tree])]  # of all islands in one tree
     edges = np.concatenate([pairs[tree], roots])
-    joined = coo_array((np.ones(len(edges)), tuple(edges.T)), (images + 1, images + 1))
-    order, parent = breadth_first_order(joined, images, directed=False)
+    order, parent = breadth_first_order(_graph(images + 1, edges, np.ones(len(edges))), images, directed=False)
     for image in order[:0:-1].tolist():
         branch[parent[image]] ^= branch[image]
     found = np.zeros(len(pairs), dtype=bool)

@@ -159,7 +159,7 @@ def test_names_with_html_do_nothing(browser: Any, tmp_path: Path) -> None:
     points = replace(network.points, ids=ids)
     trapped = replace(network, images=images, points=points, shifts=None)
     with Project.create(tmp_path / "project", TRAP, ProjectSettings()) as project:
-        new = [NewImage(KnownImage(image, prior), ()) for image, prior in zip(images, network.priors, strict=True)]
+        new = [NewImage(KnownImage(image, prior)) for image, prior in zip(images, network.priors, strict=True)]
         put_in(project.store, Addition(tuple(new), trapped))
         project.record("init", TRAP, {})
     command("solve", tmp_path / "project", "--no-figures")
