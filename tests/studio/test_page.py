@@ -292,7 +292,7 @@ def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, t
 
     E02's places are those of the crop.
     """
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
     try:
         import match_moc_pair as script
     finally:
@@ -328,10 +328,10 @@ def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, t
     picture = _picture(folder / "E0201461.tif", window.pixels)
     project = folder / "project"
     with Project.create(project, "MOC pair", ProjectSettings()) as made:
-        images = (NewImage(known[0], (cube,), picture), NewImage(known[1], (plain,), plain))
+        images = (NewImage(known[0], picture), NewImage(known[1], plain))
         put_in(made.store, Addition(images, network))
         for one in images:
-            made.add_sources(one.known.image.name, one.files, one.picture)
+            made.take_picture(one.known.image.name, one.picture)
         made.record("init", "the MOC pair", {})
     with open_project(project, write=True) as opened:
         solve(opened, figures=False)
