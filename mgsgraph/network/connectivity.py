@@ -25,8 +25,8 @@ def _graph(nodes: int, edges: Index, weights: Array) -> "coo_array":
     """Edges (p, 2) with weights (p,)."""
     from scipy.sparse import coo_array  # slow to import
 
-    one, other = np.asarray(edges, dtype=np.int32).reshape(-1, 2).T  # older csgraph takes no others
-    return coo_array((weights, (one, other)), (nodes, nodes))
+    # older versions of csgraph take no other indices than of 32 bits
+    return coo_array((weights, tuple(np.asarray(edges, dtype=np.int32).reshape(-1, 2).T)), (nodes, nodes))
 
 
 def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
