@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 KEPT = Path(__file__).resolve().parents[1] / "tests" / "durations.json"
-LEAST = 1e-4
+LEAST = 5e-4
 """Share below which a test is not kept."""
 GROWN, FACTOR = 1e-3, 1.5
 """By what share, and how many times, one has grown that is named."""
