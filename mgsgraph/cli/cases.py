@@ -206,13 +206,11 @@ def campaign(
     help="Share of the points with three rays or more of which one ray is held out.",
 )  # fmt: skip
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the draw of these rays.")
-@click.option("--densify", is_flag=True, hidden=True)
-@click.option("--no-figures", is_flag=True, hidden=True)
 @click.option("--out", type=PATH, help="Folder for nodes.json and its table; made anew.")
 @TIES
 def nodes(
     case: Path, spacings: str, hold_out: float, seed: int, out: Path | None,
-    ties: Path | None, densify: bool, no_figures: bool,
+    ties: Path | None,
 ) -> None:
     """Adjust CASE (a TOML file with [[passes]]) with orientation images at several spacings, without some of its rays,
     and choose the coarsest that predicts these no worse than the best one. (Vibrations: `mgsgraph analyze`.)
@@ -225,10 +223,6 @@ def nodes(
     from mgsgraph.files.output.folders import NODES, require_replaceable
     from mgsgraph.results.spacing import nodes_section, seconds_of
 
-    if densify:
-        raise click.UsageError("--densify is gone: give closer --spacings, of which rays held out choose one")
-    if no_figures:
-        raise click.UsageError("--no-figures is gone: nodes draws none")
     wanted = seconds_of(spacings)
     if out is not None:
         require_replaceable(out, NODES)

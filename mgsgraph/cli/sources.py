@@ -22,12 +22,12 @@ _OUT_MISSING = "Missing option '--out'"
 
 
 @contextmanager
-def _interruptible(kept: str) -> Iterator[None]:
-    """Say what an interrupted run has kept, and exit with 130."""
+def _resumable() -> Iterator[None]:
+    """Say that an interrupted run has kept what has come, and exit with 130."""
     try:
         yield
     except KeyboardInterrupt:
-        click.echo(f"mgsgraph: interrupted; {kept}, the same command goes on", err=True)
+        click.echo("mgsgraph: interrupted; what has come is kept, the same command goes on", err=True)
         raise click.exceptions.Exit(130) from None
 
 
@@ -174,11 +174,11 @@ def fetch(
 
     archives = Archives.chosen(mirror)
     if altimeter is not None and box is not None:
-        with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
+        with _resumable(), counting_bar("fetching", "B") as show:
             table = fetch_shots(altimeter, box, out, archives=archives, progress=show, say=passing_word)
         click.echo(f"The shots are in {table}")
         return
-    with _interruptible("what has come is kept"), counting_bar("fetching", "B") as show:
+    with _resumable(), counting_bar("fetching", "B") as show:
         fetched = fetch_images(
             images, out, terrain=terrain, archives=archives, volumes=volumes, progress=show, say=passing_word
         )

@@ -9,10 +9,10 @@ Hirschmueller, H. (2008): Stereo processing by semiglobal matching and mutual in
 with Birchfield & Tomasi's cost of horizontal gradients, to which other brightness and contrast don't matter.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -299,29 +299,6 @@ def owned(links: Links, tile: Tile) -> Links:
     kept = links.links[mine]
     used, numbered = np.unique(kept, return_inverse=True)
     return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[mine])
-
-
-class TileStore(Protocol):
-    """Arrays by name, kept from one run to the next with the same inputs and choices."""
-
-    def load(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """Arrays that were kept under a name; None where there are none."""
-        ...
-
-    def keep(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keep arrays under a name."""
-        ...
-
-
-def kept_links(store: TileStore | None, name: str, find: Callable[[], Links]) -> Links:
-    """Links that an earlier run kept under a name; else those that are found now, and kept."""
-    kept = store.load(name) if store else None
-    if kept is not None and kept.keys() == set(Links._fields):
-        return Links(**kept)
-    links = find()
-    if store:
-        store.keep(name, links._asdict())
-    return links
 
 
 # --- features

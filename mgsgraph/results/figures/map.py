@@ -91,6 +91,8 @@ class MapWindow:
     """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
+    noun: str = "point"
+    """What is drawn, for the caption."""
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
@@ -117,7 +119,7 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
 def points_window(
     about: tuple[str, Array, Array, dict[str, Array]], places: Array, values: Array, quantity: tuple[str, str],
     classes: Index, covariances: Array | None = None, moved: Array | None = None,
-    scale: tuple[float, float] | None = None,
+    scale: tuple[float, float] | None = None, noun: str = "point",
 ) -> MapWindow:  # fmt: skip
     """Points (n, 2), or cells of many, with a quantity (n,) and movements (n, 2); `about`: name, centre, places (k, 2)
     that the map holds, and outlines.
@@ -126,11 +128,11 @@ def points_window(
     box, scale = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]), scale or span(values)
     if len(places) <= MOST_MARKS:
         return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
-                         covariances, moved, None, 0.0)  # fmt: skip
+                         covariances, moved, None, 0.0, noun)  # fmt: skip
     middles, (cells, *ways) = cell_medians(box, places, values, *(() if moved is None else moved.T))
     arrows = np.column_stack([one.ravel() for one in ways]) if ways else None
     return MapWindow(name, centre, box, outlines, middles, cells, quantity, scale, len(places), None, None, arrows,
-                     None, 0.0)  # fmt: skip
+                     None, 0.0, noun)  # fmt: skip
 
 
 def outlines_of(solution: Solution, centre: Array, connected: Connectivity | None = None) -> dict[str, Array]:
@@ -319,14 +321,14 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     cells = int(np.isfinite(shown.values).sum())
     what = f"medians of {cells} cells" if shown.classes is None else "one by one"
     words = [
-        f"{shown.count} points, {what}, colored by {title} in {unit}. Colors end at the 2 % and 98 % quantiles of the "
-        f"block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
+        f"{many(shown.count, shown.noun)}, {what}, colored by {title} in {unit}. Colors end at the 2 % and 98 % quantiles "
+        f"of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
     ]
     if shown.covariances is not None:
         drawn = _some(shown.covariances).size
-        words.append(f"Error ellipses of {many(drawn, 'point')} hold 95 %, {factors[0]:g} times enlarged.")
+        words.append(f"Error ellipses of {many(drawn, shown.noun)} hold 95 %, {factors[0]:g} times enlarged.")
     if shown.moved is not None:
-        what = "cell" if shown.classes is None else "point"
+        what = "cell" if shown.classes is None else shown.noun
         of = many(_some(shown.moved).size, what)
         words.append(f"Movements of {of}, east and north, {factors[1]:g} times enlarged.")
     if shown.relief is not None:

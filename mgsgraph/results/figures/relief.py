@@ -224,16 +224,20 @@ def _profile_caption(one: ReliefProfile) -> str:
 
 
 def _map(registration: ReliefRegistration) -> Sheet:
-    """In the middle of each profile by how much it has to move onto the stereo surface: before an arrow, after a color
-    and an ellipse.
+    """On each profile by how much it has to move onto the stereo surface: before an arrow, after a color and an
+    ellipse; of neighbors at different parts of their tracks.
     """
     solution, profiles = registration.solution, registration.profiles
     centre = centre_of(solution.places)
-    middles = plane_coordinates(np.array([one.before.points[one.mine.size // 2] for one in profiles]), centre)
+    shares = 0.3 + 0.1 * (2 * np.arange(len(profiles)) % 5)
+    marked = [one.before.points[int(share * one.mine.size)] for one, share in zip(profiles, shares, strict=True)]
+    marks = plane_coordinates(np.array(marked), centre)
     before, after = (np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES)
     covariances = np.array([one.after.misplacement_covariance for one in profiles])
     outlines, classes = outlines_of(solution, centre), np.array([one.point_class for one in profiles])
-    about = registration.name, centre, np.concatenate([middles, *outlines.values()]), outlines
+    about = registration.name, centre, np.concatenate([marks, *outlines.values()]), outlines
     quantity = "misplacement after (arrows: before)", "m"
-    shown = points_window(about, middles, np.linalg.norm(after, axis=1), quantity, classes, covariances, before)
+    shown = points_window(
+        about, marks, np.linalg.norm(after, axis=1), quantity, classes, covariances, before, noun="profile"
+    )
     return replace(window_sheet(shown), name="shifts")
