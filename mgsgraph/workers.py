@@ -256,7 +256,7 @@ Count = Callable[[int, int], None]
 
 
 def no_progress(*_: object) -> None:
-    """Show nothing: the default of both kinds of callback."""
+    """Show nothing: the default of callbacks."""
 
 
 @dataclass(slots=True)

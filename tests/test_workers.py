@@ -43,9 +43,7 @@ def result(number: int) -> Callable[[], tuple[int, np.ndarray]]:
 
 
 @linux
-def test_results_come_in_the_order_of_the_tasks_from_other_processes(
-    children: Callable[[], set[str]],
-) -> None:
+def test_results_come_in_the_order_of_the_tasks_from_other_processes(children: Callable[[], set[str]]) -> None:
     with CALLED([result(k) for k in range(20)]) as found:
         got = found()
     assert [int(values[0]) for _, values in got] == list(range(20))
@@ -104,6 +102,7 @@ def test_an_interrupt_ends_the_workers(children: Callable[[], set[str]]) -> None
             assert len(children()) == 2
             signal.raise_signal(signal.SIGINT)
 
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background jobs ignore
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert not children()

@@ -35,11 +35,11 @@ from mgsgraph.adjustment.rounds import (
     Progress,
     Selection,
     Solved,
+    all_rows,
     determined_points,
-    everything,
     exactly,
     places_of_all,
-    settled,
+    relinearized,
     solve_in_rounds,
     without_weak,
 )
@@ -52,6 +52,7 @@ from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import require_observed_nodes
+from mgsgraph.workers import no_progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ def nominal_reduction(
 
     Raises PointBehindCamera, and WeakNetwork where nothing determines some direction of the orientation.
     """
-    wanted, nominal = left_in or everything(layout.network), np.zeros(layout.columns)
+    wanted, nominal = left_in or all_rows(layout.network), np.zeros(layout.columns)
     selection = wanted.without_stereo()
     before = BundleGraph(layout, selection.rows(layout), sweeper).reduction(nominal)
     strong = without_weak(layout, before, selection)
@@ -93,7 +94,7 @@ def nominal_reduction(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    layout, before = settled(layout, selection, before, own=True, sweeper=sweeper)
+    layout, before = relinearized(layout, selection, before, own=True, sweeper=sweeper)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 
@@ -221,7 +222,7 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
             "trends": trends}  # fmt: skip
 
 
-# --- residuals, and what drives an adjustment that is no result
+# --- residuals, and what drives an adjustment that failed the sanity checks
 
 
 def _misfit(
@@ -329,7 +330,7 @@ def adjust_network(
     network: Network,
     settings: SolverSettings | None = None,
     name: str = "adjustment",
-    progress: Progress = lambda _: None,
+    progress: Progress = no_progress,
     cluster: Connection | None = None,
     left_in: Selection | None = None,
     begin: Sequence[Array] | None = None,

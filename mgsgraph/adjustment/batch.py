@@ -349,15 +349,16 @@ def settled_minimum(
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome:
-    """Minimise a problem's cost, too rough near the optimum to tell one step from another, and settle (`settled`): from
-    where it hardly falls any more, or should steps not settle from there, from where it doesn't.
+    """Minimise a problem's cost, too rough near the optimum to tell one step from another, and take the final steps
+    (`with_final_steps`): from where it hardly falls any more, or should they not converge from there, from where it
+    doesn't.
     """
     early = replace(settings, cost_tolerance=max(settings.cost_tolerance, EARLY))
     found = levenberg_marquardt(problem, start, early, progress)
-    outcome = settled(problem, found, settings, progress)
+    outcome = with_final_steps(problem, found, settings, progress)
     if outcome.converged or not found.converged:
         return outcome
-    return settled(problem, _further(problem, found, settings, progress), settings, progress)
+    return with_final_steps(problem, _further(problem, found, settings, progress), settings, progress)
 
 
 def minimum(
@@ -375,7 +376,7 @@ def minimum(
     found = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
     if not found.slow:
         return found
-    outcome = settled(problem, found, _at_rest(problem, found.state, settings), progress)
+    outcome = with_final_steps(problem, found, _at_rest(problem, found.state, settings), progress)
     return outcome if outcome.converged else replace(_further(problem, found, settings, progress), slow=True)
 
 
@@ -394,7 +395,7 @@ def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> 
     return replace(settings, step_tolerance=max(settings.step_tolerance, min(rounding, 0.1)))
 
 
-def settled(
+def with_final_steps(
     problem: BundleProblem,
     found: Outcome,
     settings: SolverSettings,

@@ -318,11 +318,11 @@ class Search:
                 back[table[k, some]] = True
         for rows, table in _pieces(whole, mine, points[lost[points]]):
             there = table >= 0
-            returns = self._closing(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
+            returns = self._reinstated(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
             back[table[returns & out[table]]] = True
         return back
 
-    def _closing(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
+    def _reinstated(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
         """Which observations (m, slots) of lost points place them again: all, or all but one that is the blunder."""
         shared, unit = at.joint.of(rows.variables), np.where(there, units, 0.0).max(axis=1)
         omitted, tests = [-1, *np.flatnonzero(np.any(there, axis=0)).tolist()], list[Array]()

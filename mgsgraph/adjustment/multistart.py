@@ -35,6 +35,7 @@ from mgsgraph.kernel.rows import FIXED, NO_LOSS, OUT
 from mgsgraph.kernel.sweep import SYSTEM, Reduction
 from mgsgraph.network import TERRAIN, Network
 from mgsgraph.record import Record
+from mgsgraph.workers import no_progress
 
 STARTS = 16
 """Where none is said: some 220 m apart for an a-priori sigma of 200 m, half of MEGDR's spacing."""
@@ -170,7 +171,7 @@ def best_of_starts(
         if best.solved is solved or settings.reject == 0.0 or turn == _ROUNDS - 1:
             break
         begin, history = best.solved.orientation, best.solved.history
-        solved = solve_in_rounds(best.solved.layout, settings, solved.selection, before, _quietly, sweeper, begin)
+        solved = solve_in_rounds(best.solved.layout, settings, solved.selection, before, no_progress, sweeper, begin)
         solved = replace(solved, history=history + solved.history)
     found = _weighted(ends, best)
     minima = Minima(count, lost, tuple(_record(end, weight) for end, weight in found))
@@ -192,7 +193,7 @@ def _ends(
             home, one = _home(ends, state, cost), solved
             if home is None:
                 one = solve_in_rounds(
-                    solved.layout, replace(settings, reject=0.0), solved.selection, before, _quietly, sweeper, state
+                    solved.layout, replace(settings, reject=0.0), solved.selection, before, no_progress, sweeper, state
                 )
                 home = _home(ends, one.orientation, one.outcome.cost_final)
             if home is not None:
@@ -212,15 +213,11 @@ def _descended(ends: Sequence[_End], begin: Array, sweeper: Sweeper) -> tuple[Ar
     problem = BundleProblem(BundleGraph(first.layout, first.rows, sweeper))
     rough = replace(_ROUGH, step_tolerance=min(_ROUGH.step_tolerance * math.sqrt(ends[0].unit), 0.5))
     for _ in range(_TURNS):
-        found = levenberg_marquardt(problem, begin, rough, _quietly)
+        found = levenberg_marquardt(problem, begin, rough, no_progress)
         begin = found.state
         if found.converged or _home(ends, begin, found.cost_final) is not None:
             break
     return begin, found.cost_final
-
-
-def _quietly(_: object) -> None:
-    """No progress."""
 
 
 def _home(ends: Sequence[_End], state: Array, cost: float) -> int | None:
@@ -250,7 +247,7 @@ def _begins(end: _End, count: int, sweeper: Sweeper) -> Iterator[Array]:
         if math.isfinite(known.cost):
             # what can't be settled so begins where it is
             with suppress(MgsgraphError):
-                begin = levenberg_marquardt(HeldProblem(graph, held, known), begin, _ROUGH, _quietly).state
+                begin = levenberg_marquardt(HeldProblem(graph, held, known), begin, _ROUGH, no_progress).state
         yield begin
 
 

@@ -3,7 +3,7 @@ points are seen, so that every row is that of the true trajectory there.
 
 The kernel takes the pose from the line about which a ray is laid out, the measured one to begin with, to the predicted
 line by its rates. Over some lines that is right to 1e-9 of a line, but not across a sample of the attitude (where the
-rates jump), nor over a misfit of hundreds of lines. So rays are laid out anew about their predicted lines until
+rates jump), nor over a misfit of hundreds of lines. So rays are relinearized about their predicted lines until
 nothing moves. So are the slopes of detector lines, by which misplacements count in samples, where unknowns bend them.
 Heights above stereo surfaces are made linear about the state that counts in the same turns.
 """
@@ -40,7 +40,7 @@ to rounding everywhere else."""
 _MOST = 20
 """Times that points follow their lines, and lines their points."""
 _MOST_TURNS = 20
-"""Times that rays are laid out anew: two or three do it, more where a predicted line lies beside a sample at which the
+"""Times that rays are relinearized: two or three do it, more where a predicted line lies beside a sample at which the
 rates jump."""
 _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
@@ -98,9 +98,9 @@ Progress = Callable[[Iteration], None]
 _MOST_PASSES = 100
 """When blunders are sought: each takes something out, or back once."""
 _RESTING = 1e-4
-"""Posterior sigmas: where convergence is slow, rays are not laid out anew any more after a first step as short."""
+"""Posterior sigmas: where convergence is slow, rays are not relinearized any more after a first step as short."""
 _MOST_LAYOUTS = 60
-"""Times that rays are laid out anew in one pass."""
+"""Times that rays are relinearized in one pass."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +139,7 @@ class Selection:
         return layout.active(self.rays, self.ranges, out, self.stereo)
 
 
-def settled(
+def relinearized(
     layout: Layout, selection: Selection, reduction: Reduction, task: int = SYSTEM, own: bool = False,
     sweeper: Sweeper = IN_PROCESS,
 ) -> tuple[Layout, Reduction]:  # fmt: skip
@@ -155,7 +155,7 @@ def settled(
     return layout, reduction
 
 
-def everything(network: Network) -> Selection:
+def all_rows(network: Network) -> Selection:
     """All rows; points that nothing determines stay out."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points)
     rays, ranges, stereo = (np.ones(size, dtype=bool) for size in sizes)
@@ -164,7 +164,7 @@ def everything(network: Network) -> Selection:
 
 def unmarked(network: Network) -> Selection:
     """All rows but known blunders, as the network marks them."""
-    whole, rays, ranges = everything(network), network.rays.rejected, network.ranges.rejected
+    whole, rays, ranges = all_rows(network), network.rays.rejected, network.ranges.rejected
     assert rays is not None  # a network fills them in
     assert ranges is not None
     found = replace(whole, rays=~rays, ranges=~ranges)
@@ -401,7 +401,7 @@ def _least_squares(
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
     selection = solved.selection
-    whole = replace(everything(layout.network), out=selection.out)
+    whole = replace(all_rows(layout.network), out=selection.out)
     by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 

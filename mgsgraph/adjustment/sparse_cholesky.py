@@ -140,7 +140,7 @@ class SparseCholesky:
         flat = np.empty(sum(front.width * front.columns.size for front in fronts))
         for front, (upper, across) in zip(fronts, rows[::-1], strict=True):
             size = front.width * front.columns.size
-            _put_rows(upper, across, scales[front.columns], flat[at : at + size].reshape(front.width, -1))
+            _store_rows(upper, across, scales[front.columns], flat[at : at + size].reshape(front.width, -1))
             at += size
         return SquareRoot(
             self.first.copy(), self.width.copy(),
@@ -286,7 +286,7 @@ def _scale(flat, offset, shape, first, scales):
 
 
 @cached_kernel
-def _put_rows(upper, across, scales, target):
+def _store_rows(upper, across, scales, target):
     """Rows [R T] of a clique per m and rad, from those in units of `scales`; zeros below the diagonal of R.
 
     In squares that stay in the cache: what is read lies column by column, what is written row by row.

@@ -21,13 +21,14 @@ from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
-from mgsgraph.adjustment.rounds import Progress, Selection, determined_points, everything, settled
+from mgsgraph.adjustment.rounds import Progress, Selection, all_rows, determined_points, relinearized
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import TERRAIN, Network
+from mgsgraph.workers import no_progress
 
 
 class RaysAlone:
@@ -74,7 +75,7 @@ class RaysAlone:
     def _placed(self, orientation: Array) -> tuple[Layout, Array]:
         """Points (n, 3) where the unknowns put them, and the layout in whose order they are."""
         begin = BundleGraph(self._layout, self._selection.rows(self._layout)).reduction(orientation, COSTS)
-        layout, found = settled(self._layout, self._selection, begin, COSTS)
+        layout, found = relinearized(self._layout, self._selection, begin, COSTS)
         return layout, found.points
 
     def _whole(self, layout: Layout, values: Array) -> Array:
@@ -123,8 +124,8 @@ def adjust_in_two_steps(
     network: Network,
     settings: SolverSettings,
     name: str = "adjustment",
-    progress: Progress = lambda _: None,
-    announce: Announce = lambda _: None,
+    progress: Progress = no_progress,
+    announce: Announce = no_progress,
     cluster: Connection | None = None,
 ) -> TwoSteps:
     """Adjust a network without its terrain model, and then with it.
@@ -193,7 +194,7 @@ def without_heights(network: Network, off: Mask) -> Network:
 
 def selection_of(network: Network, free: Solution) -> Selection:
     """Rays and ranges that an adjustment without blunders (step 1) has left in."""
-    whole = everything(network)
+    whole = all_rows(network)
     rays = whole.rays if free.rays_rejected is None else ~free.rays_rejected
     ranges = whole.ranges if free.ranges_rejected is None else ~free.ranges_rejected
     stereo = whole.stereo if free.stereo_rejected is None else ~free.stereo_rejected

@@ -163,7 +163,7 @@ def _plainly(one: Component) -> str:
 
 _SENTENCES = {
     Judgement.FEW: "can't be judged ({one.redundancy:.1g} redundancy)",
-    Judgement.INSEPARABLE: "can't be told apart from {one.beside} (correlation {one.correlation:.2f}); "
+    Judgement.INSEPARABLE: "inseparable from {one.beside} (correlation {one.correlation:.2f}); "
     "{one.redundancy:.2g} redundancy",
     Judgement.ENTANGLED: "factor {one.factor:.2g}, known together with that of {one.beside} only (correlation "
     "{one.correlation:.2f}): errors of the one may be booked under the other",

@@ -216,7 +216,7 @@ class Redundancy:
 def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> Redundancy:
     """Redundancy of groups of rows at a solution; `dense` as `DENSE`."""
     sums = _Sums(at, len(grouping.names))
-    for rows, groups in _alike(at, grouping):
+    for rows, groups in _rows_by_group(at, grouping):
         sums.add(rows, groups)
     sums.close()
     known, size = prior_rows(at), len(grouping.names)
@@ -237,7 +237,7 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
     return Redundancy(grouping.names, counts, squares, redundancy, helmert, exact)
 
 
-def _alike(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
+def _rows_by_group(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
     """Rows of points that take part and whose rows belong to the same groups (r,)."""
     of_observation, rows = grouping.of_observations(at.layout), at.rows
     for piece, (pattern, first, count, _, among) in enumerate(rows.piece.tolist()):

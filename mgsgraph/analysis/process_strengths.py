@@ -46,6 +46,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.record import Record
+from mgsgraph.workers import no_progress
 
 Block = tuple[slice, Array]
 """Rows of a pass's component among all that are sought, and a covariance (k, k) of its nodes, m^2 or rad^2."""
@@ -284,7 +285,7 @@ def estimated_strengths(
     most: int = 15,
     tolerance: float = 0.01,
     name: str = "adjustment",
-    progress: Callable[[Iteration], None] = lambda _: None,
+    progress: Callable[[Iteration], None] = no_progress,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`.
 

@@ -11,13 +11,12 @@ freedom above, exceeding q / s^2 by chance with (1 + q / (s^2 v))^(-v/2), v from
 median. Of all frequencies the largest counts: those of a spectrum up to a frequency f exceed z = q / (2 s^2) at most as
 often as W sqrt(z) independent ones, W = f sqrt(4 pi var t) (Baluev 2008).
 
-A series is the residuals of one image's rays over time. Of a ray that lies off residuals show what its point doesn't
-follow, with orientation known (`ResidualRows.own`). In a stereo pair that is one half at right angles to the epipolar
-line, and nothing along it: there the point takes up all, as a height. Motions of the spacecraft look like turns.
+A series is one image's residuals over time: what points do not follow with orientation known (`ResidualRows.own`), in
+a stereo pair half across the epipolar line and nothing along it. Motions of the spacecraft look like turns.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
@@ -32,6 +31,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.record import Record
 from mgsgraph.text import some
+from mgsgraph.workers import Count, no_progress
 
 Turn = Literal["pitch", "roll", "yaw"]
 """What moves rays: along lines, along samples, along lines at the image's left and right edge the opposite way."""
@@ -430,7 +430,7 @@ class ResidualVibrations(Record):
 def residual_vibrations(
     of: Solution | Linearised,
     false_alarms: float = FALSE_ALARMS,
-    progress: Callable[[int, int], None] = lambda _done, _most: None,
+    progress: Count = no_progress,
 ) -> ResidualVibrations:
     """Search the residuals of all images for vibrations, of which a share of `false_alarms` of calm turns has one.
 

@@ -31,6 +31,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.sweep import point_covariances
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.corrections import LEAST, pass_rays, require_supported
+from mgsgraph.workers import no_progress
 
 _STRETCHES = 10
 """Stretches of time that a strip has at least, whose sums count as independent."""
@@ -224,7 +225,7 @@ def choose_spacing(
     share: float = 0.2,
     seed: int = 0,
     least: int = LEAST,
-    progress: Callable[[int, int], None] = lambda _done, _most: None,
+    progress: Callable[[int, int], None] = no_progress,
 ) -> Choice:
     """Adjust a network with each spacing of its strips' nodes, and judge them by rays held out.
 

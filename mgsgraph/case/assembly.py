@@ -94,7 +94,7 @@ def laser_profile(
     InputError
         Ranges that are not the distances from the image's trajectory, by their unit; an altimeter without sigmas.
     """
-    wanted = wanted.settled(taken.altimeter, taken.source)
+    wanted = wanted.with_sigmas_of(taken.altimeter, taken.source)
     assert wanted.range_sigma_m is not None
     assert wanted.ground_sigma_m is not None
     for image, mine in carriers:

@@ -172,7 +172,7 @@ def read_images(
     for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
         _require_of_pass(wanted, orientations, mine, f"{path}, passes[{k}]{f' ({entry.name})' if entry.name else ''}")
         if not entry.sorted_by_time:  # else which of them are one pass isn't known yet
-            found |= _together(wanted, mine, path)
+            found |= _strips_by_image(wanted, mine, path)
     for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
         if j not in found:
             found[j] = read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]")
@@ -206,7 +206,7 @@ def _require_of_pass(
             raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")
 
 
-def _together(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
+def _strips_by_image(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
     """HRSC images of a strip that are read alike, on one trajectory (the very record), by their number."""
     groups, folder = dict[tuple[object, ...], list[int]](), path.parent
     for j in mine:

@@ -74,7 +74,7 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
             left_out[path] = str(error)
             continue
         left_out.pop(path, None)
-        if (known := _twin(made, found)) is None:
+        if (known := _duplicate_of(made, found)) is None:
             taken_names = {one.name for one in found}
             found.append(made._replace(name=f"{path.parent.name}/{made.name}") if made.name in taken_names else made)
             continue
@@ -153,7 +153,7 @@ def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
                 continue
 
 
-def _twin(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
+def _duplicate_of(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
     """The image that a new one is again, by its geometry or its name."""
     images = [*(one.image for one in found), made.image]
     same = [one for one, other in twins(images) if other == len(found)]

@@ -33,6 +33,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.observations import Members, TerrainModel
 from mgsgraph.record import Record
+from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
@@ -254,7 +255,7 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
         )
 
 
-def adjust(case: Case, progress: "Callable[[Iteration], None]" = lambda _: None) -> "Solution":
+def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) -> "Solution":
     """Adjust a case, strengths of processes that it wants estimated found on the way; see
     `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
 

@@ -74,7 +74,7 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     clock_bias_s: float = 0.0
     """Added to the shots' times."""
 
-    def settled(self, altimeter: Altimeter, source: str) -> "ShotsInput":
+    def with_sigmas_of(self, altimeter: Altimeter, source: str) -> "ShotsInput":
         """The same with the altimeter's sigmas where none are stated; InputError names `source` where it has none."""
         stated = {key: getattr(self, key) for key in ("range_sigma_m", "ground_sigma_m")}
         usual = {"range_sigma_m": altimeter.range_sigma, "ground_sigma_m": altimeter.ground_sigma}

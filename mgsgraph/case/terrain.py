@@ -109,7 +109,7 @@ class _Files(NamedTuple):
         self, names: Sequence[str], kind: TerrainKind, areoid: TerrainGrid | None = None
     ) -> "TerrainGrid | TerrainRaster":
         """Tiles put together, as far as they lie near; `areoid`: what rasters of topography are above."""
-        tiles = [tile for name in names if (tile := self._one(self.folder / name, kind, areoid)) is not None]
+        tiles = [tile for name in names if (tile := self._tile(self.folder / name, kind, areoid)) is not None]
         if not tiles:
             paths = ", ".join(str(self.folder / name) for name in names)
             longitude = float(planetocentric(self.near.mean(axis=0))[0])
@@ -126,7 +126,7 @@ class _Files(NamedTuple):
                 )  # fmt: skip
         return mosaic(grids)
 
-    def _one(self, path: Path, kind: TerrainKind, areoid: TerrainGrid | None) -> "TerrainGrid | TerrainRaster | None":
+    def _tile(self, path: Path, kind: TerrainKind, areoid: TerrainGrid | None) -> "TerrainGrid | TerrainRaster | None":
         from mgsgraph.files.rasters.megdr import read_megdr
         from mgsgraph.files.rasters.terrain_file import read_terrain
 

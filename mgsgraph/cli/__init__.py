@@ -78,7 +78,7 @@ def main() -> None:
 
     for number in _SIGNALS:  # so that nothing half-written stays behind
         signal.signal(number, interrupt)
-    sys.unraisablehook = _lost
+    sys.unraisablehook = _unraisable
     guard_streams()
     try:
         _require_memory()
@@ -158,7 +158,7 @@ def _end_of_signals() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _lost(ignored: "sys.UnraisableHookArgs") -> None:
+def _unraisable(ignored: "sys.UnraisableHookArgs") -> None:
     """An error Python could raise nowhere (in a weak reference's callback, a finalizer): an interrupt tries again by
     itself.
     """

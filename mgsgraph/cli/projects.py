@@ -87,7 +87,7 @@ def add(
 
     What is printed is the impact: which images and points moved, in metres and in their sigmas.
 
-    Exit status: 0 added, 1 added and not come to rest, 2 bad input (nothing has changed).
+    Exit status: 0 added, 1 added and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
@@ -145,7 +145,7 @@ def _warn(addition: "Addition") -> None:
 def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
     """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
 
-    Exit status: 0 removed, 1 removed and not come to rest, 2 bad input (nothing has changed).
+    Exit status: 0 removed, 1 removed and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.project.changes import remove as take_out
@@ -184,7 +184,7 @@ def measure(
     All of it is done or nothing; each step is a change of the history, which `mgsgraph undo` takes back. A rejected
     measure stays out of `mgsgraph solve`, too, until it is accepted again.
 
-    Exit status: 0 done, 1 done and not come to rest, 2 bad input (nothing has changed).
+    Exit status: 0 done, 1 done and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
@@ -224,7 +224,7 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
 
     Edits are the changes that `mgsgraph measure` makes; `mgsgraph status` shows their numbers.
 
-    Exit status: 0 undone, 1 undone and not come to rest, 2 bad input (nothing has changed).
+    Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.project.edits import undo as take_back
     from mgsgraph.project.project import open_project

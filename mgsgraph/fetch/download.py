@@ -27,6 +27,7 @@ from urllib.parse import urljoin
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.needs import require_address
 from mgsgraph.files.opening import ANY_SIZE, read_json
+from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
     import requests
@@ -224,7 +225,7 @@ class _Trouble(Exception):
 class Remote:
     """Archives over HTTP; may be used from several threads at once."""
 
-    def __init__(self, retry: RetryPolicy | None = None, say: Callable[[str], None] = lambda sentence: None) -> None:
+    def __init__(self, retry: RetryPolicy | None = None, say: Callable[[str], None] = no_progress) -> None:
         """`say` is called, with a sentence, on every wait before something is tried again."""
         _require_requests()
         self._retry = retry or RetryPolicy()
@@ -271,7 +272,7 @@ class Remote:
 
     def download(
         self, url: str, path: Path, check: Check, limit: int = ANY_SIZE,
-        progress: ByteProgress = lambda done, total: None,
+        progress: ByteProgress = no_progress,
     ) -> None:
         """Bring a file; it takes its place at `path` when it is whole and `check` has nothing against it.
 

@@ -36,6 +36,7 @@ from mgsgraph.files.opening import read_bytes
 from mgsgraph.files.writing import claimed, write_file
 from mgsgraph.record import Record
 from mgsgraph.text import many
+from mgsgraph.workers import no_progress
 
 _REMEDY = "choose another --out"
 _PROJECT = "project"
@@ -98,8 +99,8 @@ def fetch_images(
     archives: Archives | None = None,
     volumes: Sequence[str] = (),
     retry: RetryPolicy | None = None,
-    progress: Progress = lambda done, total: None,
-    say: Callable[[str], None] = lambda sentence: None,
+    progress: Progress = no_progress,
+    say: Callable[[str], None] = no_progress,
 ) -> Fetched:
     r"""Fetch all that the adjustment of some images needs; the same call again brings only what is not there.
 
@@ -173,8 +174,8 @@ def fetch_shots(
     *,
     archives: Archives | None = None,
     retry: RetryPolicy | None = None,
-    progress: Progress = lambda done, total: None,
-    say: Callable[[str], None] = lambda sentence: None,
+    progress: Progress = no_progress,
+    say: Callable[[str], None] = no_progress,
 ) -> Path:
     """Fetch the table of an altimeter's shots in a box, which the Orbital Data Explorer makes; see `fetch_images`.
 

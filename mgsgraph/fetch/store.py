@@ -18,6 +18,7 @@ from mgsgraph.files.altimetry.binary import FRAME
 from mgsgraph.files.opening import head_of, read_bytes, sha256_of
 from mgsgraph.files.pvl import read_label
 from mgsgraph.files.writing import read_record, record_text, write_file
+from mgsgraph.workers import no_progress
 
 LOCK = "fetch.lock"
 """Its name in the folder."""
@@ -125,7 +126,7 @@ _AT_ONCE = 2
 class DownloadFolder:
     """A folder of ours, its lock, and the way to the archives."""
 
-    def __init__(self, lock: Lock, remote: Remote, progress: Progress = lambda done, total: None) -> None:
+    def __init__(self, lock: Lock, remote: Remote, progress: Progress = no_progress) -> None:
         self.lock, self.remote = lock, remote
         self.notes: list[str] = []
         """Sentences about files that were not as locked."""

@@ -4,7 +4,7 @@ Understood: nested Object and Group, keywords in any case, quoted strings, lists
 angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
 ``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
 
-Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, told apart, and where they say data lie.
+Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, recognized, and where they say data lie.
 
 Written: equals signs of a block stand in one column, texts in quotes where they need them, lists are wrapped at 80
 columns: DOI-USGS/ISIS3, isis/src/base/objs/PvlFormat/PvlFormat.cpp (FormatValue, AddQuotes), and

@@ -178,7 +178,7 @@ _ALIKE = 10
 other ends of JSON have 3.
 """
 _AT_ONCE = 2.0
-"""s within which files are written by one command, or told apart by the times of a file system (FAT)."""
+"""s within which files are written by one command, or distinguished by the times of a file system (FAT)."""
 _REMEDY = "do again what wrote it; if it was changed on purpose, take its key crc32 out"
 
 

@@ -316,7 +316,7 @@ def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
             distorted, forward = distort(ideal)
             step = np.einsum("nij,nj->ni", _inverse(forward), place - distorted)
             ideal = ideal + step
-            if not np.any(np.abs(step) > _AT_REST):  # NaN has come to rest, too
+            if not np.any(np.abs(step) > _AT_REST):  # NaN has converged, too
                 break
         settled = (np.abs(step) <= _AT_REST).all(axis=1)
         jacobian = _inverse(distort(ideal)[1])

@@ -16,8 +16,8 @@ named.
 
 A node is observed by the rays near it: those up to the next node on either side. They must be of points that something
 else places, too (another ray, or an a-priori place): a lone ray tells nothing of orientation. And they must be of two
-lines at least, where two lines look for half of that time or longer: with one alone, position and pointing can't be
-told apart.
+lines at least, where two lines look for half of that time or longer: with one alone, position and pointing are
+inseparable.
 """
 
 from collections.abc import Sequence

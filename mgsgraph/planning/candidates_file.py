@@ -37,6 +37,7 @@ from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.state import NetworkState
 from mgsgraph.text import some
 from mgsgraph.units import DEG
+from mgsgraph.workers import no_progress
 
 _MOST_TIES, _MOST_SHOTS = 100_000, 1_000_000
 _NAME_THE_IMAGE = "name it: image = ... in [[profiles]]"
@@ -119,7 +120,7 @@ class CandidatesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 def read_candidates(
-    path: str | Path, state: NetworkState, progress: Callable[[int, int], None] = lambda _done, _most: None
+    path: str | Path, state: NetworkState, progress: Callable[[int, int], None] = no_progress
 ) -> tuple[Candidate, ...]:
     """Read a candidates file and everything that it names, and plan the measures of each candidate.
 

@@ -18,6 +18,7 @@ from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 from mgsgraph.planning.candidates import Candidate, Kind, require_candidates
 from mgsgraph.planning.state import CurrentState, NetworkState, Update, added, updated
 from mgsgraph.record import Record
+from mgsgraph.workers import no_progress
 
 Criterion = Literal["mean", "worst"]
 WORDS = ("ties", "all")
@@ -305,7 +306,7 @@ def plan(
     wanted: Sequence[str] = ("ties",),
     criterion: Criterion = "mean",
     name: str = "plan",
-    progress: Progress = lambda _done, _most: None,
+    progress: Progress = no_progress,
 ) -> Plan:
     """Rank candidates by what they would do to the sigmas of targets, and choose some of them.
 

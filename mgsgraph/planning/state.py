@@ -13,7 +13,7 @@ from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
 from mgsgraph.adjustment.incremental.state import shared_of
 from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
 from mgsgraph.adjustment.marginals import carried
-from mgsgraph.adjustment.rounds import Selection, determined_points, everything, exactly, without_weak
+from mgsgraph.adjustment.rounds import Selection, all_rows, determined_points, exactly, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import require_covariance
@@ -151,7 +151,7 @@ class ReducedNetwork:
         begin = places[layout.point_order]
         self.layout: Layout
         self.layout, begin = exactly(layout, self.values, begin)
-        selection = everything(network)
+        selection = all_rows(network)
         found = self._reduced(selection, begin)
         strong = without_weak(self.layout, found, selection)
         if not np.array_equal(strong.out, selection.out):
@@ -397,7 +397,7 @@ def turned_points(network: Network, known: Definitions) -> Index:
 
 
 def _of_priors(after: ReducedNetwork, present: CurrentState, names: Sequence[Unknown]) -> Array:
-    """(d, d) what is known beforehand of some unknowns and was not: of new ones, and of passes that are continued."""
+    """(d, d) inverse a-priori covariance of unknowns that had none: new ones, and of passes that are continued."""
     columns, there = after.columns(names), set(present.adjusted)
     place = dict(zip(columns.tolist(), range(columns.size), strict=True))
     alone = [name for name in names if name not in there and name.kind not in TOGETHER]

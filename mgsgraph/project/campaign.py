@@ -41,7 +41,7 @@ from mgsgraph.files.writing import claim
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
 from mgsgraph.results.soundness import soundness_section
 from mgsgraph.text import many
-from mgsgraph.workers import read_apart
+from mgsgraph.workers import no_progress, read_apart
 
 Status = Literal["done", "no result", "not converged", "failed"]
 RECORD = "campaign.jsonl"
@@ -426,7 +426,7 @@ def run_campaign(
     overrides: Overrides = AS_WRITTEN,
     cluster: str | None = None,
     retry: bool = False,
-    progress: Progress = lambda over, due, entry: None,
+    progress: Progress = no_progress,
 ) -> Campaign:
     """Adjust many cases, each into a folder of its own in `out`; what an earlier run has done, and what has not changed
     since, is left.

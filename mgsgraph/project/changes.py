@@ -22,6 +22,7 @@ from mgsgraph.project.addition import Addition, NewImage, images_alone, images_o
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.rounds import Progress
@@ -107,7 +108,7 @@ class SolvedProject:
 
 def solve(
     project: Project, figures: bool = True, tables: "TableForm | None" = None,
-    progress: "Progress" = lambda _: None, device: Device | None = None,
+    progress: "Progress" = no_progress, device: Device | None = None,
 ) -> SolvedProject:  # fmt: skip
     """Adjust everything by batch, compare it with the incremental result, and keep its products; `figures` and `tables`
     as of `write_results`, the `device` that goes over the points that of the settings when absent.

@@ -118,7 +118,7 @@ def read_state(path: Path) -> tuple[str, NetworkState, str]:
         with open_project(path) as opened:
             adjustment = _adjusted(opened, str(path))
             with errors_from(str(path)):
-                (network, places), values = adjustment.everything(), adjustment.values
+                (network, places), values = adjustment.as_network(), adjustment.values
             there, kept = np.isfinite(places[:, 0]), unmarked(network)
             rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
             settings = opened.settings.solver.settings
@@ -132,7 +132,7 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
     if _is_project(path):
         with open_project(path) as opened:
             values, settings = _adjusted(opened, str(path)).values, opened.settings.solver.settings
-            name, (network, near) = opened.name, opened.store.everything()
+            name, (network, near) = opened.name, opened.store.as_network()
         every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]  # the file is free meanwhile
         with errors_from(str(path)):
             return name, Posterior(at_values(network, settings, every, near, near=True)), ""

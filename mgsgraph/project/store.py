@@ -267,9 +267,9 @@ class ProjectStore:
 
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came, points bundle by bundle."""
-        return self.everything()[0]
+        return self.as_network()[0]
 
-    def everything(self) -> tuple[Network, Array]:
+    def as_network(self) -> tuple[Network, Array]:
         """The same, and the places (n, 3) in m of its points, NaN where undetermined."""
         names = self.image_names()
         numbers, known = self._numbers_of(tuple(names)), [self.image(name) for name in names]

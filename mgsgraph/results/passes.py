@@ -122,7 +122,7 @@ def shared_table(solution: Solution) -> Table:
                head="correlation", page=".3f", label="largest corr.", text=">14.2f"),
         Column("multiple_correlation", numbers(found, "together"), meaning="with all other unknowns together",
                head="with all others", page=".3f", label="multiple", text=">9.2f"),
-        Column("verdict", [one.verdict.value for one in found], meaning="whether it can be told apart"),
+        Column("verdict", [one.verdict.value for one in found], meaning="whether it is separable"),
     ))  # fmt: skip
 
 

@@ -199,7 +199,7 @@ _ROOM = 12
 """px that are read beyond the window and its reach."""
 _WORDS = {
     MatchStatus.LEFT: "its window leaves the picture, or lies where that has no grey values",
-    MatchStatus.NOT_CONVERGED: "it did not come to rest",
+    MatchStatus.NOT_CONVERGED: "it did not converge",
     MatchStatus.WANDERED: f"it wandered more than {_REACH:g} px away",
     MatchStatus.FLAT: "there is too little texture",
     MatchStatus.SATURATED: "too many pixels are saturated",

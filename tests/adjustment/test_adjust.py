@@ -12,7 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.covariances import orientation_covariance, point_covariances
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.forms import explicit_graph, variable_key
-from mgsgraph.adjustment.rounds import everything, solve_in_rounds
+from mgsgraph.adjustment.rounds import all_rows, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
 from mgsgraph.files.networks.tie_points import PointKind
@@ -155,7 +155,7 @@ def test_rows_are_admitted_again() -> None:
     """What is out returns where what is left agrees with it."""
     net = network(pair(ties=40))
     layout = lay_out(net, SolverSettings())
-    whole = everything(net)
+    whole = all_rows(net)
     without = replace(whole, rays=np.arange(net.rays.point.size) % 7 != 0)
     before = BundleGraph(layout, without.rows(layout)).reduction(np.zeros(layout.columns))
     solved = solve_in_rounds(layout, SolverSettings(reject=6.0), without, before, lambda _: None)

@@ -1,4 +1,4 @@
-"""What drives an adjustment that does not come to rest: planted images and points must be named, healthy ones not."""
+"""What drives an adjustment that does not converge: planted images and points must be named, healthy ones not."""
 
 from collections.abc import Callable
 from dataclasses import replace

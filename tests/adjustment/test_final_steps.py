@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from mgsgraph.adjustment.batch import Iteration, Outcome, settled, settled_minimum
+from mgsgraph.adjustment.batch import Iteration, Outcome, settled_minimum, with_final_steps
 from mgsgraph.adjustment.settings import SolverSettings
 
 
@@ -61,7 +61,7 @@ def at(problem: Relief, state: np.ndarray) -> Outcome:
 def test_steps_that_shrink_slowly_or_grow_are_taken_together(factors: list[float]) -> None:
     """Above a factor of two Gauss-Newton steps alone become longer and longer."""
     problem, start = Relief(factors), 1e-3 * np.ones(len(factors))
-    found = settled(problem, at(problem, start), SolverSettings(), quiet)
+    found = with_final_steps(problem, at(problem, start), SolverSettings(), quiet)
     assert found.converged
     assert np.abs(found.state * np.sqrt(np.diag(problem.hessian))).max() < 3e-6
     assert found.history[-1].step < 1e-6
@@ -82,7 +82,7 @@ def test_steps_that_do_not_settle_are_said() -> None:
 
     problem = Noisy([1.0, 1.0])
     start = 1e-3 * np.ones(2)
-    found = settled(problem, at(problem, start), SolverSettings(), quiet)
+    found = with_final_steps(problem, at(problem, start), SolverSettings(), quiet)
     assert not found.converged
     np.testing.assert_array_equal(found.state, start)
 
@@ -100,6 +100,6 @@ def test_a_saddle_is_not_taken_for_the_minimum() -> None:
             return Equations(np.array([x, y**3 - y]), np.eye(2))
 
     problem, start = Saddle([1.0, 1.0]), np.array([0.01, 0.2])
-    found = settled(problem, at(problem, start), SolverSettings(), quiet)
+    found = with_final_steps(problem, at(problem, start), SolverSettings(), quiet)
     assert not found.converged or abs(found.state[1]) > 0.9
     assert found.cost_final <= problem.cost(start)

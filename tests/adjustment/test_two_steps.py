@@ -11,7 +11,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.rounds import everything
+from mgsgraph.adjustment.rounds import all_rows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import (
@@ -145,7 +145,7 @@ def test_a_priori_covariance_is_the_priors_own(which: str) -> None:
     if which == "polynomials":
         net = replace(net, priors=(unknown, net.priors[1]))
         assert prior_covariance(lay_out(net, SolverSettings())) is None
-        places, covariances = RaysAlone(net, SolverSettings(), everything(net)).nominal()
+        places, covariances = RaysAlone(net, SolverSettings(), all_rows(net)).nominal()
         assert np.all(np.isfinite(places))
         assert np.all(np.isnan(covariances))
 
@@ -174,7 +174,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
             np.testing.assert_allclose(found[axis::6, axis::6], want, rtol=1e-9)
     first, second, end = net.first_of_passes.tolist()
     assert not np.any(joint.of(range(first, end))[: joint.of(range(first, second)).shape[0], -6:])
-    assert np.all(np.isfinite(RaysAlone(net, SolverSettings(), everything(net)).nominal()[1]))
+    assert np.all(np.isfinite(RaysAlone(net, SolverSettings(), all_rows(net)).nominal()[1]))
 
 
 def test_forward_intersection_carries_the_orientation_on() -> None:
@@ -182,7 +182,7 @@ def test_forward_intersection_carries_the_orientation_on() -> None:
     small = BlockSettings(strips=2, length=40e3, points=30, spacing=20.0, matches=PointMatching(blunders=0.01))
     drawn = simulate_hrsc_block(small, seed=4)
     net = without_terrain(drawn.network)
-    rays_alone = RaysAlone(net, SolverSettings(), everything(net))
+    rays_alone = RaysAlone(net, SolverSettings(), all_rows(net))
     layout = lay_out(net, SolverSettings())
     places, covariances = rays_alone.nominal()
     zero = [np.zeros(width) for width in layout.variables.width.tolist()]

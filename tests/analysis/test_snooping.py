@@ -1,4 +1,4 @@
-"""`analyze --snoop`: planted blunders go, good measures stay, what can't be told apart goes together."""
+"""`analyze --snoop`: planted blunders go, good measures stay, what is inseparable goes together."""
 
 from dataclasses import replace
 from functools import cache

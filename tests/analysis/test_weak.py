@@ -12,7 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.datum import datum_transformations, defects, scaled_normal, simple_basis
 from mgsgraph.adjustment.frames import Frames, flight_frame
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
-from mgsgraph.adjustment.rounds import everything
+from mgsgraph.adjustment.rounds import all_rows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.weak import WeakDirection, spectrum, weak_directions, weakest
@@ -38,7 +38,7 @@ def unknown(net: Network, degree: int = 2) -> Network:
 
 def normal_of(net: Network) -> tuple[Layout, np.ndarray]:
     layout = lay_out(net, SolverSettings())
-    graph = BundleGraph(layout, everything(net).rows(layout))
+    graph = BundleGraph(layout, all_rows(net).rows(layout))
     return layout, scaled_normal(layout, graph.reduction(np.zeros(layout.columns)))
 
 
@@ -260,7 +260,7 @@ def test_the_datum_is_found_in_whatever_angles(angles: str, known: int) -> None:
     """The papers' phi is near 90 degrees here, where a rotation takes more than polynomials of degree two."""
     net = unknown(network(pair(ties=60), laser=False))
     layout = lay_out(net, SolverSettings(angles=angles))
-    graph = BundleGraph(layout, everything(net).rows(layout))
+    graph = BundleGraph(layout, all_rows(net).rows(layout))
     found = defects(layout, scaled_normal(layout, graph.reduction(np.zeros(layout.columns))), 1e-13)
     assert found.of_datum == known
 

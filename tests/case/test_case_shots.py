@@ -29,11 +29,11 @@ def test_words_of_earlier_versions_name_those_of_today(case_file: Path, old: str
 
 def test_sigmas_are_the_altimeters_where_a_case_says_none() -> None:
     entry = ShotsInput("shots.csv")
-    assert entry.settled(MOLA, "x").range_sigma_m == entry.settled(MOLA, "x").ground_sigma_m == 10.0
-    assert entry.settled(LOLA, "x").range_sigma_m == LOLA.range_sigma == 1.0
-    assert ShotsInput("x", range_sigma_m=3.0).settled(LOLA, "x").range_sigma_m == 3.0
+    assert entry.with_sigmas_of(MOLA, "x").range_sigma_m == entry.with_sigmas_of(MOLA, "x").ground_sigma_m == 10.0
+    assert entry.with_sigmas_of(LOLA, "x").range_sigma_m == LOLA.range_sigma == 1.0
+    assert ShotsInput("x", range_sigma_m=3.0).with_sigmas_of(LOLA, "x").range_sigma_m == 3.0
     with pytest.raises(InputError, match=r"ground_sigma_m.*MLA"):
-        entry.settled(MLA, "x")
+        entry.with_sigmas_of(MLA, "x")
 
 
 def test_a_profile_whose_ranges_are_kilometres(case_file: Path) -> None:

@@ -126,7 +126,7 @@ class Connection:
                 except distributed.TimeoutError:
                     continue
                 except distributed.CancelledError as error:
-                    raise self._gone() from error
+                    raise self._no_scheduler() from error
                 for future in done:
                     yield running.pop(future), self._outcome(future)
         finally:
@@ -195,7 +195,7 @@ class Connection:
         try:
             return frozenset(self.client.nthreads())
         except (OSError, ValueError, RuntimeError) as error:  # dask's CommClosedError, or a client that has given up
-            raise self._gone() from error
+            raise self._no_scheduler() from error
 
     def _outcome(self, future: Any) -> Any:
         """Result of a task that is over."""
@@ -204,14 +204,14 @@ class Connection:
         if future.status == "finished":
             return future.result()
         if future.status != "error":
-            raise self._gone()
+            raise self._no_scheduler()
         error = future.exception()
         if isinstance(error, distributed.KilledWorker):
             known = f" (memory limit {self._limit / GIGA:.2f} GB)" if self._limit else ""
             return Lost(f"each of the {error.allowed_failures + 1} workers that tried it died{known}")
         return _lost(error)
 
-    def _gone(self) -> SolverError:
+    def _no_scheduler(self) -> SolverError:
         return SolverError(f"{self.where}: the scheduler has gone; start it, and run this again")
 
 
@@ -287,7 +287,7 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
         )
     before, changed = dict(os.environ), dict[str, str | None]()
     with ExitStack() as stack:
-        stack.callback(_put_back, changed)
+        stack.callback(_restored, changed)
         folder = stack.enter_context(scratch())
         try:
             with interrupts_deferred(), children_without_interrupts():
@@ -382,7 +382,7 @@ def _quiet_log() -> Iterator[None]:
             handler.setLevel(level)
 
 
-def _put_back(variables: dict[str, str | None]) -> None:
+def _restored(variables: dict[str, str | None]) -> None:
     """Give environment variables their earlier values; dask sets some for its workers in this process."""
     for name, value in variables.items():
         if value is None:

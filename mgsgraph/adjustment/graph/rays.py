@@ -110,9 +110,9 @@ class RayConstants:
         values, self._nodes = self._variables.split(bent), terms.of_rays if self._network.passes else None
 
         def fill(share: Share) -> None:
-            self._put_detectors(share, data, weight)
+            self._fill_detectors(share, data, weight)
             units = _NO_UNITS if crossing is None else np.empty((share.ray.size, 3))
-            self._put_poses(share, data, terms, values, units, True)
+            self._fill_poses(share, data, terms, values, units, True)
             if crossing is not None:
                 ways = self._piece, self._before, self._rays, self._patterns.point_order
                 crossings(share.first, share.last, *ways, data, units, *crossing)
@@ -142,7 +142,7 @@ class RayConstants:
     def renew(self, data: Array, terms: Terms, bent: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
         values = self._variables.split(bent)
-        self._each(lambda share: self._put_poses(share, data, terms, values, _NO_UNITS, False))
+        self._each(lambda share: self._fill_poses(share, data, terms, values, _NO_UNITS, False))
 
     def fill_scales(self, data: Array, starts: Array) -> None:
         """The scale of the measured-line form, from the image motion of points at their starting positions (n, 3)."""
@@ -178,7 +178,7 @@ class RayConstants:
         )
         return np.array([numbers.setdefault(key, len(numbers)) for key in keys], dtype=np.int64)
 
-    def _put_detectors(self, share: Share, data: Array, weight: Array) -> None:
+    def _fill_detectors(self, share: Share, data: Array, weight: Array) -> None:
         rays, strict = self._network.rays, self._model.line == PREDICTED
         first = 3 + (4 if self._model.angles == CAMERA else 3)
         for _, mine in share.by(self._optics[share.image]):
@@ -190,13 +190,13 @@ class RayConstants:
                 mine, share.ray, share.at, share.stride, share.place, rays.sigmas, first, strict, *found, data, weight
             )
 
-    def _put_poses(
+    def _fill_poses(
         self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
     ) -> None:
         for j, mine in share.by(share.image):
-            self._put_image(j, mine, share, data, terms, values, units, whole)
+            self._fill_image(j, mine, share, data, terms, values, units, whole)
 
-    def _put_image(
+    def _fill_image(
         self, j: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
         whole: bool,
     ) -> None:  # fmt: skip

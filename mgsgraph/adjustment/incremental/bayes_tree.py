@@ -227,7 +227,7 @@ class Tree:
         for size, names in self._by_size().items():
             # many unknowns, of which few have moved: compared all at once
             now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
-            before = np.array([self._taken.get(name, _nothing(size)) for name in names]).reshape(now.shape)
+            before = np.array([self._taken.get(name, _undefined(size)) for name in names]).reshape(now.shape)
             for k in np.flatnonzero(np.any(now != before, axis=1)).tolist():
                 self._taken[names[k]] = now[k]
                 found[names[k]] = now[k] * self._scale[names[k]]
@@ -250,7 +250,7 @@ class Tree:
 
 
 @cache
-def _nothing(size: int) -> Array:
+def _undefined(size: int) -> Array:
     return np.full(size, np.nan)
 
 

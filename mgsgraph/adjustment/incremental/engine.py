@@ -143,7 +143,7 @@ class Engine:
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
         self._take(systems)
-        updates, others, converged = self._settle()
+        updates, others, converged = self._relinearize()
         reached = self._reached(set(systems), gone, before)
         self._note(reached, new)
         bundles = self._placed(networks, reached)
@@ -243,7 +243,7 @@ class Engine:
 
     # --- to the true linear system
 
-    def _settle(self) -> tuple[int, set[Members], bool]:
+    def _relinearize(self) -> tuple[int, set[Members], bool]:
         """Make systems anew until all unknowns lie within their slack: how often the tree was changed, which systems
         were made, and whether it came to rest.
         """

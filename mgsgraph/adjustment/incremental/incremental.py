@@ -53,6 +53,7 @@ from mgsgraph.network.parts import (
 )
 from mgsgraph.record import Record, card
 from mgsgraph.units import MRAD
+from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.rounds import Progress
@@ -163,18 +164,18 @@ class IncrementalAdjustment(Record):
     @property
     def network(self) -> Network:
         """Everything as one network, images in the order in which they came."""
-        return self._everything()[0]
+        return self._as_network()[0]
 
-    def everything(self) -> tuple[Network, Array]:
+    def as_network(self) -> tuple[Network, Array]:
         """Everything as one network, and the places (n, 3) in m of its points, refreshed; NaN where undetermined."""
-        network, stored = self._everything()
+        network, stored = self._as_network()
         return network, Sweep(network, self.settings, stored).places(self._engine.value)
 
-    def _everything(self) -> tuple[Network, Array]:
+    def _as_network(self) -> tuple[Network, Array]:
         """All of it as one network, and the places (n, 3) in m of its points as they are in store."""
         if not self.store.members():
             raise InputError("incremental adjustment", "no points", "observations in at least one image")
-        return self.store.everything()
+        return self.store.as_network()
 
     # --- what may be done
 
@@ -260,14 +261,14 @@ class IncrementalAdjustment(Record):
         known = self.store.definitions()
         return self._change(verb, (), (), *with_points(self.store, ids, network, known), known)
 
-    def close(self, name: str = "adjustment", progress: "Progress" = lambda _: None) -> tuple[Closing, "Solution"]:
+    def close(self, name: str = "adjustment", progress: "Progress" = no_progress) -> tuple[Closing, "Solution"]:
         """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
 
         Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
         """
         from mgsgraph.adjustment.adjust import adjust_network  # a whole batch solver, which changes do without
 
-        network, places = self.everything()
+        network, places = self.as_network()
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
         found = closing(solution, self._engine.value, places)
         if found.adopted:
@@ -286,7 +287,7 @@ class IncrementalAdjustment(Record):
                     _require_finite_prior(one)
             kept = engine.adopted(shared_of(solution), solution, network)
             for one in known_images(network):
-                if one.image.name not in there or not _alike(one, self.store.image(one.image.name)):
+                if one.image.name not in there or not _same_image(one, self.store.image(one.image.name)):
                     self.store.put_image(one)
             self.store.replace(self.store.members(), kept)
             for name in there - {image.name for image in network.images}:
@@ -398,7 +399,7 @@ class IncrementalAdjustment(Record):
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
 
 
-def _alike(one: KnownImage, other: KnownImage) -> bool:
+def _same_image(one: KnownImage, other: KnownImage) -> bool:
     return one.image is other.image and one.prior is other.prior and one.held == other.held
 
 

@@ -173,7 +173,7 @@ class StateStore(Protocol):
     def members(self) -> list[Members]:
         """Members of all bundles."""
 
-    def everything(self) -> tuple[Network, Array]:
+    def as_network(self) -> tuple[Network, Array]:
         """All of it as one network, images in the order in which they came, and places (n, 3) in m of its points."""
 
     def put_image(self, known: KnownImage) -> None:
@@ -263,7 +263,7 @@ class InMemory:
         """Members of all bundles."""
         return list(self._bundles)
 
-    def everything(self) -> tuple[Network, Array]:
+    def as_network(self) -> tuple[Network, Array]:
         """All of it as one network, and places (n, 3) in m of its points."""
         parts, known = [self._bundles[members] for members in sorted(self._bundles)], self._definitions
         networks = [with_definitions(one.network, known) for one in parts]

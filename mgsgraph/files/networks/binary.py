@@ -9,7 +9,7 @@ Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVers
 readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
 (IsisStore.read). Messages: `networks.messages`.
 
-A network is read from either of its forms, told apart by what is in the file.
+A network is read from either of its forms, recognized by what is in the file.
 """
 
 import re
@@ -471,7 +471,7 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     Parameters
     ----------
     path : Path
-        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, told apart by what is in the file.
+        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, recognized by what is in the file.
     body : Ellipsoid, optional
         That of the images.
 

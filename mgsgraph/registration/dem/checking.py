@@ -106,7 +106,7 @@ def check_profiles(
     """
     used = set(posterior.network.points.ids)
     profiles = [read_profile(entry, path.parent) for entry in case.shots]
-    stated = [entry.settled(shots.altimeter, shots.source) for entry, shots in zip(case.shots, profiles, strict=True)]
+    stated = [entry.with_sigmas_of(p.altimeter, p.source) for entry, p in zip(case.shots, profiles, strict=True)]
     entries = list(zip(stated, profiles, strict=True))
     shifts = [entry.shift_sigma_m for entry in stated if entry.shift_sigma_m is not None]
     common = ShotsInput(

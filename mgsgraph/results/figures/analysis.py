@@ -71,8 +71,9 @@ def _caption(shown: Sequence[ResidualStatistics]) -> str:
     off = [one.name for one in shown if one.as_promised is False]
     return (
         "Residuals over their own sigmas should lie on the line: steeper means sigmas that are too small, flatter too "
-        f"large ones, bent ends long tails; law or rms not as promised (1% tests): {', '.join(off) or 'no group'}; "
-        "bands count correlated residuals as the number of independent ones that they are worth."
+        "large ones, bent ends long tails; law or rms inconsistent with the stated sigmas (1% tests): "
+        f"{', '.join(off) or 'no group'}; bands count correlated residuals as the number of independent ones that they "
+        "are worth."
     )
 
 

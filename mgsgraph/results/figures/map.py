@@ -321,8 +321,8 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     cells = int(np.isfinite(shown.values).sum())
     what = f"medians of {cells} cells" if shown.classes is None else "one by one"
     words = [
-        f"{many(shown.count, shown.noun)}, {what}, colored by {title} in {unit}. Colors end at the 2 % and 98 % quantiles "
-        f"of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
+        f"{many(shown.count, shown.noun)}, {what}, colored by {title} in {unit}. Colors end at the 2 % and 98 % "
+        f"quantiles of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
     ]
     if shown.covariances is not None:
         drawn = _some(shown.covariances).size

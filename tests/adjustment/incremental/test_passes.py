@@ -60,7 +60,7 @@ def first_grid(one: Network) -> Network:
 
 def off(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, float]:
     """Largest difference to batch of an unknown or a place, in its sigma, and of a covariance, as a share of itself."""
-    network, stored = adjustment._everything()
+    network, stored = adjustment._as_network()
     assert network.points.ids == batch.network.points.ids
     values = adjustment.values
     places = Sweep(network, adjustment.settings, stored).places(values)
