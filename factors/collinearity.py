@@ -15,15 +15,26 @@ ray. Derivatives by the chain rule: by the ray, then by point, position (minus t
 interior orientation, which is what the pixel looks along in camera components: (x0, y0, f).
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import add, cross, dot, subtract, transform, transpose
-from mgsgraph.factors.explicit import Linear, StateAt, Vector
-from mgsgraph.factors.pose import perspective_centre
+from mgsgraph.factors.explicit import (
+    STATE,
+    Array,
+    Effect,
+    Linear,
+    StateAt,
+    measurement_factor,
+    noise_model,
+    orientation_polynomial,
+)
+
+if TYPE_CHECKING:
+    import gtsam
 
 NEWTON_STEPS = 5
 NEWTON_TOLERANCE = 1e-4
@@ -105,56 +116,169 @@ def by_interior(of_image, ray):
     return -of_image[0], -of_image[1], (of_image[0] * ray[0] + of_image[1] * ray[1]) / ray[2]
 
 
-class ImageRay(NamedTuple):
-    """One image ray, laid out about a line; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
+@equation
+def ray_rows(pose, detector, point, state, rate, attitude_of):
+    """Rows of the strict form about one line: how far along the optical axis the point is; residuals of line and
+    sample; their derivatives by point, rotation and interior orientation. By position they are minus those by point.
 
-    attitude: Callable[..., Any]
-    """`pose.about_axes`, `opk_paper` or `opk_peer`."""
-    centre: Vector
-    """(3,) m, C0."""
-    nominal: Vector
-    """M0, as `attitude` takes it."""
-    velocity: Vector
-    """(3,) m per line."""
-    angular_rate: Vector
-    """(3,) rad per line."""
-    detector: Vector
-    """(2,) m, focal-plane coordinates of the measured sample."""
-    slope: Vector
-    """(2,) m per sample."""
-    scale: tuple[Vector, Vector] | None
-    """S of the measured-line form; None for the predicted line."""
-    offset: float
-    """Lines from the measured line to the one about which the ray is laid out."""
-    focal: float
-    """m, nominal."""
+    Parameters: nominal pose there (position, matrix, velocity and angular rate per line); detector (place, slope, focal
+    length); state (9) and its rate per line; `attitude_of` as `pose.turned_about_axes`.
+    """
+    centre, matrix, velocity, angular_rate = pose
+    place, slope, focal = detector
+    focal, place = focal + state[8], (place[0] + state[6], place[1] + state[7])
+    attitude, axes, camera_rate = attitude_of(matrix, angular_rate, state[3:6], rate[3:6])
+    ray = transform(attitude, subtract(point, add(centre, state[:3])))
+    motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
+    scale = to_lines_and_samples(image_motion(ray, motion, focal), slope)
+    return ray[2], residual(scale, focal_plane(ray, focal), place, 0.0), rows_by(scale, attitude, axes, ray, focal)
 
-    def __call__(self, state_at: StateAt, position: Vector) -> Linear | None:
-        """Rows (lines, samples) at a state: correction of position, rotation, and of x0, y0 and focal length."""
-        line_offset, velocity, angular_rate = 0.0, self.velocity, self.angular_rate
-        for step in range(NEWTON_STEPS):
-            state, rate = state_at(line_offset)
-            x, y, longer = state[6:9] if len(state) > 6 else (0.0, 0.0, 0.0)
-            focal, detector = self.focal + longer, (self.detector[0] + x, self.detector[1] + y)
-            centre = perspective_centre(self.centre, velocity, line_offset, state[:3])
-            attitude, axes, camera_rate = self.attitude(self.nominal, angular_rate, line_offset, state[3:6], rate[3:6])
-            ray = transform(attitude, subtract(position, centre))
-            if ray[2] <= 0.0:
+
+@equation
+def rows_by(scale, attitude, axes, ray, focal):
+    """Derivatives of the line and of the sample by point, rotation, interior orientation."""
+    line, sample = by_ray(scale, ray, focal)
+    return (
+        (by_point(line, attitude), by_rotation(line, ray, axes), by_interior(scale[0], ray)),
+        (by_point(sample, attitude), by_rotation(sample, ray, axes), by_interior(scale[1], ray)),
+    )
+
+
+class Pose(Protocol):
+    """Of a camera at n lines, rates per line."""
+
+    position: Array
+    """(n, 3) m, body-fixed."""
+    matrix: Array
+    """(n, 3, 3) body-fixed to camera, +Z out of the lens."""
+    velocity: Array
+    """(n, 3) m per line, body-fixed."""
+    angular_rate: Array
+    """(n, 3) rad per line, in camera axes."""
+
+
+class Interior(Protocol):
+    """Interior orientation of a camera."""
+
+    focal_length: float
+    """m."""
+
+    def focal_plane(self, samples: Array) -> tuple[Array, Array]:
+        """(n, 2) m, ideal places of image samples, and (n, 2) m per sample, how the detector goes on there."""
+        ...
+
+
+class PushbroomImage(Protocol):
+    """What a factor asks of an image; `mgsgraph.geometry.image.PushbroomImage` has it."""
+
+    name: str
+    """For messages."""
+    lines: int
+    """Number of lines."""
+    samples: int
+    """Number of samples."""
+    interior: Interior
+    """Camera constants."""
+
+    def pose(self, lines: Array) -> Pose:
+        """Nominal pose at lines (n,)."""
+        ...
+
+
+class ImageRay:
+    """One image ray; called, its rows for a GTSAM factor (`explicit.measurement_factor`).
+
+    The pose is that of the predicted line, found by Newton's method from the measured one: the rows are functions of
+    the unknowns and the point alone.
+    """
+
+    def __init__(self, image: PushbroomImage, measured: tuple[float, float]) -> None:
+        from mgsgraph.factors.compiled_rows import ray_at  # compiled: not before it is needed
+
+        self._rows, self._image, (self._line, sample) = ray_at, image, measured
+        place, slope = image.interior.focal_plane(np.array([sample]))
+        self._detector = np.array([*place[0], *slope[0], image.interior.focal_length])
+        self._begin = self._kept = self._line, self._nominal(self._line)
+
+    def _nominal(self, line: float) -> tuple[Array, ...]:
+        pose = self._image.pose(np.array([line]))
+        return pose.position, pose.matrix, pose.velocity, pose.angular_rate
+
+    def __call__(self, state_at: StateAt, point: Array) -> Linear | None:
+        """Rows (lines, samples), measured minus predicted, at a state (10) and a point."""
+        (line, nominal), rows = self._begin, np.empty((2, 4 + STATE))
+        for _ in range(NEWTON_STEPS):
+            if not self._rows(*nominal, self._detector, point, *state_at(line), rows) > 0.0:
                 return None
-            image, scale = focal_plane(ray, focal), self.scale
-            if scale is not None:
+            step = float(rows[0, 0])
+            if abs(step) < NEWTON_TOLERANCE:
                 break
-            motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
-            scale = to_lines_and_samples(image_motion(ray, motion, focal), self.slope)
-            step_back = residual(scale, image, detector, 0.0)[0]
-            if abs(step_back) < NEWTON_TOLERANCE or step == NEWTON_STEPS - 1:
-                break
-            line_offset -= step_back
-        assert scale is not None  # of the last step
-        of_ray = by_ray(scale, ray, focal)
-        by_points = np.array([by_point(row, attitude) for row in of_ray])
-        state_rows: list[Any] = [-by_points, [by_rotation(row, ray, axes) for row in of_ray]]
-        if len(state) > 6:
-            state_rows.append([by_interior(row, ray) for row in scale])
-        values = residual(scale, image, detector, self.offset + line_offset)
-        return Linear(np.array(values), by_points, np.hstack(state_rows), line_offset)
+            line -= step
+            if line != self._kept[0]:
+                self._kept = line, self._nominal(line)
+            nominal = self._kept[1]
+        rows[0, 0] += self._line - line
+        return Linear(rows[:, 0], rows[:, 1:4], rows[:, 4:], line)
+
+
+def pushbroom_projection(
+    image_key: int | None,
+    point: int | Array,
+    image: PushbroomImage,
+    measured: tuple[float, float],
+    sigma: float | Array = 1.0,
+    degree: int = 2,
+    *,
+    shared: Sequence[Effect] = (),
+    robust: tuple[str, float] | None = None,
+) -> "gtsam.CustomFactor":
+    """Image coordinates of a ground point in a pushbroom image whose EO correction is a polynomial of the line
+    (Yoon & Shan 2005, Eq. 1 and 2).
+
+    Parameters
+    ----------
+    image_key : int or None
+        GTSAM key of the image's 6 (degree + 1) EO coefficients (Vector; m, rad about the camera's axes; six of u^0
+        first, u from -1 at the first line to 1 at the last). None for an image whose own EO is known.
+    point : int or (3,)
+        GTSAM key of the ground point (Point3, m, body-fixed), or a known one.
+    image : PushbroomImage
+        Camera and nominal trajectory.
+    measured : (line, sample)
+        Pixels; the first one's center is (0.5, 0.5).
+    sigma : float or (2,)
+        Pixels, of line and sample.
+    degree : int
+        Of the polynomials.
+    shared : sequence of Effect
+        What other unknowns do to this ray (`explicit.Effect`).
+    robust : (name, width), optional
+        "huber", "cauchy" or "tukey", on the norm of both whitened rows, and its width in sigmas.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Rows (line, sample), measured minus predicted.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import L, X
+    >>> factor = mgsgraph.factors.pushbroom_projection(X(0), L(17), network.images[0], (2500.2, 511.7))
+    """
+    own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
+    where = f"image {image.name}, measured at line {measured[0]:g}, sample {measured[1]:g}"
+    return image_ray_factor([*own, *shared], point, image, measured, sigma, robust, where)
+
+
+def image_ray_factor(
+    effects: Sequence[Effect],
+    point: int | Array,
+    image: PushbroomImage,
+    measured: tuple[float, float],
+    sigma: float | Array,
+    robust: tuple[str, float] | None,
+    label: str,
+) -> "gtsam.CustomFactor":
+    """The same for any effects."""
+    ray = ImageRay(image, (float(measured[0]), float(measured[1])))
+    return measurement_factor(effects, point, ray, noise_model(sigma, robust, 2), label)

@@ -1,13 +1,15 @@
-"""One measurement as a GTSAM factor on the unknowns that it depends on and on its ground point: the explicit form.
+"""One measurement as a GTSAM factor on the unknowns that move its instrument and on its ground point.
 
-What the shared unknowns x do to a measurement is its *state*: correction of the pose (m, rad) and of the focal
-length (m), range bias, or shift (m), linear in x: state = sum_t (B_t + o B_t') c_t + sum_e direction_e x_e.
+What unknowns do to a measurement is its *state*, ten numbers: of the instrument's position (3, m), its attitude (3, rad)
+and what a pixel looks along (3, m: x, y, focal length); and what a measured distance is too long (1, m). It is linear in
+the unknowns, and a function of the image line: state(l) = sum_e E_e(l) x_e (Yoon & Shan 2005, Eq. 2). Each E_e is an
+*effect*. What moves a known place, of a laser profile or of a terrain model, takes the first three.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,35 +20,71 @@ if TYPE_CHECKING:
     import gtsam
 
 Array = NDArray[np.float64]
+STATE = 10
+"""Numbers of a state."""
+AT_REST = np.zeros(STATE)
 Vector = tuple[float, ...]
 
 
-class Correction(NamedTuple):
-    """How the unknowns x (columns,) act on the state of one measurement."""
+class Effect(Protocol):
+    """What one or several unknowns do to the state of a measurement, along an image."""
 
-    width: int
-    """Components of the state."""
-    components: int
-    """Of these, what each basis term moves: 6 (position and rotation), or 3 (position alone)."""
-    first: tuple[int, ...]
-    """First column of each term's coefficients in x."""
-    basis: Vector
-    """Basis values B_t."""
-    rates: Vector
-    """Their derivatives per line."""
-    columns: tuple[int, ...]
-    """Single columns of x."""
-    directions: tuple[Vector, ...]
-    """How each of them moves the state."""
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """GTSAM keys of the unknowns, each a Vector."""
+        ...
 
-    def matrix(self, columns: int, line_offset: float) -> Array:
-        """(width, columns) derivative of the state by x, `line_offset` lines from where the basis was evaluated."""
-        result, step = np.zeros((self.width, columns)), np.arange(self.components)
-        for first, value, rate in zip(self.first, self.basis, self.rates, strict=True):
-            result[step, first + step] += value + line_offset * rate
-        for column, direction in zip(self.columns, self.directions, strict=True):
-            result[:, column] += direction
-        return result
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Length of each."""
+        ...
+
+    def at(self, line: float) -> tuple[Array, Array]:
+        """(10, columns of all unknowns) at a line, m or rad per unit, and its derivative per line."""
+        ...
+
+
+class PolynomialEffect(NamedTuple):
+    """Coefficients of a polynomial of the normalized line u, from -1 at the first line to 1 at the last."""
+
+    keys: tuple[int, ...]
+    """One GTSAM key."""
+    coefficients: Array
+    """(degree + 1, 10, columns) m or rad per unit of the unknown, of u^0, u^1, ..."""
+    lines: float = 2.0
+    """Of the image; of no meaning for a constant."""
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Length of the unknown."""
+        return (self.coefficients.shape[2],)
+
+    def at(self, line: float) -> tuple[Array, Array]:
+        """(10, columns), and per line."""
+        terms, rows, columns = self.coefficients.shape
+        u, rate, values, slopes = 2.0 * line / self.lines - 1.0, 2.0 / self.lines, [1.0], [0.0]
+        for k in range(1, terms):
+            slopes.append(k * rate * values[-1])
+            values.append(u * values[-1])
+        value, slope = np.array([values, slopes]) @ self.coefficients.reshape(terms, -1)
+        return value.reshape(rows, columns), slope.reshape(rows, columns)
+
+
+def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEffect:
+    """The polynomial EO correction of one image: 6 (degree + 1) numbers, six of u^0 first: m body-fixed, rad about the
+    camera's axes (Yoon & Shan 2005, Eq. 2).
+    """
+    terms = degree + 1
+    coefficients = np.zeros((terms, STATE, 6 * terms))
+    coefficients[:, :6] = np.eye(6 * terms).reshape(terms, 6, 6 * terms)
+    return PolynomialEffect((key,), coefficients, lines)
+
+
+def constant(key: int, rows: slice, matrix: Array) -> PolynomialEffect:
+    """What doesn't change along an image: a matrix (rows, columns) for some numbers of the state."""
+    coefficients = np.zeros((1, STATE, matrix.shape[1]))
+    coefficients[0, rows] = matrix
+    return PolynomialEffect((key,), coefficients)
 
 
 class Linear(NamedTuple):
@@ -57,23 +95,21 @@ class Linear(NamedTuple):
     by_point: Array
     """(r, 3) per m."""
     by_state: Array
-    """(r, width)."""
-    line_offset: float = 0.0
-    """Lines from where the basis was evaluated to the line whose pose was taken."""
+    """(r, 10)."""
+    line: float = 0.0
+    """Whose state was taken."""
 
 
-StateAt = Callable[[float], tuple[Vector, Vector]]
-"""State a number of lines from the reference line, and its rate per line."""
-Measurement = Callable[[StateAt, Vector], Linear | None]
-"""Rows at a state and a ground point (m, body-fixed); None for a point behind the camera."""
+StateAt = Callable[[float], tuple[Array, Array]]
+"""State at a line, and its rate per line."""
+Measurement = Callable[[StateAt, Array], Linear | None]
+"""Rows at a state and a ground point (3,) in m, body-fixed; None for a point behind the camera."""
 
 
 def measurement_factor(
-    keys: Sequence[int],
-    widths: Sequence[int],
-    point_key: int | Array,
+    effects: Sequence[Effect],
+    point: int | Array,
     measurement: Measurement,
-    correction: Correction,
     noise: gtsam.noiseModel.Base,
     label: str,
 ) -> gtsam.CustomFactor:
@@ -81,48 +117,74 @@ def measurement_factor(
 
     Parameters
     ----------
-    keys, widths : sequence of int
-        GTSAM keys of the variables that it depends on, in the order of the columns of x, and their numbers of columns.
-    point_key : int or (3,)
-        Variable of the ground point (Point3, m), or the coordinates of a known one.
+    effects : sequence of Effect
+        What the unknowns do; an unknown may be in several.
+    point : int or (3,)
+        GTSAM key of the ground point (Point3, m), or the coordinates of a known one.
     measurement : callable
         Its rows: `collinearity.ImageRay`, `laser_range.Range`, `ground.GroundPrior` or `surface.SurfaceHeight`.
-    correction : Correction
     noise : gtsam.noiseModel.Base
-        Rows in pixels (image), in m (range, surface), or whitened (ground prior); robust if wanted.
+        Of the rows; robust if wanted.
     label : str
         Point and image, for the error message.
 
     Raises
     ------
     PointBehindCamera
-        On linearisation at a point behind the camera; its plain error is infinite there.
+        On linearization at a point behind the camera; its plain error is infinite there.
     """
     import gtsam  # the equations of `factors` serve those who need no graph, too
 
-    ends = np.cumsum([0, *widths])
+    every = [(key, width) for one in effects for key, width in zip(one.keys, one.widths, strict=True)]
+    widths = dict(every)
+    keys, ends = list(widths), dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
+    columns = np.concatenate([np.zeros(0, dtype=int), *(ends[key] + np.arange(width) for key, width in every)])
+    total, plain = sum(widths.values()), len(every) == len(widths)
+
+    def matrices(line: float) -> tuple[Array, Array]:
+        parts = [one.at(line) for one in effects]
+        if len(parts) == 1 and plain:
+            return parts[0]
+        found = np.zeros((2, STATE, total))
+        for k in (0, 1):
+            np.add.at(found[k].T, columns, np.hstack([part[k] for part in parts]).T)
+        return found[0], found[1]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
-        position = values.atPoint3(point_key) if isinstance(point_key, int) else point_key
-        rows = measurement(lambda line_offset: _state(correction, x, line_offset), tuple(position.tolist()))
+        place = values.atPoint3(point) if isinstance(point, int) else point
+        if not keys:
+            rows = measurement(lambda line: (AT_REST, AT_REST), place)
+        else:
+            x = np.concatenate([values.atVector(key) for key in keys]) if len(keys) > 1 else values.atVector(keys[0])
+            rows = measurement(lambda line: _state(matrices(line), x), place)
         if rows is None:
             if jacobians is not None:
                 raise PointBehindCamera(label, "the point is behind the camera")
             return np.full(noise.dim(), np.inf)
         if jacobians is not None:
-            whole = rows.by_state @ correction.matrix(int(ends[-1]), rows.line_offset)
-            for k in range(len(keys)):
-                jacobians[k] = np.asfortranarray(whole[:, ends[k] : ends[k + 1]])
-            if isinstance(point_key, int):
+            if keys:
+                whole = rows.by_state @ matrices(rows.line)[0]
+                for k, key in enumerate(keys):
+                    jacobians[k] = np.asfortranarray(whole[:, ends[key] : ends[key] + widths[key]])
+            if isinstance(point, int):
                 jacobians[len(keys)] = np.asfortranarray(rows.by_point)
         return rows.residual
 
-    everything = [*keys, point_key] if isinstance(point_key, int) else list(keys)
-    return gtsam.CustomFactor(noise, everything, error)
+    return gtsam.CustomFactor(noise, [*keys, point] if isinstance(point, int) else keys, error)
 
 
-def _state(correction: Correction, x: Array, line_offset: float) -> tuple[Vector, Vector]:
-    state = correction.matrix(x.size, line_offset) @ x
-    rate = correction.matrix(x.size, line_offset + 1.0) @ x - state
-    return tuple(state.tolist()), tuple(rate.tolist())
+def _state(matrices: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
+    return matrices[0] @ x, matrices[1] @ x
+
+
+def noise_model(sigmas: Array | float, robust: tuple[str, float] | None = None, rows: int = 1) -> gtsam.noiseModel.Base:
+    """Noise of independent rows with sigmas (r,), or one for all; `robust` is a loss ("huber", "cauchy", "tukey") on
+    the norm of the whitened rows and its width in sigmas.
+    """
+    import gtsam
+
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas(np.broadcast_to(np.asarray(sigmas, dtype=np.float64), (rows,)).copy())
+    if robust is None:
+        return diagonal
+    estimator = getattr(gtsam.noiseModel.mEstimator, robust[0].capitalize())
+    return gtsam.noiseModel.Robust.Create(estimator.Create(robust[1]), diagonal)

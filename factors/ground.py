@@ -6,13 +6,17 @@ P0 is the a-priori position with covariance Q (m^2), s the shift that its laser 
 so the derivative by P is U, by s -U.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import subtract, transform
-from mgsgraph.factors.explicit import Linear, StateAt, Vector
+from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, measurement_factor
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 @equation
@@ -31,13 +35,26 @@ def ground_residual(root, point, known, shift):
 class GroundPrior(NamedTuple):
     """One a-priori position; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
 
-    known: Vector
+    known: Array
     """(3,) m."""
-    root: Vector
-    """(6,) per m, upper triangle of U."""
+    root: Array
+    """(3, 3) per m, U."""
 
-    def __call__(self, state_at: StateAt, position: Vector) -> Linear:
+    def __call__(self, state_at: StateAt, point: Array) -> Linear:
         """Rows (whitened) at a state: the shift (m)."""
-        root = upper_triangle(self.root)
-        residual = ground_residual(root, position, self.known, state_at(0.0)[0])
-        return Linear(np.array(residual), np.array(root), -np.array(root))
+        by_state = np.zeros((3, STATE))
+        by_state[:, :3] = -self.root
+        return Linear(self.root @ (point - self.known - state_at(0.0)[0][:3]), self.root, by_state)
+
+
+def ground_prior(
+    point_key: int, position: Array, covariance: Array, moved: Sequence[Effect] = ()
+) -> "gtsam.CustomFactor":
+    """A-priori position (3,) in m, body-fixed, with covariance (3, 3) in m^2, of a ground point; `moved` by what its
+    laser profile shares (Yoon & Shan 2005, Eq. 4).
+    """
+    import gtsam
+
+    information = np.linalg.solve(covariance, np.eye(3))
+    root = np.linalg.cholesky(0.5 * (information + information.T)).T
+    return measurement_factor(moved, point_key, GroundPrior(position, root), gtsam.noiseModel.Unit.Create(3), "")

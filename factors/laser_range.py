@@ -6,13 +6,17 @@ C is the instrument's corrected position at the shot's time, b a range bias. The
 vector from the instrument to the footprint; by C it is plus that, by b minus one.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mgsgraph.compiled import equation
-from mgsgraph.factors.algebra import add, dot, scale, subtract
-from mgsgraph.factors.explicit import Linear, StateAt, Vector
+from mgsgraph.factors.algebra import dot, scale, subtract
+from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, measurement_factor, noise_model
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 @equation
@@ -28,13 +32,30 @@ class Range(NamedTuple):
 
     measured: float
     """m, one-way."""
-    centre: Vector
+    line: float
+    """Of the image, at the shot's time."""
+    centre: Array
     """(3,) m, nominal position of the instrument."""
 
-    def __call__(self, state_at: StateAt, position: Vector) -> Linear:
-        """Row (m) at a state: correction of the position (m), and a range bias (m) where there is one."""
-        state, _ = state_at(0.0)
-        bias = state[3:4]
-        value, by_point = range_residual(self.measured, position, add(self.centre, state[:3]), bias[0] if bias else 0.0)
-        by_state = np.array([[*scale(-1.0, by_point), *(-1.0 for _ in bias)]])
-        return Linear(np.array([value]), np.array([by_point]), by_state)
+    def __call__(self, state_at: StateAt, point: Array) -> Linear:
+        """Row (m) at a state: its correction of the position, and its range bias."""
+        state, _ = state_at(self.line)
+        centre = tuple((self.centre + state[:3]).tolist())
+        value, by_point = range_residual(self.measured, tuple(point.tolist()), centre, float(state[9]))
+        by_state = np.zeros((1, STATE))
+        by_state[0, :3], by_state[0, 9] = scale(-1.0, by_point), -1.0
+        return Linear(np.array([value]), np.array([by_point]), by_state, self.line)
+
+
+def laser_range_factor(
+    effects: Sequence[Effect],
+    point: int | Array,
+    centre: Array,
+    line: float,
+    measured: float,
+    sigma: float,
+    robust: tuple[str, float] | None,
+    label: str,
+) -> "gtsam.CustomFactor":
+    """Factor of one range from a nominal place (3,) in m, at a line of the image that carries it."""
+    return measurement_factor(effects, point, Range(measured, line, centre), noise_model(sigma, robust), label)

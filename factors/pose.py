@@ -44,6 +44,13 @@ def about_axes(nominal, angular_rate, line_offset, theta, rate):
 
 
 @equation
+def turned_about_axes(matrix, angular_rate, theta, rate):
+    """The same of a nominal attitude M0 (rows) at its own line."""
+    corrected, axes = rotation(theta), right_jacobian(theta)
+    return product(corrected, matrix), axes, add(transform(corrected, angular_rate), transform(axes, rate))
+
+
+@equation
 def opk_paper(nominal, angular_rate, line_offset, addition, rate):
     """The same for additions to omega, phi, kappa, camera to body; `nominal` are these angles, `angular_rate` rates."""
     angles = add(add(nominal, scale(line_offset, angular_rate)), addition)

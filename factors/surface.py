@@ -8,14 +8,17 @@ where the model is. r is the distance from the ground exact to first order in it
 into account.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.compiled import equation
-from mgsgraph.factors.algebra import subtract
-from mgsgraph.factors.explicit import Linear, StateAt, Vector
+from mgsgraph.factors.algebra import scale
+from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, Vector, measurement_factor, noise_model
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 @equation
@@ -108,22 +111,37 @@ def height_above(point, ground, step):
     )
 
 
-class SurfaceHeight(NamedTuple):
-    """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
+class TerrainSpline(Protocol):
+    """A terrain model's radii as a cubic B-spline; `mgsgraph.geometry.terrain.TerrainGrid.spline()` gives it."""
 
-    coefficients: NDArray[np.float64]
-    """(rows, columns) m, the posts' radii."""
+    coefficients: Array
+    """(rows, columns) m."""
     first: Vector
     """(2,) rad, longitude and latitude of the first of them."""
     step: Vector
     """(2,) rad, between columns and rows."""
 
-    def __call__(self, state_at: StateAt, position: Vector) -> Linear:
+
+class SurfaceHeight(NamedTuple):
+    """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
+
+    terrain: TerrainSpline
+    """Radii."""
+
+    def __call__(self, state_at: StateAt, point: Array) -> Linear:
         """Row (m) at a state: where the model itself is (m)."""
-        moved = subtract(position, state_at(0.0)[0])
-        every = self.coefficients
-        row, column = post_coordinates(moved, self.first, self.step, every.shape)
+        moved, every = tuple((point - state_at(0.0)[0][:3]).tolist()), self.terrain.coefficients
+        row, column = post_coordinates(moved, self.terrain.first, self.terrain.step, every.shape)
         i, j = min(int(row), every.shape[0] - 3), min(int(column), every.shape[1] - 3)
         around = tuple(map(tuple, every[i - 1 : i + 3, j - 1 : j + 3].tolist()))
-        height, by_point = height_above(moved, cubic(column - j, row - i, around), self.step)
-        return Linear(np.array([height]), np.array([by_point]), -np.array([by_point]))
+        height, by_point = height_above(moved, cubic(column - j, row - i, around), self.terrain.step)
+        by_state = np.zeros((1, STATE))
+        by_state[0, :3] = scale(-1.0, by_point)
+        return Linear(np.array([height]), np.array([by_point]), by_state)
+
+
+def terrain_height(
+    point: int | Array, terrain: TerrainSpline, sigma: float, moved: Sequence[Effect] = ()
+) -> "gtsam.CustomFactor":
+    """Height of a ground point above a terrain model, zero within sigma (m); `moved` by the model's own shift."""
+    return measurement_factor(moved, point, SurfaceHeight(terrain), noise_model(sigma), "")

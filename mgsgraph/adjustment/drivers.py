@@ -22,11 +22,11 @@ import numpy as np
 
 from mgsgraph.adjustment.fit import Residuals, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
-from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
+from mgsgraph.network.parallel import nearly_parallel
 from mgsgraph.record import Record
 from mgsgraph.text import many
 

@@ -21,7 +21,6 @@ from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
-from mgsgraph.adjustment.graph.rows import nearly_parallel
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
@@ -30,6 +29,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 from mgsgraph.network import Network
+from mgsgraph.network.parallel import nearly_parallel
 
 NEAR = 1e-5
 """Lines from where a ray is laid out to its predicted line. The rates of a pose jump from sample to sample by much

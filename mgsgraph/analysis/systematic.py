@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.variables import along_track, footprint_motion
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, STEREO, SURFACE
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind, SharedUnknown
+from mgsgraph.network.effects import along_track, footprint_motion
 from mgsgraph.units import KM, MRAD
 
 _FEWEST = 8

@@ -80,7 +80,7 @@ class LineTiming(Record):
 
     def at(self, lines: Array) -> tuple[Array, Array]:
         """Times (n,) in s past the epoch of lines (n,), and seconds per line there."""
-        k = np.clip(np.searchsorted(self.first_lines, lines, side="right") - 1, 0, None)
+        k = np.maximum(np.searchsorted(self.first_lines, lines, side="right") - 1, 0)
         return self.start_times[k] + (lines - self.first_lines[k]) * self.periods[k], self.periods[k]
 
     def lines(self, times: Array) -> Array:

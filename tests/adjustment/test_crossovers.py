@@ -13,7 +13,6 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.forms import prior_factors
-from mgsgraph.adjustment.graph.variables import footprint_motion
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.measures import MeasureKind, names_of
@@ -24,6 +23,7 @@ from mgsgraph.geometry.altimetry import footprint_covariances
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, Network, PointClass, ProfileShifts, SharedUnknown
+from mgsgraph.network.effects import footprint_motion
 from mgsgraph.network.parts import part
 from mgsgraph.network.records import Crossovers, crossovers
 from mgsgraph.results.archive import read_solution, write_archive

@@ -14,7 +14,6 @@ from strategies import along
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
-from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
@@ -24,6 +23,7 @@ from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR,
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
+from mgsgraph.network.parallel import nearly_parallel, parallel
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

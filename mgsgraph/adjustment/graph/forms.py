@@ -1,51 +1,23 @@
-"""Both forms of the graph, side by side.
-
-*Bundle form*, of every adjustment: orientation variables and their priors, points solved and eliminated inside
-(variable projection; Golub & Pereyra 1973). *Explicit form*, an independent reference for small networks: one GTSAM
-factor per observation, points as variables; GTSAM optimises it and states its marginals without the kernel.
+"""The bundle form of the graph, of every adjustment: orientation variables and their priors; points are solved and
+eliminated inside (variable projection; Golub & Pereyra 1973). The explicit form is `adjustment.factor_graph`.
 """
 
-from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Protocol
 
-import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.sparse_cholesky import Factor
 from mgsgraph.compiled import in_threads
-from mgsgraph.factors.collinearity import ImageRay
-from mgsgraph.factors.explicit import Correction, Measurement, measurement_factor
-from mgsgraph.factors.ground import GroundPrior
-from mgsgraph.factors.laser_range import Range
-from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer
-from mgsgraph.factors.priors import linear_prior, zero_prior
-from mgsgraph.factors.stereo_surface import StereoHeight
-from mgsgraph.factors.surface import SurfaceHeight
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel import sweep
 from mgsgraph.kernel.covariance import NUMBERS
 from mgsgraph.kernel.rows import (
-    CAMERA,
-    CAUCHY,
-    FIXED,
-    GROUND,
-    HUBER,
-    IMAGE,
-    NO_LOSS,
-    OPK_PAPER,
-    OPK_PEER,
-    OUT,
-    PREDICTED,
-    RANGE,
-    STEREO,
-    TUKEY,
     Groups,
     Model,
     NormalBlocks,
     Rows,
-    one_observation,
     partition,
 )
 from mgsgraph.kernel.sweep import SYSTEM, Reduction, all_residuals, point_covariances, reduce
@@ -95,52 +67,6 @@ def numbers(
     edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
     in_threads(share, pairwise(edges))
     return found, chosen
-
-
-def orientation_key(image: int) -> int:
-    """GTSAM key of an image's orientation coefficients."""
-    return int(gtsam.symbol("o", image))
-
-
-def point_key(point: int) -> int:
-    """GTSAM key of a ground point."""
-    return int(gtsam.symbol("p", point))
-
-
-def shift_key(profile: int) -> int:
-    """GTSAM key of the horizontal shift of a laser profile; after these, of the terrain model and of what is shared."""
-    return int(gtsam.symbol("s", profile))
-
-
-def variable_key(layout: Layout, variable: int) -> int:
-    """GTSAM key of a shared unknown."""
-    images = layout.variables.images
-    return orientation_key(variable) if variable < images else shift_key(variable - images)
-
-
-def shared_values(layout: Layout, vector: Array) -> gtsam.Values:
-    """GTSAM values of the vector of shared unknowns (columns,)."""
-    values = gtsam.Values()
-    for v in layout.variables.adjusted():
-        values.insert(variable_key(layout, v), vector[layout.columns_of(v)])
-    return values
-
-
-def shared_vector(layout: Layout, values: gtsam.Values) -> Array:
-    """Vector of shared unknowns (columns,) of GTSAM values."""
-    vector = np.zeros(layout.columns)
-    for v in layout.variables.adjusted():
-        vector[layout.columns_of(v)] = values.atVector(variable_key(layout, v))
-    return vector
-
-
-def prior_factors(layout: Layout) -> Iterator[gtsam.NonlinearFactor]:
-    """What is known of the shared unknowns beforehand, as GTSAM's factors."""
-    for v in layout.variables.adjusted():
-        if v not in layout.prior.joined or np.any(layout.prior.weights[layout.columns_of(v)]):
-            yield zero_prior(variable_key(layout, v), layout.variables.prior_sigmas[layout.columns_of(v)])
-    for factor in layout.prior.factors:
-        yield linear_prior([variable_key(layout, v) for v in factor.variables], factor.blocks, factor.target)
 
 
 class Solving(Protocol):
@@ -237,143 +163,3 @@ class BundleGraph:
         Raises NotDefinite.
         """
         return sparse_factor(self.layout, reduction, damping)
-
-
-
-_ATTITUDES = {CAMERA: about_axes, OPK_PAPER: opk_paper, OPK_PEER: opk_peer}
-
-
-def measurement(rows: Rows, model: Model) -> tuple[Measurement, Correction]:
-    """The measurement of a single observation (`kernel.rows.one_observation`), and how its columns of unknowns act on
-    it.
-    """
-    kind, width, terms = int(rows.observation_kind[0]), int(rows.observation_width[0]), int(rows.observation_terms[0])
-    rates = terms if kind == IMAGE and model.line == PREDICTED else 0
-    singles = int(rows.observation_shared[0])
-    numbers, last = rows.data.tolist(), rows.data.size - singles * width
-    end = last - (min(terms, 1) if rows.observation_rate[0] else terms + rates)
-    basis, slopes = numbers[end : end + terms], numbers[end + terms : last] if rates else [0.0] * terms
-    if rows.observation_rate[0] and terms:
-        basis = [numbers[end] ** t for t in range(terms)]
-        slopes = [t * numbers[end] ** max(t - 1, 0) * float(rows.observation_rate[0]) for t in range(terms)]
-    columns = rows.entry_column[: terms + singles].tolist()
-    directions = tuple(tuple(numbers[last + e * width : last + (e + 1) * width]) for e in range(singles))
-    correction = Correction(
-        width, 6 if width >= 6 else 3, tuple(columns[:terms]), tuple(basis), tuple(slopes), tuple(columns[terms:]),
-        directions,
-    )  # fmt: skip
-    return _measurement(rows, model, kind, numbers[:end]), correction
-
-
-def _measurement(rows: Rows, model: Model, kind: int, constants: list[float]) -> Any:
-    if kind == IMAGE:
-        return _image_ray(model, constants, float(rows.observation_focal[0]))
-    if kind == RANGE:
-        return Range(constants[3], tuple(constants[:3]))
-    if kind == GROUND:
-        return GroundPrior(tuple(constants[:3]), tuple(constants[3:]))
-    if kind == STEREO:
-        return StereoHeight(tuple(constants[:3]), tuple(constants[3:6]), constants[6])
-    frame = rows.terrain_frame.tolist()
-    return SurfaceHeight(rows.terrain, tuple(frame[:2]), tuple(frame[2:]))
-
-
-def _image_ray(model: Model, constants: list[float], focal: float) -> ImageRay:
-    """Constants in the order of `kernel.tile.load_observation`."""
-    angles = 4 if model.angles == CAMERA else 3
-    centre, nominal, detector, rest = np.split(np.array(constants), np.cumsum([3, angles, 2]))
-    nothing = (0.0, 0.0, 0.0)
-    if model.line == PREDICTED:
-        (velocity, angular_rate, slope, offset), scale = map(tuple, np.split(rest, [3, 6, 8])), None
-    else:
-        velocity, angular_rate, slope, offset = nothing, nothing, nothing[:2], (0.0,)
-        scale = tuple(rest[:2]), tuple(rest[2:])
-    return ImageRay(
-        _ATTITUDES[model.angles], tuple(centre), tuple(nominal), velocity, angular_rate, tuple(detector), slope, scale,
-        offset[0], focal,
-    )  # fmt: skip
-
-
-def observation_factor(
-    keys: Sequence[int],
-    widths: Sequence[int],
-    point_key: int | Array,
-    rows: Rows,
-    model: Model,
-    noise: gtsam.noiseModel.Base,
-    label: str,
-) -> gtsam.CustomFactor:
-    """Factor of a single observation (`kernel.rows.one_observation`); other parameters as of `measurement_factor`."""
-    return measurement_factor(keys, widths, point_key, *measurement(rows, model), noise, label)
-
-
-_ESTIMATORS: dict[int, Any] = {
-    HUBER: gtsam.noiseModel.mEstimator.Huber,
-    CAUCHY: gtsam.noiseModel.mEstimator.Cauchy,
-    TUKEY: gtsam.noiseModel.mEstimator.Tukey,
-}
-
-
-def observation_noise(kind: int, weights: Array, model: Model) -> gtsam.noiseModel.Base:
-    """Noise of an observation from its weights (2,); the robust loss is for image rays, ranges and stereo heights."""
-    if kind == GROUND:
-        return gtsam.noiseModel.Unit.Create(3)
-    diagonal = gtsam.noiseModel.Diagonal.Sigmas(1.0 / weights[: 2 if kind == IMAGE else 1])
-    if model.loss == NO_LOSS or kind not in (IMAGE, RANGE, STEREO):
-        return diagonal
-    return gtsam.noiseModel.Robust.Create(_ESTIMATORS[model.loss].Create(model.width), diagonal)
-
-
-def explicit_graph(
-    layout: Layout, rows: Rows, orientation: Array, points: Array
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Graph on orientation and point variables, and its values.
-
-    Parameters
-    ----------
-    layout : Layout
-    rows : Rows
-        The layout's rows, with some left out.
-    orientation : (columns,)
-        m and rad.
-    points : (n, 3)
-        m, in the layout's order.
-
-    Returns
-    -------
-    graph, values
-        Points are `point_key(i)`, i being their place in the layout; those left out or fixed are no variables.
-    """
-    graph, values = gtsam.NonlinearFactorGraph(), shared_values(layout, orientation)
-    for factor in prior_factors(layout):
-        graph.add(factor)
-    for pattern, first, count, _, place in rows.piece.tolist():
-        for i in range(first, first + count):
-            if rows.kind[i] == OUT:
-                continue
-            if rows.kind[i] != FIXED:
-                values.insert(point_key(i), points[i])
-            for j in range(layout.patterns.first[pattern + 1] - layout.patterns.first[pattern]):
-                weights = rows.weight[:, place + j * count + i - first]
-                if weights[0] > 0.0:
-                    graph.add(_factor(layout, rows, i, pattern, j, weights))
-    return graph, values
-
-
-def _factor(layout: Layout, rows: Rows, i: int, pattern: int, j: int, weights: Array) -> gtsam.CustomFactor:
-    """Factor of the j-th observation of a point (place in the layout)."""
-    patterns, network = layout.patterns, layout.network
-    s = patterns.first[pattern] + j
-    variables = list(dict.fromkeys(patterns.entry_variable[patterns.entry[s] : patterns.entry[s + 1]].tolist()))
-    label = f"point {network.points.ids[layout.point_order[i]]}"
-    if patterns.image[s] >= 0:
-        label += f", image {network.images[patterns.image[s]].name}"
-    return observation_factor(
-        [variable_key(layout, v) for v in variables],
-        [int(layout.variables.width[v]) for v in variables],
-        rows.start[i] if rows.kind[i] == FIXED else point_key(i),
-        one_observation(rows, layout.groups, i, j),
-        layout.model,
-        observation_noise(int(patterns.kind[s]), weights, layout.model),
-        label,
-    )

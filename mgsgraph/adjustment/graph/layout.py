@@ -16,7 +16,6 @@ from mgsgraph.adjustment.graph.variables import (
     Prior,
     Variables,
     angles_of,
-    bends,
     make_prior,
     make_variables,
 )
@@ -38,6 +37,7 @@ from mgsgraph.kernel.rows import (
     Rows,
 )
 from mgsgraph.network import Network
+from mgsgraph.network.effects import bends
 
 _Kind = TypeVar("_Kind", np.float64, np.bool_, np.int8, np.int64)
 _LINES = {"predicted": PREDICTED, "measured": MEASURED}

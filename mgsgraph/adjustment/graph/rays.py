@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.adjustment.graph.patterns import Patterns, Terms
-from mgsgraph.adjustment.graph.variables import SharedEffects, Variables
+from mgsgraph.adjustment.graph.variables import Variables, angles_of
 from mgsgraph.compiled import cached_kernel, compiled, in_threads, make_equations_compilable
 from mgsgraph.factors.algebra import add, dot, scale, subtract, transform, transpose
 from mgsgraph.factors.collinearity import image_motion, ray_motion, to_lines_and_samples
@@ -29,6 +29,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
 from mgsgraph.network import Network
+from mgsgraph.network.effects import SharedEffects
 
 _SHARE = 1 << 16
 """Observations that a thread takes at a time."""
@@ -93,7 +94,7 @@ class RayConstants:
         piece: Index, before: Index,
     ) -> None:  # fmt: skip
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
-        self.effects = SharedEffects(network, model)
+        self.effects = SharedEffects(network, angles_of(model))
         rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
         begins = np.append(piece[:, 4], int(piece[:, 2] @ np.diff(patterns.first)[piece[:, 0]]))
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])

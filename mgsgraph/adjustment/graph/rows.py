@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.patterns import Patterns, Terms, counted
 from mgsgraph.adjustment.graph.rays import Crossing, RayConstants
 from mgsgraph.adjustment.graph.stereo import StereoRows
-from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, footprint_motion
+from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.plausibility import require_on_ground
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import (
     FIXED,
     FREE,
@@ -38,6 +38,8 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
+from mgsgraph.network.effects import SharedEffects, footprint_motion
+from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
 """Of the memory, above which an array goes to a file: the rest of an adjustment takes about as much again."""
@@ -107,66 +109,6 @@ def _in_file(needed: int) -> Array:
         found = f"no room for a file ({error.strerror or error})"
         expected = f"{needed / _GIGA:.1f} GB for the rows of the adjustment"
         raise InputError(f"folder {tempfile.gettempdir()}", found, expected, "set TMPDIR to another folder") from error
-
-
-_TIMES = 3.0
-"""Sigmas of the angle between two rays within which they count as parallel."""
-_MOST = 0.01
-"""rad (half a degree), the most that counts as parallel, however little is known of the orientation."""
-
-
-def parallel(network: Network, angles: Array) -> Mask:
-    """(n,) free points, held by nothing but rays, whose nominal rays are parallel within what is known beforehand.
-
-    `angles` (n,) are those between the outermost nominal rays, in rad. Rays that may as well part as cross put a point
-    anywhere between the camera and far below the ground; the equations, linear in the distance, have no meaning there.
-    Two nadir images of one ground track are like that.
-    """
-    rays, free = network.rays, _held_by_rays(network)
-    unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
-    pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
-    sigma = np.zeros(free.size)
-    np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * np.maximum(rays.sigmas[:, 0], rays.sigmas[:, 1])))
-    return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
-
-
-def nearly_parallel(network: Network, points: Index) -> Mask:
-    """(m,) which of some points (m,) nothing but rays hold, the nominal rays of each within `_MOST` of its first: where
-    these part, they say no more of the point than that it is far away. `parallel` knows of directions alone, not of how
-    well the cameras' positions are known.
-    """
-    rays, found = network.rays, _held_by_rays(network)[points]
-    order = np.argsort(points)
-    mine = np.flatnonzero(np.isin(rays.point, points[found]))
-    number, looks = order[np.searchsorted(points, rays.point[mine], sorter=order)], np.empty((mine.size, 3))
-    for j in np.unique(rays.image[mine]).tolist():
-        own = rays.image[mine] == j
-        looks[own] = network.images[j].sightlines(*rays.places[mine[own]].T)[1]
-    looks /= np.linalg.norm(looks, axis=1)[:, None]
-    first = np.zeros((points.size, 3))
-    first[number[::-1]] = looks[::-1]
-    apart = np.linalg.norm(looks - first[number], axis=1)
-    found[number[apart > _MOST]] = False
-    return found
-
-
-def _held_by_rays(network: Network) -> Mask:
-    """(n,) free points with rays alone: two or more, no range, no terrain model."""
-    free = (network.points.kinds == PointKind.FREE) & (network.ray_counts >= 2)
-    free[network.ranges.point] = False
-    if network.surface is not None:
-        free &= ~np.isfinite(network.surface.sigmas)
-    return np.asarray(free)
-
-
-def _pointing(network: Network, image: int) -> float:
-    """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
-    strip = int(network.pass_of[image])
-    if network.held[image]:
-        return 0.0
-    sigmas = (network.priors[image].sigmas if strip < 0 else network.passes[strip].sigmas[0][None])[0, 3:5]
-    known = sigmas[np.isfinite(sigmas)]
-    return float(known.max(initial=0.0))
 
 
 _Component = TypeVar("_Component", int, Index)

@@ -9,14 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.graph.variables import SharedEffects, Variables, acting_on, angles_of
+from mgsgraph.adjustment.graph.variables import Variables, angles_of
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import SUPPORT, polynomial
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.stereo_surface import heights_above
-from mgsgraph.kernel.rows import IMAGE, Model
+from mgsgraph.kernel.rows import Model
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import adjusted_image, whole_correction
+from mgsgraph.network.effects import SharedEffects, acting_on
 
 _TOLERANCE = 1e-6
 """Sigmas, of point and surface together, by which a row may differ from the one about the present state, and by how
@@ -78,7 +79,7 @@ def columns(network: Network, side: tuple[int, ...]) -> tuple[Index, Index]:
             add(int(network.first_of_passes[network.pass_of[image]]) + node, SUPPORT, 6)
         elif network.with_polynomial[image]:
             add(image, 1, network.priors[image].sigmas.size)
-        for k in acting_on(network, IMAGE)[image]:
+        for k in acting_on(network, "rays")[image]:
             add(network.first_shared + k, 1, network.shared[k].kind.width)
     return np.concatenate(variable), np.concatenate(inside)
 
@@ -98,7 +99,7 @@ def linear_rows(
     control = network.stereo
     if control is None:
         return None
-    values, effects = variables.split(orientation), SharedEffects(network, model)
+    values, effects = variables.split(orientation), SharedEffects(network, angles_of(model))
     found = [
         _of_surface(network, model, values, effects, s, np.flatnonzero(control.surface == s), points, before)
         for s in range(len(control.surfaces))

@@ -1,0 +1,430 @@
+"""A network as a GTSAM factor graph: one factor per measurement, priors on what images and profiles share.
+
+The explicit form, for GTSAM's own optimizers, iSAM2 and Marginals, for factors of one's own, and as a reference for the
+bundle form that `adjust` takes: it shares nothing with the compiled kernel but the equations of `factors`.
+
+    case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.errors import InputError
+from mgsgraph.factors.collinearity import image_ray_factor
+from mgsgraph.factors.explicit import (
+    STATE,
+    Effect,
+    PolynomialEffect,
+    constant,
+    orientation_polynomial,
+)
+from mgsgraph.factors.ground import ground_prior
+from mgsgraph.factors.laser_range import laser_range_factor
+from mgsgraph.factors.priors import linear_prior, zero_prior
+from mgsgraph.factors.surface import terrain_height
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.camera import Detector
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.trajectory import Pose
+from mgsgraph.network import HELD, Network
+from mgsgraph.network.corrections import interior_effect, radius_of
+from mgsgraph.network.effects import acting_on, crossover_rows, footprint_motion
+from mgsgraph.network.parallel import parallel
+from mgsgraph.network.shared import SharedKind, image_effect
+
+MARGIN = 100.0
+"""Lines by which a measured line and the predicted one may be apart for a ray to find its orientation images."""
+
+
+class Keys:
+    """GTSAM keys of a network's unknowns, asked for by name.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(network)
+    >>> gtsam.DefaultKeyFormatter(keys.point("TIE00001")), keys.name(keys.image("SIM/A"))
+    ('p0', 'image SIM/A')
+    """
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+
+    def image(self, image: str | int) -> int:
+        """Of an image's EO coefficients; InputError where it has none of its own."""
+        number = self._network.image_number(image)
+        if not self._network.with_polynomial[number]:
+            name, owner = self._network.images[number].name, int(self._network.pass_of[number])
+            found = "held, it has no unknowns" if owner < 0 else f"of pass {self._network.passes[owner].name!r}"
+            raise InputError(f"image {name}", found, "an image with a polynomial of its own", "ask for `keys.node`")
+        return self.variable(number)
+
+    def point(self, point: str | int) -> int:
+        """Of a ground point."""
+        return int(gtsam.symbol("p", self._network.point_number(point)))
+
+    def profile(self, profile: str | int) -> int:
+        """Of the shift of a laser profile, or of the "terrain model"."""
+        return self.variable(len(self._network.images) + self._network.shift_number(profile))
+
+    def shared(self, name: str | int) -> int:
+        """Of an unknown that images share."""
+        return self.variable(self._network.first_shared + self._network.shared_number(name))
+
+    def node(self, of_pass: str | int, node: int) -> int:
+        """Of an orientation image of a pass, counted from 0; after the last one its trend, where it has one."""
+        number = self._network.pass_number(of_pass)
+        count = self._network.passes[number].widths.size
+        if not 0 <= node < count:
+            where = f"pass {self._network.passes[number].name!r}"
+            raise InputError(where, f"orientation image {node}", f"0 .. {count - 1}")
+        return self.variable(int(self._network.first_of_passes[number]) + node)
+
+    def variable(self, number: int) -> int:
+        """Of one of the network's variables: images, shifts, shared unknowns, orientation images, in this order."""
+        network = self._network
+        ends = (0, len(network.images), network.first_shared, int(network.first_of_passes[0]))
+        kind = int(np.searchsorted(ends, number, side="right")) - 1
+        return int(gtsam.symbol("osun"[kind], number - ends[kind]))
+
+    def name(self, key: int) -> str:
+        """What a key stands for, in words."""
+        symbol, network = gtsam.Symbol(key), self._network
+        kind, k = chr(symbol.chr()), symbol.index()
+        if kind == "n":
+            one, node = network.of_passes(int(network.first_of_passes[0]) + k)
+            return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
+        if kind == "o":
+            return f"image {network.images[k].name}"
+        if kind == "s":
+            return f"shift of {network.shift_names[k]}"
+        return f"point {network.points.ids[k]}" if kind == "p" else f"shared unknown {network.shared[k].name}"
+
+
+class FactorGraph(NamedTuple):
+    """What `factor_graph` makes."""
+
+    graph: gtsam.NonlinearFactorGraph
+    """Factors."""
+    values: gtsam.Values
+    """Where to begin: zero for corrections; known places, or where nominal rays cross, for points."""
+    keys: Keys
+    """Which key is whose."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Taking:
+    """What takes part, and where points begin."""
+
+    places: Array
+    """(n, 3) m."""
+    nominal: Array
+    """(n, 3) m, where the nominal orientation puts them."""
+    rays: Mask
+    ranges: Mask
+    points: Mask
+    values: Sequence[Array]
+    """Of all variables."""
+
+
+def factor_graph(source: Network | Solution, settings: SolverSettings | None = None) -> FactorGraph:
+    """A network, or what a solution found, as a GTSAM graph.
+
+    Parameters
+    ----------
+    source : Network or Solution
+        Of a solution values are those found; what it rejected is left out.
+    settings : SolverSettings, optional
+        Line, angles and loss; a solution's own, or the defaults, when absent.
+
+    Returns
+    -------
+    FactorGraph
+        Graph, values, keys. Ground points are Point3 (m, body-fixed), all else Vectors (m, rad).
+
+    Raises
+    ------
+    InputError
+        For what the explicit form doesn't have: stereo surfaces; angles other than "camera"; the measured line.
+    """
+    network = source.network if isinstance(source, Solution) else source
+    settings = settings or (source.settings if isinstance(source, Solution) else SolverSettings())
+    _require_explicit(network, settings)
+    taking = _of_solution(source) if isinstance(source, Solution) else _nominal(network)
+    graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
+    for v in _adjusted(network):
+        values.insert(keys.variable(v), taking.values[v])
+    for i in np.flatnonzero(taking.points & (network.points.kinds != PointKind.FIXED)).tolist():
+        values.insert(keys.point(i), taking.places[i])
+    for factor in (
+        *_priors(network, keys), *_grounds(network, keys, taking), *_rays(network, keys, taking, settings),
+        *_ranges(network, keys, taking, settings), *_heights(network, keys, taking),
+    ):  # fmt: skip
+        graph.add(factor)
+    return FactorGraph(graph, values, keys)
+
+
+def _require_explicit(network: Network, settings: SolverSettings) -> None:
+    if settings.angles != "camera" or settings.line != "predicted":
+        found = f"angles {settings.angles!r}, line {settings.line!r}"
+        raise InputError("factor graph", found, "angles 'camera', line 'predicted'", "adjust it by the bundle form")
+    if network.stereo is not None:
+        raise InputError("factor graph", "points on stereo surfaces", "a network without them")
+
+
+def _nominal(network: Network) -> _Taking:
+    """All that is determined, at the nominal orientation."""
+    rays, n = network.rays, len(network.points)
+    origins, looks = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
+    for j, image in enumerate(network.images):
+        mine = rays.image == j
+        origins[mine], looks[mine] = image.sightlines(*rays.places[mine].T)
+    crossing, _, angles = intersect_rays(origins, looks, rays.point, n)
+    known = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
+    places = np.where(known[:, None], network.points.places, crossing)
+    used = ~(network.undetermined | parallel(network, np.nan_to_num(angles)))
+    for i in np.flatnonzero(used & ~np.all(np.isfinite(places), axis=1)).tolist():
+        k = int(np.flatnonzero(rays.point == i)[0])
+        places[i] = network.images[rays.image[k]].image_to_ground(*rays.places[[k]].T)[0][0]
+    values = [np.zeros(width) for width in _widths(network)]
+    return _Taking(places, places, used[rays.point], used[network.ranges.point], used, values)
+
+
+def _of_solution(solution: Solution) -> _Taking:
+    return _Taking(
+        solution.places, _nominal(solution.network).places, solution.rays_used, solution.ranges_used, solution.determined,
+        solution.values,
+    )  # fmt: skip
+
+
+def _widths(network: Network) -> list[int]:
+    """Of all variables of a network."""
+    images = [prior.sigmas.size for prior in network.priors]
+    shifts = [len(terms) for terms in network.shift_terms]
+    passes = [int(width) for one in network.passes for width in one.widths]
+    return [*images, *shifts, *(one.kind.width for one in network.shared), *passes]
+
+
+def _adjusted(network: Network) -> list[int]:
+    """Variables that are unknown."""
+    images = np.flatnonzero(network.with_polynomial).tolist()
+    return [*images, *range(len(network.images), len(_widths(network)))]
+
+
+# --- factors
+
+
+def _priors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
+    """What is known of shared unknowns; considered ones are held."""
+    for j in np.flatnonzero(network.with_polynomial).tolist():
+        yield zero_prior(keys.variable(j), network.priors[j].sigmas.ravel())
+    for name, terms in zip(network.shift_names, network.shift_terms, strict=True):
+        held = [HELD if one.horizontal and name in network.considered else 1.0 for one in terms]
+        yield zero_prior(keys.profile(name), np.array([one.sigma for one in terms]) * held)
+    for one in network.shared:
+        yield zero_prior(keys.shared(one.name), one.sigmas * (HELD if one.name in network.considered else 1.0))
+    for of_pass, first in network.numbered_passes:
+        for factor in of_pass.prior.factors(of_pass.nodes):
+            members = [keys.variable(first + k) for k in factor.unknowns]
+            yield linear_prior(members, factor.blocks, np.zeros(factor.blocks[0].shape[0]))
+    for row in crossover_rows(network):
+        yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
+
+
+def _grounds(network: Network, keys: Keys, taking: _Taking) -> Iterator[gtsam.NonlinearFactor]:
+    """A-priori places, moved by profiles' shifts and by what lasers share."""
+    points = network.points
+    movers: dict[int, list[Effect]] = {}
+    for one in network.shared:
+        if one.kind.moves_footprints:
+            for i, motion in zip(*footprint_motion(network, one), strict=True):
+                movers.setdefault(int(i), []).append(constant(keys.shared(one.name), slice(3), motion.T))
+    for i in np.flatnonzero(taking.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
+        moved = movers.get(i, [])
+        if network.shifts is not None and network.shifts.profile[i] >= 0:
+            level = constant(keys.profile(int(network.shifts.profile[i])), slice(3), east_north(points.places[[i]])[0].T)
+            moved = [level, *moved]
+        yield ground_prior(keys.point(i), points.places[i], points.covariances[i], moved)
+
+
+def _heights(network: Network, keys: Keys, taking: _Taking) -> Iterator[gtsam.NonlinearFactor]:
+    """Heights above the terrain model."""
+    surface = network.surface
+    if surface is None:
+        return
+    spline = surface.grid.spline()
+    for i in np.flatnonzero(taking.points & np.isfinite(surface.sigmas)).tolist():
+        moved = []
+        if network.terrain_moves:
+            motion = surface.directions(taking.nominal[[i]])[0]
+            moved = [constant(keys.variable(network.first_shared - 1), slice(3), motion.T)]
+        fixed = network.points.kinds[i] == PointKind.FIXED
+        point = network.points.places[i] if fixed else keys.point(i)
+        yield terrain_height(point, spline, float(surface.sigmas[i]), moved)
+
+
+def _robust(settings: SolverSettings) -> tuple[str, float] | None:
+    if settings.loss == "none":
+        return None
+    return settings.loss, settings.loss_width or LOSS_WIDTHS[settings.loss]
+
+
+def _rays(
+    network: Network, keys: Keys, taking: _Taking, settings: SolverSettings
+) -> Iterator[gtsam.NonlinearFactor]:
+    rays, fixed = network.rays, network.points.kinds == PointKind.FIXED
+    for j in range(len(network.images)):
+        mine = np.flatnonzero(taking.rays & (rays.image == j))
+        image = _Mounted.of(network, j)
+        moves = _Moves(network, keys, j)
+        for k in mine.tolist():
+            i = int(rays.point[k])
+            place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
+            point = network.points.places[i] if fixed[i] else keys.point(i)
+            label = f"point {network.points.ids[i]}, image {network.images[j].name}"
+            yield image_ray_factor(
+                moves.of_ray(*place), point, image, place, rays.sigmas[k], _robust(settings), label
+            )
+
+
+def _ranges(
+    network: Network, keys: Keys, taking: _Taking, settings: SolverSettings
+) -> Iterator[gtsam.NonlinearFactor]:
+    ranges, fixed = network.ranges, network.points.kinds == PointKind.FIXED
+    for j in np.unique(ranges.image).tolist():
+        image, moves = network.images[j], _Moves(network, keys, j)
+        mine = np.flatnonzero(taking.ranges & (ranges.image == j))
+        since = ranges.times[mine] - image.trajectory.epoch
+        centres, lines = image.trajectory.pose(since).position, image.timing.lines(since)
+        for k, centre, line in zip(mine.tolist(), centres, lines.tolist(), strict=True):
+            i = int(ranges.point[k])
+            point = network.points.places[i] if fixed[i] else keys.point(i)
+            yield laser_range_factor(
+                moves.of_range(line, float(ranges.times[k])), point, centre, line, float(ranges.values[k]),
+                float(ranges.sigmas[k]), _robust(settings), f"shot {network.points.ids[i]}, image {image.name}",
+            )  # fmt: skip
+
+
+# --- what moves an image
+
+
+class _Mounted(NamedTuple):
+    """An image in the axes of its pass."""
+
+    image: PushbroomImage
+    axes: Array | None
+
+    @classmethod
+    def of(cls, network: Network, j: int) -> "_Mounted | PushbroomImage":
+        axes = network.axes_of(j)
+        return network.images[j] if axes is None else cls(network.images[j], axes)
+
+    @property
+    def name(self) -> str:
+        return self.image.name
+
+    @property
+    def lines(self) -> int:
+        return self.image.lines
+
+    @property
+    def interior(self) -> "_Mounted":
+        return self
+
+    @property
+    def focal_length(self) -> float:
+        return self.image.interior.focal_length
+
+    def pose(self, lines: Array) -> Pose:
+        return self.image.pose(lines).in_axes(self.axes)
+
+    def focal_plane(self, samples: Array) -> tuple[Array, Array]:
+        return Detector(*self.image.interior.focal_plane(samples)).in_axes(self.axes, self.focal_length)
+
+
+class _NodesEffect(NamedTuple):
+    """Orientation images around the lines that a measurement may have: four of them at a time."""
+
+    keys: tuple[int, ...]
+    nodes: OrientationImages
+    first: int
+    image: PushbroomImage
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        return (6,) * len(self.keys)
+
+    def at(self, line: float) -> tuple[Array, Array]:
+        times, periods = self.image.timing.at(np.array([line]))
+        first, values, rates = self.nodes.at(times, self.image.trajectory.epoch)
+        begin = min(max(int(first[0]) - self.first, 0), len(self.keys) - SUPPORT)
+        if begin != int(first[0]) - self.first:
+            values, rates = self.nodes.around(np.array([self.first + begin]), times, self.image.trajectory.epoch)
+        found = np.zeros((2, STATE, len(self.keys), 6))
+        for k in range(SUPPORT):
+            found[0, range(6), begin + k, range(6)] = values[0, k]
+            found[1, range(6), begin + k, range(6)] = rates[0, k] * periods[0]
+        flat = found.reshape(2, STATE, -1)
+        return flat[0], flat[1]
+
+
+class _Moves:
+    """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
+
+    def __init__(self, network: Network, keys: Keys, j: int) -> None:
+        self._network, self._keys, self._j, self._image = network, keys, j, network.images[j]
+        self._axes, lines = network.axes_of(j), float(network.images[j].lines)
+        self._own: list[Effect] = []
+        if network.with_polynomial[j]:
+            self._own.append(orientation_polynomial(keys.image(j), network.priors[j].degree, lines))
+        self._pose = {
+            k: self._of_pose(k) for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument
+        }
+
+    def _of_pose(self, k: int) -> PolynomialEffect:
+        effect = image_effect(self._image, self._network.shared[k].kind, "camera")
+        if self._axes is not None:
+            effect = np.concatenate([effect[..., :3], effect[..., 3:] @ self._axes], axis=-1)
+        found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
+        found[:, :6] = effect.transpose(1, 2, 0)
+        return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))
+
+    def of_ray(self, line: float, sample: float) -> list[Effect]:
+        found = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
+        for k in acting_on(self._network, "rays")[self._j]:
+            found.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
+        return found
+
+    def of_range(self, line: float, time: float) -> list[Effect]:
+        found = [*self._own, *self._nodes(line, line)]
+        for k in acting_on(self._network, "ranges")[self._j]:
+            bias = self._network.shared[k].kind is SharedKind.RANGE_BIAS
+            found.append(constant(self._keys.shared(k), slice(9, 10), np.ones((1, 1))) if bias else self._pose[k])
+        return found
+
+    def _of_interior(self, k: int, sample: float) -> PolynomialEffect:
+        interior, one = self._image.interior, self._network.shared[k]
+        at = np.array([sample])
+        directions, _ = interior_effect(interior, one.kind, at, radius_of(self._network, one))
+        if self._axes is not None:
+            directions = directions @ self._axes * (interior.focal_length / (interior.looks(at)[0] @ self._axes)[:, 2:])
+        return constant(self._keys.shared(k), slice(6, 9), directions[:, 0].T)
+
+    def _nodes(self, first_line: float, last_line: float) -> list[Effect]:
+        owner = int(self._network.pass_of[self._j])
+        if owner < 0:
+            return []
+        nodes, begin = self._network.passes[owner].nodes, int(self._network.first_of_passes[owner])
+        times, _ = self._image.timing.at(np.array([first_line, last_line]))
+        first, last = nodes.first_of_four(times, self._image.trajectory.epoch).tolist()
+        members = tuple(self._keys.variable(begin + k) for k in range(first, last + SUPPORT))
+        return [_NodesEffect(members, nodes, first, self._image)]

@@ -1,0 +1,202 @@
+"""What shared unknowns do to the states of rays, ranges and known footprints: their directions, measurement by
+measurement. Rotations and looks are in the axes of an image's pass.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation import Angles, polynomial
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network.corrections import interior_effect, radius_of
+from mgsgraph.network.network import Network
+from mgsgraph.network.shared import DEGREE, SharedKind, SharedUnknown, beam_motion, image_effect
+
+
+def acting_on(network: Network, rows: Literal["rays", "ranges"]) -> list[list[int]]:
+    """Of each image the shared unknowns that its rays or its ranges depend on, ascending."""
+    affected: list[list[int]] = [[] for _ in network.images]
+    for k, shared in enumerate(network.shared):
+        if shared.kind.acts_on_rays if rows == "rays" else shared.kind.acts_on_ranges:
+            for j in shared.images.tolist():
+                affected[j].append(k)
+    return affected
+
+
+class SharedEffects:
+    """What each image's shared unknowns do to the state of its rays and of its ranges."""
+
+    def __init__(self, network: Network, angles: Angles) -> None:
+        self._network = network
+        self._mine = {what: acting_on(network, what) for what in ("rays", "ranges")}
+        self._kinds = {
+            what: [[network.shared[k].kind for k in mine] for mine in of_images]
+            for what, of_images in self._mine.items()
+        }
+        self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
+        self._effects = {
+            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles))
+            for of_images in self._kinds.values()
+            for j, kinds in enumerate(of_images)
+            for kind in kinds
+            if kind.moves_instrument
+        }
+
+    def of_ranges(self, image: int, u: Array) -> Array:
+        """(n, columns, 3 or 4) directions in the states of an image's ranges at normalised lines u (n,): m per unit of
+        the laser's place, then of the range.
+        """
+        kinds = self._kinds["ranges"][image]
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + (SharedKind.RANGE_BIAS in kinds)))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for kind in kinds:
+            if kind.moves_instrument:
+                effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+                found[:, column : column + kind.width, :3] = effect[:, :, :3]
+            else:
+                found[:, column, 3] = 1.0
+            column += kind.width
+        return found
+
+    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+        """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
+        m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
+        pass.
+        """
+        mine = self._mine["rays"][image]
+        kinds = [self._network.shared[k].kind for k in mine]
+        width = 9 if any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
+        for k, kind in zip(mine, kinds, strict=True):
+            columns = slice(column, column + kind.width)
+            if kind.moves_instrument:
+                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+            else:
+                found[:, columns, 6:] = np.swapaxes(self._of_interior(image, k, samples)[0], 0, 1)
+            column += kind.width
+        return found
+
+    def acts_on_rays(self, image: int) -> bool:
+        """Whether shared unknowns act on an image's rays."""
+        return bool(self._mine["rays"][image])
+
+    def bends(self, image: int) -> bool:
+        """Whether shared unknowns change the slope of an image's detector line."""
+        return any(bends(self._network, k, image) for k in self._mine["rays"][image])
+
+    def slopes(self, image: int, samples: Array, values: Sequence[Array]) -> Array:
+        """(n, 2) m per sample, of an image's detector line where all variables have `values`, in the axes of its
+        pass.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        look, along = interior.looks(samples)
+        if axes is not None:
+            look, along = look @ axes, along @ axes
+        scale = interior.focal_length / look[:, 2:]
+        look, along = look * scale, along * scale
+        for k in self._mine["rays"][image]:
+            if self._network.shared[k].kind.is_interior:
+                moved, turned = self._of_interior(image, k, samples)
+                value = values[self._network.first_shared + k]
+                look = look + np.einsum("c,cna->na", value, moved)
+                along = along + np.einsum("c,cna->na", value, turned)
+        return np.asarray(along[:, :2] - look[:, :2] / look[:, 2:] * along[:, 2:])
+
+    def _of_interior(self, image: int, shared: int, samples: Array) -> tuple[Array, Array]:
+        """(width, n, 3) m per m, what an unknown of the interior orientation does to what pixels look along, in the
+        axes of the image's pass and as long as their looks are there; and how it changes, per sample.
+        """
+        interior, axes = self._network.images[image].interior, self._network.axes_of(image)
+        kind = self._network.shared[shared].kind
+        directions, slopes = interior_effect(interior, kind, samples, self._radii[shared])
+        if axes is None:
+            return directions, slopes
+        scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
+        return directions @ axes * scale, slopes @ axes * scale
+
+
+def bends(network: Network, shared: int, image: int) -> bool:
+    """Whether a shared unknown changes the slope of an image's detector line in the focal plane of its pass."""
+    kind = network.shared[shared].kind
+    return kind.radial_order > 0 or (kind.is_interior and network.axes_of(image) is not None)
+
+
+def _in_axes(axes: Array | None, effect: Array) -> Array:
+    """Effects (..., 6) whose rotations are about the camera's axes, in those of its pass (`Network.axes_of`)."""
+    if axes is None:
+        return effect
+    return np.concatenate([effect[..., :3], effect[..., 3:] @ axes], axis=-1)
+
+
+def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
+    """Points (p,), ascending, whose footprint a shared unknown moves, and how: (p, width, 3) m per rad of an
+    altimeter's boresight, m per m of its lever arm, a row per camera axis; m per m of a profile's height and drift
+    upward, or of its drift eastward and northward.
+    """
+    if shared.kind.of_profile:
+        points = network.footprints_moved(shared)
+        places = network.points.places[points]
+        if shared.kind is SharedKind.PROFILE_DRIFT:
+            return points, along_track(places)[:, None, None] * east_north(places)
+        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
+    points, chosen = network.beams(shared)
+    ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
+    for j in np.unique(ranges.image).tolist():
+        mine, image = ranges.image == j, network.images[j]
+        since = ranges.times[mine] - image.trajectory.epoch
+        if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
+            motion[mine] = image.trajectory.pose(since).matrix
+        else:
+            motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
+    return points, motion
+
+
+def along_track(places: Array) -> Array:
+    """(p,) where shots (p, 3) of a profile, the first ones first, lie along it: from -1 at its beginning to 1 at its
+    end, which time does as evenly.
+    """
+    if len(places) < 2:
+        return np.zeros(len(places))
+    apart = places - places.mean(axis=0)
+    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    along *= np.sign(along[-1] - along[0]) or 1.0
+    low, high = along.min(), along.max()
+    return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
+
+
+class CrossoverRow(NamedTuple):
+    """A whitened row sum_v blocks[v] x_v - target."""
+
+    variables: tuple[int, ...]
+    """Of the network: two profiles, and what moves their shots."""
+    blocks: tuple[Array, ...]
+    """Of each a matrix (1, width)."""
+    target: Array
+    """(1,)"""
+
+
+def crossover_rows(network: Network) -> Iterator[CrossoverRow]:
+    """Rows of crossovers."""
+    crossing, shifts, places = network.crossovers, network.shifts, network.points.places
+    if crossing is None or shifts is None:
+        return
+    effects, shots = dict[int, Array](), crossing.shots
+    ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
+    for p in np.unique(shifts.profile[shots]).tolist():
+        mine = (shifts.profile[shots] == p)[:, :, None, None]
+        effects[len(network.images) + p] = crossing.effect(places, np.where(mine, ways, 0.0))
+    for k, shared in enumerate(network.shared):
+        if shared.kind.moves_footprints:
+            points, motion = footprint_motion(network, shared)
+            index = np.searchsorted(points, shots).clip(max=points.size - 1)
+            moved = np.where((points[index] == shots)[:, :, None, None], motion[index].swapaxes(2, 3), 0.0)
+            effects[network.first_shared + k] = crossing.effect(places, moved)
+    differences = crossing.differences(places)
+    for row, sigma in enumerate(crossing.sigmas.tolist()):
+        mine = [v for v in sorted(effects) if np.any(effects[v][row] != 0.0)]
+        blocks = tuple(effects[v][row][None] / sigma for v in mine)
+        yield CrossoverRow(tuple(mine), blocks, np.array([-differences[row] / sigma]))

@@ -1,0 +1,66 @@
+"""Points whose rays are nearly parallel: nothing says how far away they are."""
+
+import numpy as np
+
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.network.network import Network
+
+_TIMES = 3.0
+"""Sigmas of the angle between two rays within which they count as parallel."""
+_MOST = 0.01
+"""rad (half a degree), the most that counts as parallel, however little is known of the orientation."""
+
+
+def parallel(network: Network, angles: Array) -> Mask:
+    """(n,) free points, held by nothing but rays, whose nominal rays are parallel within what is known beforehand.
+
+    `angles` (n,) are those between the outermost nominal rays, in rad. Rays that may as well part as cross put a point
+    anywhere between the camera and far below the ground; the equations, linear in the distance, have no meaning there.
+    Two nadir images of one ground track are like that.
+    """
+    rays, free = network.rays, _held_by_rays(network)
+    unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
+    pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
+    sigma = np.zeros(free.size)
+    np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * np.maximum(rays.sigmas[:, 0], rays.sigmas[:, 1])))
+    return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
+
+
+def nearly_parallel(network: Network, points: Index) -> Mask:
+    """(m,) which of some points (m,) nothing but rays hold, the nominal rays of each within `_MOST` of its first: where
+    these part, they say no more of the point than that it is far away. `parallel` knows of directions alone, not of how
+    well the cameras' positions are known.
+    """
+    rays, found = network.rays, _held_by_rays(network)[points]
+    order = np.argsort(points)
+    mine = np.flatnonzero(np.isin(rays.point, points[found]))
+    number, looks = order[np.searchsorted(points, rays.point[mine], sorter=order)], np.empty((mine.size, 3))
+    for j in np.unique(rays.image[mine]).tolist():
+        own = rays.image[mine] == j
+        looks[own] = network.images[j].sightlines(*rays.places[mine[own]].T)[1]
+    looks /= np.linalg.norm(looks, axis=1)[:, None]
+    first = np.zeros((points.size, 3))
+    first[number[::-1]] = looks[::-1]
+    apart = np.linalg.norm(looks - first[number], axis=1)
+    found[number[apart > _MOST]] = False
+    return found
+
+
+def _held_by_rays(network: Network) -> Mask:
+    """(n,) free points with rays alone: two or more, no range, no terrain model."""
+    free = (network.points.kinds == PointKind.FREE) & (network.ray_counts >= 2)
+    free[network.ranges.point] = False
+    if network.surface is not None:
+        free &= ~np.isfinite(network.surface.sigmas)
+    return np.asarray(free)
+
+
+def _pointing(network: Network, image: int) -> float:
+    """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
+    strip = int(network.pass_of[image])
+    if network.held[image]:
+        return 0.0
+    sigmas = (network.priors[image].sigmas if strip < 0 else network.passes[strip].sigmas[0][None])[0, 3:5]
+    known = sigmas[np.isfinite(sigmas)]
+    return float(known.max(initial=0.0))
