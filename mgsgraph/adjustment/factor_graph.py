@@ -8,7 +8,7 @@ bundle form that `adjust` takes: it shares nothing with the compiled kernel but 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import gtsam
 import numpy as np
@@ -136,15 +136,31 @@ class _Taking:
     """Of all variables."""
 
 
-def factor_graph(source: Network | Solution, settings: SolverSettings | None = None) -> FactorGraph:
+class Case(Protocol):
+    """A network and how to adjust it; `mgsgraph.Case` is one."""
+
+    network: Network
+    """Who sees what."""
+    settings: SolverSettings
+    """How to solve it."""
+
+
+Source = Case | Network | Solution
+"""What a graph can be made of."""
+
+
+def network_and_settings(source: Source) -> tuple[Network, SolverSettings]:
+    """Network and settings; the defaults of a network alone."""
+    return (source, SolverSettings()) if isinstance(source, Network) else (source.network, source.settings)
+
+
+def factor_graph(source: Source) -> FactorGraph:
     """A network, or what a solution found, as a GTSAM graph.
 
     Parameters
     ----------
-    source : Network or Solution
+    source : Case, Network or Solution
         Of a solution values are those found; what it rejected is left out.
-    settings : SolverSettings, optional
-        Line, angles and loss; a solution's own, or the defaults, when absent.
 
     Returns
     -------
@@ -156,8 +172,7 @@ def factor_graph(source: Network | Solution, settings: SolverSettings | None = N
     InputError
         For what the explicit form doesn't have: stereo surfaces; angles other than "camera"; the measured line.
     """
-    network = source.network if isinstance(source, Solution) else source
-    settings = settings or (source.settings if isinstance(source, Solution) else SolverSettings())
+    network, settings = network_and_settings(source)
     _require_explicit(network, settings)
     taking = _of_solution(source) if isinstance(source, Solution) else _nominal(network)
     graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
