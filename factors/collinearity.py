@@ -15,12 +15,14 @@ ray. Derivatives by the chain rule: by the ray, then by point, position (minus t
 interior orientation, which is what the pixel looks along in camera components: (x0, y0, f).
 """
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from mgsgraph.compiled import equation
+from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import add, cross, dot, subtract, transform, transpose
 from mgsgraph.factors.explicit import (
     STATE,
@@ -28,10 +30,12 @@ from mgsgraph.factors.explicit import (
     Effect,
     Linear,
     StateAt,
+    Vector,
     measurement_factor,
     noise_model,
     orientation_polynomial,
 )
+from mgsgraph.factors.pose import ATTITUDES
 
 if TYPE_CHECKING:
     import gtsam
@@ -117,51 +121,73 @@ def by_interior(of_image, ray):
 
 
 @equation
-def ray_rows(pose, detector, point, state, rate, attitude_of):
-    """Rows of the strict form about one line: how far along the optical axis the point is; residuals of line and
-    sample; their derivatives by point, rotation and interior orientation. By position they are minus those by point.
+def ray_rows(pose, detector, point, state, rate, attitude_of, frozen):
+    """Rows about one line: how far along the optical axis the point is; residuals of line and sample; their derivatives
+    by point, rotation and interior orientation. By position they are minus those by point.
 
     Parameters: nominal pose there (position, matrix, velocity and angular rate per line); detector (place, slope, focal
-    length); state (9) and its rate per line; `attitude_of` as `pose.turned_about_axes`.
+    length); state (10) and its rate per line; `attitude_of` as `pose.turned_about_axes`; S of the measured-line form,
+    None for that of the predicted line.
     """
     centre, matrix, velocity, angular_rate = pose
     place, slope, focal = detector
     focal, place = focal + state[8], (place[0] + state[6], place[1] + state[7])
     attitude, axes, camera_rate = attitude_of(matrix, angular_rate, state[3:6], rate[3:6])
     ray = transform(attitude, subtract(point, add(centre, state[:3])))
-    motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
-    scale = to_lines_and_samples(image_motion(ray, motion, focal), slope)
-    return ray[2], residual(scale, focal_plane(ray, focal), place, 0.0), rows_by(scale, attitude, axes, ray, focal)
-
-
-@equation
-def rows_by(scale, attitude, axes, ray, focal):
-    """Derivatives of the line and of the sample by point, rotation, interior orientation."""
+    scale = frozen
+    if scale is None:
+        motion = ray_motion(attitude, ray, add(velocity, rate[:3]), camera_rate)
+        scale = to_lines_and_samples(image_motion(ray, motion, focal), slope)
     line, sample = by_ray(scale, ray, focal)
     return (
+        ray[2],
+        residual(scale, focal_plane(ray, focal), place, 0.0),
         (by_point(line, attitude), by_rotation(line, ray, axes), by_interior(scale[0], ray)),
         (by_point(sample, attitude), by_rotation(sample, ray, axes), by_interior(scale[1], ray)),
     )
 
 
+def pixels(slope):
+    """S of the peer's program: pixels of the detector's size along and across it."""
+    square = slope[0] ** 2 + slope[1] ** 2
+    return (slope[1] / square, -slope[0] / square), (-slope[0] / square, -slope[1] / square)
+
+
+Line = Literal["predicted", "measured"]
+Angles = Literal["camera", "opk-paper", "opk-peer"]
+
+
 class Pose(Protocol):
     """Of a camera at n lines, rates per line."""
 
-    position: Array
-    """(n, 3) m, body-fixed."""
-    matrix: Array
-    """(n, 3, 3) body-fixed to camera, +Z out of the lens."""
-    velocity: Array
-    """(n, 3) m per line, body-fixed."""
-    angular_rate: Array
-    """(n, 3) rad per line, in camera axes."""
+    @property
+    def position(self) -> Array:
+        """(n, 3) m, body-fixed."""
+        ...
+
+    @property
+    def matrix(self) -> Array:
+        """(n, 3, 3) body-fixed to camera, +Z out of the lens."""
+        ...
+
+    @property
+    def velocity(self) -> Array:
+        """(n, 3) m per line, body-fixed."""
+        ...
+
+    @property
+    def angular_rate(self) -> Array:
+        """(n, 3) rad per line, in camera axes."""
+        ...
 
 
 class Interior(Protocol):
     """Interior orientation of a camera."""
 
-    focal_length: float
-    """m."""
+    @property
+    def focal_length(self) -> float:
+        """In m."""
+        ...
 
     def focal_plane(self, samples: Array) -> tuple[Array, Array]:
         """(n, 2) m, ideal places of image samples, and (n, 2) m per sample, how the detector goes on there."""
@@ -171,14 +197,25 @@ class Interior(Protocol):
 class PushbroomImage(Protocol):
     """What a factor asks of an image; `mgsgraph.geometry.image.PushbroomImage` has it."""
 
-    name: str
-    """For messages."""
-    lines: int
-    """Number of lines."""
-    samples: int
-    """Number of samples."""
-    interior: Interior
-    """Camera constants."""
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def lines(self) -> int:
+        """Number of lines."""
+        ...
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        ...
+
+    @property
+    def interior(self) -> Interior:
+        """Camera constants."""
+        ...
 
     def pose(self, lines: Array) -> Pose:
         """Nominal pose at lines (n,)."""
@@ -188,21 +225,40 @@ class PushbroomImage(Protocol):
 class ImageRay:
     """One image ray; called, its rows for a GTSAM factor (`explicit.measurement_factor`).
 
-    The pose is that of the predicted line, found by Newton's method from the measured one: the rows are functions of
-    the unknowns and the point alone.
+    In the strict form the pose is that of the predicted line, found by Newton's method from the measured one: the rows
+    are functions of the unknowns and the point alone.
     """
 
-    def __init__(self, image: PushbroomImage, measured: tuple[float, float]) -> None:
-        from mgsgraph.factors.compiled_rows import ray_at  # compiled: not before it is needed
-
-        self._rows, self._image, (self._line, sample) = ray_at, image, measured
+    def __init__(
+        self, image: PushbroomImage, measured: tuple[float, float], line: Line, angles: str, near: Array | None
+    ) -> None:
+        self._image, (self._line, sample), self._strict = image, measured, line == "predicted"
         place, slope = image.interior.focal_plane(np.array([sample]))
         self._detector = np.array([*place[0], *slope[0], image.interior.focal_length])
         self._begin = self._kept = self._line, self._nominal(self._line)
+        if self._strict and angles == "camera":
+            from mgsgraph.factors.compiled_rows import ray_at  # compiled: not before it is needed
+
+            self._rows: Callable[..., float] = ray_at
+        else:
+            self._rows = partial(_ray_at, ATTITUDES[angles], None if self._strict else self._scale(angles, near))
 
     def _nominal(self, line: float) -> tuple[Array, ...]:
         pose = self._image.pose(np.array([line]))
         return pose.position, pose.matrix, pose.velocity, pose.angular_rate
+
+    def _scale(self, angles: str, near: Array | None) -> tuple[Vector, Vector]:
+        """S of the measured-line form."""
+        slope = tuple(self._detector[2:4].tolist())
+        if angles == "opk-peer":
+            return tuple(pixels(slope))
+        if near is None:
+            where = f"pushbroom projection, image {self._image.name}"
+            raise InputError(where, "the measured line without `near`", "about where the point is (3,), m")
+        centre, matrix, velocity, angular_rate = _tuples(self._begin[1])
+        ray = transform(matrix, subtract(tuple(near.tolist()), centre))
+        motion = image_motion(ray, ray_motion(matrix, ray, velocity, angular_rate), float(self._detector[4]))
+        return to_lines_and_samples(motion, slope)
 
     def __call__(self, state_at: StateAt, point: Array) -> Linear | None:
         """Rows (lines, samples), measured minus predicted, at a state (10) and a point."""
@@ -211,7 +267,7 @@ class ImageRay:
             if not self._rows(*nominal, self._detector, point, *state_at(line), rows) > 0.0:
                 return None
             step = float(rows[0, 0])
-            if abs(step) < NEWTON_TOLERANCE:
+            if not self._strict or abs(step) < NEWTON_TOLERANCE:
                 break
             line -= step
             if line != self._kept[0]:
@@ -219,6 +275,25 @@ class ImageRay:
             nominal = self._kept[1]
         rows[0, 0] += self._line - line
         return Linear(rows[:, 0], rows[:, 1:4], rows[:, 4:], line)
+
+
+def _tuples(nominal: Sequence[Array]) -> tuple[Any, ...]:
+    """Position, matrix, velocity and angular rate of one line, of arrays (1, ...)."""
+    centre, matrix, velocity, rate = (one[0].tolist() for one in nominal)
+    return tuple(centre), tuple(map(tuple, matrix)), tuple(velocity), tuple(rate)
+
+
+def _ray_at(attitude_of: Any, frozen: Any, *arrays: Array) -> float:
+    """As `compiled_rows.ray_at`, for any angles and either form, in Python."""
+    *nominal, detector, point, state, rate, rows = arrays
+    x, y, along, across, focal = detector.tolist()
+    ahead, values, *derivatives = ray_rows(
+        _tuples(nominal), ((x, y), (along, across), focal), tuple(point.tolist()), tuple(state.tolist()),
+        tuple(rate.tolist()), attitude_of, frozen,
+    )  # fmt: skip
+    for k, (of_point, of_rotation, of_interior) in enumerate(derivatives):
+        rows[k] = (values[k], *of_point, *(-one for one in of_point), *of_rotation, *of_interior, 0.0)
+    return float(ahead)
 
 
 def pushbroom_projection(
@@ -230,7 +305,11 @@ def pushbroom_projection(
     degree: int = 2,
     *,
     shared: Sequence[Effect] = (),
+    line: Line = "predicted",
+    angles: Angles = "camera",
+    near: Array | None = None,
     robust: tuple[str, float] | None = None,
+    label: str = "",
 ) -> "gtsam.CustomFactor":
     """Image coordinates of a ground point in a pushbroom image whose EO correction is a polynomial of the line
     (Yoon & Shan 2005, Eq. 1 and 2).
@@ -239,7 +318,7 @@ def pushbroom_projection(
     ----------
     image_key : int or None
         GTSAM key of the image's 6 (degree + 1) EO coefficients (Vector; m, rad about the camera's axes; six of u^0
-        first, u from -1 at the first line to 1 at the last). None for an image whose own EO is known.
+        first, u from -1 at the first line to 1 at the last). None for an image without such unknowns.
     point : int or (3,)
         GTSAM key of the ground point (Point3, m, body-fixed), or a known one.
     image : PushbroomImage
@@ -252,33 +331,39 @@ def pushbroom_projection(
         Of the polynomials.
     shared : sequence of Effect
         What other unknowns do to this ray (`explicit.Effect`).
+    line : str
+        "predicted": pose of the predicted line, the strict form; "measured": of the measured one, the papers' form.
+    angles : str
+        What the rotation part is: "camera", about its axes; added to omega, phi, kappa of the papers ("opk-paper") or
+        of the C++ peer ("opk-peer").
+    near : (3,), optional
+        m, about where the point is; for the scale of the measured line's residuals, which stays as it is.
     robust : (name, width), optional
         "huber", "cauchy" or "tukey", on the norm of both whitened rows, and its width in sigmas.
+    label : str
+        What messages call the measurement; image and pixel when empty.
 
     Returns
     -------
     gtsam.CustomFactor
         Rows (line, sample), measured minus predicted.
 
+    Raises
+    ------
+    InputError
+        For a measured line without `near`, a pixel outside the image, sigmas that are not positive.
+    PointBehindCamera
+        On linearization at a point behind the camera.
+
     Examples
     --------
     >>> from gtsam.symbol_shorthand import L, X
     >>> factor = mgsgraph.factors.pushbroom_projection(X(0), L(17), network.images[0], (2500.2, 511.7))
     """
+    where = label or f"image {image.name}, measured at line {measured[0]:g}, sample {measured[1]:g}"
+    if not (0.0 <= measured[0] <= image.lines and 0.0 <= measured[1] <= image.samples):
+        size = f"0 .. {image.lines} lines, 0 .. {image.samples} samples"
+        raise InputError(where, f"pixel {measured[0]:g}, {measured[1]:g}", size, "check line and sample")
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
-    where = f"image {image.name}, measured at line {measured[0]:g}, sample {measured[1]:g}"
-    return image_ray_factor([*own, *shared], point, image, measured, sigma, robust, where)
-
-
-def image_ray_factor(
-    effects: Sequence[Effect],
-    point: int | Array,
-    image: PushbroomImage,
-    measured: tuple[float, float],
-    sigma: float | Array,
-    robust: tuple[str, float] | None,
-    label: str,
-) -> "gtsam.CustomFactor":
-    """The same for any effects."""
-    ray = ImageRay(image, (float(measured[0]), float(measured[1])))
-    return measurement_factor(effects, point, ray, noise_model(sigma, robust, 2), label)
+    ray = ImageRay(image, (float(measured[0]), float(measured[1])), line, angles, near)
+    return measurement_factor([*own, *shared], point, ray, noise_model(sigma, robust, 2, where), where)

@@ -27,11 +27,11 @@ def ray_at(position, matrix, velocity, angular_rate, detector, point, state, rat
         state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7], state[8], state[9]
     )  # fmt: skip
     slope = rate[0], rate[1], rate[2], rate[3], rate[4], rate[5]
-    ahead, residuals, derivatives = ray_rows(
-        (*nominal, *motion), pixel, three(point, 0), moved, slope, turned_about_axes
+    ahead, residuals, line, sample = ray_rows(
+        (*nominal, *motion), pixel, three(point, 0), moved, slope, turned_about_axes, None
     )
     for k in range(2):
-        of_point, of_rotation, of_interior = derivatives[k]
+        of_point, of_rotation, of_interior = line if k == 0 else sample
         rows[k, 0], rows[k, 13] = residuals[k], 0.0
         for c in range(3):
             rows[k, 1 + c], rows[k, 4 + c] = of_point[c], -of_point[c]

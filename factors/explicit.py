@@ -1,9 +1,9 @@
 """One measurement as a GTSAM factor on the unknowns that move its instrument and on its ground point.
 
-What unknowns do to a measurement is its *state*, ten numbers: of the instrument's position (3, m), its attitude (3, rad)
-and what a pixel looks along (3, m: x, y, focal length); and what a measured distance is too long (1, m). It is linear in
-the unknowns, and a function of the image line: state(l) = sum_e E_e(l) x_e (Yoon & Shan 2005, Eq. 2). Each E_e is an
-*effect*. What moves a known place, of a laser profile or of a terrain model, takes the first three.
+What unknowns do to a measurement is its *state*, ten numbers: of the instrument's position (3, m), its attitude
+(3, rad), what a pixel looks along (3, m: x, y, focal length), and what a measured distance is too long (1, m). It is
+linear in the unknowns, and a function of the image line: state(l) = sum_e E_e(l) x_e (Yoon & Shan 2005, Eq. 2). Each
+E_e is an *effect*. What moves a known place, of a laser profile or of a terrain model, takes the first three.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import PointBehindCamera
+from mgsgraph.errors import InputError, PointBehindCamera
 
 if TYPE_CHECKING:
     import gtsam
@@ -177,13 +177,18 @@ def _state(matrices: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
     return matrices[0] @ x, matrices[1] @ x
 
 
-def noise_model(sigmas: Array | float, robust: tuple[str, float] | None = None, rows: int = 1) -> gtsam.noiseModel.Base:
+def noise_model(
+    sigmas: Array | float, robust: tuple[str, float] | None, rows: int, where: str
+) -> gtsam.noiseModel.Base:
     """Noise of independent rows with sigmas (r,), or one for all; `robust` is a loss ("huber", "cauchy", "tukey") on
-    the norm of the whitened rows and its width in sigmas.
+    the norm of the whitened rows and its width in sigmas. Raises InputError, naming `where`, for sigmas that are none.
     """
     import gtsam
 
-    diagonal = gtsam.noiseModel.Diagonal.Sigmas(np.broadcast_to(np.asarray(sigmas, dtype=np.float64), (rows,)).copy())
+    every = np.broadcast_to(np.asarray(sigmas, dtype=np.float64), (rows,)).copy()
+    if not (np.all(np.isfinite(every)) and np.all(every > 0.0)):
+        raise InputError(where, f"sigma {every.min():g}", "positive numbers")
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas(every)
     if robust is None:
         return diagonal
     estimator = getattr(gtsam.noiseModel.mEstimator, robust[0].capitalize())

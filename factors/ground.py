@@ -7,7 +7,8 @@ so the derivative by P is U, by s -U.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,7 +33,8 @@ def ground_residual(root, point, known, shift):
     return transform(root, subtract(subtract(point, known), shift))
 
 
-class GroundPrior(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundPrior:
     """One a-priori position; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
 
     known: Array
@@ -56,5 +58,6 @@ def ground_prior(
     import gtsam
 
     information = np.linalg.solve(covariance, np.eye(3))
-    root = np.linalg.cholesky(0.5 * (information + information.T)).T
-    return measurement_factor(moved, point_key, GroundPrior(position, root), gtsam.noiseModel.Unit.Create(3), "")
+    root: Array = np.linalg.cholesky(0.5 * (information + information.T)).T
+    noise, where = gtsam.noiseModel.Unit.Create(3), "a-priori position"
+    return measurement_factor(moved, point_key, GroundPrior(position, root), noise, where)

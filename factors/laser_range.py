@@ -7,13 +7,25 @@ vector from the instrument to the footprint; by C it is plus that, by b minus on
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsgraph.compiled import equation
+from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import dot, scale, subtract
-from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, measurement_factor, noise_model
+from mgsgraph.factors.collinearity import PushbroomImage
+from mgsgraph.factors.explicit import (
+    STATE,
+    Array,
+    Effect,
+    Linear,
+    StateAt,
+    measurement_factor,
+    noise_model,
+    orientation_polynomial,
+)
 
 if TYPE_CHECKING:
     import gtsam
@@ -27,7 +39,8 @@ def range_residual(measured, point, centre, bias):
     return measured - distance - bias, scale(-1.0 / distance, ray)
 
 
-class Range(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Range:
     """One range; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
     measured: float
@@ -47,15 +60,48 @@ class Range(NamedTuple):
         return Linear(np.array([value]), np.array([by_point]), by_state, self.line)
 
 
-def laser_range_factor(
-    effects: Sequence[Effect],
+def laser_range(
+    image_key: int | None,
     point: int | Array,
-    centre: Array,
+    image: PushbroomImage,
     line: float,
     measured: float,
     sigma: float,
-    robust: tuple[str, float] | None,
-    label: str,
+    degree: int = 2,
+    *,
+    shared: Sequence[Effect] = (),
+    robust: tuple[str, float] | None = None,
+    label: str = "",
 ) -> "gtsam.CustomFactor":
-    """Factor of one range from a nominal place (3,) in m, at a line of the image that carries it."""
-    return measurement_factor(effects, point, Range(measured, line, centre), noise_model(sigma, robust), label)
+    """Laser range from where an image's camera is at the shot to the footprint (Yoon & Shan 2005, Eq. 3).
+
+    Parameters
+    ----------
+    image_key, point, image, degree, shared, robust, label
+        As of `pushbroom_projection`; the image's EO carries the range.
+    line : float
+        Of that image at the shot's time; before its first or after its last one, too.
+    measured, sigma : float
+        m, one-way.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        One row (m), measured minus predicted.
+
+    Raises
+    ------
+    InputError
+        For a sigma or a range that is not positive.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import L, X
+    >>> factor = mgsgraph.factors.laser_range(X(0), L(17), network.images[0], 2500.0, 379872.0, 10.0)
+    """
+    where = label or f"range at line {line:g} of image {image.name}"
+    if not measured > 0.0:
+        raise InputError(where, f"{measured:g} m", "a positive number of meters")
+    own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
+    row = Range(measured, line, image.pose(np.array([line])).position[0])
+    return measurement_factor([*own, *shared], point, row, noise_model(sigma, robust, 1, where), where)

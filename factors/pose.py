@@ -13,9 +13,12 @@ The papers' own way, coefficients that add to omega, phi, kappa, takes `opk_pape
 `about_axes`.
 """
 
+import numpy as np
+
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import add, product, scale, transform, transpose
 from mgsgraph.factors.rotation import (
+    opk_angles,
     opk_paper_axes,
     opk_peer_axes,
     opk_rotation,
@@ -64,3 +67,24 @@ def opk_peer(nominal, angular_rate, line_offset, addition, rate):
     angles = add(add(nominal, scale(line_offset, angular_rate)), addition)
     axes = opk_peer_axes(angles)
     return opk_rotation(angles), axes, transform(axes, add(angular_rate, rate))
+
+
+def opk_paper_from(matrix, angular_rate, addition, rate):
+    """`opk_paper` of a nominal attitude M0 (rows) at its own line; for Python alone."""
+    angles = opk_angles(transpose(matrix))
+    return opk_paper(angles, _rates(opk_paper_axes(angles), angular_rate), 0.0, addition, rate)
+
+
+def opk_peer_from(matrix, angular_rate, addition, rate):
+    """The same of `opk_peer`."""
+    angles = opk_angles(matrix)
+    return opk_peer(angles, _rates(opk_peer_axes(angles), angular_rate), 0.0, addition, rate)
+
+
+def _rates(axes, angular_rate):
+    """Rates of the angles at which the camera turns by `angular_rate`."""
+    return tuple(np.linalg.solve(np.array(axes), np.array(angular_rate)).tolist())
+
+
+ATTITUDES = {"camera": turned_about_axes, "opk-paper": opk_paper_from, "opk-peer": opk_peer_from}
+"""What the rotation part of corrections is, by name."""

@@ -9,7 +9,8 @@ into account.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -114,15 +115,24 @@ def height_above(point, ground, step):
 class TerrainSpline(Protocol):
     """A terrain model's radii as a cubic B-spline; `mgsgraph.geometry.terrain.TerrainGrid.spline()` gives it."""
 
-    coefficients: Array
-    """(rows, columns) m."""
-    first: Vector
-    """(2,) rad, longitude and latitude of the first of them."""
-    step: Vector
-    """(2,) rad, between columns and rows."""
+    @property
+    def coefficients(self) -> Array:
+        """(rows, columns) m."""
+        ...
+
+    @property
+    def first(self) -> Vector:
+        """(2,) rad, longitude and latitude of the first of them."""
+        ...
+
+    @property
+    def step(self) -> Vector:
+        """(2,) rad, between columns and rows."""
+        ...
 
 
-class SurfaceHeight(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceHeight:
     """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
 
     terrain: TerrainSpline
@@ -144,4 +154,5 @@ def terrain_height(
     point: int | Array, terrain: TerrainSpline, sigma: float, moved: Sequence[Effect] = ()
 ) -> "gtsam.CustomFactor":
     """Height of a ground point above a terrain model, zero within sigma (m); `moved` by the model's own shift."""
-    return measurement_factor(moved, point, SurfaceHeight(terrain), noise_model(sigma), "")
+    where = "height above the terrain model"
+    return measurement_factor(moved, point, SurfaceHeight(terrain), noise_model(sigma, None, 1, where), where)

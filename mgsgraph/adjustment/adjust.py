@@ -446,8 +446,11 @@ def solution_of(source: Source, values: gtsam.Values, name: str | None = None) -
     network, settings = network_and_settings(source)
     clock, keys, left_in = Clock(), Keys(network), None
     if isinstance(source, Solution):
+        marks = (source.rays_rejected, source.ranges_rejected)
+        rays, ranges = (np.logical_not(one) if one is not None else None for one in marks)
+        whole = all_rows(network)
         left_in = replace(
-            all_rows(network), rays=~source.rays_rejected, ranges=~source.ranges_rejected, stereo=~source.stereo_rejected
+            whole, rays=whole.rays if rays is None else rays, ranges=whole.ranges if ranges is None else ranges
         )  # fmt: skip
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
     for v in layout.variables.adjusted():
@@ -465,7 +468,7 @@ def solution_of(source: Source, values: gtsam.Values, name: str | None = None) -
     linear = ReducedEquations(graph, reduction)
     step = linear.step(0.0)
     if step is None:
-        raise WeakNetwork("the values leave some direction of the orientation undetermined")
+        raise WeakNetwork(["some direction of the orientation"], 1)
     far = step_length(linear, step)
     message = f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."
     outcome = Outcome(orientation, initial, graph.cost(reduction), far < _CONVERGED, message, ())
@@ -473,8 +476,8 @@ def solution_of(source: Source, values: gtsam.Values, name: str | None = None) -
         layout, outcome, (), initial, orientation, reduction.points, graph.rows, selection, reduction, 1
     )  # fmt: skip
     clock.stop("solve")
-    own = name or getattr(source, "name", "adjustment")
-    return read_off(settings, own, solved, nominal, clock, IN_PROCESS, None)
+    own = getattr(source, "name", "adjustment") if name is None else name
+    return read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
 
 
 def _require_ties(name: str, solved: Solved) -> None:

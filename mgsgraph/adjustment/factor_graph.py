@@ -7,7 +7,7 @@ bundle form that `adjust` takes: it shares nothing with the compiled kernel but 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import gtsam
@@ -16,7 +16,7 @@ import numpy as np
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.collinearity import image_ray_factor
+from mgsgraph.factors.collinearity import pushbroom_projection
 from mgsgraph.factors.explicit import (
     STATE,
     Effect,
@@ -25,7 +25,7 @@ from mgsgraph.factors.explicit import (
     orientation_polynomial,
 )
 from mgsgraph.factors.ground import ground_prior
-from mgsgraph.factors.laser_range import laser_range_factor
+from mgsgraph.factors.laser_range import laser_range
 from mgsgraph.factors.priors import linear_prior, zero_prior
 from mgsgraph.factors.surface import terrain_height
 from mgsgraph.files.networks.tie_points import PointKind
@@ -33,7 +33,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
+from mgsgraph.geometry.orientation import SUPPORT, Angles, OrientationImages
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
@@ -170,10 +170,10 @@ def factor_graph(source: Source) -> FactorGraph:
     Raises
     ------
     InputError
-        For what the explicit form doesn't have: stereo surfaces; angles other than "camera"; the measured line.
+        For points on stereo surfaces, which the explicit form doesn't have.
     """
     network, settings = network_and_settings(source)
-    _require_explicit(network, settings)
+    _require_explicit(network)
     taking = _of_solution(source) if isinstance(source, Solution) else _nominal(network)
     graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
     for v in _adjusted(network):
@@ -188,10 +188,7 @@ def factor_graph(source: Source) -> FactorGraph:
     return FactorGraph(graph, values, keys)
 
 
-def _require_explicit(network: Network, settings: SolverSettings) -> None:
-    if settings.angles != "camera" or settings.line != "predicted":
-        found = f"angles {settings.angles!r}, line {settings.line!r}"
-        raise InputError("factor graph", found, "angles 'camera', line 'predicted'", "adjust it by the bundle form")
+def _require_explicit(network: Network) -> None:
     if network.stereo is not None:
         raise InputError("factor graph", "points on stereo surfaces", "a network without them")
 
@@ -215,9 +212,10 @@ def _nominal(network: Network) -> _Taking:
 
 
 def _of_solution(solution: Solution) -> _Taking:
-    return _Taking(
-        solution.places, _nominal(solution.network).places, solution.rays_used, solution.ranges_used, solution.determined,
-        solution.values,
+    nominal = _nominal(solution.network)
+    return replace(
+        nominal, places=solution.places, rays=solution.rays_used, ranges=solution.ranges_used,
+        points=solution.determined, values=solution.values,
     )  # fmt: skip
 
 
@@ -266,8 +264,8 @@ def _grounds(network: Network, keys: Keys, taking: _Taking) -> Iterator[gtsam.No
     for i in np.flatnonzero(taking.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
         moved = movers.get(i, [])
         if network.shifts is not None and network.shifts.profile[i] >= 0:
-            level = constant(keys.profile(int(network.shifts.profile[i])), slice(3), east_north(points.places[[i]])[0].T)
-            moved = [level, *moved]
+            level = east_north(points.places[[i]])[0].T
+            moved = [constant(keys.profile(int(network.shifts.profile[i])), slice(3), level), *moved]
         yield ground_prior(keys.point(i), points.places[i], points.covariances[i], moved)
 
 
@@ -300,15 +298,16 @@ def _rays(
     for j in range(len(network.images)):
         mine = np.flatnonzero(taking.rays & (rays.image == j))
         image = _Mounted.of(network, j)
-        moves = _Moves(network, keys, j)
+        moves = _Moves(network, keys, j, settings.angles)
         for k in mine.tolist():
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             point = network.points.places[i] if fixed[i] else keys.point(i)
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
-            yield image_ray_factor(
-                moves.of_ray(*place), point, image, place, rays.sigmas[k], _robust(settings), label
-            )
+            yield pushbroom_projection(
+                None, point, image, place, rays.sigmas[k], shared=moves.of_ray(*place), line=settings.line,
+                angles=settings.angles, near=taking.nominal[i], robust=_robust(settings), label=label,
+            )  # fmt: skip
 
 
 def _ranges(
@@ -316,16 +315,16 @@ def _ranges(
 ) -> Iterator[gtsam.NonlinearFactor]:
     ranges, fixed = network.ranges, network.points.kinds == PointKind.FIXED
     for j in np.unique(ranges.image).tolist():
-        image, moves = network.images[j], _Moves(network, keys, j)
+        image, moves = network.images[j], _Moves(network, keys, j, settings.angles)
         mine = np.flatnonzero(taking.ranges & (ranges.image == j))
-        since = ranges.times[mine] - image.trajectory.epoch
-        centres, lines = image.trajectory.pose(since).position, image.timing.lines(since)
-        for k, centre, line in zip(mine.tolist(), centres, lines.tolist(), strict=True):
+        lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
+        for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
             i = int(ranges.point[k])
             point = network.points.places[i] if fixed[i] else keys.point(i)
-            yield laser_range_factor(
-                moves.of_range(line, float(ranges.times[k])), point, centre, line, float(ranges.values[k]),
-                float(ranges.sigmas[k]), _robust(settings), f"shot {network.points.ids[i]}, image {image.name}",
+            yield laser_range(
+                None, point, image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
+                shared=moves.of_range(line, float(ranges.times[k])), robust=_robust(settings),
+                label=f"shot {network.points.ids[i]}, image {image.name}",
             )  # fmt: skip
 
 
@@ -350,6 +349,10 @@ class _Mounted(NamedTuple):
     @property
     def lines(self) -> int:
         return self.image.lines
+
+    @property
+    def samples(self) -> int:
+        return self.image.samples
 
     @property
     def interior(self) -> "_Mounted":
@@ -395,18 +398,17 @@ class _NodesEffect(NamedTuple):
 class _Moves:
     """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
 
-    def __init__(self, network: Network, keys: Keys, j: int) -> None:
+    def __init__(self, network: Network, keys: Keys, j: int, angles: Angles) -> None:
         self._network, self._keys, self._j, self._image = network, keys, j, network.images[j]
         self._axes, lines = network.axes_of(j), float(network.images[j].lines)
         self._own: list[Effect] = []
         if network.with_polynomial[j]:
             self._own.append(orientation_polynomial(keys.image(j), network.priors[j].degree, lines))
-        self._pose = {
-            k: self._of_pose(k) for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument
-        }
+        mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
+        self._pose = {k: self._of_pose(k, angles) for k in mine}
 
-    def _of_pose(self, k: int) -> PolynomialEffect:
-        effect = image_effect(self._image, self._network.shared[k].kind, "camera")
+    def _of_pose(self, k: int, angles: Angles) -> PolynomialEffect:
+        effect = image_effect(self._image, self._network.shared[k].kind, angles)
         if self._axes is not None:
             effect = np.concatenate([effect[..., :3], effect[..., 3:] @ self._axes], axis=-1)
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))

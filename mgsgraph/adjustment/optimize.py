@@ -60,7 +60,7 @@ class _Linearized:
         lengths = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0)).ravel())
         for key in self.keys:
             if np.any(lengths[self.columns_of(key)] == 0.0):
-                raise WeakNetwork(f"variable {gtsam.DefaultKeyFormatter(key)}: no factor depends on all of it")
+                raise WeakNetwork([f"variable {gtsam.DefaultKeyFormatter(key)}"], 1)
         self.scales = 1.0 / lengths
         self.jacobian = csc_array(jacobian.multiply(self.scales[None]))
         self.normal = csc_array(self.jacobian.T @ self.jacobian)
@@ -153,7 +153,7 @@ def optimize(
         progress(last)
         if accepted:
             values, cost, damping = trial, new, max(0.1 * damping, _LEAST)
-        if length < step_tolerance or (predicted <= cost_tolerance * cost and abs(last.decrease) <= cost_tolerance * cost):
+        if length < step_tolerance or max(predicted, abs(last.decrease)) <= cost_tolerance * cost:
             return Optimized(values, cost, True, f"Converged after {len(history)} iterations.", tuple(history))
         if accepted:
             linear = _Linearized(graph, values)
@@ -186,7 +186,7 @@ class Marginals:
     def _factor(self) -> Any:
         found = self._linear.factor()
         if found is None:
-            raise WeakNetwork("the graph leaves some direction of its variables undetermined")
+            raise WeakNetwork(["some direction of the variables"], 1)
         return found
 
     def covariance(self, *keys: int) -> Array:
