@@ -69,7 +69,8 @@ def test_what_parsers_raise_is_one_line_with_the_file(raised: Exception) -> None
 @pytest.mark.parametrize(
     "text",
     ["[" * 1200 + "]" * 1200, '{"a":' + "[0," * 101 + "0" + "]" * 101 + "}", '{"a": 1e999}',
-     '{"a": ' + "9" * 5000 + "}", '{"a": ' + "9" * 30 + "}", '{"a": NaN}', '{"a": 1, "a": 2}', '{"a": 1', "[]", b'{"\xff": 1}'],
+     '{"a": ' + "9" * 5000 + "}", '{"a": ' + "9" * 30 + "}", '{"a": NaN}',
+     '{"a": 1, "a": 2}', '{"a": 1', "[]", b'{"\xff": 1}'],
 )  # fmt: skip
 def test_json_that_no_reader_should_see(text: str | bytes) -> None:
     with pytest.raises(InputError, match=r"^x\.json"):

@@ -1,6 +1,7 @@
 """What is made aside goes with its process; nothing but an earlier output of its kind is replaced; damage is told."""
 
 import ast
+import errno
 import json
 import os
 import re
@@ -302,6 +303,20 @@ def write_result(out: Path, names: list[str]) -> None:
         for name in names:
             (folder / name).touch()
         (folder / "solution.json").write_text('{"program": "mgsgraph"}', encoding="utf-8")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: str, mode: int = 0o777) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", path)
+
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setattr(os, "mkdir", refuse)
+    for out in (tmp_path / "out", tmp_path / "deep" / "out", tmp_path / "empty"):
+        with pytest.raises(InputError) as caught:
+            require_replaceable(out)
+        assert str(caught.value).startswith(f"{out}: can't be written (Permission denied);")
 
 
 # --- pages: earlier ones of the same verb are replaced

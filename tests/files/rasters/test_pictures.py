@@ -325,6 +325,14 @@ def test_blocks_that_are_not_there_are_no_zeros(tmp_path: Path) -> None:
         read_picture(part)
 
 
+def test_names_that_gdal_understands_are_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    heights(tmp_path)
+    for name in ("/vsicurl/http://127.0.0.1:9/a.tif", "GTIFF_DIR:1:a.tif"):
+        with pytest.raises(InputError, match="no such file"):
+            read_picture(Path(name))
+
+
 def test_pixels_of_odd_bits(tmp_path: Path) -> None:
     """One bit of the header makes 8 bits 9, and pixels run on into each other."""
     path = raster(tmp_path / "a.tif", np.zeros((10, 12), dtype=np.uint16), LONGLAT, pixels(LONGLAT)[0], nbits=9)
