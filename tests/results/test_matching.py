@@ -11,18 +11,11 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.networks.table import read_tie_points
-from mgsgraph.results import matching as module
 from mgsgraph.results.figures.matches import matches_sheet
-from mgsgraph.results.matching import match_into, match_statements, write_matches
+from mgsgraph.results.matching import match_statements, write_matches
 
 TABLES = {"match.json", "matches.csv", "network.net", "network.pvl"}
 FIGURES = {"matches.png"}
-
-
-@pytest.fixture
-def ready(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is found is known already."""
-    monkeypatch.setattr(module, "match_scene", lambda *_: matched.matches())
 
 
 @pytest.fixture(scope="module")
@@ -97,40 +90,6 @@ def test_figure_shows_every_match() -> None:
     assert len(where.lines[-1].get_xdata()) == count
     across, along = (np.asarray(line.get_xdata()) for line in nominal.lines[:2])
     assert np.median(np.hypot(across, along)) == pytest.approx(229.0, abs=20.0)  # as published
-
-
-@pytest.mark.usefixtures("ready")
-def test_results_are_replaced_and_nothing_else_is(tmp_path: Path) -> None:
-    out, scene = tmp_path / "out", matched.scene()
-    for figures, names in ((True, TABLES | FIGURES), (False, TABLES)):
-        match_into("pair", scene, out, matched.SETTINGS, figures=figures)
-        assert {path.name for path in out.iterdir()} == names
-    (out / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"notes\.txt"):
-        match_into("pair", scene, out, matched.SETTINGS, figures=False)
-    foreign = tmp_path / "foreign"
-    foreign.mkdir()
-    (foreign / "a").write_text("")
-    with pytest.raises(InputError, match="not a result of mgsgraph"):
-        match_into("pair", scene, foreign, matched.SETTINGS, figures=False)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["foreign", "out"]
-    assert {path.name for path in out.iterdir()} == TABLES | {"notes.txt"}
-
-
-@pytest.mark.usefixtures("ready")
-def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out, scene = tmp_path / "out", matched.scene()
-    match_into("pair", scene, out, matched.SETTINGS, figures=False)
-    before = {path.name: path.read_bytes() for path in out.iterdir()}
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(module, "write_binary_network", full)
-    with pytest.raises(InputError, match="No space left"):
-        match_into("other", scene, out, matched.SETTINGS, figures=False)
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_networks_are_held_against_their_record(tmp_path: Path) -> None:
