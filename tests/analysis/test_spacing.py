@@ -27,6 +27,7 @@ from mgsgraph.network.corrections import (
     supported_spacing,
     useful_rays,
 )
+from mgsgraph.results.spacing import nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching
 from mgsgraph.units import MGON
@@ -171,6 +172,7 @@ def test_blunders_do_not_choose() -> None:
     made = simulate_hrsc_block(settings, 1)
     choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0])
     assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
+    assert nodes_section(choice, "block").numbers["rays_rejected"] == choice.rejected
     assert choice.spacing == 4.0
     assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders
     assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[1].rms
