@@ -10,8 +10,8 @@ import re
 import sys
 import tracemalloc
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
+from projects import leaves
 from sharing import with_all_kinds
 from strip_files import block
 
@@ -49,40 +50,9 @@ def archive(pair_solution: Solution, tmp_path_factory: pytest.TempPathFactory) -
     return path
 
 
-def leaves(value: Any, where: str = "solution") -> Iterator[tuple[str, Any]]:
-    """Everything in a record that is no record itself, with the path to it; types too."""
-    if is_dataclass(value):
-        yield where, type(value)
-        for field in fields(value):
-            yield from leaves(getattr(value, field.name), f"{where}.{field.name}")
-    elif isinstance(value, tuple):
-        yield where, len(value)
-        for k, item in enumerate(value):
-            yield from leaves(item, f"{where}[{k}]")
-    elif isinstance(value, Mapping):
-        yield where, tuple(value)
-        for key, item in value.items():
-            yield from leaves(item, f"{where}[{key}]")
-    else:
-        yield where, value
-
-
-def same(one: Any, other: Any) -> bool:
-    if isinstance(one, np.ndarray):
-        return (
-            isinstance(other, np.ndarray)
-            and (one.dtype, one.shape) == (other.dtype, other.shape)
-            and np.ascontiguousarray(one).tobytes() == np.ascontiguousarray(other).tobytes()
-        )
-    if isinstance(one, float):  # np.float64 is a float too, and comes back as Python's
-        return isinstance(other, float) and (one == other or (math.isnan(one) and math.isnan(other)))
-    return type(one) is type(other) and bool(one == other)
-
-
 def differences(one: Solution, other: Solution) -> list[str]:
-    want, got = list(leaves(one)), list(leaves(other))
-    assert [where for where, _ in want] == [where for where, _ in got]
-    return [where for (where, value), (_, back) in zip(want, got, strict=True) if not same(value, back)]
+    want, got = dict(leaves("solution", one)), dict(leaves("solution", other))
+    return [name for name in want | got if want.get(name, "nothing") != got.get(name, "nothing")]
 
 
 def there_and_back(solution: Solution, folder: Path) -> Solution:
