@@ -29,6 +29,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.simulation.orbit import MARS
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG, KM
 
 pyogrio = pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")
@@ -158,6 +159,31 @@ def test_the_sigma_raster_goes_along(solution: Solution, tmp_path: Path) -> None
     at = (grid.west + (column + 0.5) * grid.steps[0]) / DEG, (grid.north - (row + 0.5) * grid.steps[1]) / DEG
     values = tool("gdallocationinfo", "-valonly", "-geoloc", files[-1], *at).split()
     assert np.allclose([float(one) for one in values], grid.values[:, row, column], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("longitude", "latitude"), [(180.0, 4.0), (30.0, 89.99)])
+def test_a_solution_on_the_date_line_and_on_the_pole(
+    longitude: float, latitude: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mgsgraph.simulation.pair.CENTRE", (longitude * DEG, latitude * DEG))
+    solved = adjust_network(network(simulate_pair(PairSettings(ties=10, shots=5))), SolverSettings())
+    path = write_gis(solved, tmp_path)[0]
+    found = layer(path, "footprints_adjusted")
+    if latitude < 80.0:
+        assert max(len(shapely.get_parts(shape)) for shape in found.shapes) == 2
+    else:
+        assert shapely.bounds(found.shapes)[:, 3].max() == 90.0
+    for j, shape in enumerate(found.shapes):
+        assert shapely.is_valid(shape)
+        assert np.abs(shapely.bounds(shape)).max() <= 180.0
+        assert true_area(shape, MARS) == pytest.approx(found.fields["area_km2"][j] * KM**2, rel=1e-3)
+    points = layer(path, "tie_points")
+    assert np.abs(shapely.get_coordinates(points.shapes) - degrees(solved.places[:10])).max() < 1e-9
+    assert np.allclose(points.fields["lon_deg"], degrees(solved.places[:10])[:, 0] % 360.0, rtol=0.0, atol=1e-9)
+    seen = shapely.contains(shapely.buffer(found.shapes[0], 1e-9), points.shapes)
+    assert seen.all()
+    for name in LAYERS[:-1]:
+        assert shapely.is_valid(layer(path, name).shapes).all()
 
 
 # --- the file

@@ -1,5 +1,5 @@
-"""The simulated ground: smooth, the same for the same seed, met by rays where it is, as high as the real sites; pictures
-of it, by Lambert's law at the places that the pixels see.
+"""The simulated ground: smooth, the same for the same seed, met by rays where it is, as high as the real sites;
+pictures of it, by Lambert's law at the places that the pixels see.
 """
 
 from dataclasses import replace
