@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from gis_files import LAYERS, ODD, by_gdal, degrees, layer, level_axes, odd_solution, on_body, tool, true_area
+from gis_files import LAYERS, by_gdal, degrees, layer, level_axes, odd_solution, on_body, tool, true_area
 from networks import network, pair
 from scipy.stats import chi2
 
@@ -109,21 +109,6 @@ def test_what_nothing_determines_has_no_place(solution: Solution, written: Path)
 
 
 # --- GDAL's own tools
-
-
-@gdal
-def test_gdal_opens_it_and_finds_everything(solution: Solution, written: Path) -> None:
-    said = tool("ogrinfo", "-ro", written)
-    assert [line.split(": ")[1].split(" (")[0] for line in said.splitlines() if line[:1].isdigit()] == list(LAYERS)
-    rows = by_gdal(written, "tie_points")
-    assert rows[0]["properties"]["id"] == ODD
-    assert rows[1]["geometry"] is None
-    assert rows[1]["properties"]["lat_deg"] is None
-    there = np.flatnonzero(solution.determined[:40])
-    found = np.array([rows[i]["geometry"]["coordinates"] for i in there])
-    assert np.abs(found - degrees(solution.places[there])).max() < 1e-9
-    images = [row["properties"]["image"] for row in by_gdal(written, "footprints_adjusted")]
-    assert images == [image.name for image in solution.network.images]
 
 
 @gdal

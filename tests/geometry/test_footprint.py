@@ -3,7 +3,6 @@ line and poles too, what is refused.
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -76,16 +75,6 @@ def test_area_of_a_box_is_that_of_the_zone(west: float, south: float, width: flo
 def test_area_of_a_cap(latitude: float, radius: float) -> None:
     want = 2.0 * np.pi * SPHERE.equatorial**2 * (1.0 - np.cos(radius * DEG))
     assert cap(latitude, radius, 180.0).area == pytest.approx(want, rel=3e-4)  # a circle of 200 corners: 1.6e-4 less
-
-
-def test_area_of_a_triangle_is_its_excess() -> None:
-    """Girard's theorem, on the octant: three right angles."""
-    corners = np.eye(3)[[0, 1, 2, 0]]
-    step = np.linspace(0.0, 1.0, 200, endpoint=False)[:, None]
-    ring = np.concatenate([(1.0 - step) * a + step * b for a, b in pairwise(corners)])
-    ring *= SPHERE.equatorial / np.linalg.norm(ring, axis=1)[:, None]
-    one = Footprint("octant", np.concatenate([ring, ring[:1]]), SPHERE)
-    assert one.area == pytest.approx(0.5 * np.pi * SPHERE.equatorial**2, rel=1e-4)
 
 
 # --- overlaps
@@ -302,16 +291,6 @@ def test_a_circle_anywhere_keeps_its_area_and_its_inside(longitude: float, latit
     clear = np.abs(away - 1.0) > 0.05
     inside = shapely.contains_xy(shape, degrees(around[clear]))
     assert np.array_equal(inside, away[clear] < 1.0)
-
-
-def test_polygons_are_parted_at_the_date_line_alone() -> None:
-    for longitude, parts in ((179.9, 2), (-179.9, 2), (0.0, 1), (170.0, 1)):
-        (shape,) = map_polygons(cap(10.0, 0.5, longitude).outline[None])
-        assert len(shapely.get_parts(shape)) == parts
-        assert shapely.bounds(shape)[2] - shapely.bounds(shape)[0] > (300.0 if parts == 2 else 0.9)
-    (pole,) = map_polygons(cap(89.0, 3.0, 20.0).outline[None])
-    assert shapely.bounds(pole) == pytest.approx([-180.0, 86.0, 180.0, 90.0], abs=1e-2)
-    assert len(shapely.get_parts(pole)) == 1
 
 
 @settings(deadline=None)

@@ -149,11 +149,6 @@ def test_what_is_no_terrain(changed: dict[str, object], message: str) -> None:
         rough(**changed)  # type: ignore[arg-type]
 
 
-def test_columns_that_wrap_make_one_turn() -> None:
-    with pytest.raises(InputError, match="columns that wrap"):
-        TerrainGrid("made up", np.full((4, 4), RADIUS), 0.0, 0.0, STEP, STEP, wraps=True)
-
-
 @pytest.mark.parametrize("wraps", [False, True])
 def test_the_part_around_points_says_the_same(wraps: bool) -> None:
     grid = rough(rows=60, columns=80, wraps=wraps)

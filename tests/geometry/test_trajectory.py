@@ -50,16 +50,6 @@ def test_hermite_reproduces_cubics(cubic: np.ndarray, times: list[float]) -> Non
     np.testing.assert_allclose(velocity, want[1], rtol=0, atol=1e-6)
 
 
-def test_tables_are_met_at_their_nodes_from_both_sides() -> None:
-    rng = np.random.default_rng(5)
-    table = PositionTable(NODES, rng.normal(size=(6, 3)), rng.normal(size=(6, 3)))
-
-    for shift in (-1e-12, 0.0, 1e-12):
-        position, velocity = table.at(NODES + shift)
-        np.testing.assert_allclose(position, table.positions, atol=1e-11)
-        np.testing.assert_allclose(velocity, table.velocities, atol=1e-10)
-
-
 # --- attitude tables
 
 

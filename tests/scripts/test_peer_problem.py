@@ -212,25 +212,6 @@ def test_a_line_sigma_moves_the_image_by_its_pixels(chain: tuple[peer.PeerProble
 # --- generated problems
 
 
-@pytest.mark.slow
-def test_a_block_of_kaguyas_size() -> None:
-    problem, truth = blocks.kaguya()
-    assert (problem.orientation.shape[0], problem.places.shape[0], problem.u.size) == blocks.KAGUYA
-    assert np.bincount(problem.ray_image, minlength=375).min() > 0
-    pairs = problem.ray_point * 375 + problem.ray_image
-    assert np.unique(pairs).size == pairs.size  # one measure of a point in an image
-    assert np.all(np.diff(problem.ray_point) >= 0)
-    # every point is seen along two rays that aren't parallel
-    centres, _ = peer.poses(truth.orientation, problem.ray_image, problem.u)
-    looks = truth.places[problem.ray_point] - centres
-    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
-    first = np.searchsorted(problem.ray_point, problem.ray_point)
-    apart = np.arccos(np.clip(np.einsum("ki,ki->k", looks, looks[first]), -1.0, 1.0))
-    widest = np.zeros(problem.places.shape[0])
-    np.maximum.at(widest, problem.ray_point, apart)
-    assert np.degrees(widest.min()) > 5.0
-
-
 @pytest.mark.parametrize(("images", "ties", "shots"), [(2, 500, 40), (9, 400, 0)])
 def test_a_chain_is_drawn_from_its_sigmas(images: int, ties: int, shots: int) -> None:
     problem, truth = blocks.chain(images, ties, seed=5, shots=shots)

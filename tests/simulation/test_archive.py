@@ -16,7 +16,6 @@ from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.networks.binary import binary_network, parse_binary_network, read_control_network
-from mgsgraph.files.pvl import Document, whole_label
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -24,7 +23,6 @@ from mgsgraph.simulation.archive import ARCHIVE_KINDS, Archive, archive_settings
 from mgsgraph.simulation.archive_files import image_path, write_archive
 from mgsgraph.simulation.observations import well_inside
 from mgsgraph.simulation.site import SimulatedSite
-from mgsgraph.units import DEG
 
 IMAGE = "images/mgsc_1142/e02006/e0200665.imq"
 
@@ -45,18 +43,6 @@ def served(site: SimulatedSite, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return simulated_archive.write_archive(site, tmp_path_factory.mktemp("archive"), (4,))
 
 
-def index(stem: Path) -> list[dict[str, str]]:
-    """Rows of an index table, by its label alone."""
-    text = stem.with_suffix(".lbl").read_bytes().decode("ascii").replace("\r\n", "\n")
-    table = whole_label(Document(str(stem), text)).inner("TABLE")
-    rows = stem.with_suffix(".tab").read_bytes()
-    assert len(rows) == table.count("ROWS") * table.count("ROW_BYTES")
-    columns = {one.text("NAME"): (one.count("START_BYTE") - 1, one.count("BYTES")) for one in table.blocks}
-    assert len(columns) == table.count("COLUMNS") == 53
-    lines = rows.decode("ascii").splitlines()
-    return [{name: line[at : at + size].strip() for name, (at, size) in columns.items()} for line in lines]
-
-
 def test_the_index_begins_as_the_archive_s_does(served: Path) -> None:
     """The first columns' bytes are those of the real mgsc_1013/index/cumindex.lbl."""
     label = (served / "images/mgsc_1142/index/cumindex.lbl").read_text(encoding="ascii")
@@ -64,20 +50,6 @@ def test_the_index_begins_as_the_archive_s_does(served: Path) -> None:
     assert found[:9] == [2, 14, 36, 51, 76, 85, 91, 96, 103]
     names = [line.split("=")[1].strip() for line in label.splitlines() if line.strip().startswith("NAME ")]
     assert (names[0], names[15], names[-1]) == ("VOLUME_ID", "CENTER_LONGITUDE", "ORBIT_NUMBER")
-
-
-def test_the_index_finds_the_image_among_others(site: SimulatedSite, served: Path) -> None:
-    rows = {row["PRODUCT_ID"]: row for row in index(served / "images/mgsc_1142/index/imgindx")}
-    mine = rows["E02/00665"]
-    assert f"images/{mine['VOLUME_ID']}/{mine['FILE_SPECIFICATION_NAME']}".lower() == IMAGE
-    assert (served / IMAGE).is_file()
-    assert (mine["INSTRUMENT_NAME"], mine["LINES"], mine["ORBIT_NUMBER"]) == ("MOC-NA", "10112", "8933")
-    assert mine["IMAGE_TIME"] == "2001-03-08T12:52:54.00"
-    assert rows["E02/00666"]["INSTRUMENT_NAME"] == "MOC-WA"
-    west = -site.settings.longitude / DEG % 360.0
-    assert float(mine["CENTER_LONGITUDE"]) == pytest.approx(west, abs=0.1)
-    graphic = np.arctan(np.tan(site.settings.latitude) / (3376.2 / 3396.19) ** 2) / DEG
-    assert float(mine["CENTER_LATITUDE"]) == pytest.approx(graphic, abs=0.1)
 
 
 def test_image_and_kernels_make_the_simulated_image(site: SimulatedSite, served: Path) -> None:

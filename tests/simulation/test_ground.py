@@ -2,7 +2,6 @@
 pictures of it, by Lambert's law at the places that the pixels see.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -219,39 +218,6 @@ def test_pixels_show_the_ground_they_look_at(name: str, image: PushbroomImage) -
     assert abs(np.median(off)) < 0.3
     assert np.quantile(np.abs(off), 0.99) < 8.0  # small craters on slopes, between nodes
     assert np.corrcoef(facing, grey[line, sample])[0, 1] > 0.7
-
-
-def test_a_crater_is_lit_on_the_side_that_faces_the_sun() -> None:
-    image, isidis = PAIR.images[0], make_terrain("isidis", 1)
-    middle, _ = image.image_to_ground(
-        np.array([0.5 * image.lines]), np.array([0.5 * image.samples]), isidis.ground.level, TURNED
-    )
-    east, north = isidis.chart(*planetocentric(middle)[:, :2].T)
-    rows, columns = np.meshgrid(np.arange(256) * 16.0, np.arange(256) * 16.0, indexing="ij")
-    distance = np.hypot(rows - 2048.0, columns - 2048.0) / 500.0
-    bowl = 150.0 * (np.minimum(distance, 1.0) ** 2 - 1.0)
-    flat = np.zeros((8, 8), dtype=np.float32)
-    shift = (round(float(north[0]) / 16.0) - 128, round(float(east[0]) / 16.0) - 128)
-    site = replace(
-        isidis,
-        waves=np.zeros((0, 4)),
-        relief=PeriodicSurface(16.0, np.roll(bowl, shift, (0, 1)).astype(np.float32)),
-        detail=PeriodicSurface(5.0, flat),
-        brightness=PeriodicSurface(5.0, flat + 1.0),
-    )
-    half = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
-    points = {}
-    for direction, aside in (("east", (300.0, 0.0)), ("west", (-300.0, 0.0)), ("outside", (700.0, 700.0))):
-        lon, lat = np.array([east[0] + aside[0], north[0] + aside[1]]) / site.metres_per_radian
-        place = site.on_ground(np.array([site.centre_lon + lon]), np.array([site.centre_lat + lat]))
-        found = image.ground_to_image(place, TURNED, half[0])[0][0]
-        points[direction] = tuple(np.floor(found).astype(int))
-    for azimuth, bright, dark in ((0.0, "west", "east"), (np.pi, "east", "west")):
-        grey = picture(image, site, sun_over(image, 0.8, azimuth))
-        seen = {k: grey[line - 3 : line + 4, s - 3 : s + 4].mean() for k, (line, s) in points.items()}
-        assert seen[bright] > seen["outside"] + 20.0
-        assert seen[dark] < seen["outside"] - 20.0
-        assert seen["outside"] == pytest.approx(120.0, abs=2.0)
 
 
 def test_same_arguments_give_the_same_bytes() -> None:
