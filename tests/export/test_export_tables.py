@@ -69,6 +69,17 @@ def test_geopandas_reads_what_the_csv_file_says(folder: Path, results: Path) -> 
     assert found.geometry.y[there].tolist() == found["lat_deg"][there].tolist()
 
 
+def test_duckdb_reads_the_same_points(folder: Path, results: Path) -> None:
+    """As docs/export.md has it."""
+    duckdb = pytest.importorskip("duckdb", reason="duckdb (of the extra [test]) is not installed")
+    with duckdb.connect() as base:
+        base.execute("set enable_geoparquet_conversion = false")  # for shapes it would fetch its spatial extension
+        rows = base.execute("select x_m, lat_deg from read_parquet(?)", [str(folder / "points.parquet")]).fetchall()
+    expected = csv.read_csv(results / "points.csv")
+    for column, name in zip(zip(*rows, strict=True), ("x_m", "lat_deg"), strict=True):
+        assert same(column, expected[name]), name
+
+
 def test_shapes_beyond_half_a_turn_are_those_of_the_columns(solution: Solution, tmp_path: Path) -> None:
     """West of the prime meridian: 360 degrees less, without rounding."""
     turn = np.diag([-1.0, -1.0, 1.0])
