@@ -1,26 +1,23 @@
 """The layout of random networks: every point once, every constant from where it belongs, blocks that don't overlap."""
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import network, pair
-from normals import HandObservation, take_apart
 from odd_networks import random_network
-from strategies import along
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out, patterns
+from mgsgraph.adjustment.fit import residuals
+from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.settings import Line, SolverSettings
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GROUND, IMAGE, OUT, PRIOR, RANGE
+from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, OUT, PRIOR
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
@@ -139,109 +136,37 @@ def test_rows_left_out(seed: int) -> None:
     np.testing.assert_array_equal(made.rows.weight[:, made.observation_rows.rays], 1.0 / net.rays.sigmas.T)
 
 
-def powers(u: float, degree: int, slope: float) -> tuple[np.ndarray, np.ndarray]:
-    """Basis of an orientation polynomial, and its rate where u grows by `slope`."""
-    polynomials = [np.polynomial.Polynomial.basis(k) for k in range(degree + 1)]
-    return np.array([p(u) for p in polynomials]), np.array([p.deriv()(u) * slope for p in polynomials])
-
-
-def check_ray(made: Layout, observation: HandObservation, k: int) -> None:
-    """Constants of an image observation of the strict form about the camera axes."""
-    net = made.network
-    j, (line, sample) = int(net.rays.image[k]), net.rays.places[k]
-    image = net.images[j]
-    pose = image.pose(np.array([line]))
-    detector, slope = image.interior.focal_plane(np.array([sample]))
-    assert observation.focal == image.interior.focal_length
-    parts = np.split(observation.own, [3, 7, 9, 12, 15, 17])
-    position, attitude, place, velocity, angular_rate, along_detector, offset = parts
-    np.testing.assert_allclose(position, pose.position[0], rtol=1e-15)
-    np.testing.assert_allclose(rotation.to_matrix(attitude), pose.matrix[0], atol=1e-15)
-    np.testing.assert_allclose(velocity, pose.velocity[0], rtol=1e-13)
-    np.testing.assert_allclose(angular_rate, pose.angular_rate[0], rtol=1e-13, atol=1e-20)
-    np.testing.assert_array_equal(place, detector[0])
-    np.testing.assert_array_equal(along_detector, slope[0])
-    assert offset == 0.0
-    if net.held[j]:
-        assert observation.terms == []
-        return
-    basis, rates = powers(2.0 * line / image.lines - 1.0, net.priors[j].degree, 2.0 / image.lines)
-    assert observation.terms == [(j, 6 * t) for t in range(net.priors[j].degree + 1)]
-    np.testing.assert_allclose(observation.basis, basis, rtol=1e-13)
-    np.testing.assert_allclose(observation.rates, rates, rtol=1e-13)
-
-
-def check_range(made: Layout, observation: HandObservation, k: int) -> None:
-    net = made.network
-    j = int(net.ranges.image[k])
-    image, since = net.images[j], net.ranges.times[[k]] - net.images[j].trajectory.epoch
-    position = image.trajectory.pose(since).position[0]
-    np.testing.assert_allclose(observation.own, [*position, net.ranges.values[k]], rtol=1e-15)
-    if not net.held[j]:
-        u = float(2.0 * image.timing.lines(since)[0] / image.lines - 1.0)
-        np.testing.assert_allclose(observation.basis, powers(u, net.priors[j].degree, 0.0)[0], rtol=1e-13)
-
-
-def check_ground(made: Layout, observation: HandObservation, i: int) -> None:
-    net = made.network
-    root = np.zeros((3, 3))
-    root[np.triu_indices(3)] = observation.own[3:]
-    np.testing.assert_array_equal(observation.own[:3], net.points.places[i])
-    np.testing.assert_allclose(root.T @ root @ net.points.covariances[i], np.eye(3), atol=1e-9)
-    check_axes(observation, net.points.places[i])
-
-
-def check_axes(observation: HandObservation, place: np.ndarray) -> None:
-    """A shift goes east and north."""
-    assert [inside for _, inside in observation.singles] in ([], [0, 1])
-    for direction, axis in zip(observation.directions, east_north(place[None])[0], strict=False):
-        np.testing.assert_array_equal(direction, axis)
-
-
 @pytest.mark.usefixtures("piece")
-def test_constants_are_the_networks() -> None:
-    """Every number that the kernel is given, against image, tables and terrain themselves."""
-    for seed in range(6):
-        net = random_network(seed)
-        made = lay_out(net, SolverSettings())
-        tables = made.observation_rows.rays, made.observation_rows.ranges
-        ray, shot = ({int(at): k for k, at in enumerate(table)} for table in tables)
-        seen = Counter[int]()
-        for place, point in enumerate(take_apart(made)):
-            i = int(made.point_order[place])
-            for observation in point.observations:
-                seen[observation.kind] += 1
-                if observation.kind == IMAGE:
-                    assert net.rays.point[ray[observation.among]] == i
-                    check_ray(made, observation, ray[observation.among])
-                elif observation.kind == RANGE:
-                    assert net.ranges.point[shot[observation.among]] == i
-                    check_range(made, observation, shot[observation.among])
-                elif observation.kind == GROUND:
-                    check_ground(made, observation, i)
-                else:
-                    assert net.surface is not None
-                    assert observation.weight[0] == 1.0 / net.surface.sigmas[i]
-                    check_axes(observation, made.rows.start[place])
-        assert (seen[IMAGE], seen[RANGE]) == (net.rays.point.size, net.ranges.point.size)
-        assert seen[GROUND] == np.count_nonzero(net.points.kinds == PointKind.CONSTRAINED)
-
-
-def test_frozen_scale_is_the_nominal_image_motion() -> None:
-    """In the papers' form, to residuals: what a still point does in the focal plane from line to line, by differences.
+@pytest.mark.parametrize("line", ["predicted", "measured"])
+def test_rows_are_what_geometry_says_of_any_network(line: Line) -> None:
+    """Residuals at some orientation and at points beside their first places: against `ground_to_image`, distances, and
+    the terrain itself. What carrying a pose by its rates leaves out is the orbit's curvature; the papers' form has the
+    scale of the nominal image motion.
     """
-    net = network(pair())
-    made = lay_out(net, SolverSettings(line="measured"))
-    for place, point in enumerate(take_apart(made)):
-        for observation in (s for s in point.observations if s.kind == IMAGE):
-            k = int(np.flatnonzero(made.observation_rows.rays == observation.among)[0])
-            image, (line, sample) = net.images[net.rays.image[k]], net.rays.places[k]
+    for seed in range(6):
+        net, rng = random_network(seed), np.random.default_rng(seed)
+        made = lay_out(net, SolverSettings(line=line))
+        x = rng.standard_normal(made.columns) * made.scales * 0.2
+        points = made.rows.start + 30.0 * rng.standard_normal(made.rows.start.shape)
+        found, places = residuals(made, x, points), made.network_order(points)
+        values = made.variables.split(x)
+        for j, image in enumerate(net.images):
+            correction = OrientationCorrection(values[j].reshape(-1, 6)) if values[j].size else None
+            mine = np.flatnonzero((net.rays.image == j) & np.isfinite(places[net.rays.point, 0]))
+            measured = net.rays.places[mine]
+            off = measured - image.ground_to_image(places[net.rays.point[mine]], correction, measured[:, 0])[0]
+            bend = 1e-6 * off[:, :1] ** 2 if line == "predicted" else 2e-3 * np.abs(off).max(axis=1, keepdims=True)
+            assert np.all(np.abs(found.image[mine] - off) < 1e-5 + bend)
+            mine = np.flatnonzero(net.ranges.image == j)
+            lines = image.timing.lines(net.ranges.times[mine] - image.trajectory.epoch)
+            distances = np.linalg.norm(places[net.ranges.point[mine]] - image.pose(lines, correction).position, axis=1)
+            np.testing.assert_allclose(found.ranges[mine], net.ranges.values[mine] - distances, rtol=0.0, atol=1e-7)
+        on = made.observation_rows.on_terrain
+        assert np.array_equal(on, np.flatnonzero(np.isfinite(found.heights)))
+        if net.surface is not None:
+            ways = east_north(made.network_order(made.rows.start)[on])
+            under = places[on] - (values[-1] @ ways if net.terrain_moves else 0.0)
+            np.testing.assert_allclose(found.heights[on], net.surface.grid.height_above(under)[0], atol=1e-6)
+            assert np.array_equal(on, np.flatnonzero(np.isfinite(net.surface.sigmas)))
 
-            def in_focal_plane(lines: float, image=image, line=line, place=place) -> np.ndarray:
-                pose = image.pose(np.array([line + lines]))
-                ray = pose.matrix[0] @ (made.rows.start[place] - pose.position[0])
-                return image.interior.focal_length * ray[:2] / ray[2]
 
-            _, slope = image.interior.focal_plane(np.array([sample]))
-            motion, scale = along(in_focal_plane, 5.0), observation.own[-4:].reshape(2, 2)
-            np.testing.assert_allclose(scale @ np.stack([motion, slope[0]], axis=1), np.diag([1.0, -1.0]), atol=1e-6)

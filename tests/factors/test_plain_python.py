@@ -41,7 +41,7 @@ DENSE = """
 import warnings
 import numpy as np
 from networks import network, pair, with_shift_and_surface
-from normals import assert_bundle_is_explicit, of_layout
+from explicit_form import assert_bundle_is_explicit, of_layout
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel.sweep import reduce
