@@ -12,7 +12,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
 from mgsgraph.adjustment.graph.rows import nearly_parallel, parallel
-from mgsgraph.adjustment.settings import Line, SolverSettings
+from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -137,21 +137,24 @@ def test_rows_left_out(seed: int) -> None:
 
 
 @pytest.mark.usefixtures("piece")
-@pytest.mark.parametrize("line", ["predicted", "measured"])
-def test_rows_are_what_geometry_says_of_any_network(line: Line) -> None:
+@pytest.mark.parametrize(
+    ("line", "angles"),
+    [("predicted", "camera"), ("measured", "camera"), ("predicted", "opk-paper"), ("predicted", "opk-peer")],
+)
+def test_rows_are_what_geometry_says_of_any_network(line: Line, angles: Angles) -> None:
     """Residuals at some orientation and at points beside their first places: against `ground_to_image`, distances, and
     the terrain itself. What carrying a pose by its rates leaves out is the orbit's curvature; the papers' form has the
     scale of the nominal image motion.
     """
     for seed in range(6):
         net, rng = random_network(seed), np.random.default_rng(seed)
-        made = lay_out(net, SolverSettings(line=line))
+        made = lay_out(net, SolverSettings(line=line, angles=angles))
         x = rng.standard_normal(made.columns) * made.scales * 0.2
         points = made.rows.start + 30.0 * rng.standard_normal(made.rows.start.shape)
         found, places = residuals(made, x, points), made.network_order(points)
         values = made.variables.split(x)
         for j, image in enumerate(net.images):
-            correction = OrientationCorrection(values[j].reshape(-1, 6)) if values[j].size else None
+            correction = OrientationCorrection(values[j].reshape(-1, 6), angles) if values[j].size else None
             mine = np.flatnonzero((net.rays.image == j) & np.isfinite(places[net.rays.point, 0]))
             measured = net.rays.places[mine]
             off = measured - image.ground_to_image(places[net.rays.point[mine]], correction, measured[:, 0])[0]
