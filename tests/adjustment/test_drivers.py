@@ -98,6 +98,7 @@ def planted(
     return made, adjust_network(made[0], replace(PLAIN, max_iterations=iterations))
 
 
+# above two seconds: an adjustment that goes nowhere takes hundreds of steps
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda one: one.__name__)
 @pytest.mark.parametrize(("seed", "iterations"), [(1, PLAIN.max_iterations), (2, 3)])
 def test_what_is_planted_is_named(plant: Callable[..., Planted], seed: int, iterations: int) -> None:
@@ -120,8 +121,9 @@ def test_a_wrong_image_that_hides_in_sigma0_is_no_result(plant: Callable[..., Pl
     assert _named(solution.drivers, net)[0] == name
 
 
+# above two seconds: Tukey begins with other losses
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("settings", [PLAIN, replace(PLAIN, max_iterations=1), SolverSettings(starts=0, loss="tukey")],
+@pytest.mark.parametrize("settings", [PLAIN, replace(PLAIN, max_iterations=1), replace(PLAIN, loss="tukey")],
                          ids=["plain", "one iteration", "tukey"])  # fmt: skip
 def test_nobody_is_accused_of_good_data(settings: SolverSettings, seed: int) -> None:
     solution = adjust_network(block(seed), settings)
