@@ -138,7 +138,7 @@ def questions_of(asked: dict[str, Any]) -> Questions:
         )
         found = Questions(
             tuple(map(str, asked.get("points", ()))), tuple((str(a), str(b)) for a, b in asked.get("pairs", ())),
-            tuple((str(image), float(line)) for image, line in asked.get("poses", ())), (),
+            tuple((str(image), float(line)) for image, line in asked.get("poses", ())),
             tuple((str(point), str(image)) for point, image in asked.get("projections", ())), pixels,
             bool(asked.get("correlations", False)),
         )  # fmt: skip

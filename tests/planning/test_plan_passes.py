@@ -1,4 +1,4 @@
-"""Candidates on the trajectory of a pass: what is promised is what adjusting with them brings."""
+"""Images planned over a strip whose images share a trajectory: promised against had."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,23 +7,22 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.network.joining import Definitions, definitions, with_definitions
+from mgsgraph.network.joining import definitions
 from mgsgraph.network.parts import KnownImage, known_images, with_images, without_images
 from mgsgraph.planning.candidates import PlannedTies, planned_image
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import TargetSigmas, plan, targets_of
 from mgsgraph.planning.state import CurrentState, added, correction_of, state_of_solution, together, updated
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import in_segments
 from mgsgraph.units import MGON
 
 AS_PROMISED = 0.01
-LATE = "HRSC/00/S2/2"
-"""The last one of the strip: its trajectory ends with it."""
+LATE = "HRSC/00/S2"
+"""The last one of the strip."""
 
 
 @cache
@@ -31,39 +30,31 @@ def strip() -> Network:
     """One strip of a trajectory that is known well but for what changes on the way."""
     errors = TrajectoryErrors(attitude=1.0 * MGON, attitude_drift=0.5 * MGON, position=2.0, position_drift=1.0)
     settings = BlockSettings(strips=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
-    return in_segments(simulate_hrsc_block(settings, seed=2).network, 2)
+    return simulate_hrsc_block(settings, seed=2).network
 
 
 @cache
 def coverage() -> ImageCoverage:
-    """The strip without its last image, on a trajectory that ends before that."""
-    names = [image.name for image in strip().images]
+    """The strip without its last image."""
     left = without_images(strip(), {LATE})
     assert left is not None
-    known = definitions(left)
-    own = known.passes["HRSC/00"]
-    edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch - own.nodes.epoch
-             for image in left.images]  # fmt: skip
-    nodes = own.nodes.over(float(np.min(edges)), float(np.max(edges)))
-    assert len(nodes) < len(own.nodes)
-    assert len(names) == len(left.images) + 1
-    shorter = with_definitions(left, Definitions({"HRSC/00": replace(own, nodes=nodes)}))
-    return ImageCoverage(state_of_solution(adjust_network(shorter, SolverSettings())))
+    assert left.passes
+    return ImageCoverage(state_of_solution(adjust_network(left, SolverSettings())))
 
 
-def late() -> tuple[KnownImage, Definitions]:
-    """The image that is missing, and the pass that it is of."""
+def late() -> KnownImage:
+    """The image that is missing, with an orientation of its own."""
     known = next(one for one in known_images(strip()) if one.image.name == LATE)
-    return known, definitions(strip()).of([LATE])
+    return replace(known, prior=OrientationPrior(np.array([[2.0] * 3 + [2e-5] * 3])))
 
 
-def measured(planned: Network, known: Definitions) -> Network:
+def measured(planned: Network) -> Network:
     """Planned measures as the orientation that is expected gives them, without noise."""
     state, places = coverage().state, planned.rays.places.copy()
-    values = with_expected(state.values, known)
+    known = definitions(state.network)
     for j, one in enumerate(known_images(planned)):
         mine = planned.rays.image == j
-        correction = correction_of(one, state.settings, values, known.of([one.image.name]))
+        correction = correction_of(one, state.settings, state.values, known.of([one.image.name]))
         places[mine], _ = one.image.ground_to_image(planned.points.places[planned.rays.point[mine]], correction)
     return replace(planned, rays=replace(planned.rays, places=places))
 
@@ -76,20 +67,16 @@ def sigmas_of(network: Network, names: tuple[str, ...]) -> Array:
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_an_image_that_continues_a_pass_brings_what_was_promised(existing: bool) -> None:
-    known, brought = late()
-    chosen = planned_image(coverage(), known, PlannedTies(12, sigma=0.3, existing=existing), brought)
+def test_an_image_over_a_strip_brings_what_was_promised(existing: bool) -> None:
+    known = late()
+    chosen = planned_image(coverage(), known, PlannedTies(12, sigma=0.3, existing=existing))
     assert chosen.addition is not None
     state = coverage().state
     present, targets = CurrentState(state), targets_of(state, ["all"])
     update = updated(present, added(present, [chosen.addition]))
     promised = TargetSigmas(present, targets).after(update)[:, 0]
 
-    after = extended(coverage(), definitions(state.network), brought, [known])
-    assert len(after.passes["HRSC/00"].nodes) > len(definitions(state.network).passes["HRSC/00"].nodes)
-    whole = together([state.network, measured(chosen.addition, after)])
-    images = [*known_images(state.network), known]
-    whole = with_definitions(with_images(whole, images), after)
+    whole = with_images(together([state.network, measured(chosen.addition)]), [*known_images(state.network), known])
     had = sigmas_of(whole, targets.points)
     assert promised == pytest.approx(had, rel=AS_PROMISED)
     before = TargetSigmas(present, targets).before()[:, 0]
@@ -99,8 +86,7 @@ def test_an_image_that_continues_a_pass_brings_what_was_promised(existing: bool)
 
 
 def test_it_is_ranked_and_an_image_is_a_target() -> None:
-    known, brought = late()
-    chosen = planned_image(coverage(), known, PlannedTies(12, sigma=0.3), brought)
+    chosen = planned_image(coverage(), late(), PlannedTies(12, sigma=0.3))
     found = plan(coverage().state, [chosen], 1)
     assert [one.name for one in found.chosen] == [LATE]
     assert found.drop > 0.0

@@ -11,7 +11,7 @@ from pathlib import Path
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.results.figures.connectivity import links_sheet
-from mgsgraph.results.figures.map import map_sheets, minima_sheets
+from mgsgraph.results.figures.map import map_sheets
 from mgsgraph.results.figures.orientation import orientation_sheets
 from mgsgraph.results.figures.residuals import residual_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
@@ -36,15 +36,14 @@ def solution_sheets(
     Returns
     -------
     list of (str, callable)
-        Sheets of orientation (passes first), residuals, map, connectivity and minima (where there are several). They
-        may be called in any order and process.
+        Sheets of orientation (passes first), residuals, map and connectivity. They may be called in any order and
+        process.
     """
     return [
         ("orientation", partial(orientation_sheets, solution)),
         ("residuals", partial(residual_sheets, solution)),
         ("map", partial(map_sheets, solution, connected)),
         ("map", lambda: [links_sheet(solution, connected)]),
-        ("map", partial(minima_sheets, solution)),
     ]
 
 
