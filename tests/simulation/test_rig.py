@@ -11,6 +11,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.network import Network
 from mgsgraph.network.joining import nominal_poses
 from mgsgraph.simulation.rig import (
+    ALTITUDE,
     SAMPLES,
     NacSettings,
     PassErrors,
@@ -43,7 +44,7 @@ def test_the_cameras_are_mounted_as_lro_has_them() -> None:
 
 def test_l_and_r_share_a_narrow_strip() -> None:
     """Some 130 of 5064 samples, as near Hadley rille (docs/real_networks.md), all along."""
-    left, right = nac_images(SETTINGS)[:2]
+    left, right = nac_images()[:2]
     lines, samples = np.repeat([0.1, 0.5, 0.9], SAMPLES) * left.lines, np.tile(np.arange(SAMPLES) + 0.5, 3)
     ground, _ = left.image_to_ground(lines, samples)
     seen = right.ground_to_image(ground)[0][:, 1]
@@ -69,7 +70,7 @@ def test_truth_is_the_pass_turned_and_then_the_boresight(rig: SimulatedRig) -> N
 
 def test_positions_of_degree_one_stay_so() -> None:
     errors = PassErrors(position=(30.0, 10.0))
-    images = nac_images(SETTINGS)[:2]
+    images = nac_images()[:2]
     one = joined("pass", images, 0, errors)
     truth = TrueRig.drawn(images, [one], errors, np.zeros((2, 3)), np.random.default_rng(1))
     coefficients = np.linalg.solve(powers(one.nodes), truth.nodes[0])
@@ -85,10 +86,10 @@ def adjusted_boresight(network: Network) -> tuple[np.ndarray, np.ndarray]:
 
 def test_eighty_metres_are_found_to_a_metre(rig: SimulatedRig) -> None:
     """Along x and y, 80 m from 50 km; the error normalised by its covariance within 99.9 % of a chi-square."""
-    assert np.linalg.norm(rig.shared[0][:2]) * SETTINGS.altitude == pytest.approx(80.0)
+    assert np.linalg.norm(rig.shared[0][:2]) * ALTITUDE == pytest.approx(80.0)
     found, covariance = adjusted_boresight(rig.network)
     error = found - rig.shared[0]
-    assert np.linalg.norm(error[:2]) * SETTINGS.altitude < 1.0
+    assert np.linalg.norm(error[:2]) * ALTITUDE < 1.0
     assert error @ np.linalg.solve(covariance, error) < 16.3
     wrong = -rig.shared[0] - found  # a sign the wrong way round would be seen
     assert wrong @ np.linalg.solve(covariance, wrong) > 1e4
