@@ -299,7 +299,7 @@ def coregister(
 
     The images are matched densely; each profile and terrain model with an unknown shift is searched for on the surface
     that they show; the case is adjusted again with one row more per shot and post, its height above that surface. OUT
-    holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv, costs.csv (misfit by shift)
+    holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv
     and figures: see docs/coregister.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
