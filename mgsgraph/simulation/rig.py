@@ -331,7 +331,8 @@ def _drawn_boresight(rng: np.random.Generator) -> Array:
 def _tie_places(truth: TrueRig, settings: NacSettings, rng: np.random.Generator) -> Array:
     """(n, 3) m: over both images of the first pass, and in the overlaps of L and R of each pass."""
     def drawn(image: int, count: int) -> Array:
-        return truth.ground(image, [_LINES, SAMPLES] * rng.random((count, 2)), _RELIEF * rng.standard_normal(count))
+        pixels = np.array([_LINES, SAMPLES]) * rng.random((count, 2))
+        return truth.ground(image, pixels, _RELIEF * rng.standard_normal(count))
 
     everywhere = np.concatenate([drawn(j, settings.ties // 2) for j in (0, 1)])
     places = [everywhere[seen_twice(truth.seen(everywhere), len(everywhere))]]
