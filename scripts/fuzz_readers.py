@@ -160,7 +160,7 @@ def _terrain() -> Iterator[Reader]:
 
 
 def _networks() -> Iterator[Reader]:
-    from mgsgraph.files.networks.asp_match import read_match, read_match_text
+    from mgsgraph.files.networks.asp_match import read_match
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
     from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
@@ -188,11 +188,8 @@ def _networks() -> Iterator[Reader]:
     yield Reader("network, table", lambda path: read_whole(path, MARS), table, "csv")
     ties, gaps = (lambda path: read_tie_points(path, MARS)), (".places", ".measure_sigmas")
     yield Reader("tie points, table", ties, table, "csv", gaps=gaps)
-    yield Reader("tie points, Parquet", ties, partial(written, "network.parquet", "parquet"), "bytes", gaps=gaps)
     binary = partial(text, "run-one__two.match", match.SOUND)
     yield Reader("match file", lambda path: read_match(path, pair), binary, "bytes", gaps=(".sigmas",))
-    of_text = partial(written, "run", "match-text")
-    yield Reader("match file, text", lambda path: read_match_text(path, pair), of_text, "csv")
     control = partial(text, "a.gcp", ground)
     yield Reader("ground control", lambda path: read_ground_control_network(path, MARS), control, "csv")
     yield Reader("NVM", read_nvm, lambda: text("a.nvm", nvm.TEXT, **{"a_offsets.txt": nvm.OFFSETS}), "csv")

@@ -255,7 +255,7 @@ def written_network(name: str, form: str) -> Seed:
 
     def write(folder: Path) -> None:
         output = folder / name
-        more = ["--case", pair_folder() / "case.toml"] if form in ("nvm", "gcp", "match", "match-text") else []
+        more = ["--case", pair_folder() / "case.toml"] if form in ("nvm", "gcp", "match") else []
         commanded("convert", pair_folder() / "network.pvl", output, "--to", form, *more)
 
     with tempfile.TemporaryDirectory() as place:

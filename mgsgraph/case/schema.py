@@ -194,7 +194,7 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points: a control network."""
 
     network: str
-    """ISIS control network (.pvl, .net) or table (.csv, .parquet); measures in images that the case doesn't hold are
+    """ISIS control network (.pvl, .net) or table (.csv); measures in images that the case doesn't hold are
     left out."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""
