@@ -219,12 +219,6 @@ def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
     return (head + said + table).replace("\n", "\r\n")
 
 
-def mla_table() -> str:
-    tests = of_tests("files/altimetry/test_shots.py")
-    rows = [tests.mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5, 0))]
-    return "\n".join((tests.MLA_HEADER, *rows)) + "\n"
-
-
 def ode_table() -> str:
     tests = of_tests("files/altimetry/test_pedr_text.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
@@ -268,8 +262,6 @@ def old_network(version: int) -> Seed:
     import isis_networks
 
     grid = isis_networks.grid(3, 2)
-    if version == 0:
-        return text("old.net", isis_networks.first_binary(grid))
     return text("old.pvl", isis_networks.pvl_text(grid, version))
 
 

@@ -45,6 +45,7 @@ _FORMER = {
     "longest_edge_m": ("no such key: tracks are not triangulated", "take it out"),
     "post_step_deg": ("no such key: tracks are not triangulated", "take it out"),
     "basis": ("no such key: third-order polynomials through the four nearest nodes", "take it out"),
+    "version": ("no such key: PEDR is read in its final version, L", "take it out"),
     "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
 }
 """Words of earlier versions: those of today, and what else to change."""

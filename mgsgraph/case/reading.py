@@ -323,7 +323,7 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
 
 def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
     """Shots of a profile as a case states it."""
-    return read_shots(folder / entry.file, entry.clock_bias_s, entry.version)
+    return read_shots(folder / entry.file, entry.clock_bias_s)
 
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
@@ -331,7 +331,7 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 
     path = folder / entry.file
-    cloud = read_altimetry_cloud(path, body, entry.version)
+    cloud = read_altimetry_cloud(path, body)
     if entry.footprint_m is not None:
         return replace(cloud, footprint=entry.footprint_m)
     if np.isnan(cloud.footprint):

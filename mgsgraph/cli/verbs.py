@@ -44,6 +44,7 @@ REMOVED = {
     "fetch --mirrors": "--mirror takes a file of addresses, too",
     "fetch --update": "to have what the archives have now, fetch into another folder",
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
+    "shots --version": "PEDR is read in its final version, L",
     "nodes --no-figures": "nodes draws none",
     "nodes --densify": "give closer --spacings, of which rays held out choose one",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",

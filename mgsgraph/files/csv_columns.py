@@ -55,8 +55,6 @@ class CsvText:
     """(n,) number of each row's line in the file."""
     body: bytes
     """The rows, in UTF-8."""
-    with_commas: bool = True
-    """Whether there were commas in the file, not blanks."""
 
     def __len__(self) -> int:
         return self.numbers.size

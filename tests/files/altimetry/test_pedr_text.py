@@ -89,16 +89,6 @@ def test_the_variant_with_wider_numbers(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(got.off_nadir), 0.321)
 
 
-def test_a_table_must_say_its_version(tmp_path: Path) -> None:
-    path = table(tmp_path, shot(175.4, 379000.0), name="mola.tab")
-    with pytest.raises(InputError, match="no product version"):
-        read_shots(path)
-    new, old = read_shots(path, version="L"), read_shots(path, version="K")
-    moved = np.linalg.norm(new.footprints - old.footprints, axis=1)
-    # 0.2375 deg of longitude at 14.6 deg south
-    np.testing.assert_allclose(moved, np.radians(0.2375) * 3390123.45 * np.cos(np.radians(14.57)), rtol=2e-3)
-
-
 def ode(tmp_path: Path, *lines: str) -> Path:
     path = tmp_path / "shots.csv"
     path.write_text("\r\n".join(lines) + "\r\n")

@@ -283,7 +283,7 @@ FAULTS = {
     "wrong end": ("    End_Group\n  End_Object", "    End_Object\n  End_Object", 27, "the end of group controlmeasure"),
     "open quote": ("= second", '= "second', 32, "a quote that is never closed"),
     "open list": ("300.0)", "300.0", 16, "a list broken by"),
-    "version 6": ("= 5", "= 6", 6, "version 6; expected 1 to 5"),
+    "version 6": ("= 5", "= 6", 6, "version 6; expected 2 to 5"),
     "binary": ("= ControlNetwork", "= ProtoBuffer", 1, "cnetbin2pvl"),
 }
 
