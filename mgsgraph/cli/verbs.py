@@ -41,6 +41,8 @@ REMOVED = {
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",
     "convert --thin": "ISIS's cnetthinner keeps few points, well spread; --only keeps some images",
+    "fetch --box": "ODE's page (ode.rsl.wustl.edu) makes tables of shots in a box",
+    "fetch --shots": "images bring theirs; ODE's page (ode.rsl.wustl.edu) makes tables of shots in a box",
     "fetch --mirrors": "--mirror takes a file of addresses, too",
     "fetch --update": "to have what the archives have now, fetch into another folder",
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
