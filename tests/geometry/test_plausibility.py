@@ -11,10 +11,7 @@ from networks import network
 
 from mgsgraph.adjustment.graph.layout import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case import case_file
-from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels import labelled_image
 from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
@@ -126,11 +123,3 @@ def test_one_position_that_is_off_is_named() -> None:
         require_plausible(replace(IMAGES[0], trajectory=bent), "a.cub")
 
 
-def test_images_of_a_strip_are_held_to_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of HRSC that are read together, on one trajectory."""
-    entry = ImageInput(name="x", label="x.img", kernels=("x.bsp",))
-    monkeypatch.setattr(labelled_image, "read_strip", lambda *_, **__: (IMAGES[0],))
-    assert case_file._hrsc_strip([entry], None, tmp_path / "case.toml")[0].name == IMAGES[0].name
-    monkeypatch.setattr(labelled_image, "read_strip", lambda *_, **__: (looking_away(IMAGES[0]),))
-    with pytest.raises(InputError, match="looks past the body"):
-        case_file._hrsc_strip([entry], None, tmp_path / "case.toml")

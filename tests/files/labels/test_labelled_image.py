@@ -13,7 +13,7 @@ from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels import labelled_image
 from mgsgraph.files.labels.isis_cube import attitude_table, position_table, tables_of_label
 from mgsgraph.files.labels.kernels import loaded
-from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
+from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
@@ -228,15 +228,6 @@ def test_wide_angle_by_kernels_is_spices(shared_data: Path, tmp_path: Path) -> N
         point, _, _ = spiceypy.sincpt("ELLIPSOID", "MARS", time, "IAU_MARS", "NONE", "MGS", "J2000", place)
     got, _ = image.image_to_ground(np.array([line]), np.array([sample]))
     np.testing.assert_allclose(got[0], np.asarray(point) * 1e3, rtol=0, atol=1e-2)
-
-
-# --- HRSC
-
-
-def test_images_of_other_lenses_are_no_strip(shared_data: Path) -> None:
-    labels = [shared_data / f"{image}_pds3.lbl" for image in (CTX, KAGUYA)]
-    with pytest.raises(InputError, match="an image of MOON; expected one of MARS"):
-        read_strip(labels, [])
 
 
 # --- damaged kernels
