@@ -44,6 +44,9 @@ _FORMER = {
     "longest_edge_m": ("no such key: tracks are not triangulated", "take it out"),
     "post_step_deg": ("no such key: tracks are not triangulated", "take it out"),
     "basis": ("no such key: third-order polynomials through the four nearest nodes", "take it out"),
+    "lever_arm_m": ("lever_arm_sigma_m", "a stated arm belongs into the trajectory's tables"),
+    "times_et_s": ("spacing_s, or spacing_lines", "nodes are evenly spaced"),
+    "times_utc": ("spacing_s, or spacing_lines", "nodes are evenly spaced"),
     "version": ("no such key: PEDR is read in its final version, L", "take it out"),
     "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
 }

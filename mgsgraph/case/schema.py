@@ -163,7 +163,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its pixels, for `match` and figures: GeoTIFF, ISIS cube, PDS image, VICAR, PNG, JPEG or MOC's
     formats; those that belong to its label when absent."""
     constants: Literal["iak", "ik"] = "iak"
-    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA, HRSC, Kaguya TC)."""
+    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA)."""
     focal_length_m: Positive | None = None
     """Focal length; the kernels' when absent."""
     attitude_bias_s: float | None = None

@@ -342,7 +342,8 @@ WRONG_GROUPS: dict[str, tuple[tuple[Edit, ...], str]] = {
         r"ties\[1\].sigma_px",
     ),
     "the same network twice": (
-        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),), r"an id .*network.pvl has too; .*--duplicates"
+        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),),
+        r"an id .*network.pvl has too; .*--duplicates"
     ),
 }  # fmt: skip
 

@@ -177,16 +177,3 @@ def test_names_times_and_places_that_can_not_be(
     with pytest.raises(InputError, match="points") as caught:
         read(tmp_path, edited(keys, value))
     assert said in str(caught.value)
-
-
-@pytest.mark.parametrize("adjusted", [{}, {"adjustedLatitude": 60.8, "adjustedMatrix": [1, 0, 0, 1, 0, 1]}], ids=str)
-def test_a_key_twice_is_refused(tmp_path: Path, adjusted: dict[str, Any]) -> None:
-    """However it is spaced: of the two no one knows which is meant."""
-    text = json.dumps({"points": [SHOT | adjusted]})
-    path = tmp_path / "lidar.json"
-    path.write_text(text)
-    assert read_lidar(path).times.size == 1
-    for key, twice in (('"time":', '"time" : 3, "time":'), ('"line": 1.0', '"line": 1.0, "line": 2.0')):
-        path.write_text(text.replace(key, twice, 1))
-        with pytest.raises(InputError, match="twice"):
-            read_lidar(path)

@@ -1,7 +1,6 @@
 """MEGDR grids and GeoTIFF terrain: where posts lie, by label, by name, and against the altimeter's own shots."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -154,26 +153,6 @@ def test_a_missing_keyword_a_short_file_a_strange_name(tmp_path: Path) -> None:
         read_megdr(image(tmp_path, "terrain.img", np.zeros((3, 3))))
     with pytest.raises(InputError, match="no such file"):
         read_megdr(tmp_path / "megt90n000cb.img")
-
-
-@pytest.mark.parametrize(("true", "said"), [("r", "t"), ("t", "r"), ("t", "a")])
-@pytest.mark.parametrize("part", [(0, 720), (0, 360), (360, 720)])
-def test_heights_tell_radii_from_topography(shared_data: Path, tmp_path: Path, true: str, said: str, part: Any) -> None:
-    """A file under another one's name, whole or by hemispheres, of which the real ones pass."""
-    top, bottom = part
-    rows = slice(top * 2880, bottom * 2880)
-    north = 90 - top // 4
-    values = np.frombuffer((shared_data / "mola_megdr" / f"meg{true}90n000cb.img").read_bytes()[rows], ">i2")
-    values = values.reshape(-1, 1440)
-    for name, good in ((true, True), (said, False)):
-        product = f"MEG{name.upper()}90N000CB.IMG"
-        (tmp_path / "a.lbl").write_text(label(values.shape[0], product=product, LINE_PROJECTION_OFFSET=4 * north + 0.5))
-        path = image(tmp_path, "a.img", values)
-        if good:
-            assert read_megdr(path).radii.shape == values.shape
-        else:
-            with pytest.raises(InputError, match="km from the equator to the poles"):
-                read_megdr(path)
 
 
 @pytest.mark.parametrize(("site", "largest"), [("insight", 10.0), ("opportunity", 15.0)])

@@ -1,9 +1,7 @@
 """Image support data that can't be used: one line that names the file and the key, never a traceback."""
 
-import copy
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -173,26 +171,3 @@ def test_radii_of_no_body_are_refused(tmp_path: Path, radii: tuple[float, float]
             require_plausible(image, "image")
         return
     assert "radii" in assert_refused(tmp_path, isd)
-
-
-# --- slips
-
-
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [(("detector_line_suming",), "detector_line_summing"), (("naif_keyword",), "naif_keywords"),
-     (("radii", "units"), "unit"), (("body_rotation", "constant_rotations"), "constant_rotation")],
-)  # fmt: skip
-def test_a_slip_in_a_key_is_refused(tmp_path: Path, keys: Keys, said: str) -> None:
-    """A default would take its place."""
-    isd = edited((*keys[:-1], said), ...) if keys[-1] != "detector_line_suming" else ISD
-    assert f"did you mean '{said}'?" in assert_refused(tmp_path, _put(isd, keys))
-
-
-def _put(isd: dict[str, object], keys: Keys) -> dict[str, object]:
-    isd = copy.deepcopy(isd)
-    inner: Any = isd
-    for key in keys[:-1]:
-        inner = inner[key]
-    inner[keys[-1]] = "km" if keys[-1] == "units" else 1.0
-    return isd
