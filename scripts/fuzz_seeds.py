@@ -220,7 +220,7 @@ def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
 
 
 def ode_table() -> str:
-    tests = of_tests("files/altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
     return "\n".join((tests.ODE, *rows)) + "\n"
 
@@ -259,10 +259,10 @@ def written_network(name: str, form: str) -> Seed:
 
 
 def old_network(version: int) -> Seed:
-    import isis_networks
+    import control_networks
 
-    grid = isis_networks.grid(3, 2)
-    return text("old.pvl", isis_networks.pvl_text(grid, version))
+    grid = control_networks.grid(3, 2)
+    return text("old.pvl", control_networks.pvl_text(grid, version))
 
 
 def support_data() -> str:
