@@ -137,22 +137,6 @@ def test_the_gate_names_what_fails() -> None:
         speed.judged(limits, {}, ["M"])
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", '{"metrics": {"S: a": {"direction": "lower"}}}',
-        '{"metrics": {"S: a": {"direction": "lower", "value": NaN}}}',
-    ],
-)  # fmt: skip
-def test_a_file_that_is_no_baseline_is_one_clear_line(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "baseline.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        speed.read_baseline(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
-
-
 # --- the peer's program
 
 
@@ -186,33 +170,6 @@ def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
     assert found["peak_memory_mb"] > found["memory_before_mb"] > 50.0
     added = 2.0**20 * (found["peak_memory_mb"] - found["memory_before_mb"])
     assert found["bytes_per_observation"] == pytest.approx(added / problem.u.size)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["speed", "--problem", "none.bin"], "none.bin: can't be read"),
-        (["speed", "XXL"], "no size 'XXL'"),
-        (["speed", "--problem", "none.bin", "--gate"], "the gate judges sizes"),
-        (["speed", "S", "--gate"], "no peer to compare with"),
-        (["speed", "S", "--peer", "none"], "none: no such file"),
-        (["speed", "S", "--shared", "none"], "gen.py: no such file"),
-        (["analysis", "Q"], "invalid choice"),
-        ([], "invalid choice: ''"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(
-    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    assert called(monkeypatch, *arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"benchmark {arguments[0]}: error: " if arguments[1:] else "benchmark: error: ")
-    assert err.count("\n") == 1
-    assert message in err
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
