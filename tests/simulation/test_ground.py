@@ -14,6 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.simulation import relief
 from mgsgraph.simulation.ground import SITES, PeriodicSurface, SiteTerrain, grid_shift, make_terrain, terrain_grid
 from mgsgraph.simulation.imagery import NOISE, Picture, local_sun, render
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -136,6 +137,14 @@ def test_relief_is_the_site_s(site: SiteTerrain) -> None:
 
 def _up(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
     return from_planetocentric(np.column_stack([lon, lat, np.ones(lon.size)]))
+
+
+def test_craters_are_a_fifth_as_deep_as_wide() -> None:
+    """Fresh ones, from the rim's crest to the floor, the rim above the plain."""
+    field = np.zeros((256, 256), dtype=np.float32)
+    relief.add_craters(field, 10.0, 10.0, (400.0, 500.0), np.random.default_rng(2))
+    assert -2.0 * 0.2 * 500.0 < field.min() < -0.2 * 0.2 * 400.0 * (1.0 - 0.2)  # two of them may fall on one another
+    assert 0.2 * 0.2 * 400.0 * 0.2 < field.max() < 2.0 * 0.2 * 0.2 * 500.0
 
 
 def test_grid_is_the_ground_shifted_with_noise() -> None:

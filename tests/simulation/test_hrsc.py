@@ -114,6 +114,19 @@ def test_pixels_and_heights_are_the_survey_s() -> None:
         assert np.linalg.norm(np.diff(across, axis=0)) == pytest.approx(4e-5 * altitude, rel=0.02)
 
 
+def test_line_rates_follow_height_and_speed_from_part_to_part() -> None:
+    """In the middle of each part lines are 12.5 m apart per 265 km of altitude there, which grows by a third."""
+    readout = Readout(macropixels=(1, 1, 1, 1, 1), rates=5)
+    made = simulate_hrsc_block(replace(TINY, length=2000e3, pericentre=0.2, readout=readout))
+    image = made.network.images[STEREO.index("ND")]
+    edges = np.append(image.timing.first_lines, image.lines)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    before, after = (image.image_to_ground(middle + off, np.full(5, 2592.0))[0] for off in (-0.5, 0.5))
+    altitude = np.linalg.norm(image.pose(middle).position, axis=1) - np.linalg.norm(before, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 12.5 * altitude / 265e3, rtol=0.01)
+    assert altitude.max() > 1.3 * altitude.min()
+
+
 def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
     """r = q (1 + e) / (1 + e cos nu), nu the angle between position and pericentre."""
     made = simulate_hrsc_block(replace(TINY, length=2800e3, altitudes=(300e3, 300e3)))
