@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import kernels
 import once
 import pytest
 from hypothesis import HealthCheck, settings
@@ -21,8 +20,8 @@ FLAGS = [
     "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
 ]  # fmt: skip
 PLAIN = (
-    "simulation/test_site", "files/", "geometry/", "fetch/", "simulation/test_ground", "simulation/test_hrsc",
-    "registration/test_relief", "test_package", "network/", "simulation/test_pair",
+    "simulation/test_site", "files/", "geometry/", "fetch/", "simulation/test_imagery", "simulation/test_terrain",
+    "simulation/test_hrsc_block", "registration/test_relief", "test_package", "network/", "simulation/test_pair",
 )  # fmt: skip
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (
@@ -57,7 +56,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles all sources again
         once.share()
-        kernels.compile_in_background()
+        once.compile_in_background()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -81,7 +80,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     for marker in item.iter_markers("program"):
         require_program(*marker.args, **marker.kwargs)
     if not item.nodeid.startswith(tuple(f"tests/{start}" for start in PLAIN)):
-        kernels.wait()
+        once.wait_for_kernels()
 
 
 @pytest.fixture(scope="session")

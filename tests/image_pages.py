@@ -1,8 +1,6 @@
 """A small server with the addresses of images, and a page that has their panels alone, without the whole studio."""
 
 import threading
-import urllib.error
-import urllib.request
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -129,16 +127,6 @@ def textured(path: Path, lines: int, samples: int, seed: int) -> Path:
         with rasterio.open(path, "w", driver="GTiff", **size) as file:
             file.write(np.clip(pixels, 0, 255).astype(np.uint8), 1)
     return path
-
-
-def fetched(address: str, path: str) -> tuple[int, dict[str, str], bytes]:
-    """Status, heads and content of an answer."""
-    try:
-        with urllib.request.urlopen(f"{address}{path}") as answer:
-            return answer.status, dict(answer.headers), answer.read()
-    except urllib.error.HTTPError as error:
-        with error:
-            return error.code, dict(error.headers), error.read()
 
 
 class Seen:

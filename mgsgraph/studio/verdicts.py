@@ -167,7 +167,7 @@ def write_kept(
     Parameters
     ----------
     network : Path
-        That was reviewed: ISIS's PVL or binary form, or a table (.csv).
+        That was reviewed: ISIS's PVL or binary form, or a table (.csv, .parquet).
     verdicts : Verdicts
         About it.
     out : Path

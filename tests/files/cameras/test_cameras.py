@@ -12,7 +12,7 @@ from mgsgraph.files.cameras.camera import Camera, LabelKind, LineScanLabel, Naif
 from mgsgraph.files.cameras.label import CAMERAS, read_line_scan_label
 from mgsgraph.files.labels.aberration import spacecraft_of
 from mgsgraph.files.labels.kernels import ck_frame, clock_time, fixed_rotation, loaded
-from mgsgraph.geometry.camera import KaguyaMiDistortion, NoDistortion
+from mgsgraph.geometry.camera import KaguyaMiDistortion, NoDistortion, RadialDistortion
 
 MM = 1e-3
 CUBE = """Object = IsisCube
@@ -109,7 +109,10 @@ def test_hirise(tmp_path: Path) -> None:
     assert (said.serial, said.detector) == ("MRO/HIRISE/895484264:44383/RED5/0", -74605)
     assert said.period == pytest.approx(95.0625e-6, rel=1e-12)
     assert said.late == pytest.approx(-95.0625e-6 * 63.5, rel=1e-12)  # ISIS: minus line (tdi / 2 - 0.5)
-    require_place(said, NaifKeywords("here", HIRISE), (0.0, 1024.5), 0.0, 1025.0)
+    keywords = NaifKeywords("here", HIRISE)
+    require_place(said, keywords, (0.0, 1024.5), 0.0, 1025.0)
+    bent = said.camera.interior(keywords, said).distortion  # coefficients of powers of mm
+    assert bent == RadialDistortion(-0.0048509, pytest.approx(0.241312), pytest.approx(-0.162369))
 
 
 def test_hirise_binned(tmp_path: Path) -> None:
@@ -177,8 +180,6 @@ def test_ctx_without_its_masked_pixels(tmp_path: Path, summing: int, first: int,
     said = ctx(tmp_path, summing, first, samples)
     assert (said.samples, said.stop) == (seeing, "")
     assert said.period == pytest.approx(1.877e-3 * summing, rel=1e-12)
-
-
 
 
 def test_cubes_of_ctx_and_lroc_that_are_summed(tmp_path: Path) -> None:
@@ -349,5 +350,3 @@ def test_the_page_has_the_table() -> None:
 
 if __name__ == "__main__":
     print(table())
-
-

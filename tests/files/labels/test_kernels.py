@@ -191,12 +191,6 @@ def test_the_callers_files_are_loaded_again(mgs_kernels: list[Path], tmp_path: P
     assert contents() == before
 
 
-def test_an_empty_pool_is_empty_again(mgs_kernels: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError), loaded([*mgs_kernels, tmp_path / "gone.bc"]):
-        pass
-    assert contents() == ([], {})
-
-
 def test_meta_kernels_find_files_by_symbol_and_beside_them(
     mgs_kernels: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,19 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gis_files import tool
-from rasterio.crs import CRS
 from rasters import FLAT, PROJECTIONS, RADIUS, SPHERE, STEP, ground, on_sphere, pixels, raster, sinusoidal
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.rasters.megdr import read_megdr
-from mgsgraph.files.rasters.raster_file import authority_code, equal_area_crs, geographic_crs, geotiff, wkt2
+from mgsgraph.files.rasters.raster_file import authority_code, equal_area_crs, geographic_crs, wkt2
 from mgsgraph.files.rasters.terrain_file import TerrainRaster, map_projection, read_terrain
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_grid, areoid_heights
-from mgsgraph.registration.dem.gridding import MapGrid
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, KM
 
@@ -354,6 +351,25 @@ def test_a_short_file_and_a_strange_name(tmp_path: Path) -> None:
         read_megdr(image(tmp_path, "terrain.img", np.zeros((3, 3))))
 
 
+@pytest.mark.parametrize(
+    ("true", "said", "top", "bottom"), [("r", "t", 0, 720), ("t", "r", 0, 360), ("t", "a", 360, 720)]
+)
+def test_heights_tell_radii_from_topography(
+    shared_data: Path, tmp_path: Path, true: str, said: str, top: int, bottom: int
+) -> None:
+    """A file under another one's name, whole or by hemispheres, of which the real ones pass."""
+    content = (shared_data / "mola_megdr" / f"meg{true}90n000cb.img").read_bytes()
+    path = image(tmp_path, "a.img", np.frombuffer(content[top * 2880 : bottom * 2880], ">i2"))
+    offset = 4 * (90 - top // 4) + 0.5
+    products = [f"MEG{name.upper()}90N000CB.IMG" for name in (true, said)]
+    real, other = (label(bottom - top, product=name, LINE_PROJECTION_OFFSET=offset) for name in products)
+    (tmp_path / "a.lbl").write_text(real)
+    assert read_megdr(path).radii.shape == (bottom - top, 1440)
+    (tmp_path / "a.lbl").write_text(other)
+    with pytest.raises(InputError, match="km from the equator to the poles"):
+        read_megdr(path)
+
+
 @pytest.mark.parametrize(("site", "largest"), [("insight", 10.0), ("opportunity", 15.0)])
 def test_real_grid_against_real_shots(shared_data: Path, site: str, largest: float) -> None:
     """On flat ground shots and grid agree to metres, and a grid moved by one post in any direction agrees worse."""
@@ -430,19 +446,3 @@ def test_the_plane_is_that_of_proj_s_laea_on_the_same_body(
     between = pyproj.Transformer.from_crs(words, system, always_xy=True)
     places = np.random.default_rng(1).uniform(-1e5, 1e5, (2, 50))
     np.testing.assert_allclose(between.transform(*places), places, rtol=0.0, atol=1e-6)
-
-
-@pytest.mark.program("gdalinfo")
-@pytest.mark.parametrize("radii", list(BODIES)[2:4])
-def test_a_raster_keeps_the_name(radii: tuple[float, float], tmp_path: Path) -> None:
-    grid = MapGrid(175.3, -14.6, radii[0], -1500.0, 1000.0, 10.0, 200, 300)
-    path = tmp_path / "map.tif"
-    shape = (1, grid.rows, grid.columns)
-    with geotiff(path, shape, grid.crs, (grid.west, grid.north), (10.0, 10.0), dtype="float32") as file:
-        file.write(np.ones(shape, dtype=np.float32))
-    said = tool("gdalinfo", path)
-    assert f'BASEGEOGCRS["{BODIES[radii][1]}"' in said
-    assert "unknown" not in said.lower()
-    with rasterio.open(path) as file:
-        assert file.crs == CRS.from_wkt(grid.crs)
-        assert BODIES[radii][1] in file.crs.to_wkt()
