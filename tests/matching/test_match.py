@@ -49,6 +49,7 @@ def test_tie_points_are_in_order(count: int) -> None:
     begins = np.flatnonzero(np.diff(ties.measure_point, prepend=-1))
     np.testing.assert_array_equal(np.flatnonzero(found.reference), begins)
     np.testing.assert_array_equal(ties.measures[begins] % 1.0, 0.5)
+    assert len({(ties.measure_image[k], *ties.measures[k].tolist()) for k in begins}) == len(begins)
     assert np.all((ties.measure_sigmas > 0.0) & (ties.measure_sigmas < 0.5))
     assert np.all(found.covariances[begins] == 0.0)
     others = ~found.reference

@@ -17,12 +17,13 @@ from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError, Unmeasured
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
-from mgsgraph.network import ImageRays, Network, PointClass, Ranges
+from mgsgraph.network import ImageRays, Network, PointClass
 from mgsgraph.network.connectivity import (
     Connectivity,
     connectivity_json,
     connectivity_statements,
 )
+from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
 from mgsgraph.results.results import _constant_residuals, solution_json, statements, summary_table, write_results
@@ -37,21 +38,7 @@ LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.
 
 def without(network: Network, *classes: PointClass) -> Network:
     """The network without the points of some classes."""
-    stay = ~np.isin(network.points.classes, classes)
-    place = np.cumsum(stay) - 1
-    rays, ranges = stay[network.rays.point], stay[network.ranges.point]
-    points = replace(
-        network.points,
-        ids=tuple(name for name, kept in zip(network.points.ids, stay, strict=True) if kept),
-        **{name: getattr(network.points, name)[stay] for name in ("classes", "kinds", "places", "covariances")},
-    )
-    r, g = network.rays, network.ranges
-    return replace(
-        network,
-        points=points,
-        rays=ImageRays(place[r.point[rays]], r.image[rays], r.places[rays], r.sigmas[rays]),
-        ranges=Ranges(place[g.point[ranges]], g.image[ranges], g.times[ranges], g.values[ranges], g.sigmas[ranges]),
-    )
+    return part(network, np.flatnonzero(~np.isin(network.points.classes, classes)))
 
 
 def said(solution: Solution, *words: str) -> str:
