@@ -104,13 +104,13 @@ def truth(simulated: SimulatedStrip) -> dict[str, OrientationCorrection]:
 
 
 def measured(
-    planned: Network, true: Mapping[str, OrientationCorrection], places: Mapping[str, Array], seed: int = 1
+    planned: Network, true: Mapping[str, OrientationCorrection], places: Mapping[str, Array], noise: float = 1.0
 ) -> Network:
     """Planned measures as they would really be had: the ground seen with the true orientation, and noise.
 
     `places` are true places (3,) in m of points by name; new points are where they were planned.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     ground = np.array([
         places.get(name, place) for name, place in zip(planned.points.ids, planned.points.places, strict=True)
     ])
@@ -118,26 +118,22 @@ def measured(
     for j, image in enumerate(planned.images):
         mine = planned.rays.image == j
         seen[mine], _ = image.ground_to_image(ground[planned.rays.point[mine]], true[image.name])
-    seen += planned.rays.sigmas * rng.standard_normal(seen.shape)
+    seen += noise * planned.rays.sigmas * rng.standard_normal(seen.shape)
     values = planned.ranges.values.copy()
     for j, image in enumerate(planned.images):
         mine = planned.ranges.image == j
         lines = image.timing.lines(planned.ranges.times[mine] - image.trajectory.epoch)
         eye = image.pose(lines, true[image.name]).position
         values[mine] = np.linalg.norm(eye - ground[planned.ranges.point[mine]], axis=1)
-    values += planned.ranges.sigmas * rng.standard_normal(values.size)
-    return replace(
-        planned,
-        rays=replace(planned.rays, places=seen),
-        ranges=replace(planned.ranges, values=values),
-    )
+    values += noise * planned.ranges.sigmas * rng.standard_normal(values.size)
+    return replace(planned, rays=replace(planned.rays, places=seen), ranges=replace(planned.ranges, values=values))
 
 
-def really(solution: Solution, planned: Network, true: Mapping[str, OrientationCorrection], seed: int = 1) -> Solution:
+def really(solution: Solution, planned: Network, true: Mapping[str, OrientationCorrection]) -> Solution:
     """Batch over everything, the planned measures really taken."""
     simulated = made()
     places = dict(zip(simulated.ties.ids, simulated.true_ties, strict=True))
-    return adjust_network(joined([solution.network, measured(planned, true, places, seed)]), solution.settings)
+    return adjust_network(joined([solution.network, measured(planned, true, places)]), solution.settings)
 
 
 def totals(solution: Solution, names: tuple[str, ...]) -> Array:
@@ -145,8 +141,6 @@ def totals(solution: Solution, names: tuple[str, ...]) -> Array:
     place = {name: i for i, name in enumerate(solution.network.points.ids)}
     chosen = [place[name] for name in names]
     return np.asarray(np.sqrt(np.trace(solution.covariances[chosen], axis1=1, axis2=2)))
-
-
 
 
 # --- what is predicted is what one gets
@@ -388,7 +382,6 @@ def pass_strip() -> Network:
 @cache
 def pass_coverage() -> ImageCoverage:
     """The strip without its last image, on a trajectory that ends before that."""
-    names = [image.name for image in pass_strip().images]
     left = without_images(pass_strip(), {LATE})
     assert left is not None
     known = definitions(left)
@@ -397,7 +390,6 @@ def pass_coverage() -> ImageCoverage:
              for image in left.images]  # fmt: skip
     nodes = own.nodes.over(float(np.min(edges)), float(np.max(edges)))
     assert len(nodes) < len(own.nodes)
-    assert len(names) == len(left.images) + 1
     shorter = with_definitions(left, Definitions({"HRSC/00": replace(own, nodes=nodes)}))
     return ImageCoverage(state_of_solution(adjust_network(shorter, SolverSettings())))
 
@@ -410,20 +402,13 @@ def late() -> tuple[KnownImage, Definitions]:
 
 def expected_measures(planned: Network, known: Definitions) -> Network:
     """Planned measures as the orientation that is expected gives them, without noise."""
-    state, places = pass_coverage().state, planned.rays.places.copy()
+    state = pass_coverage().state
     values = with_expected(state.values, known)
-    for j, one in enumerate(known_images(planned)):
-        mine = planned.rays.image == j
-        correction = correction_of(one, state.settings, values, known.of([one.image.name]))
-        places[mine], _ = one.image.ground_to_image(planned.points.places[planned.rays.point[mine]], correction)
-    return replace(planned, rays=replace(planned.rays, places=places))
-
-
-def sigmas_of(network: Network, names: tuple[str, ...]) -> Array:
-    """(n,) m of points, roots of the traces of their covariances, adjusted."""
-    solution = adjust_network(network, SolverSettings())
-    place = {name: i for i, name in enumerate(network.points.ids)}
-    return np.sqrt(np.trace(solution.covariances[[place[name] for name in names]], axis1=1, axis2=2))
+    corrections = {
+        one.image.name: correction_of(one, state.settings, values, known.of([one.image.name]))
+        for one in known_images(planned)
+    }
+    return measured(planned, corrections, {}, noise=0.0)
 
 
 @pytest.mark.parametrize("existing", [False, True])
@@ -441,7 +426,7 @@ def test_an_image_that_continues_a_pass_brings_what_was_promised(existing: bool)
     whole = together([state.network, expected_measures(chosen.addition, after)])
     images = [*known_images(state.network), known]
     whole = with_definitions(with_images(whole, images), after)
-    had = sigmas_of(whole, targets.points)
+    had = totals(adjust_network(whole, SolverSettings()), targets.points)
     assert promised == pytest.approx(had, rel=AS_PROMISED)
     before = TargetSigmas(present, targets).before()[:, 0]
     large = had < 0.97 * before

@@ -12,7 +12,7 @@ import networks
 import numpy as np
 import profiles
 import pytest
-from click.testing import CliRunner
+from commands import call
 from matplotlib.quiver import Quiver
 from strip_files import block
 
@@ -22,7 +22,6 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Table
 from mgsgraph.geometry.body import east_north_up
@@ -423,8 +422,7 @@ def test_the_command_writes_every_common_point(solution: Solution, tmp_path: Pat
     write_results(solution, tmp_path / "a", figures=False)
     later = replace(solution, places=solution.places + [[1.0, 2.0, 3.0]] * solution.sigmas)
     write_results(later, tmp_path / "b", figures=False)
-    run = CliRunner().invoke(group, ["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "c")])
-    assert run.exit_code == 0, run.output
+    assert call("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c") == 0
     assert {"comparison.json", "comparison.png"} < {path.name for path in (tmp_path / "c").iterdir()}
     with (tmp_path / "c" / "points_compared.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

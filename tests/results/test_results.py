@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from full_disk import files_of_at_most
 
 import mgsgraph
 from mgsgraph import atomic_write
@@ -280,12 +280,8 @@ def test_a_disk_that_fills_up_leaves_nothing(pair_solution: Solution, tmp_path: 
     write_into(pair_solution, tmp_path / "sizes", figures=False)
     size = (tmp_path / "sizes" / name).stat().st_size
     shutil.rmtree(tmp_path / "sizes")
-    before, limits = everything(tmp_path), resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size - 1, limits[1]))
-    try:
-        with pytest.raises(InputError, match="can't be written") as caught:
-            write_results(pair_solution, tmp_path / "out", figures=False)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    before = everything(tmp_path)
+    with files_of_at_most(size - 1), pytest.raises(InputError, match="can't be written") as caught:
+        write_results(pair_solution, tmp_path / "out", figures=False)
     assert "\n" not in str(caught.value)
     assert everything(tmp_path) == before

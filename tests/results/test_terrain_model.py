@@ -268,17 +268,6 @@ def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_settings_that_make_no_sense() -> None:
-    for given, said in (
-        ({"post": 0.0}, "post: 0.0 m; expected a positive number"),
-        ({"spacing": float("nan")}, "spacing: nan m"),
-        ({"ortho_pixel": -1.0}, "ortho pixel: -1.0 m"),
-        ({"heights": "ellipsoid"}, "sphere or areoid"),
-    ):
-        with pytest.raises(InputError, match=said):
-            DemSettings(**given)
-
-
 # ---- the item of a catalog
 
 
