@@ -249,26 +249,17 @@ def test_ties_with_two_rays_are_one_group_and_others_are_not() -> None:
     assert [one.measures.tolist() for one in suspects(found, 3)] == [one.measures.tolist() for one in groups[:3]]
 
 
-def dense_shares(found: Reliability) -> np.ndarray:
-    """Correlations of all tests of one point from the kernel's own table."""
-    point = 13
-    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), point)
-    assert np.all(found.measures.point[mine] == point)
-    return matrix
-
-
-def test_correlations_of_tests_are_those_of_draws() -> None:
+def test_correlations_of_tests_give_the_joint_test() -> None:
+    """Of all tests of one point, from the kernel's own table: the joint test of a ray follows from them."""
     found = known("shift and surface")
-    matrix = dense_shares(found)
+    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
+    assert np.all(found.measures.point[mine] == 13)
     assert np.allclose(np.diagonal(matrix), 1.0)
     assert np.abs(matrix).max() <= 1.0 + 1e-9
-    mine, _ = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
     rays = np.flatnonzero(found.measures.kind[mine] == MeasureKind.RAY)
-    a, b = 1.0 - found.measures.redundancy[mine[rays[:2]]]
     joint, w0, w1 = found.measures.joint[mine[rays[0]]], *found.measures.test[mine[rays[:2]]]
     rho = matrix[rays[0], rays[1]]
     assert joint == pytest.approx((w0**2 - 2.0 * rho * w0 * w1 + w1**2) / (1.0 - rho**2), rel=1e-6)
-    assert max(a, b) < 1.0
 
 
 @pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.RANGE, MeasureKind.GROUND])

@@ -169,6 +169,7 @@ def test_workers_change_nothing() -> None:
     }  # fmt: skip
 
 
+# above two seconds: a pair matched whole
 def test_a_narrow_search_still_finds_what_is_near() -> None:
     """Images whose orientations are known well: a search of less than a few pixels of the coarse grid."""
     found = match_scene(matched.true_scene(), replace(FEW, search=20.0), workers=1)

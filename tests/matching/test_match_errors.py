@@ -184,6 +184,7 @@ def test_the_filter_knows_places_without_a_neighbour() -> None:
     assert blur_sigmas(nodes) == (0.0, 0.0)
 
 
+# above two seconds: a pair matched whole
 def test_one_picture_given_twice_has_no_infinite_weight() -> None:
     """The same pixels under another name match without any residual."""
     scene = matched.scene()
@@ -331,6 +332,7 @@ def test_a_picture_of_blocks_is_refused_and_a_little_is_said() -> None:
     assert not require_unblocked(matched.scene())
 
 
+# above two seconds: a pair matched whole
 def test_a_pair_that_shows_two_signs_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = replace(matched.SETTINGS, cells=20, features=800)
     monkeypatch.setattr(module, "pair_signs", lambda *_: [PairSigns("A", "B", *FALSE[0])])

@@ -251,6 +251,7 @@ def test_each_height_lies_in_its_cell() -> None:
 # --- figures of merit
 
 
+# above two seconds: adjusts a block in two steps, once for all tests here
 @pytest.mark.parametrize("which", ["pair", "block"])
 def test_the_whole_is_its_parts(which: str) -> None:
     found = merit(which)

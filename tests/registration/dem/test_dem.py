@@ -25,6 +25,7 @@ def rms(values: np.ndarray) -> float:
 # ---- points
 
 
+# above two seconds: adjusts the site, once for all tests of the run
 def test_points_lie_where_the_matches_were_made() -> None:
     matches = dem_site.matched(None)
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
