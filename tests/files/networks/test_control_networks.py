@@ -1,8 +1,9 @@
-"""Control networks united, split and thinned: nothing lost or made up, contradictions counted, connections kept."""
+"""What control networks mean to an adjustment; united, split and thinned: nothing lost or made up, connections kept."""
 
 from collections import Counter
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import connected_parts
-from mgsgraph.files.networks.binary import read_network
+from mgsgraph.files.networks.binary import read_control_network, read_network, write_binary_network
 from mgsgraph.files.networks.editing import in_images, thinned, united, used_images, with_measures
+from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import (
     ControlMeasure,
     ControlNetwork,
@@ -23,9 +25,13 @@ from mgsgraph.files.networks.record import (
     MeasureType,
     PointType,
 )
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network, tie_points
+from mgsgraph.geometry.body import Ellipsoid
 
-PLACES = st.floats(1.0, 5000.0)
-NETWORKS = free_networks(PLACES, least=1)
+# --- united, split, thinned
+
+
+NETWORKS = free_networks(st.floats(1.0, 5000.0), least=1)
 
 
 def measure(image: str, line: float = 1.0, sample: float = 1.0, **more: object) -> ControlMeasure:
@@ -49,9 +55,6 @@ def split_by_measure(network: ControlNetwork, chosen: st.DataObject) -> tuple[Co
             if which:
                 points.append(with_measures(one, sorted(which)))
     return of(*first, source="a.net"), of(*second, source="b.net")
-
-
-# ---- united --------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=30)
@@ -100,9 +103,6 @@ def test_known_places_that_differ_are_counted() -> None:
         assert "1 point" in said[1]
 
 
-# ---- split ---------------------------------------------------------------------------------------------------------
-
-
 def test_images_by_name_and_pattern() -> None:
     network = of(
         point("p", measure("MGS/1"), measure("MGS/2"), measure("MRO/1"), reference=2),
@@ -148,9 +148,6 @@ def test_what_is_ignored_connects_nothing() -> None:
         point("s", measure("B"), measure("C", ignore=True)), point("t", measure("C"), measure("A"), ignore=True),
     )  # fmt: skip
     assert [[one.id for one in part.points] for part in connected_parts(network)] == [["p", "s", "r"], ["q", "t"]]
-
-
-# ---- thinned -------------------------------------------------------------------------------------------------------
 
 
 def block(points: int = 600, images: int = 6, seed: int = 3) -> ControlNetwork:
@@ -217,8 +214,7 @@ def test_sizes_divide_images_where_they_are_known() -> None:
     assert len(thinned(network, 16, {"A": (5000, 5000), "B": (5000, 5000)})[0].points) == 4
 
 
-@pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "mgs_moc_wa_three/controlnetwork.net",
-                                  "lro_nac_hadley/observationPair.net"])  # fmt: skip
+@pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "mgs_moc_wa_three/controlnetwork.net"])
 def test_real_networks_thinned_and_split(shared_data: Path, name: str) -> None:
     network = read_network(shared_data / name)
     thin, _ = thinned(network, 8)
@@ -226,3 +222,113 @@ def test_real_networks_thinned_and_split(shared_data: Path, name: str) -> None:
     assert 4 <= len(thin.points) < len(network.points)
     assert set(links(thin)) == set(links(network))
     assert len(connected_parts(network)) == 1
+
+
+# --- tie points of an adjustment, one rule for text, binary form and records
+
+
+def some_ties(seed: int) -> TiePoints:
+    """Points of all kinds, their measures in no order, on a grid of 1/64 px."""
+    rng = np.random.default_rng(seed)
+    points, images = 7, 4
+    kinds = rng.permutation([0, 0, 0, 1, 1, 2, 2])
+    places = rng.normal(0.0, 3e6, (points, 3))
+    places[(kinds == PointKind.FREE) & (rng.random(points) < 0.5)] = np.nan
+    factors = rng.normal(size=(points, 3, 3))
+    covariances = (factors @ factors.transpose(0, 2, 1) + np.eye(3)) * (kinds == PointKind.CONSTRAINED)[:, None, None]
+    seen = rng.permutation([(i, j) for i in range(1, points) for j in range(images) if rng.random() < 0.7])
+    sigmas = rng.uniform(0.1, 2.0, (len(seen), 2))
+    sigmas[rng.random(sigmas.shape) < 0.3] = np.nan
+    return TiePoints(
+        source="drawn",
+        ids=tuple(f"p{i}" for i in range(points)),
+        kinds=kinds,
+        places=places,
+        covariances=(covariances + covariances.transpose(0, 2, 1)) / 2.0,
+        measure_point=seen[:, 0],
+        measure_image=tuple(f"I/{j}" for j in seen[:, 1]),
+        measures=rng.integers(32, 64 * 10_000, (len(seen), 2)) / 64.0,
+        measure_sigmas=sigmas,
+    )
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+def test_tie_points_survive(tmp_path: Path, write: Any) -> None:
+    ties = some_ties(0)
+    write(control_network(ties, "drawn", "MARS", "of a test"), tmp_path / "a.net")
+    back = read_control_network(tmp_path / "a.net")
+
+    order = np.argsort(ties.measure_point, kind="stable")
+    assert back.ids == ties.ids
+    assert back.measure_image == tuple(ties.measure_image[k] for k in order)
+    for name in ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas"):
+        wanted = getattr(ties, name)
+        np.testing.assert_array_equal(getattr(back, name), wanted[order] if name.startswith("measure") else wanted)
+
+
+def test_pixels_are_counted_from_one_and_the_first_measure_refers() -> None:
+    ties = some_ties(3)
+    network = control_network(ties, "drawn", "MARS", created="2026-11-22T08:00:00", measure_type=MeasureType.MANUAL)
+
+    k = int(np.flatnonzero(ties.measure_point == 1)[0])
+    point = network.points[1]
+    assert (point.measures[0].line, point.measures[0].sample) == tuple(ties.measures[k] + 0.5)
+    assert point.measures[0].serial_number == ties.measure_image[k]
+    assert point.measures[0].type == MeasureType.MANUAL
+    assert [one.reference for one in network.points] == [None] + [0] * 6  # nobody measured the first
+    assert network.created == network.last_modified == "2026-11-22T08:00:00"
+    assert {one.type for one in network.points} == set(PointType)
+
+
+def test_what_is_ignored_is_left_out() -> None:
+    """Of point b, fixed without a place, it would be a fault."""
+    seen = (measure("A", 1.0, 2.0), measure("A", ignore=True, line=None))
+    first = point("a", *seen, adjusted=(1.0, 2.0, 3.0), jigsaw_rejected=True)
+
+    ties = tie_points(of(point("b", type=PointType.FIXED, ignore=True), first))
+
+    assert ties.ids == ("a",)
+    np.testing.assert_array_equal(ties.measures, [[0.5, 1.5]])
+    np.testing.assert_array_equal(ties.places, [[1.0, 2.0, 3.0]])
+
+
+MARS, PHOBOS, MOON = Ellipsoid(3396.19e3, 3376.2e3), Ellipsoid(13.0e3, 9.1e3), 1737.4e3
+
+
+def on_mars(
+    target: str = "", radii: tuple[float, ...] = (), *, scale: float = 1.0, wild: float = 1.0, **more: object
+) -> ControlNetwork:
+    """Three points on Mars, scaled; the last one once more."""
+    places = [(3396e3 * scale * far, 1e3 * scale * k, 0.0) for k, far in enumerate((1.0, 1.0, wild))]
+    points = tuple(point(f"p{k}", measure("A"), apriori=place, **more) for k, place in enumerate(places))
+    return ControlNetwork("n", target, points, target_radii=radii)
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (on_mars("Moon"), "TargetName: the target body Moon; expected MARS"),
+        (on_mars("", (MOON, MOON, MOON)), "TargetRadii: 1737400 m; expected 3396190 m"),
+        (on_mars("Mars", scale=1e-3), "radii of points of 3.396 km .*kilometres stand where"),
+        (on_mars("Mars", type=PointType.FIXED, wild=0.8), "point p2: 2.7168e[+]06 m from the body's centre"),
+    ],
+)
+def test_a_network_of_another_body(tmp_path: Path, write: Any, given: ControlNetwork, said: str) -> None:
+    """Whatever says so: its name, its radii, or where its points lie, known ones each."""
+    path = tmp_path / "network"
+    write(given, path)
+    assert len(read_control_network(path).ids) == 3
+    with pytest.raises(InputError, match=said):
+        read_control_network(path, MARS)
+
+
+def test_networks_of_this_body(tmp_path: Path) -> None:
+    """A first guess may be wild; of a body of unknown size any other name may be its own."""
+    path = tmp_path / "network.net"
+    for made, body in (
+        (on_mars(" mars ", (3396190.0, 3396190.0, 3376200.0)), MARS), (on_mars(wild=2.0), MARS),
+        (on_mars("Deimos", scale=11.0 / 3396.0), PHOBOS),
+    ):  # fmt: skip
+        write_binary_network(made, path)
+        assert len(read_control_network(path, body).ids) == 3
