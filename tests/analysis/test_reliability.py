@@ -286,7 +286,7 @@ def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
     assert norm.sf(found.critical - found.levels.shift) == pytest.approx(0.80)
 
 
-# --- rows of what is known of passes beforehand: which values they are about, and how well these are known
+# --- rows of what is known of passes beforehand
 
 
 POSITION = np.array([[30.0, 40.0, 50.0], [5.0, 6.0, 7.0]])

@@ -175,7 +175,7 @@ def test_blunders_do_not_choose() -> None:
     assert not np.any(choice.chosen_network.rays.rejected)
 
 
-# --- strengths of processes: against the likelihood of the dense Gaussian process, and against planted one
+# --- strengths of processes
 
 
 ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)

@@ -130,7 +130,7 @@ def test_a_level_that_is_no_probability_is_refused() -> None:
         unexplained(adjust_network(net(), PLAIN), 1.0)
 
 
-# --- vibrations in residuals: planted ones are found with their size, none of noise, and what can't be see
+# --- vibrations in residuals
 
 
 CALM = JitterSettings(pitch=0.0, roll=0.0)

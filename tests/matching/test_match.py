@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import read_control_network
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.matching.dense import DenseMatches, dense_matches
@@ -177,7 +176,7 @@ def test_a_narrow_search_still_finds_what_is_near() -> None:
     assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
 
 
-# --- dense matches of a small simulated pair with the orientation that it was taken with, against truth
+# --- dense matches
 
 
 SPACING = 50.0
@@ -274,7 +273,7 @@ def test_disparities_of_a_shifted_patch(shift: int) -> None:
     assert np.all(np.isnan(found[:, :60]))
 
 
-# --- what matching writes: networks, table, record and figure, whole or not at all
+# --- what matching writes
 
 
 TABLES = {"match.json", "matches.csv", "network.net", "network.pvl"}
@@ -340,15 +339,3 @@ def test_the_record_has_what_was_found(written: Path) -> None:
     assert (record["cells_with_matches"], record["cells"]) == found.cells
     assert None in [one["height_sigma_m"] for one in record["orientations"]]  # parallel rays
     assert record["statements"] == match_statements(found, matched.scene(3))
-
-
-def test_networks_are_held_against_their_record(tmp_path: Path) -> None:
-    write_matches(matched.matches(), matched.scene(), "pair", matched.SETTINGS, tmp_path / "out", figures=False)
-    for name in ("network.pvl", "network.net"):
-        path = tmp_path / "out" / name
-        assert read_control_network(path).ids
-        content = bytearray(path.read_bytes())
-        content[-40] ^= 1
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=f"{name}: is damaged"):
-            read_control_network(path)

@@ -250,7 +250,7 @@ def test_points_of_two_runs_have_different_names() -> None:
     assert not set(one) & set(other)
 
 
-# --- false matches betray themselves together: by chance, by signs of a pair, by blocks of a lossy compres
+# --- false matches betray themselves together
 
 
 NAN = math.nan

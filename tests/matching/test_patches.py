@@ -122,7 +122,7 @@ def test_tiles_own_what_lies_without_their_margin() -> None:
     assert tile.owns(tile.plane(columns, rows)).tolist() == [False, True, True, False, False, True]
 
 
-# --- tiles: every place that two images share is one tile's own; links are numbered through; cells are eve
+# --- tiles, links and cells
 
 
 SIDES = st.floats(1.0, 9000.0)
@@ -225,7 +225,7 @@ def test_nodes_are_the_same_on_all_tiles() -> None:
     assert all(place in found[1] for place in shared)
 
 
-# --- features of patches and their pairing: what is shifted is found again, what lies outside the window i
+# --- features of patches and their pairing
 
 
 TILE = Tile(0, 1000.0, -500.0, 4.0, 300, 340, 0)

@@ -364,7 +364,7 @@ def test_fixed_points_are_no_targets() -> None:
         targets_of(where, [fixed.points.ids[-1]])
 
 
-# --- candidates on the trajectory of a pass: what is promised is what adjusting with them brings
+# --- candidates on the trajectory of a pass
 
 
 LATE = "HRSC/00/S2/2"

@@ -204,7 +204,7 @@ def test_one_footprint_and_none(case: Case, tmp_path: Path) -> None:
     assert rows_of(tmp_path / "none" / "discrepancy.csv") == []
 
 
-# --- profiles over images: against the places of a simulated track, and against LOLA over a pair of LROC N
+# --- profiles over images
 
 
 def along_and_later() -> tuple[Registration, AltimeterShots]:

@@ -190,7 +190,7 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(trend[3])
 
 
-# --- figures of merit of two steps, heights by cell, and their page, tables and map
+# --- figures of merit of two steps
 
 
 TERRAIN = TerrainErrors(missing=0.02)

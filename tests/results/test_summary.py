@@ -165,7 +165,7 @@ def test_what_drives_an_adjustment_that_stopped_is_in_every_form_of_its_results(
     assert solution_json(done)["drivers"] is None
 
 
-# --- how images are connected, in words, as a table and as a figure: what they say, not what they look lik
+# --- how images are connected
 
 
 def box(name: str, west: float) -> Footprint:

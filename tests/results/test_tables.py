@@ -265,7 +265,7 @@ def test_residual_table(lossy: Solution, tmp_path: Path) -> None:
     assert column(ranges, "isis_line")[[0, -1]] == pytest.approx([60.5, 5000.0 - 60.0 + 0.5], abs=1e-3)
 
 
-# --- tables of points and residuals as Parquet are those of the CSV files, number for number
+# --- Parquet
 
 
 def test_parquet_holds_what_csv_does(solution: Solution, tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_the_longer_table_decides(solution: Solution, monkeypatch: pytest.Monkey
     assert form_of(solution, "csv") == "csv"
 
 
-# --- shifts, terrain and back-projections in the products, against the arrays they come from
+# --- shifts and terrain
 
 
 def test_shifts_and_heights_are_told() -> None:
@@ -333,7 +333,7 @@ def test_heights_above_stereo_surfaces_are_told(tmp_path: Path) -> None:
     assert said == {("", "true", "", 1.0)}
 
 
-# --- the sigma raster in GDAL's hands: bands, units, and each cell in its place
+# --- the sigma raster in GDAL's hands
 
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
