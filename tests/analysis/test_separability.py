@@ -1,6 +1,5 @@
 """What geometry does not tell apart is named with the mixture that is determined; which shared unknowns are it."""
 
-import csv
 import json
 from dataclasses import replace
 from functools import cache
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import rows_of
 from networks import network, pair, with_shift_and_surface
 from rigs import adjusted_rig, rig
 from sharing import camera_clock, drawn, shared, with_all_kinds
@@ -168,8 +168,7 @@ def test_images_that_are_held_are_no_rivals() -> None:
 def test_files_have_a_row_for_each_component(tmp_path: Path) -> None:
     solution = of_all_kinds()
     assert "shared.csv" in write_results(solution, tmp_path / "out", figures=False)
-    with (tmp_path / "out" / "shared.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "out" / "shared.csv")
     assert [row["kind"] for row in rows] == [str(kind) for kind in SharedKind for _ in range(kind.width)]
     assert [row["axis"] for row in rows[2:5]] == ["x", "y", "z"]
     assert float(rows[0]["value"]) == solution.shared[0][0]

@@ -328,31 +328,6 @@ def test_sigmas_are_those_asked_for() -> None:
     assert set(planned.rays.sigmas[~own].ravel()) == {0.7}
 
 
-def test_a_candidate_without_overlap_is_worthless_not_an_error() -> None:
-    far = planned_image(coverage(2), KnownImage(made().images[10], NOISE.prior), PlannedTies())
-    assert far.addition is None
-    found = plan(state(2), [far], 2)
-    assert found.chosen == ()
-    assert "no overlap" in found.ranking[0].reason
-    assert found.ranking[0].drop == 0.0
-
-
-# --- bad input
-
-
-def test_bad_targets_and_candidates_are_named() -> None:
-    with pytest.raises(InputError, match="'nobody', which is no determined point"):
-        plan(state(), [candidate(8)], 1, ["nobody"])
-    with pytest.raises(InputError, match="'ties' beside names"):
-        plan(state(), [candidate(8)], 1, ["ties", made().images[0].name])
-    with pytest.raises(InputError, match="no candidate"):
-        plan(state(), [], 1)
-    with pytest.raises(InputError, match="two candidates named"):
-        plan(state(), [candidate(8), candidate(8)], 1)
-    with pytest.raises(InputError, match="an image of the network already"):
-        planned_image(coverage(), KnownImage(made().images[0], NOISE.prior), PlannedTies())
-
-
 def test_fixed_points_are_no_targets() -> None:
     net = network(pair(ties=24, shots=9))
     kinds = net.points.kinds.copy()
@@ -362,6 +337,8 @@ def test_fixed_points_are_no_targets() -> None:
     assert fixed.points.ids[-1] not in targets_of(where, ["all"]).points
     with pytest.raises(InputError, match="held and has no sigma"):
         targets_of(where, [fixed.points.ids[-1]])
+    with pytest.raises(InputError, match="'ties' beside names"):
+        targets_of(where, ["ties", net.images[0].name])
 
 
 # --- candidates on the trajectory of a pass

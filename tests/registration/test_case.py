@@ -1,6 +1,5 @@
 """Registration of a case against geometry and truth of a simulated pair; profiles over images, also of LROC NAC."""
 
-import csv
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -9,6 +8,7 @@ import networks
 import numpy as np
 import profiles
 import pytest
+from commands import rows_of
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import View
@@ -42,11 +42,6 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
 @pytest.fixture(scope="module")
 def solution(case: Case) -> Solution:
     return adjust_case(case)
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def numbers(rows: list[dict[str, str]], *names: str) -> np.ndarray:

@@ -1,6 +1,5 @@
 """Strips in reports: course and sigmas along time; figures of merit of two steps, heights by cell, tables and map."""
 
-import csv
 import json
 import re
 from dataclasses import replace
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import call
+from commands import call, rows_of
 from hypothesis import given
 from hypothesis import strategies as st
 from mex import CHANGES
@@ -21,6 +20,7 @@ from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
+from mgsgraph.analysis.spacing import respaced
 from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_reports
 from mgsgraph.analysis.two_step_statistics import STAGES, TwoStepStatistics, height_cells, owners, two_step_statistics
 from mgsgraph.geometry.body import from_planetocentric
@@ -44,18 +44,9 @@ from mgsgraph.simulation.observations import TerrainErrors
 from mgsgraph.units import ARCSEC, DEG, MGON
 
 
-def respaced() -> Network:
-    """The block with nodes every 3 s."""
-    strips = []
-    for strip in block().network.passes:
-        nodes = evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 3.0)
-        strips.append(replace(strip, nodes=nodes))
-    return replace(block().network, passes=tuple(strips))
-
-
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    return adjust_network(respaced(), SolverSettings(), "block")
+    return adjust_network(respaced(block().network, 3.0), SolverSettings(), "block")
 
 
 # --- the course
@@ -64,7 +55,7 @@ def solution() -> Solution:
 @pytest.mark.parametrize("angles", ["opk-paper", "opk-peer"])
 def test_the_course_is_what_each_image_has(angles: Angles) -> None:
     """Lengths of corrections, and sums of variances, are those of the images' own profiles, whatever the axes."""
-    solved = adjust_network(respaced(), SolverSettings(angles=angles), "block")
+    solved = adjust_network(respaced(block().network, 3.0), SolverSettings(angles=angles), "block")
     for image in (0, 2, 9):
         profile = orientation_profile(solved, image, 7)
         course = strip_corrections(solved, image // 5, profile.times)
@@ -120,8 +111,7 @@ def test_report(solution: Solution) -> None:
 
 def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
     nodes_table(solution).write_csv(tmp_path / "passes.csv")
-    with (tmp_path / "passes.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "passes.csv")
     assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
     assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
     for k, row in enumerate(rows[: len(solution.nodes[0])]):
@@ -387,19 +377,15 @@ def test_files(which: str, tmp_path: Path) -> None:
     assert record["all"]["heights"]["rms_m"] == dict(zip(STAGES, found.whole.heights.rms.tolist(), strict=True))
     np.testing.assert_array_equal(read_solution(out).places, found.steps.fitted.places)
 
-    def rows(name: str) -> list[dict[str, str]]:
-        with (out / name).open(encoding="utf-8") as file:
-            return list(csv.DictReader(file))
-
-    assert len(rows("two_steps.csv")) == (len(found.groups) + 1) * 14
+    assert len(rows_of(out / "two_steps.csv")) == (len(found.groups) + 1) * 14
     pitch = next(
-        row for row in rows("two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
+        row for row in rows_of(out / "two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
     )
     assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
     assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / MGON)
-    used = np.array([float(row["height_step_2_m"]) for row in rows("heights.csv") if row["used"] == "true"])
+    used = np.array([float(row["height_step_2_m"]) for row in rows_of(out / "heights.csv") if row["used"] == "true"])
     assert np.sqrt(np.mean(used**2)) == pytest.approx(found.whole.heights.rms[2])
-    squares = sum(float(row["points"]) * float(row["rms_before_m"]) ** 2 for row in rows("height_cells.csv"))
+    squares = sum(float(row["points"]) * float(row["rms_before_m"]) ** 2 for row in rows_of(out / "height_cells.csv"))
     assert np.sqrt(squares / used.size) == pytest.approx(found.whole.heights.rms[0])
     write_two_steps(found, out, figures=False)  # an earlier result is replaced, by an adjustment in one step, too
     write_results(found.steps.fitted, out, figures=False)

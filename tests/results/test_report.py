@@ -1,6 +1,5 @@
 """The report page, its figures and tables and what a real browser makes of it; two solutions compared."""
 
-import csv
 import json
 import re
 import warnings
@@ -12,7 +11,7 @@ import networks
 import numpy as np
 import profiles
 import pytest
-from commands import call
+from commands import call, rows_of
 from matplotlib.quiver import Quiver
 from strip_files import block
 
@@ -424,8 +423,7 @@ def test_the_command_writes_every_common_point(solution: Solution, tmp_path: Pat
     write_results(later, tmp_path / "b", figures=False)
     assert call("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c") == 0
     assert {"comparison.json", "comparison.png"} < {path.name for path in (tmp_path / "c").iterdir()}
-    with (tmp_path / "c" / "points_compared.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "c" / "points_compared.csv")
     np.testing.assert_array_equal([float(row["east_m"]) for row in rows], CommonPoints(later, solution).moved[:, 0])
     record = json.loads((tmp_path / "c" / "comparison.json").read_text(encoding="utf-8"))
     assert record["sigmas_compared"][0]["class"] == "tie"

@@ -1,6 +1,5 @@
 """A terrain model's files in GDAL's hands, its check by laser shots, and that it appears whole or not at all."""
 
-import csv
 import importlib
 import json
 import subprocess
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
+from commands import rows_of
 from full_disk import files_of_at_most
 from rasterio.crs import CRS
 from rasterio.warp import transform
@@ -247,8 +247,7 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
 
 
 def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:
-    with (folder / "shots.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "shots.csv")
     assert len(rows) == len(made().checks) > 0
     off = [float(row["model_minus_shot_m"]) for row in rows]
     np.testing.assert_array_equal(off, made().checks.differences)
