@@ -230,7 +230,7 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     shift = np.array([30.0, -40.0])
     given = true + rng.normal(0.0, 1.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
     one = replace(
-        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=1.0, height_sigma=1.0,
+        own, shots=replace(own.shots, footprints=given), sigma=1.0, height_sigma=1.0,
         values=shift, covariance=np.eye(2) * 1e-6,
     )
     found = checked(model, [one])
