@@ -311,7 +311,7 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     assert "negative" in components[g].sentence
 
 
-# --- `analyze --snoop`: planted blunders go, good measures stay, what is inseparable goes together
+# --- `analyze --snoop`
 
 
 TIE, SHOT, RANGE, PLACE = 3, 45, 8, 50

@@ -136,7 +136,7 @@ def test_relief_hides_places_with_heights_of_their_own_but_not_those_beneath_it(
     np.testing.assert_array_equal(beneath, np.array(hidden) == "behind relief")
 
 
-# --- sigmas over an overlap: cell by cell the posterior's own intersection; nothing where fewer than two i
+# --- sigmas over an overlap
 
 
 @cache

@@ -159,7 +159,7 @@ def test_a_sigma0_that_no_sigma_makes(good: Solution) -> None:
     assert is_result(replace(good, fit=replace(good.fit, squares=0.99 * ABSURD**2 * freedom)))
 
 
-# --- sigma0 by group: it names the group whose errors are larger than stated, and nothing where sigmas are
+# --- sigma0 by group
 
 
 PLAIN = SolverSettings(starts=0)
@@ -253,7 +253,7 @@ def test_back_projected_places_are_no_measures() -> None:
     assert not any(one.judged for one in fits if "back-projected" in one.name)
 
 
-# --- residuals before anything is solved: what sigmas explain is let be, what is interchanged is named
+# --- residuals before anything is solved
 
 
 def found(net: Network) -> tuple[str, ...]:

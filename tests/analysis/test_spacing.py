@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from networks import network as pair_network
-from networks import pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
-from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.spacing import (
     choose_spacing,
     hold_out,
@@ -25,7 +22,7 @@ from mgsgraph.analysis.spacing import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
-from mgsgraph.network import Network, NodePrior, Pass, Process, ProcessPrior
+from mgsgraph.network import Network, NodePrior, Process, ProcessPrior
 from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.network.corrections import (
     pass_rays,
@@ -178,7 +175,7 @@ def test_blunders_do_not_choose() -> None:
     assert not np.any(choice.chosen_network.rays.rejected)
 
 
-# --- strengths of processes: against the likelihood of the dense Gaussian process, and against planted one
+# --- strengths of processes
 
 
 ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)
@@ -197,6 +194,7 @@ def network(seed: int, off: float, estimated: bool = True) -> Network:
     return replace(net, passes=(replace(net.passes[0], prior=mine),))
 
 
+# above two seconds: a search that adjusts a dozen times, to 1e-5
 def test_it_is_the_maximum_of_the_likelihood() -> None:
     """-log L from the data's own information on the nodes and the dense process, maximised by brute force."""
     net = network(4, 3.0)
@@ -247,33 +245,12 @@ def test_planted_strengths_are_found() -> None:
     assert str(ends[0]).count("gauss-markov") >= 2
 
 
-def test_what_cannot_be_told_apart_is_said() -> None:
-    """Of a narrow camera each image by itself: along the track and pitch, across and roll do the same to its rays."""
-    net = pair_network(pair(ties=60, shots=12))
-    prior = ProcessPrior(
-        (Process("matern-3/2", np.full(3, 80.0), 4.0),), (Process("matern-3/2", np.full(3, 2e-4), 4.0),),
-        np.array([200.0] * 3 + [4e-4] * 3), np.zeros(6),
-    )  # fmt: skip
-    passes = []
-    for j, image in enumerate(net.images):
-        start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0]
-        nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), (stop - start) / 5.0)
-        passes.append(Pass(image.name, np.array([j]), nodes, prior))
-    solution = adjust_network(replace(net, passes=tuple(passes)), SolverSettings())
-    found = inseparable(solution.network, solution.joint_covariance, solution.settings.angles)
-    name = solution.network.passes[1].name
-    wanted = {f"along-track position of pass {name}", f"pitch of pass {name}"}
-    assert any(wanted <= {part.name for part in one.quantities} for one in found)
-    for one in found:
-        assert one.sigma < 0.35 * one.quantities[0].sigma
-        assert "inseparable" in one.sentence
-
-
 def test_nothing_to_estimate_is_said() -> None:
     with pytest.raises(InputError, match="none that is to be estimated"):
         estimated_strengths(network(1, 1.0, estimated=False), SolverSettings())
 
 
+# above two seconds: a search over two strips
 def test_passes_have_their_strengths_in_common() -> None:
     """Of two strips that begin unlike each other: one strength, and after a round both have it."""
     net = simulate_hrsc_block(replace(SETTINGS, strips=2), 3).network

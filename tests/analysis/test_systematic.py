@@ -112,6 +112,7 @@ def shaken(case: Case, period: float) -> Network:
     return replace(case.network, rays=replace(rays, places=places))
 
 
+# above two seconds: a whole site adjusted twice, and a search over all periods of jitter
 def test_jitter_is_named_and_good_data_name_nothing(case: Case) -> None:
     clean = unexplained(adjust_network(case.network, case.settings))
     assert not clean.effects
@@ -129,7 +130,7 @@ def test_a_level_that_is_no_probability_is_refused() -> None:
         unexplained(adjust_network(net(), PLAIN), 1.0)
 
 
-# --- vibrations in residuals: planted ones are found with their size, none of noise, and what can't be see
+# --- vibrations in residuals
 
 
 CALM = JitterSettings(pitch=0.0, roll=0.0)
@@ -191,6 +192,7 @@ def test_fast_sums_are_direct_ones() -> None:
     np.testing.assert_allclose(fits.covariance, covariance, rtol=0.05, atol=0.03 * covariance.max())
 
 
+# above two seconds on a busy machine: six hundred spectra, else 5 % could not be told from 6
 def test_noise_alone_is_not_named_more_often_than_stated() -> None:
     """Of 600 spectra of noise, three times as large as stated, 5 % at most are below p = 0.05; and some are."""
     rng, chances = np.random.default_rng(8), []
@@ -259,6 +261,7 @@ def test_control_shows_what_ties_cannot() -> None:
     assert not any("Not seen" in said for said in found.sentences)
 
 
+# above two seconds: two pairs of 1200 ties, adjusted and searched
 @pytest.mark.parametrize("control", [False, True])
 def test_calm_pairs_show_nothing(control: bool) -> None:
     for seed in (31, 32):

@@ -56,21 +56,6 @@ def test_true_orientations_show_the_same_pixel_by_pixel() -> None:
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_patch_has_the_picture_s_grey_values_where_it_says(number: int) -> None:
-    scene = matched.true_scene()
-    picture, tile = scene.pictures[number], middle_tile(scene)
-    patch = patch_of(scene, picture, tile)
-    row, column = np.random.default_rng(1).integers(0, [tile.rows, tile.columns], (500, 2)).T
-    places = picture.project(scene.ground.points(tile.plane(column.astype(float), row.astype(float))))
-    inside = np.all((places > 3.0) & (places < np.array(picture.pixels.shape) - 3.0), axis=1)
-    assert np.all(patch.valid[row[inside], column[inside]] == 255)
-    line, sample = np.floor(places[inside]).astype(int).T
-    low, high = picture.levels
-    shown = np.clip((picture.pixels[line, sample] - low) * 255.0 / (high - low), 0.0, 255.0)
-    assert np.corrcoef(shown, patch.grey[row[inside], column[inside]])[0, 1] > 0.9
-
-
-@pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_pixels_are_resampled_where_their_centres_are(number: int, axis: int) -> None:
     """A picture whose grey values are its own lines, or samples: pixels' centres have halves."""
@@ -137,7 +122,7 @@ def test_tiles_own_what_lies_without_their_margin() -> None:
     assert tile.owns(tile.plane(columns, rows)).tolist() == [False, True, True, False, False, True]
 
 
-# --- tiles: every place that two images share is one tile's own; links are numbered through; cells are eve
+# --- tiles, links and cells
 
 
 SIDES = st.floats(1.0, 9000.0)
@@ -240,7 +225,7 @@ def test_nodes_are_the_same_on_all_tiles() -> None:
     assert all(place in found[1] for place in shared)
 
 
-# --- features of patches and their pairing: what is shifted is found again, what lies outside the window i
+# --- features of patches and their pairing
 
 
 TILE = Tile(0, 1000.0, -500.0, 4.0, 300, 340, 0)

@@ -127,7 +127,7 @@ def test_blank_and_saturated_pictures_are_refused(pixels: Pixels | None, said: s
     assert with_pixels(saturated(0.4)).levels[1] == 255.0
 
 
-# --- the plane of comparison: there and back, true lengths and areas, anywhere on the body
+# --- the plane of comparison
 
 
 RADIUS = 3.39e6
@@ -177,7 +177,7 @@ def test_beyond_the_antipode_is_nowhere() -> None:
     assert np.all(np.isnan(chart.directions(np.array([[2.1 * RADIUS, 0.0]]))))
 
 
-# --- tracks: joined over images, one place in each, split at the weakest link
+# --- tracks
 
 
 def tracks_of(links: list[tuple[int, int]], likeness: list[float], pictures: list[int]) -> set[tuple[int, ...]]:

@@ -84,8 +84,12 @@ def track(ground: Ground, shift: Array, seed: int = 1, sigma: float = SIGMA) -> 
     """
     first = pair().images[0]
     lines = np.linspace(0.1, 0.9, SHOTS) * first.lines
-    points = _ground(ground, lines, np.linspace(0.35, 0.65, SHOTS) * first.samples)
-    noise = np.random.default_rng(seed).normal(0.0, sigma, SHOTS)
+    return misplaced(_ground(ground, lines, np.linspace(0.35, 0.65, SHOTS) * first.samples), shift, seed, sigma)
+
+
+def misplaced(points: Array, shift: Array, seed: int, sigma: float) -> Array:
+    """Ground points (n, 3) with noise in their heights, which lie there after a shift (2,)."""
+    noise = np.random.default_rng(seed).normal(0.0, sigma, len(points))
     points = points * (1.0 + noise / np.linalg.norm(points, axis=1))[:, None]
     return points - np.einsum("k,nkj->nj", shift, east_north(points))
 
@@ -162,10 +166,7 @@ def posts(ground: Ground, shift: Array, seed: int, sigma: float) -> Array:
     """(n, 3) m, posts every 460 m over the first image, as `track` has its footprints."""
     first = pair().images[0]
     made = np.meshgrid(np.linspace(0.05, 0.95, 44) * first.lines, np.linspace(0.05, 0.95, 6) * first.samples)
-    points = _ground(ground, made[0].ravel(), made[1].ravel())
-    noise = np.random.default_rng(seed).normal(0.0, sigma, len(points))
-    points = points * (1.0 + noise / np.linalg.norm(points, axis=1))[:, None]
-    return points - np.einsum("k,nkj->nj", shift, east_north(points))
+    return misplaced(_ground(ground, made[0].ravel(), made[1].ravel()), shift, seed, sigma)
 
 
 def low_hills(points: Array) -> Array:

@@ -1,6 +1,5 @@
 """The report page, its figures and tables and what a real browser makes of it; two solutions compared."""
 
-import csv
 import json
 import re
 import warnings
@@ -12,7 +11,7 @@ import networks
 import numpy as np
 import profiles
 import pytest
-from click.testing import CliRunner
+from commands import call, rows_of
 from matplotlib.quiver import Quiver
 from strip_files import block
 
@@ -22,9 +21,7 @@ from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.folders import COMPARISON
 from mgsgraph.files.output.table import NONE, Table
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.results import page as report_page
@@ -164,12 +161,10 @@ def test_a_long_table_is_cut_and_says_so(solution: Solution, monkeypatch: pytest
 
 
 def test_undetermined_points_have_dashes(solution: Solution) -> None:
-    places = solution.places.copy()
-    places[3] = np.nan
-    covariances = solution.covariances.copy()
-    covariances[3] = np.nan
-    determined = np.arange(len(places)) != 3
-    found = named(tables(replace(solution, places=places, covariances=covariances, determined=determined)), "points")
+    lost = np.arange(len(solution.places)) == 3
+    parts = {"places": np.where(lost[:, None], np.nan, solution.places), "determined": ~lost,
+             "covariances": np.where(lost[:, None, None], np.nan, solution.covariances)}  # fmt: skip
+    found = named(tables(replace(solution, **parts)), "points")
     (row,) = [row for row in found.rows if row[0] == solution.network.points.ids[3]]
     assert row[3:12] == [NONE] * 9
     assert row[-1] == "rejected"
@@ -217,14 +212,6 @@ def test_differences_are_in_units_of_the_larger_sigma(solution: Solution) -> Non
     for pair in ((solution, other), (other, solution)):
         _, sigmas = orientation_difference(pair[0], 1, pair[1], 1)
         np.testing.assert_allclose(sigmas, np.maximum(*parts))
-
-
-def test_a_solution_without_laser_has_fewer_points_and_observations(case: Case, solution: Solution) -> None:
-    other = adjust_case(read_case(case.path, laser=False))
-    found = compare(solution, other)
-    assert found.section.tables[0].note.startswith("The numbers of observations differ")
-    names = set(solution.network.points.ids) - set(other.network.points.ids)
-    assert f", {len(names)} new, 0 gone" in found.section.sentences[2]
 
 
 def test_points_by_their_names(solution: Solution) -> None:
@@ -429,27 +416,14 @@ def test_the_map_has_arrows(solution: Solution) -> None:
     np.testing.assert_allclose(np.asarray(arrows.V) / np.asarray(arrows.U), 4.0 / 3.0)
 
 
-def test_files_hold_every_common_point(solution: Solution, tmp_path: Path) -> None:
-    network = solution.network
-    other = adjust_network(replace(network, rays=network.rays.chosen(np.arange(network.rays.point.size - 2))),
-                           solution.settings)  # fmt: skip
-    names = compare(other, solution, LABELS).section.write_folder(tmp_path / "out", COMPARISON)
-    assert sorted(names) == sorted(path.name for path in (tmp_path / "out").iterdir())
-    with (tmp_path / "out" / "points_compared.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    points = CommonPoints(other, solution)
-    assert len(rows) == len(points.places)
-    np.testing.assert_array_equal([float(row["east_m"]) for row in rows], points.moved[:, 0])
-    record = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
-    assert record["sigmas_compared"][0]["class"] == "tie"
-
-
 @pytest.mark.usefixtures("light_figures")
-def test_the_command(solution: Solution, tmp_path: Path) -> None:
+def test_the_command_writes_every_common_point(solution: Solution, tmp_path: Path) -> None:
     write_results(solution, tmp_path / "a", figures=False)
-    write_results(replace(solution, places=solution.places + 1.0), tmp_path / "b", figures=False)
-    run = CliRunner().invoke(group, ["compare", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "c")])
-    assert run.exit_code == 0, run.output
+    later = replace(solution, places=solution.places + [[1.0, 2.0, 3.0]] * solution.sigmas)
+    write_results(later, tmp_path / "b", figures=False)
+    assert call("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c") == 0
     assert {"comparison.json", "comparison.png"} < {path.name for path in (tmp_path / "c").iterdir()}
-    again = CliRunner().invoke(group, ["compare", str(tmp_path / "a"), str(tmp_path / "none")])
-    assert again.exit_code != 0
+    rows = rows_of(tmp_path / "c" / "points_compared.csv")
+    np.testing.assert_array_equal([float(row["east_m"]) for row in rows], CommonPoints(later, solution).moved[:, 0])
+    record = json.loads((tmp_path / "c" / "comparison.json").read_text(encoding="utf-8"))
+    assert record["sigmas_compared"][0]["class"] == "tie"

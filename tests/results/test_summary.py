@@ -1,11 +1,11 @@
 """A solution, its connections, and a case to be matched in words: a finding is said when it is there, and only then."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import rows_of
 from networks import network, pair
 from sites import plain_site
 
@@ -17,12 +17,13 @@ from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.errors import InputError, Unmeasured
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.footprint import Footprint
-from mgsgraph.network import ImageRays, Network, PointClass, Ranges
+from mgsgraph.network import ImageRays, Network, PointClass
 from mgsgraph.network.connectivity import (
     Connectivity,
     connectivity_json,
     connectivity_statements,
 )
+from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
 from mgsgraph.results.results import _constant_residuals, solution_json, statements, summary_table, write_results
@@ -37,21 +38,7 @@ LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.
 
 def without(network: Network, *classes: PointClass) -> Network:
     """The network without the points of some classes."""
-    stay = ~np.isin(network.points.classes, classes)
-    place = np.cumsum(stay) - 1
-    rays, ranges = stay[network.rays.point], stay[network.ranges.point]
-    points = replace(
-        network.points,
-        ids=tuple(name for name, kept in zip(network.points.ids, stay, strict=True) if kept),
-        **{name: getattr(network.points, name)[stay] for name in ("classes", "kinds", "places", "covariances")},
-    )
-    r, g = network.rays, network.ranges
-    return replace(
-        network,
-        points=points,
-        rays=ImageRays(place[r.point[rays]], r.image[rays], r.places[rays], r.sigmas[rays]),
-        ranges=Ranges(place[g.point[ranges]], g.image[ranges], g.times[ranges], g.values[ranges], g.sigmas[ranges]),
-    )
+    return part(network, np.flatnonzero(~np.isin(network.points.classes, classes)))
 
 
 def said(solution: Solution, *words: str) -> str:
@@ -166,8 +153,7 @@ def test_each_remark_is_said_once_with_its_images() -> None:
 def test_what_drives_an_adjustment_that_stopped_is_in_every_form_of_its_results(tmp_path: Path) -> None:
     stopped, done = (adjust_network(network(pair()), SolverSettings(max_iterations=most)) for most in (1, 50))
     assert "drivers.csv" in write_results(stopped, tmp_path / "result", figures=False)
-    with (tmp_path / "result" / "drivers.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "result" / "drivers.csv")
     assert solution_json(stopped)["drivers"]["cost"] == pytest.approx(stopped.cost_final, rel=1e-6)
     assert {row["name"] for row in rows if row["kind"] == "image"} <= {one.name for one in stopped.network.images}
     shares = [float(row["share"]) for row in rows if (row["quantity"], row["kind"]) == ("cost", "image")]
@@ -178,7 +164,7 @@ def test_what_drives_an_adjustment_that_stopped_is_in_every_form_of_its_results(
     assert solution_json(done)["drivers"] is None
 
 
-# --- how images are connected, in words, as a table and as a figure: what they say, not what they look lik
+# --- how images are connected
 
 
 def box(name: str, west: float) -> Footprint:
@@ -227,8 +213,7 @@ def test_rejected_points_do_not_hold_the_block(pair_solution: Solution) -> None:
 
 def test_table_of_a_block(tmp_path: Path) -> None:
     connectivity_table(block()).write_csv(tmp_path / "c.csv")
-    with (tmp_path / "c.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "c.csv")
     assert [(row["image_a"], row["image_b"], row["common_points"]) for row in rows[:3]] == [
         ("I0", "I1", "30"), ("I0", "I2", "20"), ("I1", "I2", "26"),
     ]  # fmt: skip

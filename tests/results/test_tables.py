@@ -1,6 +1,5 @@
 """Tables, records and rasters: every figure is recomputed here from the solution, and reads back bit for bit."""
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -12,6 +11,7 @@ import pyarrow.csv
 import pytest
 import rasterio
 import shapely
+from commands import rows_of
 from full_disk import files_of_at_most
 from networks import network, pair, with_shift_and_surface
 from pyarrow import parquet
@@ -42,8 +42,7 @@ XYZ = ("x", "y", "z")
 
 def rows(write: Any, solution: Solution, folder: Path) -> list[dict[str, str]]:
     write(solution).write_csv(folder / "table.csv")
-    with (folder / "table.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return rows_of(folder / "table.csv")
 
 
 def column(table: list[dict[str, str]], name: str) -> np.ndarray:
@@ -265,7 +264,7 @@ def test_residual_table(lossy: Solution, tmp_path: Path) -> None:
     assert column(ranges, "isis_line")[[0, -1]] == pytest.approx([60.5, 5000.0 - 60.0 + 0.5], abs=1e-3)
 
 
-# --- tables of points and residuals as Parquet are those of the CSV files, number for number
+# --- Parquet
 
 
 def test_parquet_holds_what_csv_does(solution: Solution, tmp_path: Path) -> None:
@@ -300,7 +299,7 @@ def test_the_longer_table_decides(solution: Solution, monkeypatch: pytest.Monkey
     assert form_of(solution, "csv") == "csv"
 
 
-# --- shifts, terrain and back-projections in the products, against the arrays they come from
+# --- shifts and terrain
 
 
 def test_shifts_and_heights_are_told() -> None:
@@ -325,15 +324,14 @@ def test_heights_above_stereo_surfaces_are_told(tmp_path: Path) -> None:
         "count": 6, "rms_height_m": pytest.approx(np.sqrt(np.mean(heights**2)))
     }  # fmt: skip
     residuals_table(solution).write_csv(tmp_path / "residuals.csv")
-    with (tmp_path / "residuals.csv").open(encoding="utf-8", newline="") as file:
-        mine = [row for row in csv.DictReader(file) if row["kind"] == "stereo height"]
+    mine = [row for row in rows_of(tmp_path / "residuals.csv") if row["kind"] == "stereo height"]
     assert [row["point"] for row in mine] == list(solution.network.points.ids[-6:])
     assert [float(row["residual_height_m"]) for row in mine] == (-heights).tolist()
     said = {(row["image"], row["used"], row["isis_line"], float(row["sigma_height_m"])) for row in mine}
     assert said == {("", "true", "", 1.0)}
 
 
-# --- the sigma raster in GDAL's hands: bands, units, and each cell in its place
+# --- the sigma raster in GDAL's hands
 
 
 MARS = Ellipsoid(3396190.0, 3376200.0)

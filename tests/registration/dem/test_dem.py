@@ -13,7 +13,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays
 from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, bilinear, gridded, intersected
-from mgsgraph.registration.dem.ortho import adjusted_scene
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7
@@ -26,12 +25,16 @@ def rms(values: np.ndarray) -> float:
 # ---- points
 
 
+# above two seconds: adjusts the site, once for all tests of the run
 def test_points_lie_where_the_matches_were_made() -> None:
     matches = dem_site.matched(None)
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
     true = dem_site.ground(dem_site.scene().pictures[0], matches.anchors)
     np.testing.assert_allclose(points.positions, true, atol=1e-4)
     assert np.abs(points.misses).max() < 1e-4
+    empty = {name: getattr(matches, name)[:0] for name in ("anchors", "pixels", "covariances")}
+    with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
+        intersected(dem_site.posterior(), dem_site.scene(), [replace(matches, **empty)])
 
 
 def test_errors_of_points_are_along_the_first_ray_and_as_stated() -> None:
@@ -59,25 +62,6 @@ def test_the_orientation_s_covariance_is_the_posterior_s() -> None:
         ratio = np.einsum("ni,nij,nj->n", vectors, points.orientation[some], vectors)
         ratio /= np.einsum("ni,nij,nj->n", vectors, exact, vectors)
         np.testing.assert_allclose(ratio, 1.0, atol=0.03)
-
-
-def test_no_matches_and_pictures_that_were_not_adjusted() -> None:
-    scene = dem_site.scene()
-    empty = replace(
-        dem_site.matched(None), anchors=np.zeros((0, 2)), pixels=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
-    )
-    with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
-        intersected(dem_site.posterior(), scene, [empty])
-    same = replace(dem_site.matched(None), second=0)
-    same = replace(same, pixels=same.anchors)
-    with pytest.raises(InputError, match=r"nothing to make|don't meet"):
-        intersected(dem_site.posterior(), scene, [same])
-    with pytest.raises(InputError, match="solution doesn't have: E02-00665; expected"):
-        adjusted_scene(scene, dem_site.without("E99-00001"))
-    with pytest.raises(InputError, match="the case: no image E1"):
-        adjusted_scene(scene, dem_site.posterior(), ("E1", "E02-00665"))
-    with pytest.raises(InputError, match="two different ones"):
-        adjusted_scene(scene, dem_site.posterior(), ("E02-00665",))
 
 
 # ---- the map

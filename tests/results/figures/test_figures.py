@@ -148,7 +148,7 @@ def test_units_of_the_map(pair_solution: Solution) -> None:
     assert (across, down) == pytest.approx((2.9, 22.0), rel=0.05)
 
 
-# --- what large blocks are drawn by: aggregates against plain loops, the choice of images, and that sheets
+# --- what large blocks are drawn by
 
 
 FLOATS = st.one_of(st.floats(-1e6, 1e6, width=32), st.just(float("nan")))
@@ -221,7 +221,7 @@ def test_cells_of_links_have_the_most_points_of_their_pairs() -> None:
     assert np.array_equal(found, want, equal_nan=True)
 
 
-# --- small pure functions behind the figures: thinning, round figures, the map's projection
+# --- small pure functions behind the figures
 
 
 def test_map_is_true_to_distance_and_direction() -> None:
@@ -255,7 +255,7 @@ def test_thinning_keeps_both_ends(size: int, most: int) -> None:
         assert (chosen[0], chosen[-1]) == (0, size - 1)
 
 
-# --- the studio's map as a figure: ellipses and corrections have the size that they are said to have
+# --- the studio's map as a figure
 
 
 NORTH_POLE = np.array([0.0, 0.0, 3.38e6])
