@@ -166,7 +166,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
 
 def test_forward_intersection_carries_the_orientation_on() -> None:
     """Its covariance against places that are moved with each unknown, one after another."""
-    small = BlockSettings(strips=2, length=40e3, points=30, spacing=20.0, matches=PointMatching(blunders=0.01))
+    small = BlockSettings(strips=2, length=40e3, points=20, spacing=20.0, matches=PointMatching(blunders=0.01))
     drawn = simulate_hrsc_block(small, seed=4)
     net = without_terrain(drawn.network)
     rays_alone = RaysAlone(net, SolverSettings(), all_rows(net))
