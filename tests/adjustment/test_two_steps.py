@@ -80,6 +80,7 @@ def same(one: Solution, other: Solution) -> None:
     np.testing.assert_array_equal(one.joint_covariance.blocks, other.joint_covariance.blocks)
 
 
+# above two seconds: both steps, and each again by itself
 def test_either_step_is_an_adjustment() -> None:
     net, done = with_wrong_match(), steps()
     free = adjust_network(without_terrain(net), SETTINGS)
@@ -164,6 +165,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
     assert np.all(np.isfinite(RaysAlone(net, SolverSettings(), all_rows(net)).nominal()[1]))
 
 
+# above two seconds: every unknown is moved by itself
 def test_forward_intersection_carries_the_orientation_on() -> None:
     """Its covariance against places that are moved with each unknown, one after another."""
     small = BlockSettings(strips=2, length=40e3, points=20, spacing=20.0, matches=PointMatching(blunders=0.01))

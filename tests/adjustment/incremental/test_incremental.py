@@ -86,6 +86,7 @@ def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> N
 # --- in any order, there and back
 
 
+# above two seconds: five orders of up to ten changes, each with its batch
 @settings(max_examples=5, deadline=None, derandomize=True)
 @given(st.permutations(range(FAN)), st.lists(st.integers(0, FAN - 1), max_size=5))
 def test_any_order_of_additions_and_removals_ends_at_batch_of_what_is_left(first: list[int], then: list[int]) -> None:
