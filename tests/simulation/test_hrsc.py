@@ -1,23 +1,32 @@
-"""Simulated HRSC blocks: published geometry, exact rays, statistics against stated sigmas, jitter, redraws."""
+"""Simulated HRSC blocks: published geometry, exact rays, statistics against stated sigmas, jitter; true orientation of
+strips against what the prior's own rows state; lines against the kernel that they are taken from.
+"""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from redraw import assert_unit_variance, redraw
+from mex import FOLDER
+from outside import require
+from redraw import assert_unit_variance
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north, planetocentric
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.network import Network, NodePrior
-from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at
+from mgsgraph.network.passes import LinearFactor, normalised
+from mgsgraph.simulation.camera import HRSC_LINES, HRSC_PIXELS, STEREO, hrsc_interior
+from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes, true_correction
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors
-from mgsgraph.units import DEG, MGON
+from mgsgraph.units import DEG, MGON, MM
 
 SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)
+
 TINY = BlockSettings(strips=1, length=100e3, points=20, terrain=None)
+
 EXACT = PointMatching(sigma=1e-9)
 
 
@@ -103,19 +112,6 @@ def test_pixels_and_heights_are_the_survey_s() -> None:
         assert np.linalg.norm(np.diff(ground, axis=0)) == pytest.approx(12.5 * altitude / 265e3, rel=0.01)
         across, _ = image.image_to_ground(np.full(2, middle[0]), np.array([2591.5, 2592.5]))
         assert np.linalg.norm(np.diff(across, axis=0)) == pytest.approx(4e-5 * altitude, rel=0.02)
-
-
-def test_line_rates_follow_height_and_speed_from_part_to_part() -> None:
-    """In the middle of each part lines are 12.5 m apart per 265 km of altitude there, which grows by a third."""
-    readout = Readout(macropixels=(1, 1, 1, 1, 1), rates=5)
-    made = simulate_hrsc_block(replace(TINY, length=2000e3, pericentre=0.2, readout=readout))
-    image = made.network.images[STEREO.index("ND")]
-    edges = np.append(image.timing.first_lines, image.lines)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    before, after = (image.image_to_ground(middle + off, np.full(5, 2592.0))[0] for off in (-0.5, 0.5))
-    altitude = np.linalg.norm(image.pose(middle).position, axis=1) - np.linalg.norm(before, axis=1)
-    np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 12.5 * altitude / 265e3, rtol=0.01)
-    assert altitude.max() > 1.3 * altitude.min()
 
 
 def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
@@ -274,33 +270,71 @@ def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
         shaken.true_nodes(0)
 
 
-def test_the_truth_may_have_nodes_of_its_own() -> None:
-    """Denser ones wander between the adjustment's; with the same spacing they are the adjustment's."""
-    made = simulate_hrsc_block(replace(TINY, true_spacing=1.0))
-    strip, found = made.network.passes[0], made.corrections[0].nodes
-    assert found is not None
-    assert found.coverage == pytest.approx(strip.nodes.coverage)
-    assert np.diff(found.times).max() <= 1.0 < np.diff(strip.nodes.times).min()
-    same = simulate_hrsc_block(TINY)
-    assert same.corrections[0].nodes is same.network.passes[0].nodes
-    assert np.array_equal(same.true_nodes(0), same.corrections[0].coefficients[1:])
-    assert not np.any(same.corrections[0].coefficients[0])
+# --- true orientation of strips
 
 
-# --- seeds, redraws, errors
+def information(prior: NodePrior, count: int, factors: list[LinearFactor]) -> np.ndarray:
+    """(6 k, 6 k) of the nodes, the trend eliminated."""
+    widths = [6] * count + [prior.trend_sigmas.size]
+    edges = np.concatenate([[0], np.cumsum(widths)])
+    whole = np.zeros((edges[-1], edges[-1]))
+    for factor in factors:
+        rows = np.zeros((factor.blocks[0].shape[0], edges[-1]))
+        for unknown, part in zip(factor.unknowns, factor.blocks, strict=True):
+            rows[:, edges[unknown] : edges[unknown + 1]] = part
+        whole += rows.T @ rows
+    n = 6 * count
+    return np.asarray(whole[:n, :n] - whole[:n, n:] @ np.linalg.solve(whole[n:, n:], whole[n:, :n]))
 
 
-def test_redraws_draw_strips_from_their_priors(block: SimulatedBlock) -> None:
-    draws = [redraw(block.network, np.random.default_rng(seed)) for seed in range(3)]
-    for draw in draws:
-        error = draw.network.rays.places - exact_places(block.network, draw.places, draw.corrections)
-        assert_unit_variance(error / block.network.rays.sigmas)
-        assert_unit_variance(heights(block.network, draw.places, draw.shifts[0]) / 10.0)
-        for k, strip in enumerate(block.network.passes):
-            mine = [draw.corrections[j] for j in strip.images]
-            assert all(one is mine[0] for one in mine)
-            assert mine[0].nodes is strip.nodes
-            assert not np.any(mine[0].coefficients[0])
-            assert k == 0 or mine[0] is not draw.corrections[0]
-    values = np.array([draw.corrections[5 * k].coefficients[1:] for draw in draws for k in (0,)])
-    assert np.all(np.ptp(values, axis=0) > 0.0)
+@pytest.mark.parametrize("correlation_time", [0.0, 30.0])
+def test_drawn_nodes_have_the_covariance_that_the_prior_s_rows_state(correlation_time: float) -> None:
+    """Draws whitened by the root of the rows' information, the trend eliminated, are standard normal numbers."""
+    prior = TrajectoryErrors(correlation_time=correlation_time).prior
+    nodes, rng = evenly_spaced("lagrange", 0.0, (-40.0, 60.0), 20.0), np.random.default_rng(4)
+    root = np.linalg.cholesky(information(prior, len(nodes), list(prior.factors(nodes))))
+    drawn = np.array([drawn_nodes(prior, nodes, rng).ravel() for _ in range(1500)])
+    white = drawn @ root
+    assert_unit_variance(white)
+    assert np.abs(np.cov(white.T) - np.eye(white.shape[1])).max() < 6.0 * np.sqrt(2.0 / 1500)
+    spread = drawn.reshape(1500, -1, 6) / prior.node_sigmas(normalised(nodes))
+    np.testing.assert_allclose(np.sqrt(np.mean(spread**2, axis=0)), 1.0, atol=4.5 / np.sqrt(2 * 1500))
+
+
+def test_a_jitter_on_no_correction_is_the_jitter_itself() -> None:
+    still = NodePrior(np.full(6, 1e-12), np.zeros(6), np.zeros(6))
+    nodes = evenly_spaced("lagrange", 0.0, (-10.0, 10.0), 2.0)
+    found = true_correction(still, nodes, None, Jitter(1e-5, 0.5, "pitch"), np.random.default_rng(0))
+    values = correction_at(found, np.linspace(-10.0, 10.0, 2001), 0.0)
+    assert np.abs(values[:, 3]).max() == pytest.approx(1e-5, rel=0.01)
+    assert np.abs(values[:, [0, 1, 2, 4, 5]]).max() < 1e-10
+
+
+# --- lines without kernels
+
+
+def test_lines_are_the_addendum_s(shared_data: Path) -> None:
+    """Affine maps from mm to pixels and focal lengths as ISIS has them; the published ones have four decimals."""
+    kernel = require(shared_data / FOLDER / "hrscAddendum004.ti", "ISIS' addendum for HRSC")
+    text = kernel.read_text(encoding="ascii")
+
+    def numbers(code: int, key: str) -> np.ndarray:
+        (found,) = re.findall(rf"INS-{code}_{key}\s*=\s*\(?([^)\n]*)", text)
+        return np.array(found.replace(",", " ").split(), dtype=np.float64)
+
+    codes = {"S2": 41211, "RED": 41212, "P2": 41213, "BLUE": 41214, "ND": 41215}
+    codes |= {"GREEN": 41216, "P1": 41217, "IR": 41218, "S1": 41219}
+    assert codes.keys() == HRSC_LINES.keys()
+    for name, code in codes.items():
+        found = hrsc_interior(name)
+        want = np.stack([numbers(code, "ITRANSL"), numbers(code, "ITRANSS")])
+        np.testing.assert_allclose(found.to_pixel[:, 0], want[:, 0], rtol=0, atol=1e-3)
+        np.testing.assert_allclose(found.to_pixel[:, 1:] * MM, want[:, 1:], rtol=0, atol=1e-5)
+        assert found.focal_length / MM == pytest.approx(numbers(code, "FOCAL_LENGTH")[0])
+        assert found.centre.tolist() == [0.0, numbers(code, "BORESIGHT_SAMPLE")[0] - 0.5]
+
+
+def test_macropixels_are_the_same_places() -> None:
+    fine, _ = hrsc_interior("S1").focal_plane(np.array([0.0, 1000.0, 5184.0]))
+    coarse, _ = hrsc_interior("S1", 4).focal_plane(np.array([0.0, 250.0, 1296.0]))
+    np.testing.assert_allclose(coarse, fine, atol=1e-15)

@@ -1,4 +1,6 @@
-"""The simulated ground: smooth, the same for the same seed, met by rays where it is, as high as the real sites."""
+"""The simulated ground: smooth, the same for the same seed, met by rays where it is, as high as the real sites;
+pictures of it, by Lambert's law at the places that the pixels see.
+"""
 
 from pathlib import Path
 
@@ -8,9 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import from_planetocentric
-from mgsgraph.simulation import relief
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.ground import SITES, PeriodicSurface, SiteTerrain, grid_shift, make_terrain, terrain_grid
+from mgsgraph.simulation.imagery import NOISE, Picture, local_sun, render
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.units import DEG
 
 
@@ -53,16 +58,6 @@ def test_surface_repeats_itself_and_has_the_slopes_it_says(seed: int, kind: type
     np.testing.assert_allclose(by_east, slope, atol=2e-4)
     slope = (surface.value(exact[0], exact[1] + step) - surface.value(exact[0], exact[1] - step)) / (2.0 * step)
     np.testing.assert_allclose(by_north, slope, atol=2e-4)
-
-
-def test_slopes_have_no_facets() -> None:
-    """Across a line between cells the slope goes on without a step."""
-    surface = PeriodicSurface(2.0, np.random.default_rng(1).standard_normal((8, 8)).astype(np.float32))
-    north = np.linspace(0.0, 16.0, 50)
-    for line in (1.0, 3.0, 7.0):  # halfway between coefficients, where cells meet
-        before, after = (surface.at(np.full(50, line + off), north) for off in (-1e-9, 1e-9))
-        for left, right in zip(before, after, strict=True):
-            np.testing.assert_allclose(left, right, atol=1e-7)
 
 
 def test_same_seed_same_ground() -> None:
@@ -142,18 +137,6 @@ def _up(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
     return from_planetocentric(np.column_stack([lon, lat, np.ones(lon.size)]))
 
 
-def test_craters_are_a_fifth_as_deep_as_wide() -> None:
-    """A fresh crater: 0.2 diameters from the rim's crest to the floor, the rim above the plain, ejecta that run out."""
-    profile = relief._crater(np.linspace(0.0, 2.5, 1001)).astype(np.float64)
-    assert profile.max() - profile.min() == pytest.approx(1.0, abs=5e-3)
-    assert np.linspace(0.0, 2.5, 1001)[np.argmax(profile)] == pytest.approx(1.0, abs=5e-3)
-    assert profile[-1] == 0.0
-    field = np.zeros((256, 256), dtype=np.float32)
-    relief.add_craters(field, 10.0, 10.0, (400.0, 500.0), np.random.default_rng(2))
-    assert -2.0 * 0.2 * 500.0 < field.min() < -0.2 * 0.2 * 400.0 * (1.0 - 0.2)  # two of them may fall on one another
-    assert 0.2 * 0.2 * 400.0 * 0.2 < field.max() < 2.0 * 0.2 * 0.2 * 500.0
-
-
 def test_grid_is_the_ground_shifted_with_noise() -> None:
     site = make_terrain("eos", 1)
     grid = terrain_grid(site, 128)
@@ -193,3 +176,72 @@ def test_grid_encloses_its_reach() -> None:
         assert np.isfinite(grid.radius(np.array([lon]), np.array([lat]))[0]).all()
     with pytest.raises(InputError, match="posts per degree"):
         terrain_grid(site, 0)
+
+
+# --- pictures
+
+
+# not multiples of the distance between nodes
+PAIR = simulate_pair(PairSettings(lines=2011, samples=701, ties=5, shots=5), seed=1)
+
+TURNED = OrientationCorrection(np.array([[30.0, -20.0, 10.0, 2e-4, -3e-4, 1e-3]]))
+
+
+def sun_over(image: PushbroomImage, incidence: float, azimuth: float) -> np.ndarray:
+    """Direction to the Sun (azimuth from east to north) seen from the image's middle."""
+    middle, _ = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    up = middle[0] / np.linalg.norm(middle)
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.linalg.norm(east)
+    aside = np.cos(azimuth) * east + np.sin(azimuth) * np.cross(up, east)
+    return np.cos(incidence) * up + np.sin(incidence) * aside
+
+
+def picture(image: PushbroomImage, site: SiteTerrain, sun: np.ndarray, seed: int = 0) -> Picture:
+    return render(image, site, TURNED, sun, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize(("name", "image"), [*zip(("eos", "isidis"), PAIR.images, strict=True)])
+def test_pixels_show_the_ground_they_look_at(name: str, image: PushbroomImage) -> None:
+    """Each pixel's ray, met exactly with the ground, its normal and the soil there, against the picture."""
+    site, sun = make_terrain(name, 1), sun_over(image, 0.9, 0.3)
+    grey = picture(image, site, sun)
+    assert grey.shape == (image.lines, image.samples)
+    rng = np.random.default_rng(5)
+    line, sample = rng.integers(0, image.lines, 4000), rng.integers(0, image.samples, 4000)
+    origins, directions, _, _ = image.rays(line + 0.5, sample + 0.5, TURNED)
+    points = site.intersect(origins, directions)
+    lon, lat, _ = planetocentric(points).T
+    facing = np.maximum(site.normal(points) @ sun, 0.0) / np.cos(0.9)
+    off = grey[line, sample] - (10.0 + 110.0 * site.albedo(*site.chart(lon, lat)) * facing)
+    assert 1.4826 * np.median(np.abs(off)) == pytest.approx(np.hypot(NOISE, 12**-0.5), rel=0.1)
+    assert abs(np.median(off)) < 0.3
+    assert np.quantile(np.abs(off), 0.99) < 8.0  # small craters on slopes, between nodes
+    assert np.corrcoef(facing, grey[line, sample])[0, 1] > 0.7
+
+
+def test_same_arguments_give_the_same_bytes() -> None:
+    image, site = PAIR.images[1], make_terrain("gusev", 1)
+    sun = sun_over(image, 0.9, 0.3)
+    first = picture(image, site, sun)
+    assert picture(image, site, sun).tobytes() == first.tobytes()
+    noise = picture(image, site, sun, seed=1).astype(float) - first
+    assert np.std(noise) == pytest.approx(np.sqrt(2.0) * NOISE, rel=0.1)
+
+
+def test_a_sun_below_the_horizon_is_refused() -> None:
+    image = PAIR.images[0]
+    with pytest.raises(InputError, match=f"picture of {image.name}: the Sun below the horizon"):
+        picture(image, make_terrain("gusev", 1), sun_over(image, 1.6, 0.3))
+
+
+def test_east_is_where_longitudes_grow() -> None:
+    """The local Sun's east, north and up against body-fixed places."""
+    site = make_terrain("gusev", 1)
+    lon, lat = np.array([site.centre_lon]), np.array([site.centre_lat])
+    point = site.on_ground(lon, lat)[0]
+    places = np.array([[lon[0], lat[0], 3.39e6], [lon[0] + 1e-4, lat[0], 3.39e6], [lon[0], lat[0] + 1e-4, 3.39e6]])
+    corners = from_planetocentric(places)
+    for axis, direction in enumerate((corners[1] - corners[0], corners[2] - corners[0], corners[0])):
+        local = local_sun(point, site, direction / np.linalg.norm(direction))
+        np.testing.assert_allclose(local, np.eye(3)[axis], atol=5e-3)  # the regional level tilts by 1 in 400
