@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_files import PASS, write_rig
-from rigs import rig
+from rigs import PASS, rig, write_rig
 
 import mgsgraph
 from mgsgraph.case.passes import MountingInput, mounted_images, mounting_unknowns

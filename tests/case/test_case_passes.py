@@ -7,8 +7,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from rig_files import PASS, later, write_rig
-from rigs import TURN, rig
+from rigs import PASS, TURN, later, rig, write_rig
 
 import mgsgraph
 from mgsgraph.cli import group

@@ -51,17 +51,6 @@ def state(system: System, seed: int = 3, size: float = 1.0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(system.columns) * system.sigmas * size
 
 
-def test_the_cases_are_what_they_are_called() -> None:
-    assert np.count_nonzero(made("weights of zero").rows.weight[0] == 0.0) == 6
-    assert np.count_nonzero(made("points left out").rows.kind == OUT) == 3
-    assert np.count_nonzero(made("fixed points").rows.kind == FIXED) == 6
-    assert np.diff(made("twelve rays").rows.pattern_observation).max() >= 12
-    assert made("more than a tile").rows.piece[:, 2].min() > LANES
-    sizes = made("groups of one point").rows.piece[:, 2]
-    assert np.count_nonzero(sizes == 1) > 3
-    assert np.diff(made("measured twice").rows.pattern_observation).max() == 5
-
-
 @pytest.mark.parametrize("name", NETWORKS)
 def test_bundle_is_explicit(name: str) -> None:
     """Newton's method on the predicted line steps for all lanes of a tile together, up to 1e-4 lines more than a single

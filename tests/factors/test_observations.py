@@ -21,8 +21,8 @@ from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import rotation
 from mgsgraph.factors.laser_range import Range
 from mgsgraph.factors.priors import zero_prior
-from mgsgraph.geometry.body import east_north, from_planetocentric
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, SURFACE, Rows, one_observation
+from mgsgraph.geometry.body import east_north
+from mgsgraph.kernel.rows import GROUND, IMAGE, Rows, one_observation
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -102,20 +102,6 @@ def test_image(line: str, angles: str, seed: int, turned: float, ray: int) -> No
     assert_jacobians(image_factor(made, point, observation, noise), values, steps(), tolerance=2e-6)
 
 
-@settings(max_examples=6)
-@given(seed=SEEDS, shot=st.integers(0, 5))
-def test_range(seed: int, shot: int) -> None:
-    made = layout()
-    coefficients, move = state(seed, 1e-3)
-    point, observation = observations_of(made, RANGE)[shot]
-    place = made.rows.start[point] + move
-    values = values_of(orientation_key(0), coefficients, place)
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
-    rows = single(made, point, observation)
-    factor = observation_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "a range")
-    assert_jacobians(factor, values, steps(), tolerance=1e-7)
-
-
 def test_a_range_bias_lengthens_what_is_measured() -> None:
     """From 4 m away, with 0.5 m too much, 4.5 m are measured; derivatives as by differences."""
     one = Range(4.5, (1.0, 2.0, 3.0))
@@ -152,37 +138,6 @@ def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
     offset = place - stated - (shift @ east_north(stated[None])[0] if moving else 0.0)
     squares = offset @ np.linalg.solve(made.network.points.covariances[network_point], offset)
     assert factor.error(values) == pytest.approx(0.5 * squares, rel=1e-9)
-
-
-@pytest.mark.parametrize("moving", [True, False])
-@settings(max_examples=6)
-@given(seed=SEEDS)
-def test_surface(moving: bool, seed: int) -> None:
-    """Oracle, and the same height and normal as the terrain model itself says."""
-    made = layout(surface=True, moving=moving)
-    grid, rng = made.network.surface.grid, np.random.default_rng(seed)
-    point, observation = observations_of(made, SURFACE)[0]
-    place = np.array(
-        [
-            grid.first_longitude + (40 + rng.uniform(0.1, 0.9)) * grid.longitude_step,
-            grid.first_latitude - (40 + rng.uniform(0.1, 0.9)) * grid.latitude_step,
-            grid.radii[40, 40] + rng.normal(0.0, 200.0),
-        ]
-    )
-    shift, under = rng.normal(0.0, 100.0, 2), from_planetocentric(place)
-    moved = under + shift @ east_north(made.rows.start[[point]])[0] if moving else under
-    rows = single(made, point, observation)
-    keys = [shift_key(0)] if moving else []
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
-    factor = observation_factor(keys, [2] * len(keys), point_key(0), rows, made.model, noise, "a height")
-    values = values_of(shift_key(0), shift, moved)
-    if not moving:
-        values.erase(shift_key(0))
-    assert_jacobians(factor, values, steps(), tolerance=1e-6)
-    height, slope = grid.height_above(under[None])
-    assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
-    jacobian, _ = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
-    np.testing.assert_allclose(jacobian[:, -3:] * 20.0, slope, atol=1e-9)
 
 
 def test_an_unknown_coefficient_has_no_prior_row() -> None:

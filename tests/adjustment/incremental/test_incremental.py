@@ -42,6 +42,8 @@ from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, Surfac
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 
 FAN = 5
+ONE_START = SolverSettings(starts=0)
+"""Where a terrain model of one slope may shift: there is one minimum."""
 
 
 def by_batch(adjustment: IncrementalAdjustment) -> Any:
@@ -84,6 +86,7 @@ def test_a_solution_of_other_images_is_adopted_with_its_images(images: int) -> N
 # --- in any order, there and back
 
 
+# above two seconds: five orders of up to ten changes, each with its batch
 @settings(max_examples=5, deadline=None, derandomize=True)
 @given(st.permutations(range(FAN)), st.lists(st.integers(0, FAN - 1), max_size=5))
 def test_any_order_of_additions_and_removals_ends_at_batch_of_what_is_left(first: list[int], then: list[int]) -> None:
@@ -164,7 +167,7 @@ def rich(held: tuple[int, ...] = ()) -> Network:
 )
 def test_shifts_terrain_losses_and_held_images(choices: dict[str, Any], held: tuple[int, ...]) -> None:
     net = rich(held)
-    adjustment = IncrementalAdjustment(SolverSettings(**choices))
+    adjustment = IncrementalAdjustment(replace(ONE_START, **choices))
     for k in (3, 0, 4, 1, 2):
         adjustment.add(by_image(net)[k])
     batch = adjust_network(net, adjustment.settings)
@@ -180,7 +183,7 @@ def test_considered_shifts_are_carried_as_by_batch() -> None:
     net = rich((1,))
     assert net.surface is not None
     net = replace(net, surface=replace(net.surface, shift_sigma=150.0), considered=(net.shift_names[0], TERRAIN))
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(ONE_START)
     for k in (3, 0, 4, 1, 2):
         adjustment.add(by_image(net)[k])
     assert adjustment.network.considered == net.considered
@@ -197,7 +200,7 @@ def test_considered_shifts_are_carried_as_by_batch() -> None:
 def test_images_that_are_all_held_leave_intersection() -> None:
     """And the shifts; there is no orientation to adjust."""
     net = rich(tuple(range(FAN)))
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(ONE_START)
     for one in by_image(net):
         adjustment.add(one)
     batch = adjust_network(net, adjustment.settings)
@@ -208,7 +211,7 @@ def test_images_that_are_all_held_leave_intersection() -> None:
 def test_the_terrain_s_shift_stays_while_points_without_a_place_lie_on_it() -> None:
     """Ties that only one image is left to see have no place, but belong to the bundle that feels the shift."""
     net = rich()
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(ONE_START)
     for one in by_image(net)[:2]:
         adjustment.add(one)
     assert Unknown("shift", "terrain model") in adjustment.values
@@ -224,7 +227,7 @@ def test_the_terrain_s_shift_stays_while_points_without_a_place_lie_on_it() -> N
 
 def test_a_shift_goes_with_the_last_points_that_feel_it() -> None:
     net = rich()
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(ONE_START)
     for one in by_image(net):
         adjustment.add(one)
     for left in (4, 3, 2, 1):
@@ -241,7 +244,7 @@ def test_what_is_known_of_an_image_stays_when_observations_of_it_come() -> None:
     """A network names images that are there: they are not new, and not held because it says so."""
     net = rich()
     first, second = by_image(net)[:2]
-    adjustment = IncrementalAdjustment()
+    adjustment = IncrementalAdjustment(ONE_START)
     adjustment.add(first)
     both = replace(
         second, images=(*first.images, *second.images), priors=(replace(NOISE, position=1.0).prior, *second.priors),
@@ -249,7 +252,7 @@ def test_what_is_known_of_an_image_stays_when_observations_of_it_come() -> None:
         ranges=replace(second.ranges, image=second.ranges.image + 1),
     )  # fmt: skip
     adjustment.add(both)
-    other = IncrementalAdjustment()
+    other = IncrementalAdjustment(ONE_START)
     for one in (first, second):
         other.add(one)
     assert apart(adjustment, (state_of(other), places_of(other))) < 1e-6
