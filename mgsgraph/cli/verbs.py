@@ -35,14 +35,19 @@ VERBS = {
 """Module of each verb, and its line of help: known before that module is imported."""
 
 REMOVED = {
+    "analyze --poses": "--pose once for each, with --correlations",
     "adjust --form": "points are always eliminated, to the same result",
     "campaign --form": "points are always eliminated, to the same result",
     "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",
+    "convert --thin": "ISIS's cnetthinner keeps few points, well spread; --only keeps some images",
+    "fetch --box": "ODE's page (ode.rsl.wustl.edu) makes tables of shots in a box",
+    "fetch --shots": "images bring theirs; ODE's page (ode.rsl.wustl.edu) makes tables of shots in a box",
     "fetch --mirrors": "--mirror takes a file of addresses, too",
     "fetch --update": "to have what the archives have now, fetch into another folder",
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
+    "shots --version": "PEDR is read in its final version, L",
     "nodes --no-figures": "nodes draws none",
     "nodes --densify": "give closer --spacings, of which rays held out choose one",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",

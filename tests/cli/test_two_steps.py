@@ -51,7 +51,7 @@ def test_from_a_case_to_the_page_and_the_map(case_file: Path, tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     names = {path.name for path in out.iterdir()}
     assert {f"two_steps.{kind}" for kind in ("json", "csv")} <= names
-    assert {"heights.csv", "height_cells.csv", "height_map_1.png", "solution.npz"} <= names
+    assert {"heights.csv", "height_map_1.png", "solution.npz"} <= names
     for said in ("step 1, no terrain", "step 2, terrain", "mgon", "smaller by"):
         assert said in done.stdout
     for said in ("step 1 of 2, without terrain", "step 2 of 2, with terrain"):

@@ -288,11 +288,14 @@ def test_pystac_takes_the_item(folder: Path) -> None:
     told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
     validate, core = importlib.import_module("pystac.validation").validate_dict, told | {"stac_extensions": []}
     assert validate(core) == ["https://schemas.stacspec.org/v1.1.0/item-spec/json-schema/item.json"]
-    with pytest.raises(pystac.errors.STACValidationError):
-        validate(core | {"bbox": [0.0]})
+    for wrong in (core | {"bbox": [0.0]}, core | {"links": None}, core | {"properties": {}}):
+        with pytest.raises(pystac.errors.STACValidationError):
+            validate(wrong)
     item = pystac.Item.from_file(folder / STAC_ITEM)
     assert {"dem", "ortho", "record", "overview"} == set(item.assets)
-    assert all((folder / asset.href).is_file() for asset in item.assets.values())
+    for asset in item.assets.values():
+        assert (folder / asset.href).is_file()
+        assert asset.roles
     assert item.properties["ssys:targets"] == ["Mars"]
     assert item.common_metadata.start_datetime < item.common_metadata.end_datetime
 
@@ -329,3 +332,7 @@ def test_an_item_on_the_date_line_of_the_moon() -> None:
     assert -180.0 < east < -170.0
     assert south < north
     assert told["properties"]["ssys:targets"] == ["Moon"]
+    assert told["properties"]["ssys:target_class"] == "satellite"
+    odd = replace(moved, radius=2.5e5)
+    unknown = stac_item(replace(dem, model=replace(dem.model, map=odd)), odd, images, [])
+    assert not any("ssys" in one for one in (*unknown["stac_extensions"], *unknown["properties"]))
