@@ -151,6 +151,10 @@ def test_strips_come_back(tmp_path: Path) -> None:
         assert max(map(len, (tmp_path / "out" / name).read_text().splitlines())) <= 132
 
 
+def test_names_with_quotes_come_back(solution: Solution, tmp_path: Path) -> None:
+    assert round_trip(with_images(solution, lambda image: replace(image, name=f"'{image.name}'")), tmp_path) < TOLERANCE
+
+
 # --- against outside authorities, and against the solution line by line
 
 

@@ -19,7 +19,7 @@ from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.passes import LinearFactor, normalised
 from mgsgraph.simulation.camera import HRSC_LINES, HRSC_PIXELS, STEREO, hrsc_interior
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes, true_correction
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors
 from mgsgraph.units import DEG, MGON, MM
 
@@ -312,6 +312,15 @@ def test_drawn_nodes_have_the_covariance_that_the_prior_s_rows_state(correlation
     assert np.abs(np.cov(white.T) - np.eye(white.shape[1])).max() < 6.0 * np.sqrt(2.0 / 1500)
     spread = drawn.reshape(1500, -1, 6) / prior.node_sigmas(normalised(nodes))
     np.testing.assert_allclose(np.sqrt(np.mean(spread**2, axis=0)), 1.0, atol=4.5 / np.sqrt(2 * 1500))
+
+
+def test_a_jitter_on_no_correction_is_the_jitter_itself() -> None:
+    still = NodePrior(np.full(6, 1e-12), np.zeros(6), np.zeros(6))
+    nodes = evenly_spaced("lagrange", 0.0, (-10.0, 10.0), 2.0)
+    found = true_correction(still, nodes, None, Jitter(1e-5, 0.5, "pitch"), np.random.default_rng(0))
+    values = correction_at(found, np.linspace(-10.0, 10.0, 2001), 0.0)
+    assert np.abs(values[:, 3]).max() == pytest.approx(1e-5, rel=0.01)
+    assert np.abs(values[:, [0, 1, 2, 4, 5]]).max() < 1e-10
 
 
 # --- lines without kernels
