@@ -12,8 +12,7 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import whole_road  # noqa: E402
-from archive_server import serving  # noqa: E402
-from simulated_archive import write_archive  # noqa: E402
+from flaky_archive import serving, write_archive  # noqa: E402
 from sites import plain_site  # noqa: E402
 
 
