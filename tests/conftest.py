@@ -159,3 +159,20 @@ def browser() -> Iterator[Any]:
         running = started.chromium.launch(executable_path=str(program), args=FLAGS)
         yield running
         running.close()
+
+
+@pytest.fixture(scope="session")
+def archive_server() -> Iterator[Any]:
+    """Archives on localhost, which whoever asks resets."""
+    import flaky_archive
+
+    with flaky_archive.served() as server:
+        yield server
+
+
+@pytest.fixture
+def archive(archive_server: Any) -> Any:
+    """A few images made up in memory."""
+    import flaky_archive
+
+    return archive_server.reset(flaky_archive.archive_files())

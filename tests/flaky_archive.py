@@ -279,9 +279,11 @@ def label(**values: str) -> bytes:
     return "\r\n".join([*lines, ""]).encode()
 
 
-def image(product: str, start: str, stop: str, orbit: int | None = None, instrument: str = "MOC-NA") -> bytes:
+def image(
+    product: str, start: str, stop: str, orbit: int | None = None, instrument: str = "MOC-NA", **more: str
+) -> bytes:
     """An .imq: a record of 2048 bytes for the label, and one of pixels."""
-    more = {} if orbit is None else {"ORBIT_NUMBER": str(orbit)}
+    more |= {} if orbit is None else {"ORBIT_NUMBER": str(orbit)}
     head = label(
         RECORD_TYPE="FIXED_LENGTH", RECORD_BYTES="2048", FILE_RECORDS="2", LABEL_RECORDS="1",
         INSTRUMENT_ID=f'"{instrument}"', PRODUCT_ID=f'"{product}"', START_TIME=start, STOP_TIME=stop, **more,
@@ -375,9 +377,9 @@ _REACH = (100e3, 100e3)
 def write_archive(simulated: SimulatedSite, folder: Path, resolutions: Sequence[int] = (16,)) -> Path:
     """Write a simulated site as archives; returns the folder, for `serving`.
 
-    images/ (PDS imaging node, MOC), kernels/ and leap_seconds/ (NAIF), pedr/ and megdr/ (PDS geosciences node, MOLA) have
-    the archives' own folders and names below. What differs from them: images are not compressed, kernels and profiles
-    hold the site's passes alone, and away from the site the grids, of 4 or 16 (66 MB) posts per degree, have a plain.
+    images/ (PDS imaging node, MOC), kernels/ and leap_seconds/ (NAIF), pedr/ and megdr/ (PDS geosciences node, MOLA)
+    have the archives' own folders and names below. What differs: images are not compressed, kernels and profiles hold
+    the site's passes alone, and away from the site the grids, of 4 or 16 (66 MB) posts per degree, have a plain.
     """
     folder.mkdir(exist_ok=True)
     _write_images(simulated, folder / "images")

@@ -33,6 +33,7 @@ def test_help(arguments: tuple[str, ...]) -> None:
         (("adjust", "x.toml"), "--out"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),
         (("check", "a", "b"), "b"),
+        (("fetch", "M04/02852", "--verify"), "No such option '--verify'; the same fetch again holds the folder"),
     ],
 )
 def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> None:
