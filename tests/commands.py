@@ -9,6 +9,11 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import click
+import pytest
+
+from mgsgraph.errors import InputError
+
 COMMAND = [sys.executable, "-m", "mgsgraph"]
 WIDE = {"COLUMNS": "110"}
 """So that help is not wrapped."""
@@ -19,6 +24,16 @@ def call(*arguments: object) -> int:
     from mgsgraph.cli import group
 
     return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+def refusal(*arguments: object) -> str:
+    """The one line by which a command in this process refuses its arguments."""
+    with pytest.raises((InputError, click.UsageError)) as caught:
+        call(*arguments)
+    error = caught.value
+    message = error.format_message() if isinstance(error, click.UsageError) else str(error)
+    assert "\n" not in message
+    return message
 
 
 def run_afresh(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

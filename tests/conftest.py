@@ -136,6 +136,21 @@ def case_file(pair_folder: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def pictured_case(case_file: Path) -> Path:
+    """The same with pixels of noise."""
+    import numpy as np
+    from PIL import Image
+
+    text = case_file.read_text(encoding="utf-8")
+    grey = np.random.default_rng(0).integers(0, 256, (5000, 1024), dtype=np.uint8)
+    for letter in "AB":
+        Image.fromarray(grey).save(case_file.with_name(f"{letter}.tif"))
+        text = text.replace(f'isd = "image_{letter}.isd"', f'isd = "image_{letter}.isd"\npixels = "{letter}.tif"')
+    case_file.write_text(text, encoding="utf-8")
+    return case_file
+
+
+@pytest.fixture
 def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same; pages have
     blank ones.

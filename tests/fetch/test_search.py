@@ -1,4 +1,4 @@
-"""What an image needs, by the archives' layout: names, indices, phases, orbits and tiles; CTX, LROC NAC and HRSC, too."""
+"""What an image needs, by the layout of archives: names, indices, phases, orbits, tiles; CTX, LROC NAC and HRSC, too."""
 
 import json
 import re
