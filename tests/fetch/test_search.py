@@ -1,4 +1,4 @@
-"""What an image needs, by the layout of archives: names, indices, phases, orbits, tiles; CTX, LROC NAC and HRSC, too."""
+"""What an image needs, by the layout of archives: ids, indices, phases, orbits, tiles; CTX, LROC NAC and HRSC, too."""
 
 import json
 import re
