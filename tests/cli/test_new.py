@@ -9,7 +9,7 @@ import numpy as np
 import profiles
 import pytest
 from commands import refused, run
-from rig_files import write_rig
+from rigs import write_rig
 
 import mgsgraph
 from mgsgraph.case import draft
