@@ -262,7 +262,7 @@ TOO_LONG = {"report", "studio"}
 
 @pytest.mark.slow
 def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """As it stands, but for the figures and the registration by relief (tests/cli/test_demo.py)."""
+    """As it stands, but for the figures and the registration by relief (tests/cli/test_simulate.py)."""
     monkeypatch.chdir(tmp_path)
     done = []
     for block in BLOCKS:
