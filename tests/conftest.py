@@ -138,16 +138,9 @@ def case_file(pair_folder: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def pictured_case(case_file: Path) -> Path:
     """The same with pixels of noise."""
-    import numpy as np
-    from PIL import Image
+    import profiles
 
-    text = case_file.read_text(encoding="utf-8")
-    grey = np.random.default_rng(0).integers(0, 256, (5000, 1024), dtype=np.uint8)
-    for letter in "AB":
-        Image.fromarray(grey).save(case_file.with_name(f"{letter}.tif"))
-        text = text.replace(f'isd = "image_{letter}.isd"', f'isd = "image_{letter}.isd"\npixels = "{letter}.tif"')
-    case_file.write_text(text, encoding="utf-8")
-    return case_file
+    return profiles.with_pixels(case_file)
 
 
 @pytest.fixture

@@ -26,9 +26,7 @@ from mgsgraph.project.settings import ProjectSettings
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from smoothness import rates
-from studio_page import PANELS, Page
-from studio_server import studio
+from studio_server import CONTRAST, PANELS, Page, rates, studio
 
 from mgsgraph.cli import group
 from mgsgraph.project.edits import point_state
@@ -72,27 +70,6 @@ def test_every_panel_fits(page: Callable[..., Page], width: int, scheme: str) ->
         found = seen.run(f"{wider}.filter(one => !one.closest('.scroll')).map(one => one.outerHTML.slice(0, 90))")
         assert seen.run("document.documentElement.scrollWidth") <= width, (panel, found)
         assert seen.run(CONTRAST) == [], panel
-
-
-CONTRAST = """() => {
-  const parse = text => { const one = text.match(/[\\d.]+/g).map(Number); return one.length > 3 ? one : [...one, 1]; };
-  const linear = one => one <= 0.03928 ? one / 12.92 : ((one + 0.055) / 1.055) ** 2.4;
-  const light = rgb => [0.2126, 0.7152, 0.0722].reduce((sum, share, k) => sum + share * linear(rgb[k] / 255), 0);
-  const behind = element => {
-    for (let one = element; one; one = one.parentElement) {
-      const found = parse(getComputedStyle(one).backgroundColor);
-      if (found[3] > 0.5) return found;
-    }
-    return [255, 255, 255];
-  };
-  const own = one => [...one.childNodes].some(node => node.nodeType === 3 && node.textContent.trim());
-  const bad = [];
-  for (const one of document.querySelectorAll('body *')) {
-    if (!one.checkVisibility() || one.disabled || !own(one)) continue;
-    const [a, b] = [light(parse(getComputedStyle(one).color)), light(behind(one))];
-    if ((Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05) < 4.5) bad.push(one.outerHTML.slice(0, 80));
-  }
-  return bad; }"""
 
 
 def test_the_map_is_panned_and_zoomed_smoothly(page: Callable[..., Page]) -> None:

@@ -10,8 +10,7 @@ import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from studio_page import Page
-from studio_server import studio
+from studio_server import Page, studio
 
 from mgsgraph.network import PointClass
 from mgsgraph.project.edits import point_state

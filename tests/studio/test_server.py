@@ -1,6 +1,5 @@
 """The studio's server: who may ask, what it answers, and that nothing that was stored is lost."""
 
-import json
 import shutil
 import socket
 import struct
@@ -22,6 +21,7 @@ from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import read_solution
 from mgsgraph.studio.changes import EditLock
+from mgsgraph.studio.point_sheet import chip
 
 
 def command(*words: object) -> None:
@@ -341,13 +341,7 @@ def test_results_and_cases_are_read_alone(solved: Path, case_file: Path) -> None
                 browser_.refused("/api/questions", {"points": ["x"]})
 
 
-def test_chips_are_pictures(tmp_path: Path) -> None:
-    from image_pages import textured
-
-    from mgsgraph.studio.point_sheet import chip
-
-    path = textured(tmp_path / "a.tif", 300, 200, 0)
-    data = chip(path, 5.0, 199.0)
+def test_chips_are_pictures(pictured_case: Path) -> None:
+    data = chip(pictured_case.with_name("A.tif"), 5.0, 199.0)
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     assert struct.unpack(">II", data[16:24]) == (260, 260)
-    assert json.dumps(len(data))
