@@ -18,6 +18,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, pair_tests, residual_covariance
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.reliability import (
     PointIndex,
@@ -29,7 +30,8 @@ from mgsgraph.analysis.reliability import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.network import Network
+from mgsgraph.geometry.orientation import evenly_spaced
+from mgsgraph.network import Network, Pass, PolynomialPrior
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 
@@ -203,21 +205,6 @@ def test_what_nothing_controls_is_counted_and_named() -> None:
     assert any("sample of point TIE" in found.name(int(k)) for k in loose)  # along the parallax of a pair side by side
 
 
-def test_every_measure_has_a_name_of_its_own_and_a_unit() -> None:
-    found = known("shift and surface")
-    names = found.names(np.arange(len(found)))
-    assert names == [found.name(k) for k in range(len(found))]
-    assert len(set(names)) == len(names)
-    table, network = found.measures, found.at.network
-    for k in np.flatnonzero(table.kind == MeasureKind.RAY).tolist():
-        what = ("line", "sample")[table.component[k]]
-        image = network.images[table.image[k]].name
-        assert names[k] == f"{what} of point {network.points.ids[table.point[k]]} in image {image}"
-    assert {found.unit(k) for k in range(len(found))} == {"px", "m", "rad"}
-    for text in ("height above the terrain of point", "a-priori east shift of profile", "rotation y of image SIM/A"):
-        assert any(text in name for name in names)
-
-
 def test_rejected_rays_do_not_take_part() -> None:
     whole = net("pair")
     left = adjust_network(whole, replace(PLAIN, reject=2.5))
@@ -306,3 +293,32 @@ def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
     assert low <= power <= high
     assert alarms <= binom.ppf(0.995, 2000, 0.001)
     assert norm.sf(found.critical - found.levels.shift) == pytest.approx(0.80)
+
+
+# --- rows of what is known of passes beforehand: which values they are about, and how well these are known
+
+
+POSITION = np.array([[30.0, 40.0, 50.0], [5.0, 6.0, 7.0]])
+ATTITUDE = np.array([[3e-4, 2e-4, 1e-4], [5e-5, 6e-5, 7e-5], [1e-5, 2e-5, 3e-5]])
+
+
+@cache
+def of_polynomials() -> Solution:
+    """A pair whose first image is a pass: positions linear in time, attitude quadratic."""
+    net = network(pair(ties=30, shots=8, seed=4))
+    left = net.images[0]
+    start, stop = left.timing.at(np.array([0.0, float(left.lines)]))[0]
+    nodes = evenly_spaced("lagrange", left.trajectory.epoch, (start, stop), stop - start)
+    one = Pass("one", np.array([0]), nodes, PolynomialPrior(POSITION, ATTITUDE))
+    return adjust_network(replace(net, passes=(one,)), SolverSettings())
+
+
+def test_rows_of_a_polynomial_are_of_its_coefficients() -> None:
+    at = at_solution(of_polynomials())
+    known, first = prior_rows(at), int(at.network.first_of_passes[0])
+    begin = at.layout.columns_of(first).start
+    mine = (known.about >= begin) & (known.about < begin + 24)
+    found = known.sigma[mine][np.argsort(known.about[mine])].reshape(4, 6)
+    np.testing.assert_allclose(found[:2, :3], POSITION)
+    np.testing.assert_allclose(found[:3, 3:], ATTITUDE)
+    assert np.all(np.isfinite(known.sigma) & (known.sigma > 0.0))

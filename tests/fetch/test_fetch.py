@@ -14,10 +14,8 @@ import flaky_archive
 import mgs
 import numpy as np
 import pytest
-import spiceypy
 from commands import COMMAND, call, refusal
-from flaky_archive import Flaky, cut, stall, status, web_page, write_archive
-from sites import plain_site
+from flaky_archive import Flaky, cut, stall, status, web_page
 
 import mgsgraph
 from mgsgraph.case.case_file import decode
@@ -447,31 +445,3 @@ def test_an_interrupted_fetch_goes_on(archive: Flaky, tmp_path: Path) -> None:
     assert "The case is" in done.stdout
     assert archive.requests(name) == ["bytes=3000-"]
     assert not list((tmp_path / "out").rglob("*.part*"))
-
-
-# --- the archive of a simulated site, by this project's readers and by SPICE
-
-IN_ARCHIVE = "images/mgsc_1142/e02006/e0200665.imq"
-THERE = (
-    "leap_seconds/naif0012.tls", "kernels/sclk/mgs_sclkscet_00061.tsc", "kernels/pck/pck00009.tpc",
-    "kernels/fk/mgs_v10.tf", "kernels/ik/mgs_moc_v20.ti", "kernels/spk/de405.bsp", "kernels/spk/mgs_ext1.bsp",
-    "kernels/ck/mgs_sc_ext1.bc",
-)  # fmt: skip
-
-
-def test_image_and_kernels_make_the_simulated_image(tmp_path: Path) -> None:
-    """By NAIF's constants with the focal length that gives ISIS's scale."""
-    site = plain_site()
-    archive = write_archive(site, tmp_path / "archive", ())
-    image = read_labelled_image(
-        archive / IN_ARCHIVE, [archive / kernel for kernel in THERE], "E02-00665", focal_length=3.466916, constants="ik"
-    )
-    nominal = site.images[0].nominal
-    lines, samples = np.array([0.0, 5000.0, 10112.0]), np.array([0.0, 512.0, 1024.0])
-    found, expected = (one.image_to_ground(lines, samples)[0] for one in (image, nominal))
-    assert np.max(np.linalg.norm(found - expected, axis=1)) < 0.1
-    with spiceypy.KernelPool([str(archive / kernel) for kernel in THERE]):
-        time = nominal.trajectory.epoch
-        state, _ = spiceypy.spkezr("-94", time, "IAU_MARS", "NONE", "499")
-    pose = nominal.trajectory.pose(np.zeros(1))
-    np.testing.assert_allclose(1e3 * state[:3], pose.position[0], atol=1e-2)

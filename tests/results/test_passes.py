@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mex import CHANGES
-from networks import network, pair
 from strip_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -17,18 +16,14 @@ from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_reports
-from mgsgraph.case.reading import read_case
 from mgsgraph.cli import group
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
-from mgsgraph.network import Network, Pass, PolynomialPrior
+from mgsgraph.network import Network
 from mgsgraph.network.joining import seconds
-from mgsgraph.results.archive import read_solution, write_archive
-from mgsgraph.results.figures import write_figures
-from mgsgraph.results.figures.orientation import orientation_sheets, pass_curve
-from mgsgraph.results.inventory import bare_nodes, inventory
-from mgsgraph.results.passes import calendar, nodes_table, passes_table
-from mgsgraph.results.results import solution_json, statements, summary_table
+from mgsgraph.results.archive import read_solution
+from mgsgraph.results.figures.orientation import pass_curve
+from mgsgraph.results.inventory import bare_nodes
+from mgsgraph.results.passes import calendar, nodes_table
 from mgsgraph.units import ARCSEC, MGON
 
 
@@ -44,19 +39,6 @@ def respaced() -> Network:
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     return adjust_network(respaced(), SolverSettings(), "block")
-
-
-@pytest.fixture(scope="module")
-def mixed() -> Solution:
-    """The pair: its first image a strip with polynomials on its four nodes, the other one by itself."""
-    net = network(pair())
-    start, stop = seconds(net.images[0])
-    epoch = net.images[0].trajectory.epoch
-    nodes = evenly_spaced("lagrange", epoch, (start - epoch, stop - epoch), (stop - start) / 2.0)
-    trend = np.array([1.0, 0.3, 0.1, 0.05])[:, None] * net.priors[0].sigmas[0]
-    prior = PolynomialPrior(trend[:, :3], trend[:, 3:])
-    strip = Pass('one, "A"', np.array([0]), nodes, prior)
-    return adjust_network(replace(net, passes=(strip,)), SolverSettings(), "mixed")
 
 
 # --- the course
@@ -100,7 +82,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
 
 
-# --- tables and words
+# --- tables
 
 
 def test_report(solution: Solution) -> None:
@@ -143,46 +125,6 @@ def test_calendar_is_tdb() -> None:
     assert calendar(-0.0004) == "2000-01-01T12:00:00.000"
 
 
-def test_words_and_table(solution: Solution, mixed: Solution) -> None:
-    first, second = passes_table(solution).rows
-    assert first[:4] == ["HRSC/00", "lagrange", "5", str(len(solution.network.passes[0].nodes))]
-    assert second[0] == "HRSC/01"
-    (datum,) = [line for line in statements(solution) if line.startswith("No laser rows")]
-    assert " are 50 m in position and 0.442 mrad in rotation" in datum  # 28 and 3 mgon together
-    assert not any("held" in line for line in statements(solution))
-    for one in (solution, mixed):
-        table = summary_table(one)
-        assert "Passes " in table
-        assert "held" not in table
-        assert max(map(len, table.splitlines())) <= 110
-
-
-def test_json(solution: Solution, mixed: Solution) -> None:
-    for one in (solution, mixed):
-        record = solution_json(one)
-        assert json.loads(json.dumps(record, allow_nan=False)) == record
-        assert not any(image["held"] for image in record["images"])
-    assert [image["pass"] for image in solution_json(mixed)["images"]] == ['one, "A"', None]
-    strip = solution_json(solution)["passes"][0]
-    assert strip["images"][0] == "HRSC/00/S1"
-    assert strip["trend"][3]["component"] == "rotation x"
-    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(solution.trends[0][3])
-
-
-# --- check
-
-
-def test_check(tmp_path: Path) -> None:
-    case = read_case(write_block(tmp_path))
-    said = inventory(case)
-    assert "  pass HRSC/01\n" in said
-    assert f", {len(case.network.passes[1].nodes)} orientation images (lagrange) every " in said
-    sigmas = case.network.passes[1].prior.node_sigmas(np.zeros(len(case.network.passes[1].nodes)))[0]
-    assert f"{sigmas[0]:.3g} m, {1e3 * sigmas[3]:.3g} mrad" in said
-    assert "held" not in said.replace("no held image", "")
-    assert "no laser, no ground control, no held image" in said
-
-
 def test_bare_nodes_are_counted() -> None:
     """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
     net = block().network
@@ -201,98 +143,31 @@ def test_bare_nodes_are_counted() -> None:
     assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 
-# --- pictures
-
-
 def test_the_curve_passes_through_its_nodes(solution: Solution) -> None:
-    for one in (solution,):
-        drawn = pass_curve(one, 1)
-        assert drawn.node_shares[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-9)
-        assert np.all(drawn.sigmas > 0.0)
-        for curve, at in zip(drawn.values.T, drawn.node_values.T, strict=True):
-            near = np.interp(drawn.node_shares, drawn.shares, curve)
-            np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
-
-
-def test_passes_are_on_one_sheet(mixed: Solution) -> None:
-    passes, images = orientation_sheets(mixed)
-    assert (passes.name, images.name) == ("passes", "orientation")
-    names = [text.get_text() for text in passes.figure.axes[-1].get_xticklabels()]
-    assert names == [one.name for one in mixed.network.passes]
-    labels = [axes.get_ylabel() for axes in passes.figure.axes]
-    assert labels == ["along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)"]
+    drawn = pass_curve(solution, 1)
+    assert drawn.node_shares[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-9)
+    assert np.all(drawn.sigmas > 0.0)
+    for curve, at in zip(drawn.values.T, drawn.node_values.T, strict=True):
+        near = np.interp(drawn.node_shares, drawn.shares, curve)
+        np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
-    names = write_figures(solution, tmp_path / "block")
-    assert "passes.png" in names
-    assert not any(name.startswith("orientation") for name in names)
-    assert {"passes.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))
-
-
-# --- the archive
-
-
-@pytest.mark.parametrize("which", ["solution", "mixed"])
-def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    solved: Solution = request.getfixturevalue(which)
-    write_archive(solved, tmp_path / "solution.npz")
-    back = read_solution(tmp_path)
-    write_archive(back, tmp_path / "again.npz")
-    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "solution.npz").read_bytes()
-    assert type(back.network.passes[0].prior) is type(solved.network.passes[0].prior)
-    assert solution_json(back) == solution_json(solved)
-
-
-def edited(solved: Solution, path: Path, drop: tuple[str, ...] = (), **arrays: np.ndarray) -> Path:
-    """The archive of a solution without some fields of its record, and with other arrays."""
-    write_archive(solved, path)
-    with np.load(path) as archive:
-        parts = {name: archive[name] for name in archive.files}
-    record = json.loads(parts["record"].tobytes())
-    for name in drop:
-        inner, _, key = f"record.{name}".rpartition(".")
-        holder = record
-        for step in inner.split(".")[1:]:
-            holder = holder[step]
-        del holder[key]
-    parts["record"] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
-    parts |= {name.replace("__", "."): array for name, array in arrays.items()}
-    np.savez(path, **parts)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("drop", "arrays", "says"),
-    [
-        (("nodes",), {}, "nodes.0: an array that"),
-        (("trends",), {}, "trends.0: an array that"),
-        ((), {"nodes__0": np.zeros((3, 6))}, r"nodes: shapes \[\(3, 6\)"),
-        ((), {"trends__1": np.full(12, np.nan)}, "trends: not a number"),
-        ((), {"network__passes__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),
-        ((), {"network__passes__1__images": np.array([0, 1])}, "image 0; expected an image of the network, of one"),
-    ],
-)
-def test_what_does_not_fit_is_refused(
-    solution: Solution, tmp_path: Path, drop: tuple[str, ...], arrays: dict[str, np.ndarray], says: str
-) -> None:
-    path = edited(solution, tmp_path / "x.npz", drop, **arrays)
-    with pytest.raises(InputError, match=says) as caught:
-        read_solution(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
-
-
-# --- the command line
-
-
 def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_block(tmp_path)
-    assert not group(["adjust", str(path), "--out", str(tmp_path / "out"), "--no-figures"], standalone_mode=False)
-    said = capsys.readouterr().out
     nodes = len(block().network.passes[1].nodes)
+    assert not group(["check", str(path)], standalone_mode=False)
+    said = capsys.readouterr().out
+    assert "  pass HRSC/01\n" in said
+    assert f", {nodes} orientation images (lagrange) every " in said
+    assert not group(["adjust", str(path), "--out", str(tmp_path / "out")], standalone_mode=False)
+    said = capsys.readouterr().out
     assert re.search(rf"^  HRSC/01 +{nodes} ", said, re.MULTILINE)
-    assert "pitch" in said
-    assert (tmp_path / "out" / "passes.csv").is_file()
-    assert len(read_solution(tmp_path / "out").network.passes) == 2
+    assert " are 50 m in position and 0.442 mrad in rotation" in said  # 28 and 3 mgon together
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"passes.csv", "passes.png"} <= names
+    assert not any(name.startswith("orientation") and name.endswith("png") for name in names)
+    strip = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))["passes"][0]
+    assert (strip["images"][0], strip["trend"][3]["component"]) == ("HRSC/00/S1", "rotation x")
+    trend = read_solution(tmp_path / "out").trends[0]
+    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(trend[3])
