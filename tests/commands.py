@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import MgsgraphError
 
 COMMAND = [sys.executable, "-m", "mgsgraph"]
 WIDE = {"COLUMNS": "110"}
@@ -28,7 +28,7 @@ def call(*arguments: object) -> int:
 
 def refusal(*arguments: object) -> str:
     """The one line by which a command in this process refuses its arguments."""
-    with pytest.raises((InputError, click.UsageError)) as caught:
+    with pytest.raises((MgsgraphError, click.UsageError)) as caught:
         call(*arguments)
     error = caught.value
     message = error.format_message() if isinstance(error, click.UsageError) else str(error)
