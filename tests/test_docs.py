@@ -277,7 +277,7 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert "MOLA and MOC disagreed by" in said
     assert "--no-relief" in said
     told = (DOCS / "tutorial.md").read_text(encoding="utf-8")
-    by_relief = {"coregistration.json", "profiles.csv", "shots.csv", "costs.csv"}
+    by_relief = {"coregistration.json", "profiles.csv", "shots.csv"}
     for file in set(re.findall(r"`(\w+\.(?:csv|json|npz))`", told)) - by_relief:
         places = [tmp_path / "mgsgraph-demo", tmp_path / "mgsgraph-demo" / "inputs"]
         assert any((place / file).exists() for place in places), file

@@ -25,10 +25,6 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
     "--pose", "poses", multiple=True, type=(str, float), metavar="IMAGE LINE", help="Orientation of an image at a line."
 )
 @click.option(
-    "--poses", "pose_pairs", multiple=True, type=(str, float, str, float), metavar="IMAGE LINE IMAGE LINE",
-    help="One image's orientation against another's.",
-)  # fmt: skip
-@click.option(
     "--projection", "projections", multiple=True, type=(str, str), metavar="NAME IMAGE",
     help="Where a ground point falls in an image.",
 )  # fmt: skip
@@ -79,7 +75,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         require_replaceable(out, ANALYSIS)
     nothing = not any(value for name, value in asked.items() if name not in _DETAILS)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
-    about = {name: asked[name] for name in ("points", "pairs", "poses", "pose_pairs", "projections")}
+    about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
     given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
     for option, stated, useful, of in (
         ("--image, --cell-m", asked["images"] or given["cell_m"], raster, "--raster"),

@@ -63,7 +63,7 @@ def inventory(case: Case) -> str:
         f"measurements, {network.ranges.point.size} ranges"
     )
     images = Section("", head, case.notes, [_images_table(network.images, network)])
-    read = Section("", sentences=[*reading_statements(network.images), *_pulses(case)])
+    read = Section("", sentences=reading_statements(network.images))
     unknowns = Section("", tables=[_unknowns_table(network)])
     weak = list[str]()
     try:
@@ -166,13 +166,6 @@ def _terrain(network: Network, places: Array) -> list[str]:
     if covered.words:
         said.append(f"{name}: of {covered.total} tie points it leaves out {covered.words}: these have no such row")
     return said
-
-
-def _pulses(case: Case) -> list[str]:
-    """Profiles whose ranges and heights get no share of their echoes' widths, which nobody knows; nothing without."""
-    names = [Path(one.source).name for one in case.profiles if np.all(np.isnan(one.pulses))]
-    return names and [f"Laser profiles that don't say how broad their echoes were, {some(names, len(names))}: sigmas "
-                      "of their ranges and heights are as stated, on slopes too (pulse_share)"]  # fmt: skip
 
 
 def _unknowns_table(network: Network) -> Table:

@@ -15,8 +15,7 @@ from mgsgraph.units import KM
 
 def plan_section(plan: Plan) -> Section:
     """The ranking, and what is chosen step by step: sigmas of the targets before and after."""
-    plain = [plan.plain] if plan.plain else []
-    table = judged_table({"ranking": plan.ranking, "chosen": plan.chosen, "first of ranking": plain})
+    table = judged_table({"ranking": plan.ranking, "chosen": plan.chosen})
     ends = np.cumsum([0, len(plan.ranking), len(plan.chosen)])
     shown = [
         replace(table.take(np.arange(first, last)), title=title)
@@ -43,7 +42,7 @@ def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
     ]  # fmt: skip
     return Table("plan", "Candidates", (
         Column("list", [name for name, some in lists.items() for _ in some],
-               meaning="ranking, chosen, or first of ranking together"),
+               meaning="ranking, or chosen"),
         Column("rank", np.array(ranks, dtype=np.int64), meaning="in its list", label="", text=">4"),
         Column("candidate", [one.name for one in judged], text="<28"),
         Column("kind", [one.kind for one in judged], text="<13"),
@@ -74,9 +73,6 @@ def statements(plan: Plan) -> list[str]:
         f"{100.0 * plan.drop:.3g}%, with {many(measures, 'measure')} and {plan.bits:.3f} bits gained on the unknowns "
         "that exist already."
     )
-    if plan.plain is not None and len(plan.chosen) > 1:
-        found.append(f"The first {len(plan.chosen)} of the ranking ({plan.plain.name}) would leave "
-                     f"{plan.plain.after.total:.4g} m and gain {plan.plain.bits:.3f} bits.")  # fmt: skip
     return found
 
 
@@ -96,7 +92,6 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "chosen": [_judged_json(one) for one in plan.chosen],
         "after_all_chosen": _sigmas_json(plan.after),
         "bits_of_all_chosen": plan.bits,
-        "first_of_the_ranking_together": None if plan.plain is None else _judged_json(plan.plain),
     }
 
 

@@ -1,5 +1,5 @@
 """A registration by relief in words and as files: the adjusted solution with all that `adjust` writes, and beside it
-coregistration.json, one row per profile, one per shot, and the misfits of all shifts that were searched.
+coregistration.json, one row per profile and one per shot.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
-from mgsgraph.files.output.table import Column, Table, numbers, picked
+from mgsgraph.files.output.table import Column, Table, numbers
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
@@ -60,7 +60,7 @@ def write_coregistration(
     --------
     >>> files = mgsgraph.write_coregistration(registration, "coregistered", figures=False)
     >>> [name for name in files if name.endswith(".csv")]
-    ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv', 'profiles.csv', 'shots.csv', 'costs.csv']
+    ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv', 'profiles.csv', 'shots.csv']
     """
     with fresh_folder(folder) as aside:
         return write_coregistration_into(registration, aside, figures, case, networks)
@@ -105,7 +105,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "crossovers": _crossovers_json(registration.solution),
         "statements": said,
     }  # fmt: skip
-    csv = [profiles, relief_shots_table(registration), costs_table(registration)]
+    csv = [profiles, relief_shots_table(registration)]
     return Section("coregistration", "", said, [profiles], record, csv,
                    sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
@@ -222,28 +222,6 @@ def slopes_of(state: ProfileState) -> Array:
     """(n, 2) slopes of the surface at the shots, eastward and northward, metres upward per metre."""
     east, north, up = np.einsum("nkj,nj->kn", east_north_up(state.points), state.heights.normals)
     return np.stack([-east / up, -north / up], axis=1)
-
-
-def costs_table(registration: ReliefRegistration) -> Table:
-    """One row per profile, state and shift: its misfit."""
-    found = [
-        (one.name, name, state.cost)
-        for one in registration.profiles
-        for name, state in (("before", one.before), ("after", one.after))
-    ]
-    shifts = [
-        np.stack(np.meshgrid(cost.shifts, cost.shifts, indexing="ij"), axis=2).reshape(-1, 2) for _, _, cost in found
-    ]
-    rows = np.repeat(np.arange(len(found)), [len(one) for one in shifts])
-    return Table("costs", "Cost surfaces", (
-        Column("profile", picked([name for name, _, _ in found], rows)),
-        Column("state", picked([state for _, state, _ in found], rows)),
-        Column("shift_{}", np.concatenate(shifts), "m", "of the footprints of this state", _WAYS),
-        Column(
-            "misfit", np.concatenate([cost.misfits.ravel() for _, _, cost in found]),
-            meaning="robust sum of squares in sigmas; unknown where too few shots are on the surface",
-        ),
-    ))  # fmt: skip
 
 
 # --- words

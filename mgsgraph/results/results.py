@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from statistics import NormalDist
 from typing import Any
@@ -47,7 +46,6 @@ from mgsgraph.results.soundness import (
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
 from mgsgraph.text import many, short, some
 from mgsgraph.units import ARCSEC
-from mgsgraph.workers import called_in_workers
 
 _PIXELS = 0.5
 """Size of a mean residual below which it does no harm."""
@@ -329,10 +327,9 @@ def write_into(
     names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
     names += [name for section in sections for name in section.write(folder, figures=False)]
     if figures:
-        from mgsgraph.results.figures import FIGURES_END, figure_tasks  # matplotlib takes its time
+        from mgsgraph.results.figures import write_figures  # matplotlib takes its time
 
-        with called_in_workers(figure_tasks(solution, folder, connected), *FIGURES_END) as drawn:
-            names += chain.from_iterable(drawn())
+        names += write_figures(solution, folder, connected)
     return names
 
 

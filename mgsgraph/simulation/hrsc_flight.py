@@ -425,8 +425,8 @@ def segment(image: PushbroomImage, name: str, first: int, stop: int) -> Pushbroo
 
 
 def in_segments(network: Network, count: int) -> Network:
-    """A network with every image cut into `count` segments of equal length, NAME/1 to NAME/count; rays are those of the
-    segment that they fall in. Laser ranges, shared unknowns and stereo surfaces are left out.
+    """A simulated block with every image cut into `count` segments of equal length, NAME/1 to NAME/count, in which its
+    rays fall.
     """
     images, edges = list[PushbroomImage](), list[Index]()
     for image in network.images:
@@ -438,15 +438,9 @@ def in_segments(network: Network, count: int) -> Network:
     inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
     places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
     passes = tuple(
-        replace(
-            one, images=(one.images[:, None] * count + np.arange(count)).ravel(),
-            axes=None if one.axes is None else np.repeat(one.axes, count, axis=0),
-        )
-        for one in network.passes
-    )  # fmt: skip
+        replace(one, images=(one.images[:, None] * count + np.arange(count)).ravel()) for one in network.passes
+    )
     return replace(
-        network, images=tuple(images), priors=tuple(np.repeat(np.array(network.priors, dtype=object), count).tolist()),
-        held=np.repeat(network.held, count), rays=replace(rays, image=rays.image * count + inner, places=places),
-        ranges=network.ranges.chosen(np.zeros(network.ranges.point.size, dtype=bool)), passes=passes, shared=(),
-        stereo=None,
+        network, images=tuple(images), priors=network.priors * count, held=np.repeat(network.held, count),
+        rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
     )  # fmt: skip

@@ -72,7 +72,7 @@ def test_questions_are_answered_in_their_order(result: Path, tmp_path: Path, sai
     points, images = solution.network.points.ids, [image.name for image in solution.network.images]
     said = said_by(
         "analyze", result, "--point", points[0], "--pair", points[0], points[1], "--pose", images[0], 10.0,
-        "--poses", images[0], 10.0, images[1], 20.0, "--projection", points[0], images[1], "--correlations",
+        "--pose", images[1], 20.0, "--projection", points[0], images[1], "--correlations",
         "--curve", images[1], "--out", tmp_path / "analysis",
     )  # fmt: skip
     parts = (f"Point {points[0]}", f"{points[1]} lies", "at line 10:", "Correlations of")
@@ -128,7 +128,6 @@ def test_what_can_not_be_answered_is_said_in_one_line(result: Path, tmp_path: Pa
         "line nan": (result, "--pose", image, "nan"),
         "line 1e": (result, "--pose", image, 1e9),
         "the same point twice": (result, "--pair", "TIE00001", "TIE00001"),
-        "line 1 twice": (result, "--poses", image, 1.0, image, 1.0),
         "levels, alpha": (result, "--alpha", 0.7),
         "another kind of result": (result, "--out", result),
         "no such file": (tmp_path / "nothing",),

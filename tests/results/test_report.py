@@ -80,7 +80,7 @@ def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactor
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take most of the time."""
-    monkeypatch.setattr(report_figures, "figure_tasks", lambda *_: [("map", list)])
+    monkeypatch.setattr(report_figures, "solution_figures", lambda *_: [])
 
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:

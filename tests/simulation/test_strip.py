@@ -21,7 +21,7 @@ from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
-from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip, true_image
+from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import DEG
 
 Measures = dict[tuple[str, str], tuple[float, float]]
@@ -119,23 +119,6 @@ def test_true_points_lie_on_the_terrain(strip: SimulatedStrip) -> None:
         assert np.ptp(height) > 100.0
         assert np.all(np.abs(np.linalg.norm(points, axis=1) - 3_387_000.0) < 10e3)
     assert np.ptp(planetocentric(strip.true_ties)[:, 1]) > 0.5 * DEG
-
-
-@pytest.mark.parametrize(
-    "noise", [NoiseSettings(), NoiseSettings(position=2000.0, angle=1e-3, trend=(1.0, 1.0, 1.0, 1.0))]
-)
-def test_polynomial_places_are_the_image_s_own(noise: NoiseSettings) -> None:
-    """With small corrections by themselves; where they are too coarse the image is asked."""
-    image, true = simulate_strip(StripSettings(images=2, ties=1, shots=1, lines=20_000)).images[1], noise.correction(
-        np.random.default_rng(3)
-    )
-    found = true_image(image, true, 100.0)
-    assert (found.error > 1e-4) == (noise.position > 100.0)
-    lines, samples = np.random.default_rng(0).uniform(40.0, [19_960.0, 984.0], (300, 2)).T
-    points, _ = image.image_to_ground(lines, samples, np.linspace(-180.0, 180.0, 300), true)
-    which, places = found.project(points)
-    assert which.tolist() == list(range(300))
-    assert np.abs(places - np.column_stack([lines, samples])).max() < 1e-4
 
 
 # --- statistics

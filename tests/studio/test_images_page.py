@@ -215,20 +215,6 @@ def test_panes_come_and_go(seen: Callable[..., Images]) -> None:
     page.settled()
 
 
-@pytest.mark.parametrize(("kind", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
-def test_the_view_is_saved_as_a_figure(
-    kind: str, begins: bytes, seen: Callable[..., Images], tmp_path: Path
-) -> None:
-    page = seen()
-    page.run("view.zoomTo(1)")
-    page.settled()
-    with page.tab.expect_download() as coming:
-        page.tab.locator("#images").get_by_title("Save this view").select_option(kind)
-    coming.value.save_as(tmp_path / "figure")
-    assert coming.value.suggested_filename == f"images.{kind}"
-    assert (tmp_path / "figure").read_bytes().startswith(begins)
-
-
 def test_a_changed_picture_is_said(seen: Callable[..., Images], folder: Path) -> None:
     page = seen()
     os.utime(folder / "case" / "A.tif", ns=(1, 1))

@@ -151,8 +151,8 @@ def test_the_window_of_the_map_is_a_figure(kind: str, browser_: Browser) -> None
     "/api/map/points?x0=0&y0=0&x1=0&y1=1", "/api/map/points?x0=a&y0=0&x1=1&y1=1", "/api/select?least=x",
     "/api/map/points?x0=0&y0=0&x1=1&y1=1&value=nothing", "/api/map/points?x0=0&y0=0&x1=1&y1=1&classes=nothing",
     "/api/map/residuals?image=nowhere", "/api/points/nobody", "/api/points/nobody/tests", "/api/images/nowhere",
-    "/api/chip.png?image=nowhere&line=1&sample=1", "/api/figure/nothing.svg", "/api/figure/images.svg?line0=5&line1=5",
-    "/api/figure/images.svg?image=none", "/api/figure/images.svg?line0=nan", "/api/images/none/ground?line=1&sample=1",
+    "/api/chip.png?image=nowhere&line=1&sample=1",
+    "/api/images/none/ground?line=1&sample=1",
     "/api/images/none/tiles/0/0/0.png?low=0&high=1",
 ])  # fmt: skip
 def test_bad_requests_are_one_line(path: str, browser_: Browser) -> None:

@@ -34,7 +34,7 @@ from mgsgraph.units import ARCSEC, KM
 
 def captions(solution: Solution) -> dict[str, str]:
     """Of all sheets, by their names."""
-    return {sheet.name: sheet.caption for _, made in solution_sheets(solution) for sheet in made()}
+    return {sheet.name: sheet.caption for _, sheet in solution_sheets(solution)}
 
 
 def test_orientation_components_are_the_coefficients(pair_solution: Solution) -> None:
