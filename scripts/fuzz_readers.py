@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import archive_index
 import cubes
+import flaky_archive
 import fuzz_seeds as seeds
 import mex
 import mgs
@@ -308,8 +308,9 @@ def _archives() -> Iterator[Reader]:
     said = json.dumps({"url": "http://x.org/a", "total": 9, "etag": '"1"', "modified": ""})
 
     def index(folder: Path) -> None:
-        images = [archive_index.IndexEntry(1141, f"E02/0{k}", "2000-03-01T10:00:00.00", {}) for k in range(1001, 1004)]
-        archive_index.write_indexes(folder, images)
+        images = [(f"E02/0{k}", "MOC-NA") for k in range(1001, 1004)]
+        for suffix, content in zip(("tab", "lbl"), flaky_archive.index(images), strict=True):
+            (folder / f"imgindx.{suffix}").write_bytes(content)
 
     def rows(path: Path) -> object:
         return read_index(path.with_name("imgindx.tab"), path.with_name("imgindx.lbl"))
@@ -320,11 +321,10 @@ def _archives() -> Iterator[Reader]:
     def focal(path: Path) -> object:
         return camera_focal_length(path.parents[len(Path(_INSTRUMENT).parts) - 1])
 
-    at = "mgsc_1141/index/imgindx"
     yield Reader("mirrors", Archives.read, partial(text, "mirrors.toml", addresses), "pvl")
     yield Reader("part of fetch", part, lambda: text("a.img.part.json", said, **{"a.img.part": b"abc"}), "json")
-    yield Reader("index of a volume", rows, lambda: made(f"{at}.tab", index), "csv")
-    yield Reader("index's label", rows, lambda: made(f"{at}.lbl", index), "pvl")
+    yield Reader("index of a volume", rows, lambda: made("imgindx.tab", index), "csv")
+    yield Reader("index's label", rows, lambda: made("imgindx.lbl", index), "pvl")
     kernel = "KPL/IK\n\\begindata\nINS-94031_PIXEL_SIZE = ( 0.000013 )\n\\begintext\n"
     yield Reader("instrument kernel of fetch", focal, partial(text, str(_INSTRUMENT), kernel), "pvl")
 

@@ -135,6 +135,14 @@ def case_file(pair_folder: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def pictured_case(case_file: Path) -> Path:
+    """The same with pixels of noise."""
+    import profiles
+
+    return profiles.with_pixels(case_file)
+
+
+@pytest.fixture
 def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same; pages have
     blank ones.
@@ -158,3 +166,20 @@ def browser() -> Iterator[Any]:
         running = started.chromium.launch(executable_path=str(program), args=FLAGS)
         yield running
         running.close()
+
+
+@pytest.fixture(scope="session")
+def archive_server() -> Iterator[Any]:
+    """Archives on localhost, which whoever asks resets."""
+    import flaky_archive
+
+    with flaky_archive.served() as server:
+        yield server
+
+
+@pytest.fixture
+def archive(archive_server: Any) -> Any:
+    """A few images made up in memory."""
+    import flaky_archive
+
+    return archive_server.reset(flaky_archive.archive_files())

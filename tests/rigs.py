@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from networks import network, pair
+from strip_files import write_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
@@ -19,11 +19,15 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass, SharedKind, SharedUnknown
 from mgsgraph.network.joining import mountings
-from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
 
 PRIOR = NodePrior(np.array([20.0] * 3 + [1e-4] * 3), np.array([200.0] * 3 + [4e-4] * 3), np.zeros(6), 4.0)
 TURN = rotation.exponential(np.array([[5e-4, 1e-3, 0.0]]))[0] @ rotation.exponential(np.array([[0.0, 0.0, 3.1]]))[0]
 """From the axes of the one camera to those of the other."""
+PASS = """
+[[passes]]
+name = "one"
+images = ["L", "R"]
+"""
 BORESIGHT = SharedUnknown("boresight of R", SharedKind.CAMERA_BORESIGHT, np.array([1]), np.full(3, 3e-4))
 
 
@@ -69,35 +73,9 @@ def adjusted_rig(seed: int = 1) -> Solution:
     return adjust_network(rig(seed=seed), SolverSettings())
 
 
-# --- as files: support data of L, R and another image, a control network, and a case with [[passes]]
-
-PASS = """
-[[passes]]
-name = "one"
-images = ["L", "R"]
-"""
-
-
-def write_rig(folder: Path, tables: str = PASS, more: str = "", images: Sequence[PushbroomImage] = ()) -> Path:
-    """The case file of the rig with some tables; `more` stands before them, `images` are in place of its own."""
-    network = rig()
-    images = images or network.images
-    rays, points = network.rays, network.points
-    names = [image.name for image in network.images]
-    sizes = np.array([[image.lines, image.samples] for image in network.images])[rays.image]
-    inside = np.all((rays.places > 0.0) & (rays.places < sizes), axis=1)  # the noise of others put them outside
-    ties = TiePoints(
-        "rig", points.ids, points.kinds, points.places, points.covariances, rays.point[inside],
-        tuple(names[j] for j in rays.image[inside].tolist()), rays.places[inside], rays.sigmas[inside],
-    )  # fmt: skip
-    (folder / "network.pvl").write_text(tie_network_text(ties))
-    text = ["format = 1", 'name = "rig"', more, "[ties]", 'network = "network.pvl"']
-    for image in images:
-        (folder / f"{image.name}.isd").write_text(json_text(support_data(image)))
-        text += ["[[images]]", f'name = "{image.name}"', f'isd = "{image.name}.isd"']
-    path = folder / "case.toml"
-    path.write_text("\n".join([*text, tables]), encoding="utf-8")
-    return path
+def write_rig(folder: Path, tables: str = PASS, images: Sequence[PushbroomImage] = ()) -> Path:
+    """The case file of the rig with some tables; `images` are in place of its own."""
+    return write_network(folder, rig(), tables, images)
 
 
 def later(image: PushbroomImage, name: str, seconds: float) -> PushbroomImage:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from archive_server import serving
-from simulated_archive import write_archive
+from flaky_archive import serving, write_archive
 from sites import plain_site
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
