@@ -38,8 +38,7 @@ def test_a_strip_without_steps_has_none(tmp_path: Path) -> None:
         (("strip", "--images", 1), "images: 1; expected a whole number, at least 2"),
         (("strip", "--images", 501), "images: 501; expected 2 .. 500"),
         (("strip", "--ties", 0), "ties: 0"),
-        (("strip", "--attitude-time-bias", 1), "attitude time bias: given for strip"),
-        (("three-sites", "--attitude-time-bias", 1), "attitude time bias: given for three-sites"),
+        (("gusev", "--attitude-time-bias", 1), "SimulationOptions has it"),
     ],
 )
 def test_options_are_refused_where_they_mean_nothing(args: tuple[object, ...], says: str, tmp_path: Path) -> None:
