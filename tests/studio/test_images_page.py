@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 from image_pages import Scene, Seen, served, textured
-from smoothness import rates
+from studio_page import rates
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.case.reading import read_case

@@ -26,8 +26,7 @@ from mgsgraph.project.settings import ProjectSettings
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-from smoothness import rates
-from studio_page import PANELS, Page
+from studio_page import PANELS, Page, rates
 from studio_server import studio
 
 from mgsgraph.cli import group

@@ -1,19 +1,27 @@
-"""Processes and polynomials as priors of nodes: against dense covariances, quadrature and today's Gauss-Markov rows."""
+"""What is known of a pass's nodes beforehand, processes and polynomials: against dense covariances, quadrature and
+closed forms.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from networks import network, pair
 from scipy.special import gamma, kv
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
-from mgsgraph.network import NodePrior, PassPrior, PolynomialPrior, Process, ProcessPrior
+from mgsgraph.network import NodePrior, Pass, PassPrior, PolynomialPrior, Process, ProcessPrior
 from mgsgraph.network.conditioning import DIVERGENCE, ProcessKind, dense_covariance
-from mgsgraph.network.passes import LinearFactor, normalised
+from mgsgraph.network.passes import normalised
 
 EVEN = evenly_spaced("lagrange", 3e8, (10.0, 70.0), 2.5)
 UNEVEN = OrientationImages("lagrange", 3e8, np.array([0.0, 1.0, 1.5, 1.75, 2.5, 5.0, 8.0, 9.0, 9.5, 12.0, 15.0, 20.0]))
 SIZE = np.array([20.0, 30.0, 50.0])
 NONE = np.zeros(6)
+SIGMAS = np.array([1.0, 2.0, 3.0, 1e-5, 2e-5, 3e-5])
 TREND = np.array([200.0] * 3 + [4e-4] * 3)
 
 
@@ -120,19 +128,6 @@ def wiener() -> ProcessPrior:
     return ProcessPrior((process("integrated-wiener"),), (process("integrated-wiener", 1e-6),), TREND, TREND)
 
 
-@pytest.mark.parametrize("spacing", [5.0, 20.0 / 7.0])
-def test_an_integrated_wiener_process_knows_no_spacing(spacing: float) -> None:
-    """A-priori covariance of the times that all node spacings have in common."""
-    coarse, fine = (evenly_spaced("lagrange", 0.0, (0.0, 60.0), apart) for apart in (20.0, spacing))
-    common = np.flatnonzero(np.isin(np.round(fine.times, 6), np.round(coarse.times, 6)))
-    assert common.size == len(coarse)
-    np.testing.assert_allclose(wiener().own_sigmas(fine)[common], wiener().own_sigmas(coarse), rtol=1e-9)
-    columns = (6 * common[:, None] + np.arange(6)).ravel()
-    want, found = covariance(wiener(), coarse), covariance(wiener(), fine)[np.ix_(columns, columns)]
-    size = np.sqrt(np.diagonal(want))
-    np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
-
-
 @pytest.mark.parametrize("beyond", [(-30.0, 60.0), (0.0, 200.0)])
 def test_an_integrated_wiener_process_is_continued(beyond: tuple[float, float]) -> None:
     """What is known of old nodes stays as it is when later images continue the pass on either side."""
@@ -177,16 +172,6 @@ def test_polynomials_of_each_its_degree() -> None:
     assert free.scaled(np.full(6, 2.0), np.zeros(0)).attitude_sigmas[2, 1] == 6e-4
 
 
-def test_a_trend_alone_beside_a_process() -> None:
-    prior = ProcessPrior((), (process("matern-5/2", 1e-6),), TREND, NONE)
-    found = covariance(prior, EVEN)[0::6, 0::6]
-    np.testing.assert_allclose(found, TREND[0] ** 2, rtol=1e-6)
-
-
-def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]:
-    return list(prior.factors(nodes))
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -195,9 +180,70 @@ def factors_of(prior: PassPrior, nodes: OrientationImages) -> list[LinearFactor]
         (lambda: Process("matern-3/2", SIZE), "correlation time"),
         (lambda: Process("jitter", SIZE, 0.0, 2.0, 3.0), "bandwidth.* up to 2 Hz"),
         (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
-        (lambda: factors_of(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))), EVEN), "25 nodes; expected 4"),
+        (lambda: NodePrior(-SIGMAS, NONE, NONE), "six positive sigmas"),
+        (lambda: NodePrior(SIGMAS, np.full(6, -1.0), NONE), "bias: -1"),
+        (lambda: NodePrior(np.full(6, np.inf), np.ones(6), NONE), "nodes have none"),
+        (lambda: NodePrior(SIGMAS, NONE, NONE, -1.0), "correlation time"),
+        (lambda: list(PolynomialPrior(np.ones((1, 3)), np.ones((1, 3))).factors(EVEN)), "25 nodes; expected 4"),
     ],
 )
 def test_what_is_refused(make, said: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match=said):
         make()
+
+
+# --- bias, drift and a Gauss-Markov process as rows of their own; passes of a network
+
+
+@given(st.sampled_from([0.0, 1.5, 20.0, 1e4]), st.sampled_from([0.0, 4.0]), st.sampled_from([0.0, 3.0]))
+def test_rows_are_bias_drift_and_a_gauss_markov_process(time: float, bias: float, drift: float) -> None:
+    """Their covariance: bias^2 + s s' drift^2 + sigma^2 exp(-|dt| / time)."""
+    prior = NodePrior(SIGMAS, bias * SIGMAS, drift * SIGMAS, time)
+    s = normalised(UNEVEN)
+    apart = np.abs(np.subtract.outer(UNEVEN.times, UNEVEN.times))
+    memory = np.exp(-apart / time) if time else np.eye(len(UNEVEN))
+    want = np.kron(bias**2 + drift**2 * np.outer(s, s) + memory, np.diag(SIGMAS**2))
+
+    scale = np.sqrt(np.diagonal(want))
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(covariance(prior, UNEVEN) / unit, want / unit, atol=1e-8)
+    np.testing.assert_allclose(prior.node_sigmas(s).ravel(), scale, rtol=1e-12)
+
+
+def test_unknown_components_have_no_rows() -> None:
+    prior = NodePrior(np.where(np.arange(6) < 3, np.inf, 1e-4), NONE, NONE, 5.0)
+    normal = information(prior, UNEVEN)
+    assert np.linalg.matrix_rank(normal) == 3 * len(UNEVEN)
+    assert np.all(np.isinf(prior.node_sigmas(normalised(UNEVEN))[:, :3]))
+
+
+def test_strips_of_a_network() -> None:
+    net = network(pair())
+    image = net.images[0]
+    start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0].tolist()
+    nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), 1.0)
+    prior = NodePrior(SIGMAS, NONE, NONE)
+    with_strip = replace(net, passes=(Pass("A", np.array([0]), nodes, prior),))
+
+    assert with_strip.pass_of.tolist() == [0, -1]
+    assert with_strip.with_polynomial.tolist() == [False, True]
+    assert not np.any(with_strip.held)
+    assert np.all(replace(with_strip, passes=()).with_polynomial)
+    with pytest.raises(InputError, match="it is held"):
+        replace(with_strip, held=np.array([True, False]))
+    assert with_strip.first_of_passes.tolist() == [2, 2 + len(nodes)]
+    with pytest.raises(InputError, match=r"pass 'A', images: image 0; expected .* one pass alone"):
+        replace(net, passes=(Pass("A", np.array([0]), nodes, prior), Pass("B", np.array([0]), nodes, prior)))
+    short = evenly_spaced("lagrange", image.trajectory.epoch, (start, 0.5 * stop), 1.0)
+    with pytest.raises(InputError, match=r"pass 'A', image .*: lines from .* within its nodes'"):
+        replace(net, passes=(Pass("A", np.array([0]), short, prior),))
+    with pytest.raises(InputError, match="passes"):
+        replace(net, passes=(Pass("A", np.array([0]), nodes, prior),) * 2)
+    with pytest.raises(InputError, match="at least one, each once"):
+        Pass("A", np.array([0, 0]), nodes, prior)
+
+
+@given(st.floats(1e5, 1e9))
+def test_departures_that_hardly_forget_themselves(time: float) -> None:
+    for unknowns, blocks, _ in NodePrior(SIGMAS, NONE, NONE, time).factors(UNEVEN):
+        assert all(np.all(np.isfinite(block)) for block in blocks), unknowns
