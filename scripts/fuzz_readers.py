@@ -160,7 +160,7 @@ def _terrain() -> Iterator[Reader]:
 
 
 def _networks() -> Iterator[Reader]:
-    from mgsgraph.files.networks.asp_match import read_match, read_match_text
+    from mgsgraph.files.networks.asp_match import read_match
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
     from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
@@ -180,19 +180,14 @@ def _networks() -> Iterator[Reader]:
         return read_nvm(path.with_name("a.nvm"))
 
     yield Reader("network, PVL", of_pvl, partial(of_pair, "network.pvl"), "pvl", gaps=(".measure_sigmas",))
-    yield Reader("network, PVL, version 1", read_network, partial(seeds.old_network, 1), "pvl")
     yield Reader("network, PVL, version 3", read_network, partial(seeds.old_network, 3), "pvl")
     yield Reader("network, binary", read_network, partial(written, "network.net", "net"), "bytes")
-    yield Reader("network, binary, version 1", read_network, partial(seeds.old_network, 0), "bytes")
     table = partial(written, "network.csv", "csv")
     yield Reader("network, table", lambda path: read_whole(path, MARS), table, "csv")
     ties, gaps = (lambda path: read_tie_points(path, MARS)), (".places", ".measure_sigmas")
     yield Reader("tie points, table", ties, table, "csv", gaps=gaps)
-    yield Reader("tie points, Parquet", ties, partial(written, "network.parquet", "parquet"), "bytes", gaps=gaps)
     binary = partial(text, "run-one__two.match", asp.SOUND)
     yield Reader("match file", lambda path: read_match(path, pair), binary, "bytes", gaps=(".sigmas",))
-    of_text = partial(written, "run", "match-text")
-    yield Reader("match file, text", lambda path: read_match_text(path, pair), of_text, "csv")
     control = partial(text, "a.gcp", ground)
     yield Reader("ground control", lambda path: read_ground_control_network(path, MARS), control, "csv")
     yield Reader("NVM", read_nvm, lambda: text("a.nvm", asp.NVM, **{"a_offsets.txt": asp.OFFSETS}), "csv")
@@ -220,8 +215,7 @@ def _altimetry() -> Iterator[Reader]:
     yield Reader("PEDR as text", read_shots, lambda: made("ap18933l.tab", pedr_text), "csv", gaps=_SHOTS)
     yield Reader("shots of ODE", read_shots, lambda: text("shots.csv", seeds.ode_table()), "csv", gaps=_SHOTS)
     yield Reader("shots, CSV", read_shots, lambda: text("shots.csv", seeds.profile_csv()), "csv", gaps=_SHOTS)
-    yield Reader("shots of MLA", read_shots, lambda: text("shots.csv", seeds.mla_table()), "csv", gaps=_SHOTS)
-    packed = lambda: text("shots.csv.gz", seeds.packed(seeds.mla_table()))  # noqa: E731
+    packed = lambda: text("shots.csv.gz", seeds.packed(seeds.ode_table()))  # noqa: E731
     yield Reader("shots, packed", read_shots, packed, "gzip", gaps=_SHOTS)
     yield Reader("LOLA's records", read_shots, lambda: text(lola, seeds.lola_records()), "bytes", gaps=_SHOTS)
     labelled = lambda: text("a.LBL", seeds.lola_label(lola), **{lola: seeds.lola_records()})  # noqa: E731

@@ -219,12 +219,6 @@ def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
     return (head + said + table).replace("\n", "\r\n")
 
 
-def mla_table() -> str:
-    tests = of_tests("files/altimetry/test_shots.py")
-    rows = [tests.mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5, 0))]
-    return "\n".join((tests.MLA_HEADER, *rows)) + "\n"
-
-
 def ode_table() -> str:
     tests = of_tests("files/altimetry/test_pedr.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
@@ -255,7 +249,7 @@ def written_network(name: str, form: str) -> Seed:
 
     def write(folder: Path) -> None:
         output = folder / name
-        more = ["--case", pair_folder() / "case.toml"] if form in ("nvm", "gcp", "match", "match-text") else []
+        more = ["--case", pair_folder() / "case.toml"] if form in ("nvm", "gcp", "match") else []
         commanded("convert", pair_folder() / "network.pvl", output, "--to", form, *more)
 
     with tempfile.TemporaryDirectory() as place:
@@ -268,8 +262,6 @@ def old_network(version: int) -> Seed:
     import control_networks
 
     grid = control_networks.grid(3, 2)
-    if version == 0:
-        return text("old.net", control_networks.first_binary(grid))
     return text("old.pvl", control_networks.pvl_text(grid, version))
 
 

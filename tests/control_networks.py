@@ -125,7 +125,7 @@ def wire(*fields: tuple[int, int | float | bytes]) -> bytes:
 
 
 def older(network: ControlNetwork, version: int) -> ControlNetwork:
-    """What is left of a network in an older version: in 1 and 2 constrained points are those with a covariance."""
+    """What is left of a network in an older version: in 2 constrained points are those with a covariance."""
     points = list[ControlPoint]()
     for point in network.points:
         kind = PointType.FREE if point.type == PointType.CONSTRAINED else point.type
@@ -136,15 +136,8 @@ def older(network: ControlNetwork, version: int) -> ControlNetwork:
     return msgspec.structs.replace(network, points=tuple(points), target_radii=radii)
 
 
-_OLD_WORDS = {
-    "AdjustedX": "X", "AdjustedY": "Y", "AdjustedZ": "Z", "AdjustedCovarianceMatrix": "ApostCovarianceMatrix",
-    "AprioriXYZSource": "AprioriLatLonSource", "AprioriXYZSourceFile": "AprioriLatLonSourceFile",
-    "LineResidual": "ErrorLine", "SampleResidual": "ErrorSample",
-}  # fmt: skip
-
-
 def pvl_text(network: ControlNetwork, version: int) -> str:
-    """Text of a version from 1 to 5, which has what `older` leaves."""
+    """Text of a version from 2 to 5, which has what `older` leaves."""
     lines = list[str]()
     for line in network_text(older(network, version)).splitlines():
         key, equals, value = line.partition("=")
@@ -152,81 +145,10 @@ def pvl_text(network: ControlNetwork, version: int) -> str:
             value = {" Free": " Tie", " Fixed": " Ground", " Constrained": " Constrained"}[value]
             if version < 3 and value == " Constrained":
                 value = " Tie"
-        if version == 1:
-            key = key.replace(key.strip(), _OLD_WORDS.get(key.strip(), key.strip()))
-            if key.strip() in ("LatitudeConstrained", "LongitudeConstrained", "RadiusConstrained"):
-                continue
         if key.strip() == "Version":
             value = f" {version}"
-        if not (version == 1 and key.strip() == "Version"):
-            lines.append(f"{key}{equals}{value}")
+        lines.append(f"{key}{equals}{value}")
     return "\n".join(lines) + "\n"
-
-
-def first_binary(network: ControlNetwork) -> bytes:
-    """A binary network of version 1, by ControlNetFileProtoV0001.proto and ControlNetLogDataProtoV0001.proto."""
-    texts = (network.network_id, network.target_name, network.created, network.last_modified, network.description,
-             network.user_name)  # fmt: skip
-    head = [(1, wire((2, b"2010/11/18"))), *((number, text.encode()) for number, text in enumerate(texts, start=2))]
-    points = [(8, _first_point(point)) for point in network.points]
-    logs = [
-        (1, wire(*((2, wire(*((2, wire((2, kind), (3, value))) for kind, value in measure.log)))
-                   for measure in point.measures)))
-        for point in network.points
-    ]  # fmt: skip
-    core, log = wire(*head, *points), wire(*logs)
-    label = f"""\
-Object = ProtoBuffer
-  Object = Core
-    StartByte = 65536
-    Bytes     = {len(core)}
-  End_Object
-
-  Object = LogData
-    StartByte = {65536 + len(core)}
-    Bytes     = {len(log)}
-  End_Object
-
-  Group = ControlNetworkInfo
-    NetworkId = small
-  End_Group
-End_Object
-End
-"""
-    return label.encode().ljust(65536, b"\0") + core + log
-
-
-def _first_point(point: ControlPoint) -> bytes:
-    flags = (point.edit_lock, point.ignore, point.jigsaw_rejected)
-    fields: list[tuple[int, int | float | bytes]] = [
-        (1, point.id.encode()), (2, int(point.type == PointType.FIXED)), (3, point.chooser_name.encode()),
-        (4, point.date_time.encode()), *zip((5, 6, 7), flags, strict=True), (8, int(point.apriori_source)),
-        (9, point.apriori_source_file.encode()), (10, int(point.apriori_radius_source)),
-        (11, point.apriori_radius_source_file.encode()),
-    ]  # fmt: skip
-    for number, place, covariance in ((12, point.apriori, point.apriori_covariance),
-                                      (16, point.adjusted, point.adjusted_covariance)):  # fmt: skip
-        fields += [(number + axis, value) for axis, value in enumerate(place or ())]
-        if covariance:
-            fields.append((number + 3, struct.pack("<6d", *covariance)))
-    fields += [(20, _first_measure(measure)) for measure in point.measures]
-    if point.reference is not None:
-        fields.append((21, point.reference))
-    constrained = (point.latitude_constrained, point.longitude_constrained, point.radius_constrained)
-    return wire(*fields, *zip((22, 23, 24), constrained, strict=True))
-
-
-def _first_measure(measure: ControlMeasure) -> bytes:
-    numbers = ((9, measure.diameter), (10, measure.apriori_sample), (11, measure.apriori_line),
-               (12, measure.sample_sigma), (13, measure.line_sigma))  # fmt: skip
-    place = ((1, measure.sample), (2, measure.line), (3, measure.sample_residual), (4, measure.line_residual))
-    flags = (measure.edit_lock, measure.ignore, measure.jigsaw_rejected)
-    return wire(
-        (1, measure.serial_number.encode()), (2, int(measure.type) + 1), (3, measure.chooser_name.encode()),
-        (4, measure.date_time.encode()), *zip((5, 6, 7), flags, strict=True),
-        (8, wire(*((number, value) for number, value in place if value is not None))),
-        *((number, value) for number, value in numbers if value is not None),
-    )  # fmt: skip
 
 
 def labelled(version: int | str, header: bytes, points: bytes) -> bytes:

@@ -48,7 +48,7 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.network.connectivity", "mgsgraph.registration.dem",
+        "mgsgraph.network.connectivity", "mgsgraph.registration.dem", "mgsgraph.results.catalog",
         "mgsgraph.simulation.archive_ties", "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),

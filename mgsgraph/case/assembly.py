@@ -1,6 +1,6 @@
 """Points, rays, ranges, shifts and terrain of several files, gathered into one network.
 
-Several control networks as one set of tie points: a point of several files has the measures of all of them.
+Several control networks are one set of tie points, each id once.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -26,7 +26,7 @@ from mgsgraph.geometry.altimetry import (
 )
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
-from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
+from mgsgraph.geometry.records import Array, Index, Mask, concatenated
 from mgsgraph.geometry.terrain import TerrainGrid, overlap_variances
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import (
@@ -381,10 +381,6 @@ class Parts:
         return image
 
 
-_SAME_PLACE = 1e-3
-"""m, within which two a-priori places of one known point are the same."""
-
-
 def with_sigmas(
     points: TiePoints, sigma: float, of_images: Mapping[str, float], window: float = 0.0, factor: float = 1.0
 ) -> TiePoints:
@@ -446,72 +442,22 @@ def in_images(
     return left, f"{said}."
 
 
-def merged(groups: Sequence[TiePoints]) -> TiePoints:
-    """Points of several control networks, in the files' order, those of the same id made one.
-
-    Raises
-    ------
-    InputError
-        If a measure is in two files, or if two files know different a-priori places of one point.
-    """
+def joined(groups: Sequence[TiePoints]) -> TiePoints:
+    """Points of several control networks in the files' order; InputError for an id that two of them have."""
     if len(groups) == 1:
         return groups[0]
-    ids, points = Names.united([group.ids for group in groups])
-    file_of = np.repeat(np.arange(len(groups)), [len(group.ids) for group in groups])
-    source = _best_sources(groups, np.concatenate(points), file_of, len(ids))
-    point = np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)])
-    image = RepeatedNames.concatenated([group.measure_image for group in groups])
-    _require_new_measures(groups, point, image, ids)
-
-    def of_points(name: str) -> NDArray[Any]:
-        return chosen_rows(concatenated([getattr(group, name) for group in groups]), source)
-
+    ids, sizes = Names.concatenated([group.ids for group in groups]), [len(group.ids) for group in groups]
+    if (again := ids.first_repeated) is not None:
+        first, other = (groups[int(np.searchsorted(np.cumsum(sizes), k, side="right"))].source
+                        for k in (ids.tolist().index(ids[again]), again))  # fmt: skip
+        remedy = "unite them: mgsgraph convert A B --out C --duplicates first, or last"
+        where, found = f"{other}, point {ids[again]}", f"an id that {first} has too"
+        raise InputError(where, found, "each id in one network", remedy)
+    begins = np.cumsum([0, *sizes[:-1]])
+    names = ("kinds", "places", "covariances", "measures", "measure_sigmas")
     return TiePoints(
-        source=", ".join(dict.fromkeys(group.source for group in groups)),
-        ids=ids,
-        kinds=of_points("kinds"),
-        places=of_points("places"),
-        covariances=of_points("covariances"),
-        measure_point=point,
-        measure_image=image,
-        measures=np.concatenate([group.measures for group in groups]),
-        measure_sigmas=np.concatenate([group.measure_sigmas for group in groups]),
-    )
-
-
-def _best_sources(groups: Sequence[TiePoints], number: Index, file_of: Index, count: int) -> Index:
-    """(count,) which of all files' points, in their order, says most of each point: the first that is not free, or else
-    the first with a place. InputError where two that are not free contradict each other.
-
-    `number` (p,) and `file_of` (p,) are the point and the file of each of them.
-    """
-    kinds, places, covariances = (
-        concatenated([getattr(group, name) for group in groups]) for name in ("kinds", "places", "covariances")
-    )
-    rank = np.where(kinds != PointKind.FREE, 0, np.where(np.isnan(places[:, 0]), 2, 1))
-    order = np.lexsort([np.arange(number.size), rank, number])
-    source = order[np.searchsorted(number[order], np.arange(count))]
-    other = np.flatnonzero((rank == 0) & (source[number] != np.arange(number.size)))
-    first = source[number[other]]
-    same = (kinds[other] == kinds[first]) & np.all(np.abs(places[other] - places[first]) < _SAME_PLACE, axis=1)
-    same &= np.all(np.isclose(covariances[other], covariances[first]), axis=(1, 2))
-    for k in np.flatnonzero(~same)[:1].tolist():
-        i, group = int(other[k]), groups[int(file_of[other[k]])]
-        where = f"{group.source}, point {Names.concatenated([one.ids for one in groups])[i]}"
-        found = f"{PointKind(int(kinds[i])).name.lower()} at another a-priori place or with another covariance"
-        source_of_first = groups[int(file_of[first[k]])].source
-        raise InputError(where, found, f"what {source_of_first} says of it", "make it Free in one of the two")
-    return np.asarray(source)
-
-
-def _require_new_measures(groups: Sequence[TiePoints], point: Index, images: RepeatedNames, ids: Names) -> None:
-    """Raise InputError for a measure that an earlier file holds; points (k,) by their numbers and images (k) of all."""
-    file_of = np.repeat(np.arange(len(groups)), [group.measure_point.size for group in groups])
-    code = point * len(images.distinct) + images.numbers
-    order = np.argsort(code, kind="stable")
-    again = np.flatnonzero(code[order][1:] == code[order][:-1])
-    for k in again[np.argsort(order[again + 1])][:1].tolist():
-        one, other = int(order[k]), int(order[k + 1])
-        where = f"{groups[int(file_of[other])].source}, point {ids[int(point[other])]}, image {images[other]}"
-        found = f"a measure that {groups[int(file_of[one])].source} has too"
-        raise InputError(where, found, "each measure in one network", "take it out of one of the two")
+        source=", ".join(dict.fromkeys(group.source for group in groups)), ids=ids,
+        measure_point=np.concatenate([k + group.measure_point for k, group in zip(begins, groups, strict=True)]),
+        measure_image=RepeatedNames.concatenated([group.measure_image for group in groups]),
+        **{name: concatenated([getattr(group, name) for group in groups]) for name in names},
+    )  # fmt: skip

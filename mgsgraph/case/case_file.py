@@ -7,7 +7,6 @@ import textwrap
 import types
 import typing
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
@@ -45,6 +44,10 @@ _FORMER = {
     "longest_edge_m": ("no such key: tracks are not triangulated", "take it out"),
     "post_step_deg": ("no such key: tracks are not triangulated", "take it out"),
     "basis": ("no such key: third-order polynomials through the four nearest nodes", "take it out"),
+    "lever_arm_m": ("lever_arm_sigma_m", "a stated arm belongs into the trajectory's tables"),
+    "times_et_s": ("spacing_s, or spacing_lines", "nodes are evenly spaced"),
+    "times_utc": ("spacing_s, or spacing_lines", "nodes are evenly spaced"),
+    "version": ("no such key: PEDR is read in its final version, L", "take it out"),
     "leap_seconds": ("no such key: leap seconds are built in", "take it out"),
 }
 """Words of earlier versions: those of today, and what else to change."""
@@ -167,17 +170,12 @@ def read_images(
     path : Path
         Where the case file is.
     """
-    found = dict[int, PushbroomImage]()
-    entries = wanted.passes
-    for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
+    for k, (entry, mine) in enumerate(zip(wanted.passes, of_passes, strict=True)):
         _require_of_pass(wanted, orientations, mine, f"{path}, passes[{k}]{f' ({entry.name})' if entry.name else ''}")
-        if not entry.sorted_by_time:  # else which of them are one pass isn't known yet
-            found |= _strips_by_image(wanted, mine, path)
-    for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
-        if j not in found:
-            found[j] = read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]")
-        found[j] = orientation.nominal_of(found[j])
-    images = tuple(found[j] for j in range(len(wanted.images)))
+    images = tuple(
+        orientation.nominal_of(read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]"))
+        for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True))
+    )
     images = mounted_images(wanted.mountings, instruments(wanted, path), images, str(path))
     require_distinct(images, f"{path}, images")
     return images
@@ -206,59 +204,9 @@ def _require_of_pass(
             raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")
 
 
-def _strips_by_image(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
-    """HRSC images of a strip that are read alike, on one trajectory (the very record), by their number."""
-    groups, folder = dict[tuple[object, ...], list[int]](), path.parent
-    for j in mine:
-        entry = wanted.images[j]
-        if entry.isd is None and entry.label is not None and instrument_of(folder / entry.label) == "HRSC":
-            alike = (_kernels(entry, wanted.spice), entry.constants, entry.attitude_bias_s, entry.position_bias_s)
-            groups.setdefault(alike, []).append(j)
-    return {
-        j: image
-        for members in groups.values()
-        if len(members) > 1
-        for j, image in zip(members, _hrsc_strip([wanted.images[j] for j in members], wanted.spice, path), strict=True)
-    }
-
-
-def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.files.labels.labelled_image import read_strip, with_focal_length
-
-    folder, first = path.parent, entries[0]
-    images = read_strip(
-        [folder / entry.label for entry in entries if entry.label is not None],
-        _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
-        [entry.name for entry in entries],
-        constants=first.constants,
-        attitude_bias=first.attitude_bias_s,
-        position_bias=first.position_bias_s,
-        interval=spice.sampling_s if spice else 0.1,
-        line_times=[_line_times(entry, folder) for entry in entries],
-    )
-    return [
-        _plausible(replace(image, interior=with_focal_length(image.interior, entry.focal_length_m)), entry, folder)
-        for image, entry in zip(images, entries, strict=True)
-    ]
-
-
-def _kernels(entry: ImageInput, spice: SpiceInput | None) -> tuple[str, ...]:
-    return entry.kernels or (spice.kernels if spice else ())
-
-
-def _required_kernels(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> list[Path]:
-    kernels = _kernels(entry, spice)
-    if not kernels:
-        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
-    return [folder / kernel for kernel in kernels]
-
-
 def read_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str) -> PushbroomImage:
     """By an image's plain entry (`case_file.plain_image`), if it can be; `where` names the table in errors."""
-    return _plausible(_read(entry, spice, folder, where), entry, folder)
-
-
-def _plausible(image: PushbroomImage, entry: ImageInput, folder: Path) -> PushbroomImage:
+    image = _read(entry, spice, folder, where)
     require_plausible(image, str(folder / image_file(entry)))
     return image
 
@@ -280,9 +228,12 @@ def _read(entry: ImageInput, spice: SpiceInput | None, folder: Path, where: str)
     )
 
     assert entry.label is not None
+    kernels = entry.kernels or (spice.kernels if spice else ())
+    if not kernels:
+        raise InputError(where, "a label without kernels", "kernels = [...] here or in [spice]")
     return read_labelled_image(
         folder / entry.label,
-        _required_kernels(entry, spice, folder, where),
+        [folder / kernel for kernel in kernels],
         entry.name,
         focal_length=entry.focal_length_m,
         constants=entry.constants,

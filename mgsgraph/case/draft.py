@@ -231,7 +231,7 @@ trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2 (u =
 _NO_MEASURES = """
 # No tie points, ground control or laser shots with measures yet: `mgsgraph match` finds ties. Or name a network:
 # [ties]
-# network = "network.net"               # ISIS control network (.net, .pvl) or table (.csv, .parquet)
+# network = "network.net"               # ISIS control network (.net, .pvl) or table (.csv)
 """
 
 

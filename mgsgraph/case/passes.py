@@ -2,7 +2,7 @@
 which of them.
 
 [[mountings]] of a case file: how a camera, or the laser, stands against the trajectory that carries it: turned by
-boresight angles, and away by a lever arm; stated, or unknown beside what is stated.
+boresight angles, stated or unknown beside what is stated, and away by an unknown lever arm.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable, Trajectory, utc_of_tdb
+from mgsgraph.geometry.trajectory import FixedTrajectory, Trajectory, utc_of_tdb
 from mgsgraph.network import (
     Network,
     NodePrior,
@@ -244,8 +244,8 @@ _LOOSE = 1e-3
 
 
 class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """How one camera, or the laser, stands against its trajectory: stated angles and arms are applied to the nominal
-    orientation; those with a sigma are unknowns beside what is stated.
+    """How one camera, or the laser, stands against its trajectory: stated angles are applied to the nominal
+    orientation; angles and arms with a sigma are unknowns beside that.
     """
 
     camera: tuple[str, ...] = ()
@@ -261,9 +261,6 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     is stated holds."""
     boresight_mrad: tuple[float, ...] = ()
     """Rotation of the camera about its own axes x, y, z, applied to its nominal attitude; not of the laser."""
-    lever_arm_m: tuple[float, ...] = ()
-    """Where the camera is, along its own axes x, y, z, from where its tables have it; not of the laser, nor of images
-    that carry laser ranges."""
     boresight_sigma_mrad: Sigmas | None = None
     """A-priori sigma of that rotation about x, y, z alike, or three numbers; absent: known."""
     lever_arm_sigma_m: Sigmas | None = None
@@ -272,7 +269,7 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     @property
     def stated(self) -> bool:
         """Whether it changes the nominal orientation."""
-        return bool(self.boresight_mrad or self.lever_arm_m)
+        return bool(self.boresight_mrad)
 
     def called(self) -> str:
         """What reports call it."""
@@ -287,18 +284,16 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if self.sharing == "fixed" and unknown:
             raise InputError(where, 'sigmas of a mounting with sharing = "fixed"', "none", '"campaign" or "pass"')
         if self.sharing == "fixed" and not self.stated:
-            raise InputError(where, "a fixed mounting without angles and arms", "boresight_mrad or lever_arm_m")
+            raise InputError(where, "a fixed mounting without angles", "boresight_mrad")
         if self.sharing != "fixed" and not unknown:
             expected = "boresight_sigma_mrad or lever_arm_sigma_m"
             raise InputError(where, "an unknown mounting without a sigma", expected, 'or sharing = "fixed"')
         if self.laser and self.stated:
-            raise InputError(where, "stated angles or arms of the laser", "those of a camera", "take them out")
-        # half a turn, and what no spacecraft reaches
-        for key, most in (("boresight_mrad", 1e3 * np.pi), ("lever_arm_m", 1e4)):
-            values = getattr(self, key)
-            if values and (len(values) != 3 or not np.all(np.abs(values) <= most)):
-                expected = f"three numbers up to {most:g}, of the axes x, y, z"
-                raise InputError(f"{where}, {key}", f"{list(values)}", expected)
+            raise InputError(where, "stated angles of the laser", "those of a camera", "take them out")
+        values, most = self.boresight_mrad, 1e3 * np.pi  # half a turn
+        if values and (len(values) != 3 or not np.all(np.abs(values) <= most)):
+            expected = f"three numbers up to {most:g}, of the axes x, y, z"
+            raise InputError(f"{where}, boresight_mrad", f"{list(values)}", expected)
 
 
 def mounted_images(
@@ -356,26 +351,13 @@ def mounted(
 
 
 def _moved(image: PushbroomImage, entry: MountingInput, where: str) -> PushbroomImage:
-    """The image with its camera turned and moved as a mounting states it."""
-    turn = rotation.exponential(np.array(entry.boresight_mrad or np.zeros(3)) * MRAD).T
-    arm, path = np.array(entry.lever_arm_m or np.zeros(3)), image.trajectory
+    """The image with its camera turned as a mounting states it."""
+    turn, path = rotation.exponential(np.array(entry.boresight_mrad) * MRAD).T, image.trajectory
     if not isinstance(path, Trajectory | FixedTrajectory):
         found = f"image {image.name}, whose nominal orientation is polynomials"
-        raise InputError(where, found, "nominal = 'trajectory'", "take angles and arms out, and give sigmas")
+        raise InputError(where, found, "nominal = 'trajectory'", "take the angles out, and give sigmas")
     camera = replace(path.camera, constant=turn @ path.camera.constant)
-    position = _beside(path.position, camera, arm) if np.any(arm) else path.position
-    return replace(image, trajectory=replace(path, camera=camera, position=position))
-
-
-def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> PositionTable:
-    """Positions that are away from those of a table by an arm (3,) in m along the camera's axes."""
-    times = np.unique(np.concatenate([position.times, camera.times]))
-    times = times[(times >= position.times[0]) & (times <= position.times[-1])]
-    places, velocities = position.at(times)
-    matrix, rate = camera.at(np.clip(times, *camera.times[[0, -1]]))
-    to_table = np.swapaxes(matrix, 1, 2)
-    moving = to_table @ np.cross(rate, arm)[:, :, None]
-    return PositionTable(times, places + to_table @ arm, velocities + moving[:, :, 0])
+    return replace(image, trajectory=replace(path, camera=camera))
 
 
 def mounting_unknowns(
@@ -396,16 +378,13 @@ def mounting_unknowns(
     Raises
     ------
     InputError
-        For images of one camera that their tables have mounted otherwise in a pass; for a stated lever arm of an image
-        that carries laser ranges.
+        For images of one camera that their tables have mounted otherwise in a pass.
     """
     found = list[SharedUnknown]()
     for k, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
         where = f"{path}, mountings[{k}]"
         if not entry.laser:
             _require_one_camera(network, mine, where)
-        if any(entry.lever_arm_m):
-            _require_no_ranges(network, mine, where)
         if entry.sharing == "fixed":
             continue
         for after, images in _sharing(entry, mine, network):
@@ -420,16 +399,6 @@ def mounting_unknowns(
                     with errors_from(where):
                         found.append(SharedUnknown(name, kind, np.array(images), sigmas))
     return tuple(found)
-
-
-def _require_no_ranges(network: Network, mine: Sequence[int], where: str) -> None:
-    """Raise InputError for an arm of an image that carries ranges: the laser begins where its trajectory is, which the
-    arm has moved for the camera.
-    """
-    for j in np.intersect1d(network.ranges.image, mine)[:1].tolist():
-        found = f"a stated arm of image {network.images[j].name}, whose trajectory is the origin of laser ranges"
-        remedy = "lever_arm_sigma_m instead, which leaves ranges as they are, or a correction of its tables"
-        raise InputError(f"{where}, lever_arm_m", found, "images without ranges", remedy)
 
 
 _KINDS = {

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
+from mgsgraph.case.assembly import Parts, in_images, joined, window_beside, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
 from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of
@@ -68,7 +68,7 @@ class Case(Record):
     settings: SolverSettings
     """How to solve it."""
     ties: TiePoints | None = None
-    """Tie points of all control networks, those of the same id made one, a sigma for every measure."""
+    """Tie points of all control networks, a sigma for every measure."""
     profiles: tuple[AltimeterShots, ...] = ()
     """Shots of each profile that take part."""
     pictures: tuple[Path | None, ...] = ()
@@ -304,7 +304,7 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints
         parts.require_measures(group)
         groups.append(group)
         notes += [left_out] if left_out else []
-    return merged(groups) if groups else None, notes
+    return joined(groups) if groups else None, notes
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
@@ -323,7 +323,7 @@ def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterSh
 
 def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
     """Shots of a profile as a case states it."""
-    return read_shots(folder / entry.file, entry.clock_bias_s, entry.version)
+    return read_shots(folder / entry.file, entry.clock_bias_s)
 
 
 def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> AltimetryCloud:
@@ -331,7 +331,7 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud
 
     path = folder / entry.file
-    cloud = read_altimetry_cloud(path, body, entry.version)
+    cloud = read_altimetry_cloud(path, body)
     if entry.footprint_m is not None:
         return replace(cloud, footprint=entry.footprint_m)
     if np.isnan(cloud.footprint):

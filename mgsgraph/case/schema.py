@@ -40,17 +40,16 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     file: str
     """Shots as their archive has them: MOLA PEDR (binary, PEDR2TAB table, CSV of the Orbital Data Explorer), LOLA RDR
-    (binary or CSV), MLA RDR (CSV), a PDS3 label of a table of shots, or a selection of `mgsgraph shots`."""
+    (binary, its label or CSV), or a selection of `mgsgraph shots`."""
     image: str | None = None
     """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
     range_sigma_m: Sigma | None = None
-    """Sigma of the ranges; that of the altimeter when absent: MOLA 10, LOLA 1, LALT 5, MLA 1."""
+    """Sigma of the ranges; that of the altimeter when absent: MOLA 10, LOLA 1, LALT 5."""
     pulse_share: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.1
     """What ranges and footprints err more, as a share of the echo's standard deviation, which a binary PEDR has; 0:
     none."""
     ground_sigma_m: Sigma | None = None
-    """Sigma of each footprint in each direction; that of the altimeter when absent: MOLA 10, LOLA 20, LALT 50; of MLA
-    none is published."""
+    """Sigma of each footprint in each direction; that of the altimeter when absent: MOLA 10, LOLA 20, LALT 50."""
     height_sigma_m: Sigma | None = None
     """Sigma of each footprint's height, where it is another one than `ground_sigma_m`."""
     shift_sigma_m: Sigma | None = None
@@ -69,8 +68,6 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Use the ranges."""
     check_every: Annotated[int, msgspec.Meta(ge=2)] | None = None
     """Keep every so many-th shot that could be used out of the adjustment, as a check point (`mgsgraph dem`)."""
-    version: str | None = None
-    """PEDR version letter, where the file's name doesn't say."""
     clock_bias_s: float = 0.0
     """Added to the shots' times."""
 
@@ -99,12 +96,9 @@ class AltimetryInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     drift_sigma_m: Sigma | None = None
     """Sigma of each profile's drift: the height at its ends, linear along the track; absent: none."""
     footprint_m: Positive | None = None
-    """Diameter of the laser's spot on the ground; when absent 168 for MOLA, 5 for LOLA, 40 for LALT, and for MLA
-    what its ranges say."""
+    """Diameter of the laser's spot on the ground; when absent 168 for MOLA, 5 for LOLA, 40 for LALT."""
     margin_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] = 500.0
     """Shots are taken that lie in an image or so many pixels beside it."""
-    version: str | None = None
-    """PEDR version letter, where the file's name doesn't say."""
 
 
 _DEFAULTS = SolverSettings()
@@ -169,7 +163,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its pixels, for `match` and figures: GeoTIFF, ISIS cube, PDS image, VICAR, PNG, JPEG or MOC's
     formats; those that belong to its label when absent."""
     constants: Literal["iak", "ik"] = "iak"
-    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA, HRSC, Kaguya TC)."""
+    """Camera constants of the ISIS addendum, or of NAIF's instrument kernel alone (MOC-NA)."""
     focal_length_m: Positive | None = None
     """Focal length; the kernels' when absent."""
     attitude_bias_s: float | None = None
@@ -194,7 +188,7 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Tie points: a control network."""
 
     network: str
-    """ISIS control network (.pvl, .net) or table (.csv, .parquet); measures in images that the case doesn't hold are
+    """ISIS control network (.pvl, .net) or table (.csv); measures in images that the case doesn't hold are
     left out."""
     sigma_px: Sigma = 1.0
     """Sigma of line and sample where neither the network nor the image ([[images]], measure_sigma_px) says."""

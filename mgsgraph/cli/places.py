@@ -108,15 +108,14 @@ def project(
 @click.option("--off-nadir", type=float, metavar="DEG", help="No shots farther off nadir, nor where it is not known.")
 @click.option("--margin", type=click.FloatRange(0.0), default=0.0, help="Pixels a shot may lie beside an image.")
 @click.option("--along", is_flag=True, help="Shots alone that were fired while an image was taken in which they fall.")
-@click.option("--version", metavar="LETTER", help="Of a PEDR product, where its name doesn't say.")
 @click.option("--out", type=PATH, metavar="CSV", help="File for the selection, which a case takes as [[shots]] file.")
 def shots(
     files: tuple[Path, ...], case: Path, names: tuple[str, ...], dates: tuple[str, str] | None, quality: str,
-    off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
+    off_nadir: float | None, margin: float, along: bool, out: Path | None,
 ) -> None:
     """Find the laser shots of FILES that fall in images, profile by profile, and those taken along with an image.
 
-    FILES are of one altimeter: MOLA PEDR, LOLA RDR, MLA RDR, Kaguya LALT, or earlier selections. Footprints are
+    FILES are of one altimeter: MOLA PEDR, LOLA RDR, or earlier selections. Footprints are
     projected with the nominal orientation of CASE, or the adjusted one of RESULT: an image whose orientation is 300 m
     off finds its shots 300 m off.
 
@@ -129,7 +128,7 @@ def shots(
 
     if out is not None:
         require_free(out, SELECTION)
-    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
+    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along)
     seen = oriented_images(case, names)
     over = search_shots(files, seen, choice)
     print_sentences([seen.warning] if seen.warning else [])

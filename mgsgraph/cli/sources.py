@@ -132,44 +132,29 @@ def simulate(
     "--terrain", type=click.Choice(["4", "16", "128", "none"]), default="16", show_default=True,
     help="MOLA's grids, pixels per degree: 4 (4 MB), 16 (66 MB), 128 (260 MB for each tile).",
 )  # fmt: skip
-@click.option(
-    "--shots", "altimeter", type=click.Choice(["mola", "lola"]), help="No images: an altimeter's shots in --box (ODE)."
-)
-@click.option(
-    "--box", type=(float, float, float, float), metavar="W E S N",
-    help="Degrees: longitudes east, planetocentric latitudes.",
-)  # fmt: skip
 @click.option("--volume", "volumes", multiple=True, metavar="mgsc_NNNN", help="Where the images are; may be repeated.")
 @click.option(
     "--mirror", metavar="URL|FILE", envvar="MGSGRAPH_MIRRORS",
     help="All archives below one address (URL/images/, URL/kernels/ ...), or a TOML file with single ones' addresses.",
 )  # fmt: skip
 def fetch(
-    images: tuple[str, ...], out: Path | None, terrain: str, altimeter: str | None,
-    box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None,
+    images: tuple[str, ...], out: Path | None, terrain: str, volumes: tuple[str, ...], mirror: str | None
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
     (E02/00665, e0200665), CTX (B10_013341_1010_XN_79S172W), LROC NAC (M103595705LE) or HRSC (h5270_0000_ir2), those of
     one mission in a folder, with their kernels and the laser shots about them.
 
-    What has come is locked by size and SHA-256: the same command again brings only what is missing or differs, and an
-    interrupted download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is
+    What has come is locked by size and SHA-256: the same command again brings only what is missing or differs. Exit
+    status: 0, 2 for bad input or an archive that can't give what is
     needed, 130 interrupted.
     """
     if out is None:
         raise click.UsageError(_OUT_MISSING)
-    if (altimeter is None) != (box is None) or (altimeter is not None and images):
-        raise click.UsageError("--shots and --box go together, without images")
     from mgsgraph.cli.progress import counting_bar, passing_word
-    from mgsgraph.fetch.folder import fetch_images, fetch_shots
+    from mgsgraph.fetch.folder import fetch_images
     from mgsgraph.fetch.needs import Archives
 
     archives = Archives.chosen(mirror)
-    if altimeter is not None and box is not None:
-        with _resumable(), counting_bar("fetching", "B") as show:
-            table = fetch_shots(altimeter, box, out, archives=archives, progress=show, say=passing_word)
-        click.echo(f"The shots are in {table}")
-        return
     with _resumable(), counting_bar("fetching", "B") as show:
         fetched = fetch_images(
             images, out, terrain=terrain, archives=archives, volumes=volumes, progress=show, say=passing_word

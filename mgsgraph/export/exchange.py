@@ -1,4 +1,4 @@
-"""Networks from one program to another: read in any format, united, split and thinned, written in any, and what gets
+"""Networks from one program to another: read in any format, united and split, written in any, and what gets
 lost on the way said. Of files of a network's name those alone are replaced that are networks by their content.
 """
 
@@ -24,7 +24,6 @@ from mgsgraph.files.networks.asp_match import (
     match_files,
     prefix_of,
     read_match,
-    read_match_text,
 )
 from mgsgraph.files.networks.asp_match import images_of as named_images
 from mgsgraph.files.networks.asp_text import (
@@ -37,14 +36,14 @@ from mgsgraph.files.networks.asp_text import (
     read_offsets,
 )
 from mgsgraph.files.networks.binary import binary_network, read_network
-from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
+from mgsgraph.files.networks.editing import images_of, in_images, united, used_images
 from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
     ControlNetwork,
     ControlPoint,
     Duplicates,
 )
-from mgsgraph.files.networks.table import read_table, table_parquet, table_text
+from mgsgraph.files.networks.table import read_table, table_text
 from mgsgraph.files.writing import Output, begins, fresh_file, require_free
 from mgsgraph.network.connectivity import groups
 from mgsgraph.record import Record
@@ -52,11 +51,9 @@ from mgsgraph.text import many, some
 
 Paths = str | Path | Iterable[str | Path]
 """One file or several."""
-_ENDINGS = {f".{form}": form for form in Format if form != Format.MATCH_TEXT} | {".txt": Format.MATCH_TEXT}
+_ENDINGS = {f".{form}": form for form in Format}
 _EDGE = 0.5
 """ISIS's count of an image's first edge; the last one is at its lines and samples and as much."""
-_MATCHES = (Format.MATCH, Format.MATCH_TEXT)
-_TABLES = (Format.CSV, Format.PARQUET)
 _ELSEWHERE = "name another file; or say --replace"
 
 
@@ -81,8 +78,6 @@ class Selection:
     """What becomes of points that several files have."""
     images: tuple[str, ...] = ()
     """Names or patterns of images to keep; all when empty."""
-    cells: int | None = None
-    """In every image, by which points are thinned; None leaves all."""
     split: bool = False
     """Whether parts that are connected get files of their own."""
 
@@ -140,7 +135,7 @@ def read_networks(
     """
     setting = setting or ExchangeSetting()
     forms = [(path, format_of(path, named)) for path in _listed(paths)]
-    matches = [_match(path, form, setting) for path, form in forms if form in _MATCHES]
+    matches = [_match(path, setting) for path, form in forms if form == Format.MATCH]
     networks, notes = list[ControlNetwork](), list[str]()
     if matches:
         tracks = joined(matches)
@@ -151,7 +146,7 @@ def read_networks(
         if setting.prefix is None and not setting.old_names():
             names = dict.fromkeys(name for one in matches for name in one.images)
             notes.append(f"Images, by the names of the match files: {some(list(names), len(names))}")
-    networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
+    networks += [_read(path, form, setting) for path, form in forms if form != Format.MATCH]
     require_one_body(networks, setting)
     notes += _other_heads(networks)
     merged = _merged(networks, duplicates, notes)
@@ -195,12 +190,12 @@ def _listed(paths: Paths) -> list[Path]:
     return found
 
 
-def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
+def _match(path: Path, setting: ExchangeSetting) -> MatchFile:
     """One match file; its images by the names that are known, unless a prefix is."""
     if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
         raise InputError(str(path), "no such file", remedy="check the path")
     known = () if setting.prefix is not None else setting.old_names()
-    return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, known, setting.prefix))
+    return read_match(path, named_images(path, known, setting.prefix))
 
 
 def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
@@ -210,7 +205,7 @@ def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
         return read_ground_control_network(path, setting.ellipsoid)
     if form == Format.NVM:
         return read_nvm(path, half_sizes(setting.old_sizes()), setting.shifted)
-    return read_table(path, setting.ellipsoid) if form in _TABLES else read_network(path)
+    return read_table(path, setting.ellipsoid) if form == Format.CSV else read_network(path)
 
 
 def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: list[str]) -> ControlNetwork:
@@ -254,8 +249,8 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
 
 def contents(network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting) -> dict[Path, bytes]:
     """Contents of the files that a network becomes, by their paths; InputError where it can't."""
-    if form in _MATCHES:
-        return match_files(network, prefix_of(output, images_of(network)), form == Format.MATCH_TEXT)
+    if form == Format.MATCH:
+        return match_files(network, prefix_of(output, images_of(network)))
     if form == Format.GCP:
         return {output: ground_control_text(network, ellipsoid_of(network, output, setting)).encode()}
     if form == Format.NVM:
@@ -263,8 +258,6 @@ def contents(network: ControlNetwork, output: Path, form: Format, setting: Excha
         return nvm_files(network, output, centres)
     if form == Format.CSV:
         return {output: table_text(network).encode()}
-    if form == Format.PARQUET:
-        return {output: table_parquet(network)}
     complete = with_head(network, output, setting)
     return {output: binary_network(complete) if form == Format.NET else network_text(complete).encode()}
 
@@ -322,7 +315,7 @@ def convert(
         remedy = "name what is written last; or say --replace"
         raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
     network, notes = read_networks(paths, setting, read_as, selection.duplicates)
-    network, said = _chosen(network, selection, setting)
+    network, said = in_images(network, selection.images) if selection.images else (network, [])
     files, more = _files(network, output, form, setting, selection.split)
     lost = losses(network, form)
     _require_others(paths, files)
@@ -332,19 +325,6 @@ def convert(
         raise Lossy(output, lost)
     _write(files)
     return Conversion(network, tuple(files), (*notes, *said, *more), tuple(lost))
-
-
-def _chosen(
-    network: ControlNetwork, selection: Selection, setting: ExchangeSetting
-) -> tuple[ControlNetwork, list[str]]:
-    """What is to be written of a network, and sentences about the rest."""
-    said = list[str]()
-    if selection.images:
-        network, said = in_images(network, selection.images)
-    if selection.cells is not None:
-        network, more = thinned(network, selection.cells, setting.sizes)
-        said += more
-    return network, said
 
 
 def _files(
@@ -410,7 +390,7 @@ def earlier_network(form: Format, path: Path) -> Output:
             return begins("an ISIS control network as PVL", r"\s*Object\s*=\s*ControlNetwork\b")
         case Format.NET:
             return begins("an ISIS control network (binary)", r"\s*Object\s*=\s*ProtoBuffer\b")
-        case Format.CSV | Format.PARQUET:
+        case Format.CSV:
             return Output("a table of tie points", lambda path: kind_of(path) is Kind.TIE_TABLE)
         case Format.GCP:
             return begins("ground control points of mgsgraph convert", "# id latitude longitude height sigma_x")
@@ -420,8 +400,6 @@ def earlier_network(form: Format, path: Path) -> Output:
             return begins(_NVM, "NVM_V3")
         case Format.MATCH:
             return Output("a match file of the Ames Stereo Pipeline", _read_by(lambda path: read_match(path, _PAIR)))
-        case Format.MATCH_TEXT:
-            return Output("a match file in text", _read_by(lambda path: read_match_text(path, _PAIR)))
 
 
 def _read_by(read: Callable[[Path], object]) -> Callable[[Path], bool]:

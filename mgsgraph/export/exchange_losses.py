@@ -27,10 +27,9 @@ from mgsgraph.files.networks.record import (
 )
 from mgsgraph.text import listed, many
 
-_TABLES = (Format.CSV, Format.PARQUET)
 _ALL = frozenset(PointType)
 _TAKEN = {
-    Format.MATCH: (frozenset({PointType.FREE}), 2), Format.MATCH_TEXT: (frozenset({PointType.FREE}), 2),
+    Format.MATCH: (frozenset({PointType.FREE}), 2),
     Format.GCP: (_ALL - {PointType.FREE}, 0), Format.NVM: (_ALL, 2),
 }  # fmt: skip
 """Types of points that a format takes, and by how many images they must be seen; ignored ones are left out."""
@@ -55,11 +54,9 @@ _OF_MEASURE = _KEYWORDS | {
     "apriori_sample": "AprioriSample", "apriori_line": "AprioriLine", "sample_sigma": "SampleSigma",
     "line_sigma": "LineSigma",
 }  # fmt: skip
-_OF_TABLE = {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"}
 _HELD = {
-    Format.CSV: _OF_TABLE, Format.PARQUET: _OF_TABLE,
+    Format.CSV: {"ignore", "reference", "apriori", "apriori_covariance", "sample_sigma", "line_sigma"},
     Format.MATCH: {"sample_sigma", "line_sigma"},
-    Format.MATCH_TEXT: {"sample_sigma", "line_sigma"},
     Format.GCP: {"apriori", "apriori_covariance", "sample_sigma", "line_sigma"},
     Format.NVM: {"apriori", "adjusted"},
 }
@@ -81,7 +78,7 @@ def losses(network: ControlNetwork, form: Format) -> list[str]:
     measures = [measure for point in taken for measure in _measures(point, form)]
     lines += _fields(taken, _OF_POINT, _HELD[form], "point") + _fields(measures, _OF_MEASURE, _HELD[form], "measure")
     lines += _figures(measures)
-    if form in _TABLES:
+    if form == Format.CSV:
         return lines + _of_table(network)
     lines += _line("MeasureType of {}", sum(one.type != MeasureType.CANDIDATE for one in measures), "measure")
     rows = measures_of(network, *_TAKEN[form])
@@ -99,7 +96,7 @@ def _taken(network: ControlNetwork, form: Format) -> list[ControlPoint]:
 
 
 def _measures(point: ControlPoint, form: Format) -> list[ControlMeasure]:
-    return [measure for measure in point.measures if form in _TABLES or not measure.ignore]
+    return [measure for measure in point.measures if form == Format.CSV or not measure.ignore]
 
 
 def _left_out(network: ControlNetwork, form: Format) -> list[str]:

@@ -5,20 +5,16 @@ from the byte where it broke off; any byte more begins the count of tries anew. 
 server that ignores Range, means to begin anew. All else (404, an endless redirect, a certificate) is an error at once.
 Redirects lead to http and https, not from https to http.
 
-What has come in part is in NAME.part, and beside it NAME.part.json has what the archive said of the whole. Whatever
-lies at these two, no link is followed, and no file is taken up or written to that has another name, too.
+What has come in part is in NAME.part, which ends with the command: another one brings the file anew.
 """
 
 import errno
-import json
-import os
 import re
 import shutil
-import stat
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -26,7 +22,7 @@ from urllib.parse import urljoin
 
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.needs import require_address
-from mgsgraph.files.opening import ANY_SIZE, read_json
+from mgsgraph.files.opening import ANY_SIZE
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
@@ -52,43 +48,18 @@ _LONGEST_PAGE = 1 << 22
 """bytes of a listing that are looked at."""
 _SPARE = 1 << 20
 """bytes that stay free on the disk."""
-_LONGEST = 1 << 16
-"""bytes of NAME.part.json."""
-
-
-def _is_own(path: Path) -> bool:
-    """Whether a file is there, no link to one, and under this name alone."""
-    try:
-        about = path.lstat()
-    except OSError:
-        return False
-    return stat.S_ISREG(about.st_mode) and about.st_nlink == 1
-
-
-def _write(path: Path, how: int, content: bytes) -> None:
-    """Write to a file that is new, or appended to, and not reached by a link."""
-    flags = os.O_WRONLY | how | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-    with open(os.open(path, flags, 0o666), "wb") as file:
-        file.write(content)
 
 
 @dataclass(frozen=True, slots=True)
 class RemoteSource:
     """What an archive says of a file."""
 
-    url: str
     total: int | None
     """bytes; None where it doesn't say."""
     etag: str
     """Its ETag; empty where there is none."""
     modified: str
     """Its Last-Modified; empty where there is none."""
-
-    @property
-    def sound(self) -> bool:
-        """Whether its values are of the kinds that they should be: it may have been read from a file."""
-        texts = all(isinstance(one, str) for one in (self.url, self.etag, self.modified))
-        return texts and (self.total is None or (type(self.total) is int and self.total >= 0))
 
     @property
     def validator(self) -> str:
@@ -104,30 +75,13 @@ class RemoteSource:
 
 
 class PartialFile:
-    """Grows to the file at `path`; what is there of an earlier attempt is taken up where the archive's content can be
-    known again.
-    """
+    """Grows to the file at `path`, by several attempts where the archive's content can be known again."""
 
-    def __init__(self, path: Path, url: str) -> None:
+    def __init__(self, path: Path) -> None:
         self.path, self.file = path, path.with_name(f"{path.name}.part")
-        self._said = path.with_name(f"{path.name}.part.json")
         self.source: RemoteSource | None = None
-        self._take_up(url)
-
-    def _take_up(self, url: str) -> None:
-        if not _is_own(self._said) or not _is_own(self.file):
-            return
-        try:
-            source = RemoteSource(**read_json(self._said, limit=_LONGEST))
-        except (InputError, TypeError):  # no part, or one that says nothing
-            return
-        if source.sound and source.url == url and self.size > 0:
-            self.source = source
-
-    @property
-    def size(self) -> int:
+        self.size = 0
         """Bytes that are there."""
-        return self.file.lstat().st_size if _is_own(self.file) else 0
 
     @property
     def whole(self) -> bool:
@@ -150,40 +104,37 @@ class PartialFile:
                     str(self.path), f"{free / 1e6:.1f} MB free on the disk", f"{source.total / 1e6:.1f} MB for it",
                     "free some space, or choose another --out",
                 )
-            for path, content in ((self.file, b""), (self._said, json.dumps(asdict(source)).encode())):
-                path.unlink(missing_ok=True)
-                _write(path, os.O_CREAT | os.O_EXCL, content)
+            self.file.unlink(missing_ok=True)
+            self.file.touch(exist_ok=False)  # new, so that no link is written through
         except OSError as error:
             raise self._refusal(error) from None
-        self.source = source
+        self.source, self.size = source, 0
 
     def add(self, more: bytes) -> None:
         """Bytes that follow on those that are there."""
         try:
-            _write(self.file, os.O_APPEND, more)
+            with self.file.open("ab") as file:
+                file.write(more)
         except OSError as error:
             raise self._refusal(error) from None
+        self.size += len(more)
 
     def finish(self) -> None:
         """Let it take the file's place."""
         try:
             self.file.replace(self.path)
-            self._said.unlink(missing_ok=True)
         except OSError as error:
             raise self._refusal(error) from None
 
     def discard(self) -> None:
         """Forget what is there."""
-        self.source = None
-        try:
+        self.source, self.size = None, 0
+        with suppress(OSError):
             self.file.unlink(missing_ok=True)
-            self._said.unlink(missing_ok=True)
-        except OSError as error:
-            raise self._refusal(error) from None
 
     def _refusal(self, error: OSError) -> InputError:
         space = "free some space, or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        remedy = f"{space}choose another --out; what has come is kept"
+        remedy = f"{space}choose another --out; files that have come are kept"
         return InputError(str(self.path), f"can't be written ({error.strerror or error})", remedy=remedy)
 
 
@@ -241,9 +192,7 @@ class Remote:
             session.close()
 
     def stop(self) -> None:
-        """Let all that is under way in other threads end with Stopped, at once even where no bytes come; what has come
-        is kept.
-        """
+        """Let all that is under way in other threads end with Stopped, at once even where no bytes come."""
         self._stop.set()
         for answer in tuple(self._open):
             with suppress(OSError, ValueError, RuntimeError):  # has ended meanwhile, or its connection is free again
@@ -280,9 +229,9 @@ class Remote:
         ----------
         url : str
         path : Path
-            Where to; its folder is made. What has come lies beside it as NAME.part until it is whole.
+            Where to; its folder is made. What has come lies beside it as NAME.part.
         check : callable
-            Looks at the whole NAME.part; what it raises ends the download, and the part is forgotten.
+            Looks at the whole NAME.part; what it raises ends the download.
         limit : int
             bytes that the file may have, announced or not.
         progress : callable
@@ -293,14 +242,15 @@ class Remote:
         InputError
             NotInArchive where there is no such file; everything else, one line.
         """
-        part = PartialFile(path, url)
-        self._persist(url, lambda: self._attempt(url, part, limit, progress), lambda: part.size)
+        part = PartialFile(path)
         try:
-            check(part.file)
-        except InputError as error:
+            self._persist(url, lambda: self._attempt(url, part, limit, progress), lambda: part.size)
+            with _said_of(url):
+                check(part.file)
+            part.finish()
+        except BaseException:
             part.discard()
-            raise InputError(url, error.found, error.expected, error.remedy or _ELSEWHERE) from None
-        part.finish()
+            raise
 
     # --- one try
 
@@ -310,7 +260,7 @@ class Remote:
                 return
             part.discard()
         with self._answer(url, part.wanted()) as answer:
-            said = _source(url, answer)
+            said = _source(answer)
             if answer.status_code == _NOTHING_MORE:
                 part.discard()
                 raise _Trouble("it is shorter than was announced before")
@@ -407,7 +357,7 @@ class Remote:
 
     def _wait(self, url: str, trouble: _Trouble, failures: int) -> None:
         retry = self._retry
-        remedy = "the same command goes on where it was: try later, or another mirror"
+        remedy = "the same command brings what is missing: try later, or another mirror"
         if failures >= retry.tries:
             raise InputError(url, f"{trouble.found}, {failures} times in a row", remedy=remedy)
         if trouble.after > retry.longest_wait:
@@ -427,6 +377,15 @@ def _require_requests() -> None:
         raise InputError("fetch", found, remedy=remedy) from None
 
 
+@contextmanager
+def _said_of(url: str) -> Iterator[None]:
+    """What is wrong with a file that has come is said with its address."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(url, error.found, error.expected, error.remedy or _ELSEWHERE) from None
+
+
 def _too_long(url: str, found: str, limit: int) -> InputError:
     return InputError(url, f"a file of {found}", f"at most {limit / 1e6:.0f} MB of one of its kind", _ELSEWHERE)
 
@@ -444,13 +403,13 @@ def _require_content(url: str, answer: "requests.Response") -> None:
         raise InputError(url, f"sent as {answer.headers['Content-Encoding']}", "the file as it is", _ELSEWHERE)
 
 
-def _source(url: str, answer: "requests.Response") -> RemoteSource:
+def _source(answer: "requests.Response") -> RemoteSource:
     """What the answer says of the whole file."""
     headers = answer.headers
     length = headers.get("Content-Length", "")
     if answer.status_code == 206:  # bytes 10-99/100
         length = headers.get("Content-Range", "").rpartition("/")[2]
-    return RemoteSource(url, _count(length), headers.get("ETag", ""), headers.get("Last-Modified", ""))
+    return RemoteSource(_count(length), headers.get("ETag", ""), headers.get("Last-Modified", ""))
 
 
 def _pieces(answer: "requests.Response") -> Iterator[bytes]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from shlex import quote
 
 from mgsgraph.errors import InputError, printable
-from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import (
     CASE,
     META_KERNEL_HEAD,
@@ -22,7 +21,6 @@ from mgsgraph.fetch.needs import (
     Archives,
     ImageNeeds,
     Product,
-    WantedFile,
     grid_of,
     products_of,
     require_one_mission,
@@ -161,58 +159,6 @@ def fetch_images(
         store.mend()
         notes += [*store.notes, *_write_own(lock, CASE, case_text(needs, grid, folder))]
     return Fetched(folder, needs, store.brought, len(lock.files) - len(store.brought), tuple(notes))
-
-
-DATA_SETS = {"mola": "molapedr", "lola": "lolardr"}
-"""What ODE calls the shots of altimeters."""
-
-
-def fetch_shots(
-    altimeter: str,
-    box: tuple[float, float, float, float],
-    out: str | Path,
-    *,
-    archives: Archives | None = None,
-    retry: RetryPolicy | None = None,
-    progress: Progress = no_progress,
-    say: Callable[[str], None] = no_progress,
-) -> Path:
-    """Fetch the table of an altimeter's shots in a box, which the Orbital Data Explorer makes; see `fetch_images`.
-
-    Parameters
-    ----------
-    altimeter : str
-        "mola" or "lola".
-    box : 4 numbers
-        deg: western and eastern longitude (east), least and largest planetocentric latitude.
-
-    Returns
-    -------
-    Path
-        The table, in shots/.
-
-    Raises
-    ------
-    InputError
-        A box that is none, or without shots; anything that can go wrong on the way.
-    """
-    folder, archives = Path(out), archives or Archives()
-    west, east, south, north = box
-    if altimeter not in DATA_SETS:
-        raise InputError("altimeter", repr(altimeter), f"one of {', '.join(DATA_SETS)}")
-    if not (-90.0 <= south < north <= 90.0 and -180.0 <= west < east <= 360.0):
-        raise InputError("box", f"{west:g} {east:g} {south:g} {north:g}", "west < east, south < north, in degrees")
-    name = f"shots/{altimeter}_{west:g}_{east:g}_{south:g}_{north:g}_pts_csv.csv".replace("-", "m")
-    with _opened(folder, retry, say, progress) as store:
-        lock = store.lock
-        if not lock.whole(name):
-            found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
-            if not found:
-                raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
-            if name in lock.files:  # ODE makes another table each time it is asked
-                del lock.files[name]
-            store.get(WantedFile(archives.ode + found, name))
-        return store.path(name)
 
 
 @contextmanager

@@ -8,8 +8,8 @@ a-priori places and of their uncertainties mean.
 import csv
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import FARTHEST
-from mgsgraph.files.opening import LARGEST_NUMBER, finite_number, read_text
+from mgsgraph.files.opening import LARGEST_NUMBER, finite_number
 from mgsgraph.geometry.body import (
     Ellipsoid,
     distances,
@@ -43,34 +43,6 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
-    """The columns of a table, CSV or Parquet."""
-
-    path: Path
-    header: str
-    """Place of the names in the file: "line 1"."""
-    row: str
-    """What the file calls a row: "line"."""
-    numbers: Index
-    """(n,) number of each row in the file."""
-    values: Mapping[str, pa.Array]
-    """By the names of the columns, (n) each: texts without blanks around them, empty ones for nothing."""
-
-    def where(self, row: int) -> str:
-        """File, and line or row."""
-        return f"{self.path}, {self.row} {self.numbers[row]}"
-
-    def filled(self, name: str) -> Mask:
-        """Which cells (n,) of a column hold anything."""
-        return np.asarray(pc.not_equal(self.values[name], ""))
-
-    def chosen(self, rows: Index) -> "Columns":
-        """Some of the rows, by their numbers from 0."""
-        values = {name: column.take(pa.array(rows)) for name, column in self.values.items()}
-        return replace(self, numbers=self.numbers[rows], values=values)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class CsvText:
     """Rows of a table in CSV, of which columns are read when they are asked for."""
 
@@ -83,8 +55,6 @@ class CsvText:
     """(n,) number of each row's line in the file."""
     body: bytes
     """The rows, in UTF-8."""
-    with_commas: bool = True
-    """Whether there were commas in the file, not blanks."""
 
     def __len__(self) -> int:
         return self.numbers.size
@@ -177,10 +147,9 @@ def csv_text(text: str, path: Path, numbers: Index | None = None) -> CsvText:
     return CsvText(path, header, names, numbers[1:], body.encode())
 
 
-def csv_columns(path: Path) -> Columns:
-    """All columns of a table in CSV as texts; see `csv_text`."""
-    table = csv_text(read_text(path), path)
-    return Columns(path, table.header, "line", table.numbers, table.texts(*table.names))
+def filled(column: pa.Array) -> Mask:
+    """Which cells (n,) of a column of texts hold anything."""
+    return np.asarray(pc.not_equal(column, ""))
 
 
 def _fields(line: str, where: str) -> list[str]:
@@ -247,8 +216,6 @@ OF_POINT = ("type", "point_ignore", *dict.fromkeys(name for group in (*PLACES, *
 OF_MEASURE = (*ISIS, *OURS, "sigma_line_px", "sigma_sample_px", "measure_type", "ignore", "reference")
 """Columns that are of the measure, besides its image."""
 COLUMNS = ("id", "image", *OF_POINT, *OF_MEASURE)
-TEXTS, TRUTHS = ("id", "image", "type", "measure_type"), ("point_ignore", "ignore", "reference")
-"""Columns of words, and of truth values; all others are numbers."""
 _MEANT = {
     **dict.fromkeys(("product", "product_id", "serial_number", "serialnumber", "camera", "picture", "scene"), "image"),
     **dict.fromkeys(("point", "point_id", "pointid", "name", "number"), "id"),

@@ -17,7 +17,6 @@ from mgsgraph.files.altimetry.tables import LOLA_ROW, is_archive
 from mgsgraph.files.cameras.label import label_of
 from mgsgraph.files.csv_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.files.labels.isis_cube import has_tables, is_cube_json, serial_number
-from mgsgraph.files.networks.table import MAGIC, parquet_names
 from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
 from mgsgraph.files.pvl import label_text, read_label
 from mgsgraph.files.support_data.isd_layout import MODEL
@@ -94,9 +93,6 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
     yield Kind.NETWORK if begin else None
     yield Kind.MODEL_STATE if text.startswith(MODEL) else None
     yield _json(path) if text.startswith("{") else None
-    if head.startswith(MAGIC):
-        yield Kind.TIE_TABLE if {"id", "image"} <= set(parquet_names(path)) else None
-        return
     if b"\0" in head:
         yield _shots(head, path)
         return

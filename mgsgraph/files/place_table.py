@@ -21,11 +21,12 @@ from mgsgraph.files.csv_columns import (
     OURS,
     PLACES,
     PLANETOCENTRIC,
-    csv_columns,
+    csv_text,
     measured,
     on_body,
     require_degrees,
 )
+from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.body import Ellipsoid, require_near
 from mgsgraph.geometry.records import Array, frozen
 from mgsgraph.units import DEG, ISIS_OFFSET
@@ -92,8 +93,9 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
         With file, line and column: a header without places, or with both and nothing said; a row of another length
         than the header; what is no number; a longitude beyond a whole turn; a latitude beyond a pole.
     """
-    table = csv_columns(path)
-    names = {name.lower(): name for name in table.values}
+    table = csv_text(read_text(path), path)
+    values = table.texts(*table.names)
+    names = {name.lower(): name for name in table.names}
     for name in filter(_DISTANCE.fullmatch, names):  # else it would be kept beside the places, as of the surface
         expected = f"{GEODETIC[2]} or {PLANETOCENTRIC[2]}, in metres"
         raise InputError(f"{path}, {table.header}", f"the column {name!r}", expected, "rename it, and mend its unit")
@@ -103,35 +105,32 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
         remedy = "--into image takes its ground places, --into ground its image places"
         raise InputError(f"{path}, {table.header}", "image places and ground places", "one of them", remedy)
     if not (pixel if sort == "image" else ground if sort == "ground" else pixel or ground):
-        raise InputError(f"{path}, {table.header}", f"the columns {', '.join(table.values)[:80]}", _WANTED)
-    if not table.numbers.size:
+        raise InputError(f"{path}, {table.header}", f"the columns {', '.join(table.names)[:80]}", _WANTED)
+    if not len(table):
         raise InputError(str(path), "a header alone", "places below it")
-
-    def where(row: int, name: str) -> str:
-        return f"{table.where(row)}, {name}"
 
     def numbers(*wanted: str) -> Array:
         """(n, k) numbers; NaN in a row that has none of them, as places have that were projected and not found."""
-        columns = [measured(table.values[names[name]], partial(where, name=name)) for name in wanted]
+        columns = [measured(values[names[name]], partial(table.where, name=name)) for name in wanted]
         missing = np.isnan(np.column_stack(columns))
         for row, column in np.argwhere(missing & ~np.all(missing, axis=1, keepdims=True))[:1].tolist():
-            raise InputError(where(row, wanted[column]), "nothing", "a finite number")
+            raise InputError(table.where(row, wanted[column]), "nothing", "a finite number")
         return np.column_stack(columns)
 
     isis = pixel == ISIS if pixel else None
-    columns = {name: column.to_pylist() for name, column in table.values.items()}
+    columns = {name: column.to_pylist() for name, column in values.items()}
     if sort == "image" or (sort is None and pixel):
         pixels = numbers(*pixel) - (ISIS_OFFSET if isis else 0.0)
         heights, radii = (numbers(name)[:, 0] if name in names else None for name in (GEODETIC[2], PLANETOCENTRIC[2]))
         if radii is not None:
             heights = None
-            require_near(radii, body, partial(where, name=PLANETOCENTRIC[2]))
+            require_near(radii, body, partial(table.where, name=PLANETOCENTRIC[2]))
         return PlaceTable(str(path), columns, "image", isis, pixels, heights, radii)
     given = numbers(*ground)
     if ground == _SURFACE:
-        require_degrees(ground, given, where)
+        require_degrees(ground, given, table.where)
         return PlaceTable(str(path), columns, "ground", isis, directions=given * DEG)
-    return PlaceTable(str(path), columns, "ground", isis, points=on_body(ground, given, body, where))
+    return PlaceTable(str(path), columns, "ground", isis, points=on_body(ground, given, body, table.where))
 
 
 def _texts(names: tuple[str, ...], places: Array) -> dict[str, list[str]]:

@@ -66,8 +66,6 @@ class Altimeter(Record):
     """Which returns don't count as ground."""
     sources: str
     """Of these figures."""
-    height_sphere: float = _UNKNOWN
-    """m, radius of the sphere above which tables with heights alone have them."""
     mission: tuple[float, float] = YEARS
     """s TDB past J2000, between which its spacecraft flew: from launch to loss."""
     reach: tuple[float, float] = (0.0, float("inf"))
@@ -96,17 +94,11 @@ LALT = Altimeter(
     "LALT", Ellipsoid(1737.4 * KM, 1737.4 * KM), 0.4 * MRAD, 40.0, 5.0, 50.0,
     "none: its table has ground returns",
     "spots 40 m, 0.4 mrad from 100 km: Tazawa et al. (2009); 5 m: Araki et al. (2008); orbits to 50 m: table 1 of "
-    "doi:10.1155/2018/5363797", 1737.4 * KM, _flight("2007-09-14", "2009-06-12"), (5.0 * KM, 500.0 * KM),
-)  # fmt: skip
-MLA = Altimeter(
-    "MLA", Ellipsoid(2439.4 * KM, 2439.4 * KM), 0.08 * MRAD, _UNKNOWN, 1.0, _UNKNOWN,
-    "channels above 4",
-    "0.08 mrad: PDS, instrument mess.mla; 2439.4 km: USGS, ode_csv2shapefile.py; channels: pyXover (steo85it)",
-    mission=_flight("2004-08-03", "2015-05-02"), reach=(5.0 * KM, 3000.0 * KM),
+    "doi:10.1155/2018/5363797", _flight("2007-09-14", "2009-06-12"), (5.0 * KM, 500.0 * KM),
 )  # fmt: skip
 ANY = Altimeter("an altimeter", None, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, "shots with ground = 0", "")
 """One of which the file says nothing."""
-ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT, MLA)}
+ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT)}
 """By name."""
 
 
@@ -332,10 +324,6 @@ class AltimeterShots(Record):
         names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
         some: dict[str, Any] = {name: read_only(getattr(self, name)[which]) for name in names}
         return replace(self, **some)
-
-    def moved(self, footprints: Array, spacecraft: Array) -> "AltimeterShots":
-        """The same shots with other places (n, 3) in m, body-fixed, of footprints and spacecraft."""
-        return replace(self, footprints=footprints, spacecraft=spacecraft)
 
     def profile(
         self,

@@ -126,6 +126,18 @@ def geojson(shape: Any) -> dict[str, Any] | None:
     return None if shape is None else dict(shapely.geometry.mapping(shape))
 
 
+def map_bounds(shape: Any) -> tuple[float, float, float, float]:
+    """West, south, east and north of a shape in degrees; west is larger than east where it crosses the date line
+    (RFC 7946, 5.2).
+    """
+    west, south, east, north = (float(edge) for edge in shapely.bounds(shape))
+    parts = shapely.bounds(shapely.get_parts(shape))
+    left, right = parts[parts[:, 0] == -_HALF_TURN], parts[parts[:, 2] == _HALF_TURN]
+    if len(left) and len(right) and len(left) + len(right) == len(parts) and not np.any(left[:, 2] == _HALF_TURN):
+        west, east = float(right[:, 0].min()), float(left[:, 2].max())
+    return west, south, east, north
+
+
 # --- footprints
 
 _ALONG, _ACROSS = 32, 8

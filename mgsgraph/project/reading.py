@@ -301,8 +301,6 @@ class ShotChoice:
     """pixels by which they may lie beside an image."""
     along: bool = False
     """Those alone that were fired while an image was taken in which they fall."""
-    version: str | None = None
-    """Letter of PEDR products whose names don't say it."""
 
     def of(self, shots: AltimeterShots) -> Mask:
         """(n,) True for shots that may be chosen."""
@@ -333,7 +331,7 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     InputError
         What `read_shots` refuses; files of several altimeters; shots on another body than the images'.
     """
-    parts = [read_shots(path, version=choice.version) for path in files]
+    parts = [read_shots(path) for path in files]
     for part in parts:
         require_on_body(part.footprints, seen.images[0].body, part.source)
     shots = joined_shots(parts)

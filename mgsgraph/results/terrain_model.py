@@ -11,7 +11,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
-from mgsgraph.files.output.folders import DEM, PROGRAM, fresh_folder, require_replaceable
+from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
 from mgsgraph.files.output.table import Column, Table, numbers, picked, write_json
 from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
@@ -27,6 +27,7 @@ from mgsgraph.registration.dem.ortho import (
     expected_ground,
     ortho_tiles,
 )
+from mgsgraph.results.catalog import BANDS, stac_item
 from mgsgraph.results.section import Section
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
@@ -34,8 +35,6 @@ from mgsgraph.workers import Progress, no_progress
 
 FORMAT = 2
 """Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
-_BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Of dem.tif; m but for the last."""
 _UNEXPLAINED = 1.5
 """Times what matching explains from which on rays that miss each other are worth a word."""
 
@@ -117,6 +116,8 @@ def write_dem(
 
         progress("figure", 0, 1)
         save([dem_sheet(dem, read_ortho(folder / "ortho.tif"))], folder)
+    images = [picture.image for picture in scene.pictures]
+    write_json(folder / STAC_ITEM, stac_item(dem, grid, images, sorted(path.name for path in folder.iterdir())))
 
 
 def dem_section(dem: Dem) -> Section:
@@ -182,7 +183,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
     grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
     quantiles = {
         name: np.quantile(band[there], [0.05, 0.5, 0.95])
-        for name, band in zip(_BANDS[1:4], (dem.model.sigmas, dem.model.matching, dem.model.orientation), strict=True)
+        for name, band in zip(BANDS[1:4], (dem.model.sigmas, dem.model.matching, dem.model.orientation), strict=True)
     }
     return {
         "program": PROGRAM,
@@ -247,12 +248,12 @@ def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping
     """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
     counts = np.where(np.isfinite(heights), model.counts, np.nan)
     bands = (heights, model.sigmas, model.matching, model.orientation, counts)
-    with _on(model.map, path, len(_BANDS), dtype="float32", nodata=np.nan) as file:
+    with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
         file.update_tags(program=PROGRAM, heights=f"above {reference}", **tags)
-        for k, (name, values) in enumerate(zip(_BANDS, bands, strict=True), start=1):
+        for k, (name, values) in enumerate(zip(BANDS, bands, strict=True), start=1):
             file.write(np.where(np.isfinite(heights), values, np.nan).astype(np.float32), k)
             file.set_band_description(k, f"{name} above {reference}" if k == 1 else name)
-            file.set_band_unit(k, "m" if k < len(_BANDS) else "1")
+            file.set_band_unit(k, "m" if k < len(BANDS) else "1")
 
 
 def write_ortho(

@@ -167,7 +167,7 @@ def write_kept(
     Parameters
     ----------
     network : Path
-        That was reviewed: ISIS's PVL or binary form, or a table (.csv, .parquet).
+        That was reviewed: ISIS's PVL or binary form, or a table (.csv).
     verdicts : Verdicts
         About it.
     out : Path

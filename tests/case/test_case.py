@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +10,12 @@ import pytest
 from msgspec import structs
 
 import mgsgraph
-from mgsgraph.case.assembly import merged
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlPoint
-from mgsgraph.files.networks.tie_points import PointKind, TiePoints
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.observations import observed
 from mgsgraph.network.parts import known_images
@@ -207,14 +205,12 @@ def same(net: Network, other: Network) -> None:
     assert sorted(net.points.ids) == sorted(other.points.ids)
 
 
-@pytest.mark.parametrize("rule", ["by point", "by image"])
-def test_two_networks_are_one_with_two_sigmas(case_file: Path, rule: str) -> None:
-    """Points shared out between two files, or each point's measures: in both cases the points of the one file."""
+def test_two_networks_are_one_with_two_sigmas(case_file: Path) -> None:
+    """Points shared out between two files: those of the one file."""
     whole = mgsgraph.read_case(case_file).network
 
     def share(i: int, image: str) -> tuple[bool, bool]:
-        first = i < 5 if rule == "by point" else image == "SIM/A"
-        return first, not first
+        return i < 5, i >= 5
 
     case = mgsgraph.read_case(split_network(case_file, share))
     net = case.network
@@ -251,9 +247,9 @@ def test_a_factor_multiplies_whatever_sigmas_ties_have(case_file: Path) -> None:
     assert settings_of_case(case_file).measures.tie_sigma_factor == 1.25
 
 
-def test_a_measure_in_two_networks(case_file: Path) -> None:
+def test_a_point_in_two_networks(case_file: Path) -> None:
     path = split_network(case_file, lambda i, _: (i < 5, i >= 4))
-    with pytest.raises(InputError, match=r"b\.pvl, point .*, image SIM/A: a measure that .*a\.pvl has too"):
+    with pytest.raises(InputError, match=r"b\.pvl, point .*: an id that .*a\.pvl has too"):
         mgsgraph.read_case(path)
 
 
@@ -340,36 +336,14 @@ def test_two_groups_of_shots(case_file: Path) -> None:
     assert {"one.json", "two.json", "network.pvl"} <= set(checksums(path))
 
 
-def tie_points(source: str, kind: PointKind, place: float, sigma: float = 1.0, image: str = "I") -> TiePoints:
-    free = kind == PointKind.FREE
-    one = np.ones((1, 2))
-    covariance = np.zeros((1, 3, 3)) if free else sigma**2 * np.eye(3)[None]
-    return TiePoints(
-        source, ("P",), np.array([kind]), np.array([[place, 0.0, 0.0]]), covariance, np.array([0]), (image,), one, one
-    )
-
-
-def test_what_two_networks_know_of_a_point() -> None:
-    """The one that knows its place counts; two that contradict each other are refused."""
-    guess, known = tie_points("a", PointKind.FREE, 5.0), tie_points("b", PointKind.CONSTRAINED, 7.0, image="J")
-    nothing = tie_points("a", PointKind.FREE, np.nan)
-    for groups in ([guess, known], [known, guess], [nothing, known]):
-        one = merged(groups)
-        assert (one.kinds.tolist(), one.places[0, 0], len(one.measure_image)) == ([PointKind.CONSTRAINED], 7.0, 2)
-    assert merged([nothing, replace(guess, measure_image=("J",))]).places[0, 0] == 5.0
-    for other in (tie_points("c", PointKind.CONSTRAINED, 7.1), tie_points("c", PointKind.FIXED, 7.0),
-                  tie_points("c", PointKind.CONSTRAINED, 7.0, sigma=2.0)):  # fmt: skip
-        with pytest.raises(InputError, match=r"c, point P: .*expected what b says of it"):
-            merged([known, other])
-
-
 WRONG_GROUPS: dict[str, tuple[tuple[Edit, ...], str]] = {
     "sigma of the second group": (
         (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'), swap("sigma_px = 1.0", "sigma_px = 0")),
         r"ties\[1\].sigma_px",
     ),
     "the same network twice": (
-        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),), r"a measure that .*network.pvl has too"
+        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),),
+        r"an id .*network.pvl has too; .*--duplicates"
     ),
 }  # fmt: skip
 

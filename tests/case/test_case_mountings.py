@@ -8,7 +8,7 @@ from rig_files import PASS, write_rig
 from rigs import rig
 
 import mgsgraph
-from mgsgraph.case.passes import MountingInput, mounted_images, mounting_unknowns
+from mgsgraph.case.passes import MountingInput, mounted_images
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array
@@ -23,28 +23,26 @@ def shared_of(folder: Path, tables: str) -> list[SharedUnknown]:
     return list(mgsgraph.read_case(write_rig(folder, PASS + tables)).network.shared)
 
 
-def turned(angles: list[float], arm: list[float]) -> tuple[Array, Array, Array]:
-    """Places (n, 3) and matrices (n, 3, 3) of R so mounted, at some lines; and these lines."""
+def turned(angles: list[float]) -> tuple[Array, Array]:
+    """Matrices (n, 3, 3) of R so mounted, at some lines; and these lines."""
     image = rig().images[1]
-    entry = MountingInput(camera=("R",), sharing="fixed", boresight_mrad=tuple(angles), lever_arm_m=tuple(arm))
+    entry = MountingInput(camera=("R",), sharing="fixed", boresight_mrad=tuple(angles))
     (moved,) = mounted_images([entry], [""], [image], "here")
     lines = np.linspace(0.0, image.lines, 7)
     pose = moved.pose(lines)
-    return pose.position, pose.matrix, lines
+    return pose.matrix, lines
 
 
 def test_what_is_stated_is_what_the_unknowns_of_the_same_values_do() -> None:
-    """To first order: of a boresight and of a lever arm, by the effects that the adjustment takes."""
+    """To first order, by the effects that the adjustment takes."""
     image = rig().images[1]
-    angles, arm = [0.03, -0.02, 0.05], [1.5, -2.0, 0.7]
-    places, matrices, lines = turned(angles, arm)
+    angles = [0.03, -0.02, 0.05]
+    matrices, lines = turned(angles)
     nominal = image.pose(lines)
     u = image.normalised(lines)[:, None] ** np.arange(6)
-    by_arm = np.einsum("c,cpk,np->nk", arm, image_effect(image, SharedKind.CAMERA_LEVER_ARM, "camera"), u)
     by_turn = np.einsum(
         "c,cpk,np->nk", np.array(angles) * MRAD, image_effect(image, SharedKind.CAMERA_BORESIGHT, "camera"), u
     )
-    np.testing.assert_allclose(places - nominal.position, by_arm[:, :3], atol=1e-3)
     turns = rotation.logarithm(nominal.matrix @ np.swapaxes(matrices, 1, 2))
     np.testing.assert_allclose(turns, by_turn[:, 3:], atol=1e-9)
 
@@ -71,26 +69,10 @@ def test_unknowns_of_a_campaign_and_of_each_pass(tmp_path: Path) -> None:
     assert {one.kind for one in found} == {SharedKind.CAMERA_LEVER_ARM}
 
 
-def test_a_stated_lever_arm_of_a_camera_moves_no_range() -> None:
-    """The trajectory of L is the origin of ranges; R carries none, and an arm of 0 or a turn moves none."""
-    net = rig(boresight=False)
-    assert set(net.ranges.image.tolist()) == {0}
-
-    def unknowns(**stated: tuple[float, ...]) -> tuple[SharedUnknown, ...]:
-        entry = MountingInput(camera=("L",), sharing="fixed", **stated)  # type: ignore[arg-type]
-        return mounting_unknowns([entry], [[0]], net, "case.toml")
-
-    with pytest.raises(InputError, match=r"mountings\[0\], lever_arm_m: a stated arm of image L, whose traj.*_sigma_m"):
-        unknowns(lever_arm_m=(0.0, 0.0, 200.0))
-    assert unknowns(lever_arm_m=(0.0, 0.0, 0.0)) == unknowns(boresight_mrad=(0.1, 0.0, 0.0)) == ()
-    right = MountingInput(camera=("R",), sharing="fixed", lever_arm_m=(0.0, 0.0, 200.0))
-    assert mounting_unknowns([right], [[1]], net, "case.toml") == ()
-
-
 WRONG = {
     "no camera": ("[[mountings]]\nboresight_sigma_mrad = 1", r"mountings\[0\]: no camera; expected one of camera, ins"),
     "no sigma": (R, "an unknown mounting without a sigma"),
-    "a fixed one of nothing": (R + 'sharing = "fixed"', "a fixed mounting without angles and arms"),
+    "a fixed one of nothing": (R + 'sharing = "fixed"', "a fixed mounting without angles"),
     "two mountings": (R + "boresight_sigma_mrad = 1\n" + R + "lever_arm_sigma_m = 1", r"'R', which mountings\[0\] has"),
     "two cameras": (
         '[[mountings]]\ncamera = ["L", "R"]\nboresight_sigma_mrad = 1', r"L and R of one camera, mounted 178 deg apart"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mex import CHANGES, FOLDER, LINES, kernels, times_file
+from mex import FOLDER, LINES, kernels, times_file
 from strip_files import STRIPS, block, write_block
 
 import mgsgraph
@@ -89,18 +89,6 @@ def test_spacing_in_seconds_and_lines(folder: Path) -> None:
         assert (times[-1] - times[0]) / (step.size - 1) > spacing or step.size == 3  # one fewer would be too few
 
 
-def test_times_in_utc(folder: Path) -> None:
-    """START_TIME of h5270 and the time of its first line, within its milliseconds; the block flew at another time."""
-    said = ", ".join(f'"2008-02-08T12:08:{second}.843"' for second in (53, 54, 55, 56))
-    path = case_with(folder, f'[[passes]]\nname = "one"\nimages = ["HRSC/00/ND"]\nprior = {{}}\n'
-                     f"nodes = {{ times_utc = [{said}] }}\n")
-    with pytest.raises(InputError, match="expected lines within its nodes'") as caught:
-        mgsgraph.read_case(path)
-    time = float(str(caught.value).split("nodes' ")[1].split(" to")[0])
-    epoch = float(str(caught.value).split("s past ")[1].split(" s TDB")[0])
-    assert epoch + time == pytest.approx(CHANGES[0][0], abs=2e-3)
-
-
 # --- what is known beforehand
 
 
@@ -137,8 +125,7 @@ WRONG = {
     "a basis": (ONE + 'nodes = { basis = "lagrange" }', "basis: a word of earlier versions"),
     "long spacing": (ONE + "nodes = { spacing_s = 3000 }", r"nodes, spacing_s: 3000 s; expected less than"),
     "a slip in the unit": (ONE + "nodes = { spacing_s = 1e-4 }", "at most 10000 nodes"),
-    "times that go back": (ONE + "nodes = { times_et_s = [1, 2, 4, 3] }", "times that don't increase"),
-    "times of another pass": (ONE + "nodes = { times_et_s = [1, 2, 3, 4] }", "00/S1.*lines within its nodes'"),
+    "times": (ONE + "nodes = { times_et_s = [1, 2, 3, 4] }", "times_et_s: a word of earlier .* spacing_s, or"),
 }  # fmt: skip
 
 
@@ -193,11 +180,11 @@ def test_cameras_of_one_pass_are_mounted_as_their_attitudes_say() -> None:
         mountings([one, with_table(camera=replace(still, constant=turn @ turn))], "here")
 
 
-# --- HRSC by labels: one trajectory
+# --- HRSC by labels
 
 
-def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_path: Path) -> None:
-    """Of the real kernels; outside of a strip each label has a trajectory of its own."""
+def test_labels_of_one_pass_make_a_pass(shared_data: Path, tmp_path: Path) -> None:
+    """Of the real kernels; each label has a trajectory of its own, which is the others' as far as both reach."""
     label = (shared_data / FOLDER / "h5270_0000_ir2_pds3.lbl").read_text()
     times_file(tmp_path)
     names = ("IR", "NADIR")
@@ -215,8 +202,6 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
     path.write_text("\n".join(text))
     net = mgsgraph.read_case(path).network
 
-    assert apart[0].trajectory is not apart[1].trajectory
-    assert net.images[0].trajectory is net.images[1].trajectory
     assert [image.name for image in net.images] == list(names)
     assert net.images[0].interior.focal_length == pytest.approx(0.17482)
     assert net.images[1].interior.focal_length == 0.17
@@ -242,6 +227,6 @@ def test_projects_keep_them(folder: Path, tmp_path: Path) -> None:
         assert alike(one.prior, other.prior)
 
 
-def test_times_and_spacings_are_one_choice() -> None:
-    with pytest.raises(InputError, match="here: spacing_lines and times_et_s; expected one of them"):
-        NodesInput(spacing_lines=10.0, times_et_s=(1.0,)).images((), "here")
+def test_the_spacing_is_said_once() -> None:
+    with pytest.raises(InputError, match="here: spacing_s and spacing_lines; expected one of them"):
+        NodesInput(spacing_lines=10.0, spacing_s=1.0).images((), "here")

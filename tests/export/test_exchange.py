@@ -11,7 +11,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Format
 from mgsgraph.export.exchange import ExchangeSetting, Lossy, convert, format_of, losses, read_networks
 from mgsgraph.export.exchange_setting import setting_of
-from mgsgraph.files.networks.asp_match import read_match, read_match_text
+from mgsgraph.files.networks.asp_match import read_match
 from mgsgraph.files.networks.asp_text import read_offsets
 from mgsgraph.files.networks.binary import read_network, write_binary_network
 from mgsgraph.files.networks.record import (
@@ -49,17 +49,16 @@ def table(tmp_path: Path) -> Path:
 def test_one_place_in_every_count(table: Path) -> None:
     """ISIS, half a pixel less inside, one less in the pipeline, and from the middle of 2001 x 1024 pixels in NVM."""
     folder = table.parent
-    for name in ("x.pvl", "x.net", "run.match", "run.txt", "x.nvm", "x.gcp"):
+    for name in ("x.pvl", "x.net", "run.match", "x.nvm", "x.gcp"):
         convert(table, folder / name, SETTING)
 
     np.testing.assert_array_equal(read_tie_points(table).measures[0], np.array(CENTRE) - 0.5)
     for name in ("x.pvl", "x.net"):
         measure = read_network(folder / name).points[0].measures[0]
         assert (measure.line, measure.sample) == CENTRE
-    for read, ending in ((read_match, "match"), (read_match_text, "txt")):
-        matches = read(folder / f"run-one__two.{ending}", ("one", "two"))
-        np.testing.assert_array_equal(matches.pixels[0, 0], np.array(CENTRE) - 1.0)
-        np.testing.assert_array_equal(matches.sigmas, 0.5)
+    matches = read_match(folder / "run-one__two.match", ("one", "two"))
+    np.testing.assert_array_equal(matches.pixels[0, 0], np.array(CENTRE) - 1.0)
+    np.testing.assert_array_equal(matches.sigmas, 0.5)
     fields = (folder / "x.nvm").read_text().splitlines()[5].split()
     assert [float(text) for text in fields[9:11]] == [CENTRE[1] - 1.0 - 512.0, CENTRE[0] - 1.0 - 1000.5]
     assert read_offsets(folder / "x_offsets.txt") == {"one": (1000.5, 512.0), "two": (2500.0, 336.0)}

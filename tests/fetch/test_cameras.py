@@ -13,7 +13,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.camera_search import dates_in
 from mgsgraph.fetch.download import RetryPolicy
-from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
+from mgsgraph.fetch.folder import Fetched, fetch_images
 from mgsgraph.fetch.needs import CTX, HRSC, LROC_NAC, Archives, CameraProduct
 from mgsgraph.fetch.store import Lock
 from mgsgraph.files.labels.kernels import members
@@ -225,30 +225,3 @@ def test_ids_and_dates_in_names() -> None:
     assert (f"{covered.start:%Y-%m-%d}", f"{covered.stop:%Y-%m-%d}") == ("2009-05-26", "2009-06-02")
     assert dates_in("moon_pa_de421_1900_2050.bpc") is None
     assert dates_in("mro_psp11.bsp") is None
-
-
-def test_shots_in_a_box(archive: Flaky, tmp_path: Path) -> None:
-    """ODE makes another table, under another name, each time it is asked: the one that is here is kept."""
-    archives = Archives.under(archive.address)
-    asked = shots_asked("lolardr", "25.5000", "26.1000", "3.3000", "3.5000")
-    for name in ("LOLA", "AGAIN"):
-        archive.files[f"ode/{SHOTS.format(name)}"] = b"Pt_Longitude,Pt_Latitude\n3.4,25.9\n" + name.encode()
-    answer = "<URL>https://oderest.rsl.wustl.edu/{}</URL>"
-    archive.files[asked] = answer.format(SHOTS.format("LOLA")).encode()
-    box = (3.3, 3.5, 25.5, 26.1)
-    table = fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK)
-    first = table.read_bytes()
-    assert first.endswith(b"LOLA")
-    assert Lock.read(tmp_path / "d").files
-
-    archive.files[asked] = answer.format(SHOTS.format("AGAIN")).encode()
-    archive.asked.clear()
-    assert fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK).read_bytes() == first
-    assert not archive.asked
-    table.unlink()
-    assert fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK).read_bytes().endswith(b"AGAIN")
-    for wrong in ((3.5, 3.3, 25.5, 26.1), (3.3, 3.5, -91.0, 0.0)):
-        with pytest.raises(InputError, match="box"):
-            fetch_shots("lola", wrong, tmp_path / "d", archives=archives, retry=QUICK)
-    with pytest.raises(InputError, match="no table of shots"):
-        fetch_shots("mola", box, tmp_path / "d", archives=archives, retry=QUICK)

@@ -1,6 +1,7 @@
 """A terrain model's files in GDAL's hands, its check by laser shots, and that it appears whole or not at all."""
 
 import csv
+import importlib
 import json
 import subprocess
 from dataclasses import replace
@@ -11,7 +12,9 @@ import dem_site
 import numpy as np
 import pytest
 import rasterio
+import shapely
 from full_disk import files_of_at_most
+from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -20,15 +23,16 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.folders import DEM, fresh_folder
+from mgsgraph.files.output.folders import DEM, STAC_ITEM, fresh_folder
 from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.registration.dem.checking import check_profiles, checked
 from mgsgraph.registration.dem.model import Dem, DemSettings, dem_of
 from mgsgraph.results import terrain_model
+from mgsgraph.results.catalog import stac_item
 from mgsgraph.results.terrain_model import make_dem, write_dem
 
 SETTINGS = DemSettings(ortho_pixel=12.0)
-FILES = {"dem.json", "dem.tif", "ortho.tif", "shots.csv", "dem.png"}
+FILES = {"dem.json", "dem.tif", "ortho.tif", "shots.csv", "dem.stac.json", "dem.png"}
 
 
 @cache
@@ -273,3 +277,62 @@ def test_settings_that_make_no_sense() -> None:
     ):
         with pytest.raises(InputError, match=said):
             DemSettings(**given)
+
+
+# ---- the item of a catalog
+
+
+def test_pystac_takes_the_item(folder: Path) -> None:
+    """Against the schemas of STAC 1.1 that pystac brings; those of the extensions lie on the web alone."""
+    pystac = pytest.importorskip("pystac", reason="pystac (of the extra [test]) is not installed")
+    told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
+    validate, core = importlib.import_module("pystac.validation").validate_dict, told | {"stac_extensions": []}
+    assert validate(core) == ["https://schemas.stacspec.org/v1.1.0/item-spec/json-schema/item.json"]
+    for wrong in (core | {"bbox": [0.0]}, core | {"links": None}, core | {"properties": {}}):
+        with pytest.raises(pystac.errors.STACValidationError):
+            validate(wrong)
+    item = pystac.Item.from_file(folder / STAC_ITEM)
+    assert {"dem", "ortho", "record", "overview"} == set(item.assets)
+    for asset in item.assets.values():
+        assert (folder / asset.href).is_file()
+        assert asset.roles
+    assert item.properties["ssys:targets"] == ["Mars"]
+    assert item.common_metadata.start_datetime < item.common_metadata.end_datetime
+
+
+@pytest.mark.parametrize("name", ["dem", "ortho"])
+def test_the_item_says_of_the_rasters_what_they_are(folder: Path, name: str) -> None:
+    told = json.loads((folder / STAC_ITEM).read_text(encoding="utf-8"))
+    asset = told["assets"][name]
+    with rasterio.open(folder / asset["href"]) as file:
+        assert asset["proj:shape"] == [file.height, file.width]
+        assert asset["proj:transform"] == pytest.approx(list(file.transform)[:6], abs=1e-9)
+        assert asset["proj:bbox"] == pytest.approx(list(file.bounds), abs=1e-6)
+        assert CRS.from_wkt(told["properties"]["proj:wkt2"]) == file.crs
+        assert CRS.from_dict(told["properties"]["proj:projjson"]) == file.crs
+        assert [band["data_type"] for band in asset["bands"]] == list(file.dtypes)
+        there = np.argwhere(file.dataset_mask() > 0)[:: 50]
+        x, y = file.xy(*there.T)
+        lon, lat = transform(file.crs, "IAU_2015:49900", list(x), list(y))
+    assert asset["type"] == "image/tiff; application=geotiff; profile=cloud-optimized"
+    shape = shapely.geometry.shape(told["geometry"])
+    assert shapely.contains_xy(shape.buffer(1e-3), lon, lat).mean() > 0.98  # an ortho pixel may reach beyond its post
+    west, south, east, north = told["bbox"]
+    assert (west, south, east, north) == pytest.approx(shape.bounds)
+
+
+def test_an_item_on_the_date_line_of_the_moon() -> None:
+    moved = replace(made().model.map, longitude=180.0, latitude=0.0, radius=1737400.0)
+    dem = replace(made(), model=replace(made().model, map=moved))
+    images = [picture.image for picture in dem_site.scene().pictures]
+    told = stac_item(dem, moved, images, [])
+    west, south, east, north = told["bbox"]
+    assert told["geometry"]["type"] == "MultiPolygon"
+    assert 170.0 < west < 180.0
+    assert -180.0 < east < -170.0
+    assert south < north
+    assert told["properties"]["ssys:targets"] == ["Moon"]
+    assert told["properties"]["ssys:target_class"] == "satellite"
+    odd = replace(moved, radius=2.5e5)
+    unknown = stac_item(replace(dem, model=replace(dem.model, map=odd)), odd, images, [])
+    assert not any("ssys" in one for one in (*unknown["stac_extensions"], *unknown["properties"]))

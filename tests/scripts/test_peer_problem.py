@@ -2,7 +2,6 @@
 
 import math
 import re
-import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -100,28 +99,6 @@ def test_a_file_cut_short_is_one_clear_line(small: Path, share: float) -> None:
         peer.read_problem(cut)
     assert "\n" not in str(caught.value)
     cut.unlink()
-
-
-def changed(whole: bytes, place: int, kind: str, value: float) -> bytes:
-    return whole[:place] + struct.pack(kind, value) + whole[place + struct.calcsize(kind) :]
-
-
-@pytest.mark.parametrize(
-    ("place", "kind", "value", "message"),
-    [
-        (0, "<b", 80 + 1, "at its head"),
-        (24, "<q", 2**62, "bytes; expected"),
-        (64, "<d", float("nan"), "orientation: nan"),
-        (64 + 10 * 18 * 8 + 95 * 24, "<i", 5, r"ray_image: index 0 .. 5"),
-    ],
-)
-def test_a_damaged_file_is_one_clear_line(small: Path, place: int, kind: str, value: float, message: str) -> None:
-    bad = small.with_name("bad")
-    bad.write_bytes(changed(small.read_bytes(), place, kind, value))
-    with pytest.raises(InputError, match=message) as caught:
-        peer.read_problem(bad)
-    assert str(caught.value).startswith(str(bad))
-    assert "\n" not in str(caught.value)
 
 
 def test_what_cannot_be_is_refused(chain: tuple[peer.PeerProblem, peer.Truth]) -> None:

@@ -1,5 +1,5 @@
-"""Studies: their harness (draws that are kept, made parts of pages, bands, one line for bad input), the Monte-Carlo
-proof against outside authorities and planted faults, errors of sites and the NEES of drawn networks within their bands.
+"""Studies: their harness (draws that are kept, made parts of pages, bands), the Monte-Carlo proof against outside
+authorities and planted faults, errors of sites and the NEES of drawn networks within their bands.
 """
 
 import json
@@ -98,31 +98,6 @@ def test_kept_draws_are_not_made_again(asked: Asked, tmp_path: Path, monkeypatch
     monkeypatch.setattr(study, "commit", lambda: "another")
     assert asked(*common, "--seeds", "3") == 0
     assert len(asked.orders) == 8
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--seeds", "1"], "at least 2"),
-        (["--cases", "venus"], "no case 'venus'"),
-        (["--keep", "{here}/readme"], "holds no kept draws"),
-        (["--out", "{here}/readme/page.md"], "can't be written"),
-    ],
-)
-def test_bad_input_is_told_in_one_line(
-    arguments: list[str], told: str, asked: Asked, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "readme").write_text("no draw\n", encoding="utf-8")
-    given = [text.format(here=tmp_path) for text in arguments]
-    given += [] if "--out" in given else ["--out", str(tmp_path / "page.md")]
-    try:
-        code = asked(*given)
-    except SystemExit as error:
-        code = int(error.code or 0)
-    assert code == 2
-    said = capsys.readouterr().err.strip()
-    assert told in said
-    assert len(said.splitlines()) == 1
 
 
 def test_bands_are_those_of_tables() -> None:

@@ -19,7 +19,7 @@ from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.passes import LinearFactor, normalised
 from mgsgraph.simulation.camera import HRSC_LINES, HRSC_PIXELS, STEREO, hrsc_interior
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes, true_correction
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors
 from mgsgraph.units import DEG, MGON, MM
 
@@ -112,6 +112,19 @@ def test_pixels_and_heights_are_the_survey_s() -> None:
         assert np.linalg.norm(np.diff(ground, axis=0)) == pytest.approx(12.5 * altitude / 265e3, rel=0.01)
         across, _ = image.image_to_ground(np.full(2, middle[0]), np.array([2591.5, 2592.5]))
         assert np.linalg.norm(np.diff(across, axis=0)) == pytest.approx(4e-5 * altitude, rel=0.02)
+
+
+def test_line_rates_follow_height_and_speed_from_part_to_part() -> None:
+    """In the middle of each part lines are 12.5 m apart per 265 km of altitude there, which grows by a third."""
+    readout = Readout(macropixels=(1, 1, 1, 1, 1), rates=5)
+    made = simulate_hrsc_block(replace(TINY, length=2000e3, pericentre=0.2, readout=readout))
+    image = made.network.images[STEREO.index("ND")]
+    edges = np.append(image.timing.first_lines, image.lines)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    before, after = (image.image_to_ground(middle + off, np.full(5, 2592.0))[0] for off in (-0.5, 0.5))
+    altitude = np.linalg.norm(image.pose(middle).position, axis=1) - np.linalg.norm(before, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(after - before, axis=1), 12.5 * altitude / 265e3, rtol=0.01)
+    assert altitude.max() > 1.3 * altitude.min()
 
 
 def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
@@ -299,15 +312,6 @@ def test_drawn_nodes_have_the_covariance_that_the_prior_s_rows_state(correlation
     assert np.abs(np.cov(white.T) - np.eye(white.shape[1])).max() < 6.0 * np.sqrt(2.0 / 1500)
     spread = drawn.reshape(1500, -1, 6) / prior.node_sigmas(normalised(nodes))
     np.testing.assert_allclose(np.sqrt(np.mean(spread**2, axis=0)), 1.0, atol=4.5 / np.sqrt(2 * 1500))
-
-
-def test_a_jitter_on_no_correction_is_the_jitter_itself() -> None:
-    still = NodePrior(np.full(6, 1e-12), np.zeros(6), np.zeros(6))
-    nodes = evenly_spaced("lagrange", 0.0, (-10.0, 10.0), 2.0)
-    found = true_correction(still, nodes, None, Jitter(1e-5, 0.5, "pitch"), np.random.default_rng(0))
-    values = correction_at(found, np.linspace(-10.0, 10.0, 2001), 0.0)
-    assert np.abs(values[:, 3]).max() == pytest.approx(1e-5, rel=0.01)
-    assert np.abs(values[:, [0, 1, 2, 4, 5]]).max() < 1e-10
 
 
 # --- lines without kernels

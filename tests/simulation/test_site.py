@@ -6,7 +6,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import matched
 import numpy as np
 import pytest
 from sites import PLAIN, plain_site
@@ -214,7 +213,7 @@ def test_images_of_a_pair_disagree_as_published(name: str, bias: float | None, t
 
 
 def test_eos_disagrees_differently_along_the_image() -> None:
-    along = along_flight(plain_site("eos", 1, "published"))
+    along = along_flight(plain_site("eos", 1, "published"))  # 3 s, as only this site has such errors
     assert np.ptp(along[False]) > 1000.0
 
 
@@ -242,23 +241,6 @@ def test_same_seed_same_bytes(gusev: Written, tmp_path: Path) -> None:
         assert (other / name).read_bytes() != (gusev.folder / name).read_bytes(), name
 
 
-def test_pictures_show_the_same_ground() -> None:
-    """Grey values about the true places of points go together in both: the road from ground to pixels is right."""
-    site = matched.site()
-    places = [np.rint(image.true.ground_to_image(matched.inner())[0] - 0.5).astype(int) for image in site.images]
-    offsets = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7), indexing="ij"), axis=-1).reshape(-1, 2)
-    patches = []
-    for image, place in zip(site.images, places, strict=True):
-        at = place[:, None, :] + np.rint(offsets / [1.0, image.settings.crosstrack_summing / 2.0]).astype(int)
-        grey = image.pixels[at[..., 0], at[..., 1]].astype(float)
-        patches.append(grey - grey.mean(axis=1, keepdims=True))
-    likeness = np.sum(patches[0] * patches[1], axis=1)
-    likeness /= np.sqrt(np.sum(patches[0] ** 2, axis=1) * np.sum(patches[1] ** 2, axis=1))
-    assert np.median(likeness) > 0.6
-    shuffled = np.sum(patches[0] * np.roll(patches[1], 1, axis=0), axis=1)
-    assert abs(np.median(shuffled)) < np.median(np.sum(patches[0] * patches[1], axis=1)) / 5.0
-
-
 @pytest.mark.parametrize(("site", "seed", "told"), [("jezero", 1, "eos or gusev"), ("gusev", -1, "zero or a positive")])
 def test_wrong_requests_are_told(site: str, seed: int, told: str) -> None:
     with pytest.raises(InputError, match=told):
@@ -272,6 +254,7 @@ TIES = {"eos": 162, "gusev": 154, "isidis": 41}
 """Yoon & Shan (2005), Table 1."""
 
 
+# 4 s: the three sites at once are what is asked about
 @pytest.fixture(scope="module")
 def simulated() -> SimulatedThreeSites:
     return simulate_three_sites(options=SimulationOptions(pictures=False))

@@ -273,7 +273,7 @@ def test_the_case_adjusts_and_its_sigmas_are_honest(tmp_path: Path) -> None:
     share its orientation: at worst one point per pair of images counts, with 54.
     """
     orientation, ties, laser, fit = [], [], [], []
-    for seed in range(200, 206):
+    for seed in range(200, 206):  # 4 s: with fewer strips the bands hold nothing
         made = simulate_strip(StripSettings(images=6, ties=40, shots=10), seed)
         case = read_case(write_strip(made, tmp_path))
         solution = adjust(case)

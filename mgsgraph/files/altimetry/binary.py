@@ -41,19 +41,16 @@ _FRAMES = 1 << 14
 """Frames whose shots are made at a time."""
 HEADER_RECORDS = 10
 """Records of the label before the first frame."""
-IAU2000_VERSION = "L"
+_FINAL = "L"
 """Product version from which on the archive is in the IAU2000 frame; earlier ones are IAU1991 (PDS pedr.html)."""
 _PULSE = 1e-10
 """s, of the echo's widths."""
 _CM = 1e-2
 _MICRODEG = 1e-6 * DEG
-_DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
 _LEAST, _LARGEST = 3.3e6, 3.5e6
 """m, between which any radius on Mars lies."""
 _CLOCK, _CLOCK_TOLERANCE = 1e8, 0.01
 """Hz of the altimeter's clock, and the part by which it may run otherwise; it drifted by 4e-5."""
-_FIRST_CROSSOVERS = 7.125
-"""Software version from which on the frames hold crossover corrections (PEDR2TAB)."""
 
 _FIELDS: tuple[tuple[str, str, int, int], ...] = (
     # name, type, count, byte (from 0); where no unit is said: cm, or 1e-6 deg
@@ -111,18 +108,15 @@ FRAME: np.dtype[np.void] = np.dtype({
 """One frame as it lies in the file."""
 
 
-def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+def read_pedr(path: Path, clock_bias: float = 0.0) -> AltimeterShots:
     """Read a PEDR file, with its label or without.
 
     Parameters
     ----------
     path : Path
-        Binary file, AP<orbit><version>.B.
+        Binary file of the final archive, AP<orbit>L.B.
     clock_bias : float
         s, added to the times of the shots (the footprints stay where the archive has them).
-    version : str, optional
-        Product version, a letter; from the file's name or label when absent. Shots of versions before L are turned
-        from the IAU1991 to the IAU2000 frame.
 
     Returns
     -------
@@ -134,61 +128,25 @@ def read_pedr(path: Path, clock_bias: float = 0.0, version: str | None = None) -
     ------
     InputError
         Where the file is missing, ends within a frame or before as many as its label counts, has no frame or records
-        of another length, where a frame's clock, times, places or radii can't be, or where the version is not to be
-        found.
+        of another length, where a frame's clock, times, places or radii can't be, or one of an earlier version.
     """
-    return pedr_shots(read_bytes(path), path, clock_bias, version)
+    return pedr_shots(read_bytes(path), path, clock_bias)
 
 
-def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> AltimeterShots:
     """As `read_pedr`, of the content of a file."""
     label = _label(content, path)
-    frames = _frames(content, label, path)
-    letter = pedr_version(path, label, version)
-    shots = _shots(frames, label, clock_bias, path)
-    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+    require_final(path, label)
+    return _shots(_frames(content, label, path), clock_bias, path)
 
 
-def pedr_version(path: Path, label: Block | None, version: str | None) -> str:
-    """The version letter that the caller, the file's name or its label gives; InputError without one up to L."""
-    names = [path.name] + ([label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if key in label] if label else [])
+def require_final(path: Path, label: Block | None = None) -> None:
+    """Raise InputError for PEDR whose name or label says an earlier version than the final one: in another frame."""
+    names = [path.name, *(label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if label is not None and key in label)]
     found = [match[1] for name in names if (match := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
-    letter = (version if version is not None else (found or [""])[0]).upper()
-    if not re.fullmatch("[A-L]", letter):
-        raise InputError(
-            str(path), f"the product version {letter!r}" if letter else "no product version in its name or label",
-            "a letter up to L, as in AP18933L.B: it says in which frame the coordinates are",
-            "say which one it is: version = \"L\" for the final archive, which ODE serves, too",
-        )
-    return letter
-
-
-def in_iau2000(shots: AltimeterShots) -> AltimeterShots:
-    """Shots with IAU1991 coordinates, turned to IAU2000 exactly: x2000 = B2000(t) B1991(t)' x1991 at each shot's time.
-
-    Elements: IAU/IAG reports of 1991 and 2000 (the latter as in pck00009.tpc); 0.2375 deg in longitude, 14 km.
-    """
-    days, centuries = shots.times / _DAY, shots.times / _CENTURY
-    old = (317.681 - 0.108 * centuries, 52.886 - 0.061 * centuries, 176.868 + 350.8919830 * days)
-    new = (317.68143 - 0.1061 * centuries, 52.88650 - 0.0609 * centuries, 176.630 + 350.89198226 * days)
-
-    def turned(points: Array) -> Array:
-        """B = R3(W) R1(90 - d0) R3(90 + a0), applied factor by factor: a day has 864,000 shots."""
-        inertial = _about_z(_about_x(_about_z(points, -old[2]), old[1] - 90.0), -old[0] - 90.0)
-        return _about_z(_about_x(_about_z(inertial, new[0] + 90.0), 90.0 - new[1]), new[2])
-
-    return shots.moved(turned(shots.footprints), turned(shots.spacecraft))
-
-
-def _about_z(points: Array, degrees: Array) -> Array:
-    """Components of points (n, 3) in axes turned by angles (n,) about Z: the passive R3."""
-    (x, y, z), sine, cosine = points.T, np.sin(degrees * DEG), np.cos(degrees * DEG)
-    return np.column_stack([cosine * x + sine * y, cosine * y - sine * x, z])
-
-
-def _about_x(points: Array, degrees: Array) -> Array:
-    """Components of points (n, 3) in axes turned by angles (n,) about X: the passive R1."""
-    return np.roll(_about_z(np.roll(points, -1, axis=1), degrees), 1, axis=1)
+    if found and (letter := found[0].upper()) != _FINAL:
+        expected = f"version {_FINAL}, as in AP18933{_FINAL}.B, whose coordinates are IAU2000"
+        raise InputError(str(path), f"PEDR of version {letter}", expected, "fetch the final archive's (mgsgraph fetch)")
 
 
 def _label(content: bytes, path: Path) -> Block | None:
@@ -260,11 +218,11 @@ def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
     return value[:, None], change[:, None]
 
 
-def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
+def _shots(frames: NDArray[np.void], clock_bias: float, path: Path) -> AltimeterShots:
     """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
-    software, corrections = _software(label), _crossover(frames)
+    corrections = _crossover(frames)
     parts = [
-        _columns(frames[k : k + _FRAMES], k, software, [one[k : k + _FRAMES] for one in corrections], clock_bias)
+        _columns(frames[k : k + _FRAMES], k, [one[k : k + _FRAMES] for one in corrections], clock_bias)
         for k in range(0, frames.size, _FRAMES)
     ]
     if not any(part["times"].size for part in parts):
@@ -275,7 +233,7 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
 
 
 def _columns(
-    frames: NDArray[np.void], before: int, software: float | None, crossover: Sequence[Array], clock_bias: float
+    frames: NDArray[np.void], before: int, crossover: Sequence[Array], clock_bias: float
 ) -> dict[str, NDArray[Any]]:
     """Fields of AltimeterShots, of frames that have so many before them in their file."""
     x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
@@ -288,12 +246,8 @@ def _columns(
 
     raw = frames["shot_radius"] * _CM
     lift = raw - field("midpoint_radius", _CM)
-    corrected = raw
-    if software is None or software >= _FIRST_CROSSOVERS:
-        value, change = crossover
-        corrected = raw - value - x * change
-    else:  # parallax came with the orbits of gravity model 2, in old software of model 3 (PEDR2TAB)
-        lift = np.where(field("orbit_model") >= (3 if software <= 7.0 else 2), lift, 0.0)
+    value, change = crossover
+    corrected = raw - value - x * change
     longitude = across("longitude", _MICRODEG) + field("parallax_longitude", 1e-3 * _MICRODEG) * lift
     latitude = across("latitude", _MICRODEG) + field("parallax_latitude", 1e-3 * _MICRODEG) * lift
     spacecraft = [across(f"spacecraft_{name}", _MICRODEG) for name in ("longitude", "latitude")]
@@ -328,13 +282,6 @@ def _columns(
         "clocks": flat(field("clock")),
         "pulses": flat(np.where(pulses > 0.0, pulses, np.nan)),
     }
-
-
-def _software(label: Block | None) -> float | None:
-    """Version of the software that wrote the file; None where the label doesn't say, and it is taken for a late one."""
-    text = label.text("SOFTWARE_NAME") if label is not None and "SOFTWARE_NAME" in label else ""
-    numbers = re.findall(r"\d+\.\d+", text)
-    return float(numbers[-1]) if numbers else None
 
 
 SPOTS = 5

@@ -37,9 +37,6 @@ _LONGEST = 1e9
 """Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
 TRIANGLE, LARGEST_ELEMENT = 6, 1e18
 """Elements of a covariance's upper triangle, and bound of each."""
-_REQUIRED, _OF_MEASURE = 10, 3
-"""Keys of each shot, and of each of its measures."""
-_ADJUSTED = ("adjusted_latitude", "adjusted_longitude", "adjusted_radius", "adjusted_matrix")
 _Length = Annotated[float, msgspec.Meta(gt=0.0, le=_LONGEST)]
 _Element = Annotated[float, msgspec.Meta(ge=-LARGEST_ELEMENT, le=LARGEST_ELEMENT)]
 _Triangle = Annotated[list[_Element], msgspec.Meta(min_length=TRIANGLE, max_length=TRIANGLE)]
@@ -122,13 +119,7 @@ def _uncollected() -> Iterator[None]:
 def _shots(content: bytes, path: Path) -> list[LidarShot]:
     """Shots of a JSON text, whose keys and values are checked by their type while it is parsed."""
     with suppress(msgspec.DecodeError, UnicodeDecodeError):
-        shots = msgspec.json.decode(content, type=_LidarData).points
-        lists, measures = (sum(map(len, _all(shots, name))) for name in ("simultaneous_images", "measures"))
-        # "points"; keys and ids; names, and keys of measures
-        texts = 1 + (_REQUIRED + 1) * len(shots) + lists + (_OF_MEASURE + 1) * measures
-        more = content.count(b'"') - 2 * texts  # keys of adjusted values, or one that is there twice
-        if not more or more == 2 * sum(len(shots) - _all(shots, name).count(None) for name in _ADJUSTED):
-            return shots
+        return msgspec.json.decode(content, type=_LidarData).points
     return validated(json_object(decoded_text(content, path), str(path)), _LidarData, path).points
 
 

@@ -2,11 +2,8 @@
 
 * LOLA RDR as CSV, which the Orbital Data Explorer (ODE) and lidar2image have: km, degrees, and as time the terrestrial
   one (TT; its digits are those of UTC and the leap seconds), which becomes TDB.
-* MLA RDR as CSV of ODE, names and km as in USGS's ode_csv2shapefile.py. The range is half of the time of flight, for no
-  source says the unit of 1way_range; nor that of the spacecraft's height and of the angle off nadir, which are left.
 * A selection as `mgsgraph shots` writes it, and any CSV that names its columns so; empty cells are unknown.
-* MOLA PEDR as PEDR2TAB and ODE write it. ODE serves version L alone; a table says it only by its file's name. Shots of
-  versions before L are turned from the IAU1991 to the IAU2000 frame.
+* MOLA PEDR, version L, as PEDR2TAB and ODE write it.
 
 Columns are found by the names in the header, whatever their order, case, padding or spelling ("Ephermis Time").
 
@@ -15,14 +12,14 @@ Columns of PEDR2TAB are brought into CSV first.
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.binary import IAU2000_VERSION, INVALID, in_iau2000, pedr_version
+from mgsgraph.files.altimetry.binary import INVALID, require_final
 from mgsgraph.files.altimetry.shot_values import (
     crossings,
     known_ranges,
@@ -32,12 +29,12 @@ from mgsgraph.files.altimetry.shot_values import (
     whole_numbers,
 )
 from mgsgraph.files.csv_columns import CsvText, csv_text
-from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter, AltimeterShots
+from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, LOLA, MOLA, Altimeter, AltimeterShots
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import require_years, tdb_of_tt, tdb_of_utc
 from mgsgraph.names import RepeatedNames
-from mgsgraph.units import DEG, KM, SPEED_OF_LIGHT
+from mgsgraph.units import DEG, KM
 
 LARGEST = 1e50
 """m, s, degrees or whatever: squares of larger numbers of an altimeter would be none."""
@@ -74,10 +71,6 @@ def edges_of(names: Sequence[str], length: int) -> list[int]:
 
 # --- layouts
 
-_HALF_LIGHT = 0.5e-9 * SPEED_OF_LIGHT
-"""m of one way in a ns of both."""
-
-
 @dataclass(frozen=True, slots=True)
 class Layout:
     """What a table's columns mean."""
@@ -103,10 +96,6 @@ _LOLA = Layout(LOLA, {
     "spacecraft latitude": "sclatitude", "spacecraft radius": "scradius", "off nadir": "offnadir", "flg": "flg",
     "missionet": "missionet", "frm": "frm", "s": "s", "areoid": "geoid",
 }, frozenset({"ptlongitude", "ptlatitude", "ptradius"}), ("missionet", "frm", "s"), bare=True)  # fmt: skip
-_MLA = Layout(MLA, {
-    "longitude": "longitude", "latitude": "latitude", "radius": "radius", "flight": "tofnset", "tdb": "ephemeristime",
-    "utc": "utc", "channel": "chn",
-}, frozenset({"longitude", "latitude", "radius", "chn", "tofnset"}), bare=True)  # fmt: skip
 _OWN = Layout(None, {
     "longitude": "longitudedeg", "latitude": "latitudedeg", "radius": "radiusm", "tdb": "times", "orbit": "orbit",
     "frame": "frame", "shot": "shot", "channel": "channel", "ground": "ground", "range": "rangem",
@@ -135,8 +124,6 @@ _LOLA_HEADER = (
 LOLA_ROW = re.compile(r"\s*\d{4}-\d\d-\d\dT[\d:.]+\s*(,[^,\n]*){28}(\n|$)")
 _NONE = -1.0
 """What LOLA writes for a radius or range that there is none of; less is a sign that was damaged."""
-_NOISE_CHANNEL = 5
-"""Of MLA, from which on a return is noise (pyXover leaves out chn > 4); other altimeters have no such channel."""
 _NOT_GROUND = 4
 """PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
 _TIMES = ("tdb", "tt", "utc")
@@ -169,18 +156,16 @@ def _with_commas(text: str, path: Path) -> CsvText:
         body = np.insert(block.reshape(len(rows), -1), edges[1:-1], ord(","), axis=1).tobytes().decode()
     else:
         body = "\n".join(",".join(row.split()) for _, row in rows)
-    table = csv_text(",".join(head.split()) + f"\n{body}", path, np.array([k for k, _ in lines]))
-    return replace(table, with_commas=False)
+    return csv_text(",".join(head.split()) + f"\n{body}", path, np.array([k for k, _ in lines]))
 
 
 def is_archive(header: Iterable[str]) -> bool:
     """Whether names of columns are those of an altimeter's archive, or of a selection, not of a cloud of points."""
     names = set(map(plain_name, header))
-    archives = any(layout.known_by <= names for layout in (_LOLA, _MLA))
-    return archives or bool(_PEDR.known_by & names) or "altimeter" in names
+    return _LOLA.known_by <= names or bool(_PEDR.known_by & names) or "altimeter" in names
 
 
-def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots:
+def shots_of_table(table: CsvText, clock_bias: float = 0.0) -> AltimeterShots:
     """Shots of a table, in its order.
 
     Parameters
@@ -189,24 +174,20 @@ def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None 
         Without a column that says otherwise all are ground returns, which alone most programs write.
     clock_bias : float
         s, added to the times of the shots.
-    version : str, optional
-        Product version, a letter, of the PEDR that a table was taken from.
 
     Raises
     ------
     InputError
         A column that is missing or there twice, a value that can't be, radii in no unit in which they are the body's,
-        a PEDR2TAB table whose version is not known.
+        a PEDR2TAB table of an earlier version, by its name.
     """
     if not len(table):
         raise InputError(str(table.path), "a header alone", "rows below it")
     plain = set(map(plain_name, table.names))
-    layout = next((one for one in (_LOLA, _MLA, _OWN) if one.known_by <= plain), _PEDR)
-    if layout is not _PEDR:
-        return _shots(table, layout, clock_bias)
-    letter = IAU2000_VERSION if table.with_commas and version is None else pedr_version(table.path, None, version)
-    shots = _shots(table, layout, clock_bias)
-    return in_iau2000(shots) if letter < IAU2000_VERSION else shots
+    layout = next((one for one in (_LOLA, _OWN) if one.known_by <= plain), _PEDR)
+    if layout is _PEDR:
+        require_final(table.path)
+    return _shots(table, layout, clock_bias)
 
 
 def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
@@ -216,8 +197,6 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
         there, unit = _with_radius(table, layout, names, values)
         values |= {one: values[one] * unit for one in _LENGTHS if one in values}
         values["radius"] = np.where(there, values["radius"], unit)
-    if "flight" in values:
-        values["range"] = _HALF_LIGHT * values["flight"]
     if "tdb" in values or "tt" in values:
         times = values["tdb"] if "tdb" in values else tdb_of_tt(values["tt"])
     else:
@@ -236,7 +215,7 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
         ground &= whole("flg", 2.0**32) & INVALID == 0
     if "ground" in values:
         ground &= whole("ground", 1.0) == 1
-    ground &= ~(value("channel") >= _NOISE_CHANNEL) & ~(value("attitude") >= _NOT_GROUND)
+    ground &= ~(value("attitude") >= _NOT_GROUND)
     known: dict[str, Array | Index | Mask] = {"frames": table.numbers, "ground": ground}
     if layout.name and set(layout.name) <= set(values):
         *seconds, frames, shots = (whole(one) for one in layout.name)

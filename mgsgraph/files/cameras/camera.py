@@ -441,18 +441,6 @@ def radial(keywords: Keywords, label: LineScanLabel) -> RadialDistortion:
     return RadialDistortion(k0, k1 / MM**2, k2 / MM**4)
 
 
-def scaled_interior(
-    label: LineScanLabel, focal_length: float, per_metre: float, centre: float, distortion: Distortion
-) -> InteriorOrientation:
-    """Interior orientation by an instrument kernel: pixels per m along both axes, the principal point's sample."""
-    require_summing(label)
-    return InteriorOrientation(
-        focal_length=focal_length, to_pixel=np.array([[0.0, per_metre, 0.0], [0.0, 0.0, per_metre]]),
-        centre=np.array([0.0, centre]), first=np.array([0.0, label.first_sample]),
-        sample_summing=label.sample_summing, distortion=distortion,
-    )  # fmt: skip
-
-
 def require_summing(label: LineScanLabel) -> None:
     """Raise InputError unless the summing is one that the camera has and the image lies on its detector."""
     summing, highest, pixels = label.sample_summing, label.camera.summing, label.camera.pixels

@@ -6,8 +6,7 @@ All nine lines sit behind one lens in the focal plane of MEX_HRSC_HEAD, +Y along
 a focal length, an offset along track and a turn of its own: those that look ahead or back are lines of the same camera
 at other places, so that position, attitude and their corrections are common to all. Formulas: ISIS HrscCamera,
 CameraDetectorMap, CameraFocalPlaneMap; keywords: ISIS hrsc2isis and its translation tables. Constants: the ISIS
-addendum hrscAddendum004.ti, or NAIF's instrument kernel (one focal length for all, lines through the outer corners of
-their first and last pixels; these differ from the addendum's by 0.4 pixels across track and up to 9 along it).
+addendum hrscAddendum004.ti (NAIF's instrument kernel has one focal length for all lines, and is up to 9 pixels off).
 
 SPACECRAFT_CLOCK_START_COUNT and ..._STOP_COUNT are not read: those of h5270_0000_ir2 lie 7 s before START_TIME and 64 s
 after STOP_TIME, and so belong to something longer than the image.
@@ -54,7 +53,7 @@ from mgsgraph.files.opening import ANY_SIZE, number_of, opened, read_text, under
 from mgsgraph.files.pvl import Block, bytes_around, cube_of, cube_size, data_location, read_label
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
 from mgsgraph.geometry.records import Array
-from mgsgraph.units import MILLISECOND, MM
+from mgsgraph.units import MILLISECOND
 
 _SHORTEST, _LONGEST = 1e-3, 0.5
 """s per line; HRSC exposes for 2.24 to 54.5 ms per detector line, of which a macropixel takes 8 at most."""
@@ -261,28 +260,9 @@ def _interior(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     if (focal := number(keywords, name)) == _NOMINAL_FOCAL_LENGTH:
         raise InputError(
             f"kernels, {name}", f"{focal:g} mm, the instrument kernel's", "the addendum's, such as 174.8",
-            "name the addendum after the instrument kernel (or take constants = 'ik')",
+            "name the addendum after the instrument kernel",
         )  # fmt: skip
     return interior
-
-
-def _by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
-    """The line's outer corners in the focal plane, mm."""
-    _require_macropixel(label)
-    code = label.camera.instrument
-    corners = keywords.numbers(f"INS{code}_FOV_BOUNDARY_CORNERS", 12).reshape(4, 3) * MM
-    first, last = corners[:2, :2].mean(axis=0), corners[2:, :2].mean(axis=0)
-    along = (last - first) / number(keywords, f"INS{code}_PIXEL_SAMPLES")
-    across = np.array([along[1], -along[0]])  # towards +Y, as +X is towards the first pixel
-    turn = np.linalg.inv(np.column_stack([across, along]))
-    return InteriorOrientation(
-        focal_length=float(corners[0, 2]),
-        to_pixel=np.column_stack([-turn @ first, turn]),
-        centre=np.zeros(2),
-        first=np.zeros(2),
-        sample_summing=label.sample_summing,
-        distortion=NoDistortion(),
-    )
 
 
 HRSC = tuple(
@@ -296,7 +276,7 @@ HRSC = tuple(
             {"INSTRUMENT_ID": "HRSC", "DETECTOR_ID": f"MEX_HRSC_{name}"},
             ("SPACECRAFT_CLOCK_START_COUNT", "INSTRUMENT_ID", "DETECTOR_ID"), start="START_TIME", period="",
         ),
-        interior=_interior, instrument_kernel=_by_instrument_kernel, line_times=_line_times, label_facts=_facts,
+        interior=_interior, line_times=_line_times, label_facts=_facts,
         start_is_utc=True, addendum="hrscAddendum004.ti", source="ISIS HrscCamera", pixels=5184,
         summing=_MACROPIXELS[-1],
     )

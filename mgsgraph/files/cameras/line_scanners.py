@@ -25,15 +25,17 @@ Imager of Kaguya (SELENE).
 * LROC NAC-L and NAC-R. Formulas: ISIS LroNarrowAngleCamera, LroNarrowAngleDistortionMap. The clock counts the preroll,
   not the first line, and the lines take longer than the label says: the addendum (lro_instrumentAddendum_v04.ti) has
   both corrections.
-* Kaguya TC1, TC2 and MI. Formulas: ISIS KaguyaTcCamera, KaguyaMiCamera and their distortion maps; or, for TC, those of
-  its instrument kernel SEL_TC_V01.TI, whose radius has a sign. Clock counts (TC) and UTC (MI) are those that the labels
-  call corrected; counts are decimal, and lie 0.03 s after the UTC beside them by SEL_M_V01.TSC: ISIS and the CK go by
-  the clock. The principal point of TC is at (line 0.5, sample 2048.0) in ISIS's addendum 007, half a sample from the
-  kernel's own 2048.5 and half a line ahead; support data that ALE writes have (0.5, 2048.5) with the other sign along
-  track: a line from ISIS's. MI's bands are lines of their own, told by NaifFrameCode.
+* Kaguya TC1, TC2 and MI. Formulas: ISIS KaguyaTcCamera, KaguyaMiCamera and their distortion maps. Clock counts (TC)
+  and UTC (MI) are those that the labels call corrected; counts are decimal, and lie 0.03 s after the UTC beside them by
+  SEL_M_V01.TSC: ISIS and the CK go by the clock. The principal point of TC is at (line 0.5, sample 2048.0) in ISIS's
+  addendum 007, half a sample from the kernel's own 2048.5 and half a line ahead; support data that ALE writes have
+  (0.5, 2048.5) with the other sign along track: a line from ISIS's. MI's bands are lines of their own, told by
+  NaifFrameCode.
 """
 
 from dataclasses import replace
+
+import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import (
@@ -49,7 +51,7 @@ from mgsgraph.files.cameras.camera import (
     number,
     pds3_keys,
     radial,
-    scaled_interior,
+    require_summing,
     uniform,
 )
 from mgsgraph.files.opening import number_of
@@ -102,7 +104,12 @@ def _narrow_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> In
     """m, first pixel 0."""
     per_metre = 1.0 / number(keywords, f"INS{_NARROW}_PIXEL_SIZE")
     centre = float(keywords.numbers(f"INS{_NARROW}_CENTER", 2)[0]) + ISIS_OFFSET
-    return scaled_interior(label, _focal_length(keywords), per_metre, centre, NoDistortion())
+    require_summing(label)
+    return InteriorOrientation(
+        focal_length=_focal_length(keywords), to_pixel=np.array([[0.0, per_metre, 0.0], [0.0, 0.0, per_metre]]),
+        centre=np.array([0.0, centre]), first=np.array([0.0, label.first_sample]),
+        sample_summing=label.sample_summing, distortion=NoDistortion(),
+    )  # fmt: skip
 
 
 def _focal_length(keywords: Keywords) -> float:
@@ -373,15 +380,6 @@ def _terrain(keywords: Keywords, label: LineScanLabel) -> KaguyaDistortion:
     return KaguyaDistortion(*_polynomials(keywords, label.camera.instrument))
 
 
-def _terrain_by_instrument_kernel(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
-    """mm, first pixel 1; a pixel's place is r = -(n - centre) times its size."""
-    code = label.camera.instrument
-    per_metre = -1.0 / (number(keywords, f"INS{code}_PIXEL_SIZE") * MM)
-    centre = float(keywords.numbers(f"INS{code}_CENTER", 1)[0]) - ISIS_OFFSET
-    distortion = KaguyaMiDistortion(*_polynomials(keywords, code))
-    return scaled_interior(label, number(keywords, f"INS{code}_FOCAL_LENGTH") * MM, per_metre, centre, distortion)
-
-
 def _swath(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     key = "SwathModeId" if block.kind == "isis" else "SWATH_MODE_ID"
     mode = block.text(key).upper()
@@ -412,7 +410,7 @@ TC = tuple(
             {"INSTRUMENT_ID": name}, ("INSTRUMENT_ID", "CORRECTED_START_TIME"), start="CORRECTED_SC_CLOCK_START_COUNT",
             utc="CORRECTED_START_TIME", stop="CORRECTED_STOP_TIME", period="CORRECTED_SAMPLING_INTERVAL",
         ),
-        interior=by_addendum(_terrain), instrument_kernel=_terrain_by_instrument_kernel, label_facts=_swath,
+        interior=by_addendum(_terrain), label_facts=_swath,
         addendum="kaguyaTcAddendum007.ti", source="ISIS KaguyaTcCamera", pixels=4096, summing=1,
     )
     for name, instrument in (("TC1", -131351), ("TC2", -131371))

@@ -16,9 +16,7 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import Camera, Keywords, LineScanLabel, LineTimes, LineTimesSource
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.kernels import (
-    INTERVAL,
     Constants,
-    Correction,
     body_code,
     body_frame,
     ck_frame,
@@ -46,44 +44,29 @@ _STOP_SLACK = 0.1
 """
 
 
-@dataclass(frozen=True, slots=True)
-class _Sampling:
-    """How kernels are asked; the same for all images of a strip."""
-
-    focal_length: float | None = None
-    constants: Constants = "iak"
-    attitude_bias: float | None = None
-    position_bias: float = 0.0
-    interval: float = INTERVAL
-    aberration: Correction = "NONE"
-
-
 def read_labelled_image(
-    label: Path, kernels: Sequence[Path], name: str | None = None, line_times: LineTimesSource = None, **how: Any
-) -> PushbroomImage:
-    """Read an image's geometry; parameters and errors as of `read_strip`."""
-    return read_strip([label], kernels, [name], [line_times], **how)[0]
-
-
-def read_strip(
-    labels: Sequence[Path],
+    label: Path,
     kernels: Sequence[Path],
-    names: Sequence[str | None] = (),
-    line_times: Sequence[LineTimesSource] = (),
+    name: str | None = None,
+    line_times: LineTimesSource = None,
+    *,
+    focal_length: float | None = None,
+    constants: Constants = "iak",
+    attitude_bias: float | None = None,
     **how: Any,
-) -> tuple[PushbroomImage, ...]:
-    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
+) -> PushbroomImage:
+    """Read an image's geometry.
 
     Parameters
     ----------
-    labels : sequence of Path
+    label : Path
         PDS3 image or its label, or an ISIS cube or its label, of a camera in `files.cameras.label.CAMERAS`.
     kernels : sequence of Path
         Leapseconds, SCLK, PCK, frames, IK and then addendum, SPK and CK, or meta-kernels.
-    names : sequence of str or None
-        By which networks call the images; product ids when absent.
-    line_times : sequence of Path, "mean" or None
-        of HRSC (`cameras.label.read_line_times`), one for each label; other labels have their line rate in them.
+    name : str, optional
+        By which networks call the image; its product id when absent.
+    line_times : Path, "mean" or None
+        of HRSC (`cameras.label.read_line_times`); other labels have their line rate in them.
     focal_length : float, optional
         m; that of the kernels when absent.
     constants : "iak" or "ik"
@@ -91,12 +74,8 @@ def read_strip(
         have none) or of NAIF's instrument kernel.
     attitude_bias : float, optional
         s, see `sample_trajectory`; that of the camera when absent: -1.15 for MOC, none for the others.
-    position_bias : float
-        s, see `sample_trajectory`.
-    interval : float
-        s between nodes of the trajectory.
-    aberration : "NONE", "LT" or "LT+S"
-        of the positions.
+    how
+        Of `sample_trajectory`: position_bias (s), interval (s between nodes), aberration ("NONE", "LT" or "LT+S").
 
     Raises
     ------
@@ -104,57 +83,39 @@ def read_strip(
         As the readers of labels, line times and kernels; another camera; camera constants that are not in the kernels;
         line times for a camera that needs none.
     """
-    asked = _Sampling(**how)
-    if not labels:
-        raise InputError("strip", "no label", "at least one")
-    if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
-        found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
-        raise InputError("strip", found, "one each, or none")
-    said = [
-        _with_line_times(read_line_scan_label(label.absolute()), source)
-        for label, source in zip(labels, line_times or [None] * len(labels), strict=True)
-    ]
-    for other in said[1:]:
-        _require_alike(said[0], other)
-    here, files = Path.cwd(), [Path(path).absolute() for path in kernels]
+    said = _with_line_times(read_line_scan_label(label.absolute()), line_times)
+    here, files, camera = Path.cwd(), [Path(path).absolute() for path in kernels], said.camera
+    bias = camera.attitude_bias if attitude_bias is None else attitude_bias
 
-    def by_kernels() -> tuple[PushbroomImage, ...]:
+    def by_kernels() -> PushbroomImage:
         with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, here):
-            return _sampled(said, names, asked)
+            return _sampled(said, name, _Constants.of(said, constants), focal_length, attitude_bias=bias, **how)
 
     rotation.from_matrix(np.eye(3))  # loads what is compiled: once, not in every fork
-    with errors_from(*(str(one.path) for one in said)):
+    with errors_from(str(said.path)):
         return read_apart(by_kernels, listed([path.name for path in files]), "SPICE kernels", "fetch them again")
 
 
 def _sampled(
-    said: Sequence[LineScanLabel], names: Sequence[str | None], how: _Sampling
-) -> tuple[PushbroomImage, ...]:
-    """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
-    camera, target = said[0].camera, said[0].target
-    words = [_Constants.of(one, how.constants) for one in said]
-    times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
-    start, stop = min(one.start for one in times), max(one.stop for one in times)
-    structure = ck_frame(_frame(camera))
-    mount = fixed_rotation(structure, _frame(camera), start)
-    bias = camera.attitude_bias if how.attitude_bias is None else how.attitude_bias
+    label: LineScanLabel, name: str | None, constants: "_Constants", focal_length: float | None, **how: Any
+) -> PushbroomImage:
+    """The image of a label by the kernels that are loaded."""
+    camera, times = label.camera, _line_times(label, constants)
+    frame = camera.frame or camera.instrument
+    structure = ck_frame(frame)
+    mount = fixed_rotation(structure, frame, times.start)
     trajectory = sample_trajectory(
-        camera.spacecraft, target, structure, mount, start, stop, how.interval,
-        attitude_bias=bias, position_bias=how.position_bias, aberration=how.aberration,
+        camera.spacecraft, label.target, structure, mount, times.start, times.stop, **how
     )  # fmt: skip
-    body = ellipsoid(target)
-    return tuple(
-        PushbroomImage(
-            name=name or one.product,
-            lines=one.lines,
-            samples=one.samples,
-            interior=with_focal_length(said_by.interior(one), how.focal_length),
-            timing=when.timing(trajectory.epoch),
-            trajectory=trajectory,
-            body=body,
-            remarks=_remarks(one, said_by),
-        )
-        for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
+    return PushbroomImage(
+        name=name or label.product,
+        lines=label.lines,
+        samples=label.samples,
+        interior=with_focal_length(constants.interior(label), focal_length),
+        timing=times.timing(trajectory.epoch),
+        trajectory=trajectory,
+        body=ellipsoid(label.target),
+        remarks=_remarks(label, constants),
     )
 
 
@@ -165,18 +126,6 @@ def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanL
         found = f"line times for {label.camera.name}"
         raise InputError(str(label.path), found, "none: its label has the line rate")
     return replace(label, times=source if source == "mean" else Path(source).absolute())
-
-
-def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
-    if other.target != first.target:
-        raise InputError(str(other.path), f"an image of {other.target}", f"one of {first.target}, as the others")
-    if _frame(other.camera) != _frame(first.camera):
-        expected = f"one behind the lens of {first.camera.name}, as the others"
-        raise InputError(str(other.path), f"an image of {other.camera.name}", expected)
-
-
-def _frame(camera: Camera) -> int:
-    return camera.frame or camera.instrument
 
 
 def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:

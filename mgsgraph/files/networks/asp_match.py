@@ -7,9 +7,6 @@ scale, interest (float32), polarity (1 byte), octave, level (uint32), number of 
 src/asp/Tools/parse_match_file.py; VisionWorkbench, src/vw/InterestPoint/{MatcherIO.cc,InterestPoint.h},
 src/vw/BundleAdjustment/CameraRelation.cc (IPFeature::control_measure).
 
-Text (``--matches-as-txt``, since 2026): ``x1 y1 unc1 x2 y2 unc2`` in every line, the same columns, rows and sigmas.
-Source: StereoPipeline, docs, "Plain text match files".
-
 Matches of pairs are joined to points of many images as VisionWorkbench does it (src/vw/BundleAdjustment:
 ControlNetworkLoader.cc, build_control_network; CameraRelation.cc, write_controlnetwork): places of an image are one
 where column and row are equal to the last bit; what hangs together by matches is one point; a point that comes by an
@@ -33,12 +30,11 @@ from mgsgraph.files.networks.asp_text import (
     RENAME,
     UNSTATED_SIGMA,
     PixelMeasures,
-    filled_lines,
     measures_of,
 )
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, with_names
 from mgsgraph.files.networks.tie_points import PointArrays
-from mgsgraph.files.opening import number_of, read_bytes
+from mgsgraph.files.opening import read_bytes
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.text import root_mean_square, some
@@ -120,22 +116,6 @@ def _records(data: bytes, count: int, where: str) -> np.ndarray:
     return np.asarray(rows.view(_RECORD)[:, 0])
 
 
-def read_match_text(path: Path, images: tuple[str, str]) -> MatchFile:
-    """Read a match file in text; the same errors, and for sigmas that are not positive, with the line."""
-    places, rows = list[str](), list[list[float]]()
-    for where, fields in filled_lines(path):
-        if len(fields) != 6:
-            raise InputError(where, f"{len(fields)} fields", "six numbers: x1 y1 unc1 x2 y2 unc2")
-        rows.append([number_of(text, where) for text in fields])
-        places.append(where)
-    if not rows:
-        raise InputError(str(path), "no match", "at least one")
-    table = np.array(rows, dtype=np.float64).reshape(-1, 2, 3).swapaxes(0, 1)
-    for k in np.flatnonzero(np.any(table[..., 2] <= 0.0, axis=0))[:1]:
-        raise InputError(places[k], f"uncertainty {table[:, k, 2].min():g} px", "a positive one")
-    return _checked(str(path), images, table[..., 1::-1], table[..., 2])
-
-
 def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array) -> MatchFile:
     fine = np.all(np.isfinite(places), axis=(0, 2)) & np.all(np.isfinite(sigmas), axis=0)
     for k in np.flatnonzero(~fine)[:1]:
@@ -143,7 +123,7 @@ def _checked(source: str, images: tuple[str, str], places: Array, sigmas: Array)
     return MatchFile(source, images, places, np.where(sigmas > 0.0, sigmas, np.nan))
 
 
-def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> dict[Path, bytes]:
+def match_files(network: ControlNetwork, prefix: Path) -> dict[Path, bytes]:
     """Contents of the match files of a network by their paths, one for each pair of images with common points.
 
     Parameters
@@ -153,8 +133,6 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
         ``.gcp``, as with the pipeline's own ``--output-cnet-type match-files``.
     prefix : Path
         What the files' names begin with.
-    text : bool
-        Plain text instead of binary; it keeps float64, which the pipeline reads as float32.
 
     Raises
     ------
@@ -172,8 +150,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
         raise InputError(network.source or "network", "a sigma that a match file can't hold", expected)
     made = {}
     for (i, j), one, other in pairs_of(measures):
-        path = match_path(prefix, measures.images[i], measures.images[j], ".txt" if text else ".match")
-        made[path] = (_text if text else _binary)(measures, one, other)
+        made[match_path(prefix, measures.images[i], measures.images[j])] = _binary(measures, one, other)
     return made
 
 
@@ -207,13 +184,6 @@ def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> byte
     records["row"], records["column"] = np.trunc(measures.pixels[chosen]).T
     records["scale"] = one_sigma(measures.sigmas[chosen])
     return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
-
-
-def _text(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
-    columns = [
-        np.column_stack([measures.pixels[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
-    ]  # fmt: skip
-    return "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack(columns).tolist()).encode()
 
 
 # --- points of many images
@@ -298,7 +268,7 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
     Parameters
     ----------
     path : Path
-        Match file, binary or text.
+        Match file.
     known : collection of str
         All images there are; the name is then taken apart by theirs.
     prefix : str, optional
@@ -367,9 +337,9 @@ def require_distinct(images: Collection[str]) -> None:
             raise InputError(f"image {image}", found, "a name of its own in match files", RENAME)
 
 
-def match_path(prefix: Path, first: str, second: str, ending: str) -> Path:
+def match_path(prefix: Path, first: str, second: str) -> Path:
     """File of the matches of two images; InputError if its name is too long."""
-    name = f"{prefix.name}-{stem(first)}{_BETWEEN}{stem(second)}{ending}"
+    name = f"{prefix.name}-{stem(first)}{_BETWEEN}{stem(second)}.match"
     if len(name.encode()) > _LONGEST:
         raise InputError(name, f"a name of {len(name.encode())} bytes", f"at most {_LONGEST}", RENAME)
     return prefix.with_name(name)

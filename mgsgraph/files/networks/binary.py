@@ -1,12 +1,12 @@
-"""ISIS's binary control networks, version 5 written and read, versions 1 and 2 read (there are no others).
+"""ISIS's binary control networks, version 5 written and read, version 2 read.
 
 A label in PVL, padded with NUL to 65536 bytes; ProtoBuffer/Core in it says where the messages are (HeaderStartByte,
 HeaderBytes, PointsStartByte, PointsBytes), ProtoBuffer/ControlNetworkInfo the version, and the rest for human eyes.
 Then the header, and the points: in version 5 each behind its size (uint32, little endian), in version 2 one upon the
-other, with their sizes in the header. Points begin where the header ends, and in version 5 end after PointsBytes. In
-version 1 (that of a label without one) there are two messages, at StartByte, Bytes of Core and of LogData.
+other, with their sizes in the header. Points begin where the header ends, and in version 5 end after PointsBytes.
+Version 1 (that of a label without one, of 2010) ISIS itself writes anew; there are no others.
 Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/ControlNetVersioner.cpp (write, writeFirstPoint,
-readProtobufV0005, readProtobufV0002, readProtobufV0001); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
+readProtobufV0005, readProtobufV0002); 2 and 5 in DOI-USGS/plio, plio/io/io_controlnetwork.py, too
 (IsisStore.read). Messages: `networks.messages`.
 
 A network is read from either of its forms, recognized by what is in the file.
@@ -31,7 +31,6 @@ from mgsgraph.files.networks.messages import (
     message_class,
     points_content,
     read_point,
-    second_versions,
 )
 from mgsgraph.files.networks.pvl import HEAD_TEXTS, parse_pvl_network, where_in
 from mgsgraph.files.networks.record import (
@@ -98,6 +97,7 @@ class BinaryContent(NamedTuple):
     head: ControlNetwork
     """Without points; its source is the file."""
     data: bytes
+    """All of the file."""
     begin: Index
     """(n,) byte of `data` at which each point's message begins."""
     end: Index
@@ -118,16 +118,10 @@ def binary_content(data: bytes, source: str) -> BinaryContent:
     and sizes, and for no point at all.
     """
     version, buffer = _label_of(data, source)
-    if version == "1":
-        head, parts = _first(data, buffer, source)
-        end = np.cumsum([len(part) for part in parts], dtype=np.int64)
-        data, begin = b"".join(parts), np.concatenate([[0], end[:-1]]).astype(np.int64)
-    else:
-        head, start, size = _header(data, version, buffer, source)
-        sizes = head.sizes if version == "2" else None
-        begin, end = (
-            _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
-        )
+    head, start, size = _header(data, version, buffer, source)
+    begin, end = (
+        _behind_sizes(data, start, size, source) if version == "5" else _by_sizes(data, start, head.sizes, source)
+    )
     known = _head_of(head, version, source)
     if not end.size:
         raise InputError(source, "no control point", "an ISIS control network that has some")
@@ -148,18 +142,6 @@ def _head_of(head: Any, version: str, source: str) -> ControlNetwork:
         values["target_name"] = of_mars(values["target_name"])
         radii = _radii(head.target_radii) if version == "5" else ()
     return ControlNetwork(points=(), source=source, target_radii=radii, **values)
-
-
-def _first(data: bytes, buffer: Block, source: str) -> tuple[Any, list[bytes]]:
-    """Head of a network of version 1, and messages of its points as of version 2."""
-    parts = []
-    for name, kind in (("Core", "FirstNetwork"), ("LogData", "FirstNetworkLog")):
-        with _anew():
-            start, size = (_bytes(buffer.inner(name), key) for key in ("StartByte", "Bytes"))
-        if start + size > len(data):
-            raise _cut_short(f"{source}, {name}", f"{len(data)} bytes", f"its end at byte {start + size}")
-        parts.append(_parsed(kind, data[start : start + size], f"{source}, {name}"))
-    return parts[0], [message.SerializeToString() for message in second_versions(parts[0], parts[1], source)]
 
 
 def _header(data: bytes, version: str, buffer: Block, source: str) -> tuple[Any, int, int]:
@@ -184,8 +166,8 @@ def _version(document: Document) -> tuple[str, Block]:
         buffer = whole_label(document).inner("ProtoBuffer")
         info = buffer.inner("ControlNetworkInfo")
         version = info.text("Version") if "Version" in info else "1"
-        if version not in ("1", "2", "5"):
-            raise InputError(info.where("Version"), f"version {version}", "5 (1 and 2 are understood too)")
+        if version not in ("2", "5"):
+            raise InputError(info.where("Version"), f"version {version}", "5 (2 is understood too)")
     return version, buffer
 
 
@@ -449,7 +431,7 @@ def read_network(path: Path) -> ControlNetwork:
     Parameters
     ----------
     path : Path
-        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, whatever its name.
+        PVL text of version 2 to 5, or ISIS's binary form of version 2 or 5, whatever its name.
 
     Returns
     -------
@@ -471,7 +453,7 @@ def read_control_network(path: Path, body: Ellipsoid | None = None) -> TiePoints
     Parameters
     ----------
     path : Path
-        PVL text of version 1 to 5, or ISIS's binary form of version 1, 2 or 5, recognized by what is in the file.
+        PVL text of version 2 to 5, or ISIS's binary form of version 2 or 5, recognized by what is in the file.
     body : Ellipsoid, optional
         That of the images.
 

@@ -4,9 +4,6 @@ They are made known to protobuf when first needed, without protoc. Numbers of th
 isis/src/control/objs/ControlNetVersioner/, from which these are ControlPointFileEntryV0002.proto (points of version 2
 and of version 5 alike), ControlNetFileHeaderV0005.proto and ControlNetFileHeaderV0002.proto; the same in
 DOI-USGS/plio, plio/io/ControlPointFileEntryV0005.proto, ControlNetFileHeaderV0005.proto and ControlNetFileV0002.proto.
-Version 1, whose network is one message and whose figures of merit are another, of the same points and measures in the
-same order: ControlNetFileProtoV0001.proto and ControlNetLogDataProtoV0001.proto beside the former. What becomes of
-them: ControlNetVersioner.cpp (createPoint, createMeasure, writeFirstPoint, readProtobufV0001), ControlPointV0003.cpp.
 
 Fields are called as in the records (`networks.record`): names don't come into the files. To protobuf all of them are
 optional here, enumerations are whole numbers and texts are bytes, so that what is wrong with them is found, and said
@@ -14,7 +11,7 @@ with the keyword of ISIS's PVL; what is not there reads as UNSET or NULL. Left o
 values of log entries, which ISIS neither writes nor reads, and the header's numPoints, which it doesn't write.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from typing import Any
 
@@ -42,28 +39,6 @@ _FIELDS = {
     ),
     "Header": f"{_HEADER}, 10 number* target_radii",
     "OldHeader": f"{_HEADER}, 7 whole+ sizes",
-    "FirstPlace": "1 number sample, 2 number line, 3 number sample_residual, 4 number line_residual",
-    "FirstMeasure": (
-        "1 text serial_number, 2 whole type, 3 text chooser_name, 4 text date_time, 5 flag edit_lock, 6 flag ignore, "
-        "7 flag jigsaw_rejected, 8 FirstPlace place, 9 number diameter, 10 number apriori_sample, "
-        "11 number apriori_line, 12 number sample_sigma, 13 number line_sigma"
-    ),
-    "FirstPoint": (
-        "1 text id, 2 whole type, 3 text chooser_name, 4 text date_time, 5 flag edit_lock, 6 flag ignore, "
-        "7 flag jigsaw_rejected, 8 whole apriori_source, 9 text apriori_source_file, 10 whole apriori_radius_source, "
-        "11 text apriori_radius_source_file, 12 number apriori_x, 13 number apriori_y, 14 number apriori_z, "
-        "15 number+ apriori_covariance, 16 number adjusted_x, 17 number adjusted_y, 18 number adjusted_z, "
-        "19 number+ adjusted_covariance, 20 FirstMeasure* measures, 21 whole reference, 22 flag latitude_constrained, "
-        "23 flag longitude_constrained, 24 flag radius_constrained"
-    ),
-    "FirstNetwork": (
-        "2 text network_id, 3 text target_name, 4 text created, 5 text last_modified, 6 text description, "
-        "7 text user_name, 8 FirstPoint* points"
-    ),
-    "FirstLog": "2 whole kind, 3 number value",
-    "FirstMeasureLog": "2 FirstLog* log",
-    "FirstPointLog": "2 FirstMeasureLog* measures",
-    "FirstNetworkLog": "1 FirstPointLog* points",
 }
 """Number, kind and name of each message's fields; * is repeated, + packed."""
 _KINDS = {"text": "TYPE_BYTES", "whole": "TYPE_INT32", "flag": "TYPE_BOOL", "number": "TYPE_DOUBLE"}
@@ -285,36 +260,3 @@ def _message(record: Any, kind: str, others: dict[str, Any] | None = None, **inn
         elif value is not None:
             fields[name] = finite(value, key) if check is _optional else _covariance(value, key)
     return message_class(kind)(**fields, **inner)
-
-
-# --- version 1
-
-
-def second_versions(network: Any, log: Any, where: str) -> Iterator[Any]:
-    """Points of a network of version 1 and its figures of merit as messages of version 2, as ISIS takes them.
-
-    There types of measures are counted from 1, a measure's place is a message of its own, and every point with an
-    a-priori covariance is constrained. Raises InputError for figures of merit of other points or measures.
-    """
-    _require_same(len(log.points), len(network.points), f"{where}, LogData, points")
-    for number, (point, figures) in enumerate(zip(network.points, log.points, strict=True), start=1):
-        _require_same(len(figures.measures), len(point.measures), f"{where}, LogData, point {number}, measures")
-        made = message_class("Point")(**_set(point))
-        for measure, merit in zip(point.measures, figures.measures, strict=True):
-            added = made.measures.add(**_set(measure), **_set(measure.place))
-            added.type = measure.type - 1 if measure.type != UNSET else UNSET
-            for one in merit.log:
-                added.log.add(**_set(one))
-        if made.apriori_covariance:
-            made.type = int(PointType.CONSTRAINED)
-        yield made
-
-
-def _set(message: Any) -> dict[str, Any]:
-    """Fields that are set, but for messages in them."""
-    return {field.name: value for field, value in message.ListFields() if field.message_type is None}
-
-
-def _require_same(found: int, expected: int, where: str) -> None:
-    if found != expected:
-        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it anew")

@@ -1,11 +1,9 @@
-"""ISIS control networks as PVL text: versions 1 to 5 read, version 5 written.
+"""ISIS control networks as PVL text: versions 2 to 5 read, version 5 written.
 
 ISIS takes the points of versions 3, 4 and 5 with one and the same code: only the names of point types changed, Ground
-to Fixed and Tie to Free. Version 1 (the one without Version) has its own keywords: X, Y, Z or Latitude, Longitude,
-Radius for the adjusted place, ApostCovarianceMatrix, AprioriLatLonSource, Held, ErrorLine and ErrorSample, other words
-for types of measures, and sigmas in place of covariances. In 1 and 2 every point with an a-priori covariance is
-constrained. Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/, of which ControlNetVersioner.cpp
-(toPvl), ControlPointV0001.cpp and ControlPointV0003.cpp, and what ISIS wrote, ControlNetVersioner.truth beside them;
+to Fixed and Tie to Free. In version 2 every point with an a-priori covariance is constrained. Version 1 (of 2010) ISIS
+itself writes anew. Source: DOI-USGS/ISIS3, isis/src/control/objs/ControlNetVersioner/, of which
+ControlNetVersioner.cpp (toPvl) and ControlPointV0003.cpp, and what ISIS wrote, ControlNetVersioner.truth beside them;
 figures of merit: ControlMeasureLogData/ControlMeasureLogData.cpp and .h.
 
 Networks are written as ISIS's cnetbin2pvl does, but with all digits of a number.
@@ -35,15 +33,14 @@ from mgsgraph.files.networks.record import (
     Where,
     of_mars,
 )
-from mgsgraph.files.pvl import LENGTHS, Block, Document, Entry, Value, inner_blocks, keyword_lines, text_value
+from mgsgraph.files.pvl import LENGTHS, Block, Document, Value, inner_blocks, keyword_lines, text_value
 from mgsgraph.files.writing import write_file
-from mgsgraph.geometry.body import east_north_up, from_planetocentric
+from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.units import DEG
 
 _TURN = 360.5 * DEG
 """rad of a longitude at most, east or west, and what its rounding may add."""
-_VERSIONS = ("1", "2", "3", "4", "5")
-_OLD = ("1", "2")
+_VERSIONS = ("2", "3", "4", "5")
 _NULL_SIZE = len("Null")
 _ANGLES = dict.fromkeys(("", "deg", "degree", "degrees"), DEG) | dict.fromkeys(("rad", "radian", "radians"), 1.0)
 PIXEL_UNITS = dict.fromkeys(("", "pixel", "pixels"), 1.0)
@@ -118,11 +115,9 @@ def parse_pvl_network(document: Document) -> ControlNetwork:
             network, version = outer, _version(outer, network)
         if block.name != "controlpoint":
             raise InputError(block.where(), f"{block.kind} {block.name}", "Object = ControlPoint")
-        if version == "1":
-            renew_keywords(block)
         point = _point(block)
-        if version in _OLD:
-            point = renewed_point(point, block, version)
+        if version == "2" and point.apriori_covariance:
+            point = structs.replace(point, type=PointType.CONSTRAINED)
         if point.id in positions:
             first = document.where(positions[point.id])
             raise InputError(block.where("PointId"), f"the id twice, first at {first}", "each id once")
@@ -164,7 +159,7 @@ def _version(outer: Block, earlier: Block | None) -> str:
     version = outer.text("Version") if "Version" in outer else "1"
     if version not in _VERSIONS:
         remedy = "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl"
-        raise InputError(outer.where("Version"), f"version {version}", "1 to 5", remedy)
+        raise InputError(outer.where("Version"), f"version {version}", "2 to 5", remedy)
     return version
 
 
@@ -289,90 +284,7 @@ _POINT_KEYS, _MEASURE_KEYS = (
 """How keywords are read, by keyword in lower case."""
 
 
-# --- versions 1 and 2 in the words of version 5
-
-
-_POINT = {
-    "x": "adjustedx", "y": "adjustedy", "z": "adjustedz", "latitude": "adjustedlatitude",
-    "longitude": "adjustedlongitude", "radius": "adjustedradius", "apostcovariancematrix": "adjustedcovariancematrix",
-    "apriorilatlonsource": "apriorixyzsource", "apriorilatlonsourcefile": "apriorixyzsourcefile",
-}  # fmt: skip
-_MEASURE = {"errorline": "lineresidual", "errorsample": "sampleresidual"}
-_NEEDLESS = ("errormagnitude", "zscore")
-"""Of a measure: they follow from others."""
-_MEASURE_TYPES = {
-    "estimated": "candidate", "unmeasured": "candidate", "automatic": "registeredpixel",
-    "validatedmanual": "registeredpixel", "automaticpixel": "registeredpixel",
-    "validatedautomatic": "registeredsubpixel", "automaticsubpixel": "registeredsubpixel",
-}  # fmt: skip
-_UNKNOWN_SIGMA = 10_000.0
-"""m, what ISIS takes where one of three sigmas is not there, not positive, or larger."""
-_AXES = ("Longitude", "Latitude", "Radius")
-
-
-def renew_keywords(point: Block) -> None:
-    """Give keywords of a point of version 1, and of its measures, their names of version 5."""
-    _rename(point, _POINT)
-    if point.flag("Held"):
-        point.entries["pointtype"] = point.entries["held"]._replace(value="Ground")
-    for measure in point.blocks:
-        _rename(measure, _MEASURE)
-        for key in _NEEDLESS:
-            measure.entries.pop(key, None)
-        kind = measure.entries.get("measuretype")
-        if kind is not None and isinstance(kind.value, str):
-            word = _MEASURE_TYPES.get(kind.value.lower(), kind.value)
-            measure.entries["measuretype"] = kind._replace(value=word)
-        if "Line" not in measure or "Sample" not in measure:  # it was never measured
-            measure.entries["ignore"] = Entry("True", "", measure.position)
-
-
-def _rename(block: Block, names: dict[str, str]) -> None:
-    """Other names for keywords, and none for those that say nothing."""
-    entries = {key: entry for key, entry in block.entries.items() if entry.value != ""}
-    for old, new in names.items():
-        if old in entries:
-            entry = entries.pop(old)
-            entries.setdefault(new, entry)
-    block.entries = entries
-
-
-def renewed_point(point: ControlPoint, block: Block, version: str) -> ControlPoint:
-    """A point of version 1 or 2 as ISIS takes it: constrained where there is an a-priori covariance; in version 1 with
-    the covariances of sigmas (m, on the ground and upward), and with the adjusted place where it has no a-priori one.
-    """
-    changed: dict[str, Any] = {}
-    if version == "1":
-        changed["apriori"] = point.apriori or point.adjusted
-        changed |= _covariances(point, block)
-    if changed.get("apriori_covariance", point.apriori_covariance):
-        changed["type"] = PointType.CONSTRAINED
-    return structs.replace(point, **changed)
-
-
-def _covariances(point: ControlPoint, block: Block) -> dict[str, Any]:
-    """Covariances of version 1, and whether coordinates are constrained, by their names in the record."""
-    found: dict[str, Any] = {}
-    adjusted, known = point.adjusted_covariance, point.apriori_covariance
-    if place := point.apriori or point.adjusted:
-        known = known or _of_sigmas(block, "AprioriSigma", place)
-    if point.adjusted:
-        adjusted = adjusted or _of_sigmas(block, "AdjustedSigma", point.adjusted)
-    for axis in _AXES:
-        whole = bool(point.apriori_covariance or point.adjusted_covariance)
-        found[f"{axis.lower()}_constrained"] = whole or f"AprioriSigma{axis}" in block
-    return found | {"apriori_covariance": known, "adjusted_covariance": adjusted}
-
-
-def _of_sigmas(block: Block, key: str, place: tuple[float, float, float]) -> tuple[float, ...]:
-    """xx, xy, xz, yy, yz, zz in m^2 of sigmas along longitude, latitude and radius; empty without any."""
-    names = [f"{key}{axis}" for axis in _AXES]
-    if not any(name in block for name in names):
-        return ()
-    stated = [block.number(name, LENGTHS) if name in block else 0.0 for name in names]
-    sigmas = np.array([one if 0.0 < one < _UNKNOWN_SIGMA else _UNKNOWN_SIGMA for one in stated])
-    (axes,) = east_north_up(np.array([place]))
-    return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())
+# --- writing
 
 
 _LARGEST = 1e300

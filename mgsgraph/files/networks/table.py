@@ -1,24 +1,21 @@
-"""Tables of tie points and control points (CSV or Parquet, one measure a row), as they are measured by hand.
+"""Tables of tie points and control points (CSV, one measure a row), as they are measured by hand.
 
 The first line names the columns (`files.csv_columns`): id, image, and isis_line, isis_sample (the first pixel's
 centre is (1, 1)) or line, sample (it is (0.5, 0.5)); all others may be left out. Blank lines and lines that begin with
-# count for nothing. A point without measures has one row without image. A Parquet file has the same columns: numbers as
-float64 or whole ones, flags as truth values or words, null for nothing.
+# count for nothing. A point without measures has one row without image.
 
-A table is read by columns, without an object for each point and measure; what is wrong is said with its line (or row),
-its point and its column.
+A table is read by columns, without an object for each point and measure; what is wrong is said with its line, its
+point and its column.
 """
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.csv_columns import (
@@ -34,11 +31,10 @@ from mgsgraph.files.csv_columns import (
     OURS,
     PLACES,
     POINT_TYPES,
-    TEXTS,
-    TRUTHS,
     UNCERTAINTIES,
-    Columns,
-    csv_columns,
+    CsvText,
+    csv_text,
+    filled,
     header_of,
     measured,
     on_body,
@@ -49,21 +45,16 @@ from mgsgraph.files.networks.binary import read_control_network, read_network
 from mgsgraph.files.networks.pvl import MEASURE_TYPES as ISIS_MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlNetwork, MeasureType, PointType, require_shown
 from mgsgraph.files.networks.tie_points import PointArrays, TiePoints
-from mgsgraph.files.opening import ANY_SIZE, opened, read_bytes, understood
+from mgsgraph.files.opening import read_text
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.units import DEG, ISIS_OFFSET
 
-PARQUET, MAGIC = ".parquet", b"PAR1"
-"""Ending of a Parquet file's name, and how its content begins."""
-TABLES = (".csv", PARQUET)
-"""Endings of tables."""
+TABLE = ".csv"
+"""Ending of tables."""
 _OF_OTHERS = (".gcp", ".match", ".nvm")
 """Files of tie points that must be converted first."""
-_WHAT = "an Apache Parquet file"
-_MOST_PACKED, _LEAST_LIMIT = 100, 1 << 25
-"""By how much a table may be packed, and bytes and rows that it may always have."""
 
 
 def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork:
@@ -72,7 +63,7 @@ def read_table(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
     Parameters
     ----------
     path : Path
-        CSV, UTF-8, or by its ending .parquet Apache Parquet.
+        CSV, UTF-8.
     ellipsoid : Ellipsoid, optional
         To which geodetic_latitude_deg and height_m refer, where the table has them; places must be near it.
 
@@ -100,77 +91,23 @@ def read_whole(path: Path, ellipsoid: Ellipsoid | None = None) -> ControlNetwork
 
 def is_table(path: Path) -> bool:
     """Whether a file is a table by its ending."""
-    return path.suffix.lower() in TABLES
+    return path.suffix.lower() == TABLE
 
 
 def read_tie_points(path: Path, ellipsoid: Ellipsoid | None = None) -> TiePoints:
-    """Tie points of a table (by the ending .csv or .parquet) or of an ISIS control network, on this body; see
+    """Tie points of a table (by the ending .csv) or of an ISIS control network, on this body; see
     `read_table`, `read_control_network`.
     """
     ending = path.suffix.lower()
-    if ending in TABLES:
+    if is_table(path):
         points = _read(path, ellipsoid)[0]
         return points.tie_points(lambda k, *_: f"{path}, point {points.ids[k]}", ellipsoid)
     if ending in _OF_OTHERS:
-        expected = "a control network (.pvl, .net) or a table (.csv, .parquet)"
+        expected = "a control network (.pvl, .net) or a table (.csv)"
         raise InputError(str(path), f"a {ending} file", expected, f"mgsgraph convert {path.name} network.net")
+    if ending == ".parquet":
+        raise InputError(str(path), "a table in Parquet", "the table as CSV, or a control network", "write it as .csv")
     return read_control_network(path, ellipsoid)
-
-
-# --- Parquet
-
-
-def parquet_names(path: Path) -> list[str]:
-    """Names of the columns, in small letters; InputError for a file that is none."""
-    from pyarrow import parquet
-
-    with opened(path, ANY_SIZE) as file, understood(str(path), _WHAT), _damage():
-        return [name.strip().lower() for name in parquet.read_schema(file).names]
-
-
-def _parquet_columns(path: Path) -> Columns:
-    """All columns; InputError for a file that is none, and for a column of another kind."""
-    from pyarrow import parquet
-
-    content, source = read_bytes(path), str(path)
-    with understood(source, _WHAT), _damage():
-        file = parquet.ParquetFile(pa.BufferReader(content))
-        head, limit = file.metadata, max(_LEAST_LIMIT, _MOST_PACKED * len(content))
-        size = sum(head.row_group(k).total_byte_size for k in range(head.num_row_groups))
-        if head.num_rows > limit or size > limit:
-            found = f"{head.num_rows} rows, {size} bytes unpacked"
-            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it anew")
-        table = file.read(use_threads=False)
-        names = header_of(table.column_names, f"{source}, columns")
-        columns = {name: _parquet_column(name, table.column(k), source) for k, name in enumerate(names)}
-    return Columns(path, "columns", "row", np.arange(1, head.num_rows + 1), columns)
-
-
-@contextmanager
-def _damage() -> Iterator[None]:
-    """What Arrow raises of a damaged file, as a ValueError."""
-    try:
-        yield
-    except OSError as error:
-        raise ValueError(error) from None
-
-
-def _parquet_column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array:
-    column = pa.chunked_array(chunks).combine_chunks() if chunks.num_chunks != 1 else chunks.chunk(0)
-    if pa.types.is_dictionary(column.type):
-        column = column.cast(column.type.value_type)
-    column.validate(full=True)  # texts that are none
-    of, kind = pa.types, column.type
-    sound = of.is_null(kind) or of.is_string(kind) or of.is_large_string(kind) or of.is_integer(kind)
-    if name not in TEXTS:
-        sound |= of.is_boolean(kind) if name in TRUTHS else of.is_floating(kind)
-    if not sound:
-        expected = "texts" if name in TEXTS else "truth values" if name in TRUTHS else "numbers"
-        raise InputError(f"{source}, column {name}", f"values of the kind {kind}", expected)
-    if of.is_floating(kind):
-        column = column.cast(pa.float64())
-        column = pc.if_else(pc.is_nan(column), None, column)
-    return pc.utf8_trim_whitespace(column.cast(pa.large_string()).fill_null(""))  # of numbers all digits
 
 
 # --- rows, measures and points
@@ -180,16 +117,20 @@ def _parquet_column(name: str, chunks: pa.ChunkedArray, source: str) -> pa.Array
 class _Rows:
     """Rows of a table, and which point each is of."""
 
-    table: Columns
+    text: CsvText
+    values: Mapping[str, pa.Array]
+    """By the names of the columns, texts (m) without blanks around them, empty ones for nothing."""
+    lines: Index
+    """(m,) number of each row among those of the text."""
     point: Index
     """(m,) number of each row's point, in the order in which they come."""
     first: Index
     """(n,) first row of each point."""
 
     def where(self, row: int, name: str = "") -> str:
-        """File, line or row, point and column."""
-        point = self.table.values["id"][row].as_py()[:60]
-        return ", ".join(filter(None, (self.table.where(row), point and f"point {point}", name)))
+        """File, line, point and column."""
+        point = self.values["id"][row].as_py()[:60]
+        return ", ".join(filter(None, (self.text.where(int(self.lines[row])), point and f"point {point}", name)))
 
     def refuse(
         self, bad: Mask, name: str, found: str | Callable[[int], str], expected: str, rows: Index, remedy: str = ""
@@ -201,7 +142,7 @@ class _Rows:
 
     def numbers(self, name: str, rows: Index) -> Array:
         """(k,) finite numbers of a column in some rows, NaN where it is empty."""
-        return measured(self.table.values[name].take(pa.array(rows)), lambda k: self.where(int(rows[k]), name))
+        return measured(self.values[name].take(pa.array(rows)), lambda k: self.where(int(rows[k]), name))
 
     def require_positive(self, name: str, values: Array, rows: Index) -> None:
         """Raise InputError for a number (k,) that is not above zero; NaN passes."""
@@ -210,9 +151,9 @@ class _Rows:
 
     def words(self, name: str, rows: Index, known: Mapping[str, int], empty: int, expected: str) -> Index:
         """(k,) what the words of a column mean in some rows; `empty` where there is none."""
-        if name not in self.table.values:
+        if name not in self.values:
             return np.full(rows.size, empty)
-        found = RepeatedNames.of(self.table.values[name].take(pa.array(rows)))
+        found = RepeatedNames.of(self.values[name].take(pa.array(rows)))
         meant = [known.get(word.lower().replace("_", ""), -1) if word else empty for word in found.distinct]
         values = np.array([*meant, empty], dtype=np.int64)[found.numbers]
         self.refuse(values < 0, name, lambda k: repr(found[k][:60]), expected, rows)
@@ -224,20 +165,20 @@ class _Rows:
 
     def said(self, name: str) -> Index:
         """(n,) the row that says a column of each point first, any where none does; all others must say the same."""
-        if name not in self.table.values:
+        if name not in self.values:
             return self.first
-        filled = np.flatnonzero(self.table.filled(name))
-        texts, of_point, rows = self.table.values[name].take(pa.array(filled)), self.point[filled], self.first.copy()
-        rows[of_point[::-1]] = filled[::-1]
+        there = np.flatnonzero(filled(self.values[name]))
+        texts, of_point, rows = self.values[name].take(pa.array(there)), self.point[there], self.first.copy()
+        rows[of_point[::-1]] = there[::-1]
         codes = np.zeros(self.point.size, dtype=np.int64)
-        codes[filled] = np.asarray(texts.dictionary_encode().indices)
+        codes[there] = np.asarray(texts.dictionary_encode().indices)
         earlier = rows[of_point]
 
         def found(k: int) -> str:
-            first = str(self.table.values[name][earlier[k]])
+            first = str(self.values[name][earlier[k]])
             return f"{str(texts[k])[:60]!r}, and {first[:60]!r} in an earlier row"
 
-        self.refuse(codes[filled] != codes[earlier], name, found, "the same in all of a point's rows", filled)
+        self.refuse(codes[there] != codes[earlier], name, found, "the same in all of a point's rows", there)
         return rows
 
     def group(self, names: Sequence[str]) -> tuple[Array, Mask]:
@@ -253,24 +194,26 @@ class _Rows:
 
 def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index]:
     """Points and measures, types of the measures (k,) and the reference of each point (n,), -1 for none."""
-    table = _parquet_columns(path) if path.suffix.lower() == PARQUET else csv_columns(path)
-    names = header_of(tuple(table.values), f"{path}, {table.header}")
-    table = replace(table, values=dict(zip(names, table.values.values(), strict=True)))
-    table = table.chosen(np.flatnonzero(np.any([table.filled(name) for name in names], axis=0)))
-    if not table.numbers.size:
+    text = csv_text(read_text(path), path)
+    values = text.texts(*text.names)
+    names = header_of(text.names, f"{path}, {text.header}")
+    values = dict(zip(names, values.values(), strict=True))
+    lines = np.flatnonzero(np.any([filled(column) for column in values.values()], axis=0))
+    if not lines.size:
         raise InputError(str(path), "no point", "one measure in every row below the header")
-    coded = table.values["id"].dictionary_encode()
+    values = {name: column.take(pa.array(lines)) for name, column in values.items()}
+    coded = values["id"].dictionary_encode()
     point = np.asarray(coded.indices).astype(np.int64)
-    rows = _Rows(table, point, np.unique(point, return_index=True)[1])
-    every, measured_there = np.arange(point.size), table.filled("image")
-    rows.refuse(~table.filled("id"), "", "no id", "one in every row", every)
+    rows = _Rows(text, values, lines, point, np.unique(point, return_index=True)[1])
+    every, measured_there = np.arange(point.size), filled(values["image"])
+    rows.refuse(~filled(values["id"]), "", "no id", "one in every row", every)
     for name in [name for name in OF_MEASURE if name in names]:
-        bad = table.filled(name) & ~measured_there
+        bad = filled(values[name]) & ~measured_there
         rows.refuse(bad, name, "a measure without image", "the image it was measured in", every)
     of_measures = np.flatnonzero(measured_there)
     of_measures = of_measures[np.argsort(point[of_measures], kind="stable")]
     first = np.searchsorted(point[of_measures], np.arange(rows.first.size + 1))
-    ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))
+    ids, image = Names.of(coded.dictionary), RepeatedNames.of(values["image"].take(pa.array(of_measures)))
     require_shown(ids, lambda k: rows.where(int(rows.first[k])), "an id")
     require_shown(Names.of(image.distinct), lambda k: rows.where(int(of_measures[np.argmax(image.numbers == k)])))
     kinds = rows.words(
@@ -291,7 +234,7 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
 
 def _measures(rows: _Rows, of_measures: Index) -> Array:
     """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where none are said."""
-    columns = rows.table.values
+    columns = rows.values
     measures = np.full((of_measures.size, 4), np.nan)
     for c, name in enumerate((*(ISIS if ISIS[0] in columns else OURS), "sigma_line_px", "sigma_sample_px")):
         if name in columns:
@@ -308,7 +251,7 @@ def _points(rows: _Rows, body: Ellipsoid | None) -> tuple[Index, Mask, Array, Ar
     """Types (n,) by ISIS's numbers, which are ignored, places (n, 3) in m and covariances (n, 6) in m^2, NaN where none
     are said.
     """
-    names, n = tuple(rows.table.values), rows.first.size
+    names, n = tuple(rows.values), rows.first.size
     types = rows.words("type", rows.said("type"), POINT_TYPES, int(PointType.FREE), "free, constrained or fixed")
     ignored = rows.flags("point_ignore", rows.said("point_ignore"))
     place, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
@@ -360,18 +303,6 @@ def table_text(network: ControlNetwork) -> str:
         values = ("true" if row.get(name) is True else row.get(name) for name in names)
         (careful if str(row["id"]).startswith("#") else plain).writerow(["" if one is None else one for one in values])
     return text.getvalue()
-
-
-def table_parquet(network: ControlNetwork) -> bytes:
-    """The same columns as an Apache Parquet file: numbers as float64, flags as truths, null for nothing."""
-    from pyarrow import parquet
-
-    names, rows = _rows(network)
-    kinds = [pa.string() if name in TEXTS else pa.bool_() if name in TRUTHS else pa.float64() for name in names]
-    columns = [pa.array([row.get(name) for row in rows], kind) for name, kind in zip(names, kinds, strict=True)]
-    out = io.BytesIO()
-    parquet.write_table(pa.table(columns, names), out, compression="zstd")
-    return out.getvalue()
 
 
 def _rows(network: ControlNetwork) -> tuple[list[str], list[dict[str, str | float | None]]]:

@@ -29,6 +29,8 @@ NODES = "nodes.json"
 """File that makes a folder without any of them a study of orientation images by this program."""
 DEM = "dem.json"
 """File that makes a folder without any of them a terrain model by this program."""
+STAC_ITEM = "dem.stac.json"
+"""Item of a STAC catalog beside it."""
 COMPARISON = "comparison.json"
 """File that makes a folder without any of them a comparison of two solutions by this program."""
 EXPORT = "export.json"
@@ -52,7 +54,7 @@ TABLES = (
     "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",  # the last two of versions up to 0.2
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
-    DEM, "dem.tif", "ortho.tif", "shots.csv", "dem.stac.json",  # the last of versions up to 0.2
+    DEM, "dem.tif", "ortho.tif", "shots.csv", STAC_ITEM,
     COMPARISON, "merit_compared.csv", "sigmas_compared.csv", "settings_compared.csv", "input_compared.csv",
     "images_compared.csv", "points_compared.csv",
     COREGISTRATION, "profiles.csv", "costs.csv", "disagreement.csv",

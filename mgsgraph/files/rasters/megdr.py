@@ -10,10 +10,8 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
@@ -21,7 +19,7 @@ from mgsgraph.files.pvl import Block, files_called, flat_label
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import DEG
 
 REFERENCE_RADIUS = 3_396_000.0
 """m, taken off the radii of the planet and of the areoid before they were stored in 16 bits."""
@@ -40,16 +38,8 @@ _COUNTS = {f"{sign}INTEGER {bits}": kind for sign in ("MSB_", "", "UNSIGNED_", "
 """NumPy's types of the labels' samples; counts are no less than zero whatever these say."""
 _MARGIN = 4
 """Posts kept beyond the points around which a grid is read."""
-_ROWS, _SPAN = 64, 0.3
-"""Rows, and the least span of squares of their latitudes' sines, by which heights are held against what they are."""
-_FALL = {"radius": (5e3, np.inf), "areoid": (5e3, np.inf), "topography": (-np.inf, 13e3)}
-"""m, by which the means of rows fall from the equator to a pole. Of MEGDR's 22 tiles (and the whole) those of radii do
-so by 7.3 to 28.2 km, for the polar radius is 20 km less, those of topography by -10.2 to 10.2 km.
-"""
 _MOST = 1e8
 """m, of a label's scale and offset."""
-_LOWEST_ROW = -9e3
-"""m, of topography, whose lowest post is -8.1 km."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +88,7 @@ def read_megdr(
     ------
     InputError
         Where neither label nor name say what the file is, the label is for another projection or sample type, the
-        file's size is not what they say, or its heights tell that it is of another kind.
+        file's size is not what they say.
     """
     image, label = _files(path)
     layout = _from_label(label, image) if label is not None else _from_name(image)
@@ -109,7 +99,6 @@ def read_megdr(
             wanted = f"{layout.lines} lines x {layout.samples} samples x {np.dtype(layout.types[0]).itemsize} bytes"
             raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it anew")
         counts = np.memmap(file, expected[size], "r", layout.skipped, (layout.lines, layout.samples))
-    _require_kind(layout, counts, image)
     step, wraps = DEG / layout.resolution, abs(layout.samples - 360.0 * layout.resolution) < 0.5
     first = np.array([layout.latitude, layout.longitude]) * DEG
     rows, columns = slice(0, layout.lines), np.arange(layout.samples)
@@ -127,30 +116,6 @@ def read_megdr(
         wraps=wraps and columns.size == layout.samples, kind=layout.kind, vertical_sigma=vertical_sigma,
         planimetric_sigma=planimetric_sigma,
     )  # fmt: skip
-
-
-def _require_kind(layout: _Layout, counts: NDArray[Any], image: Path) -> None:
-    """Raise InputError where the heights tell that a grid is not what its name or label says: radii and the areoid fall
-    towards the poles, topography doesn't.
-    """
-    rows = np.unique(np.linspace(0, layout.lines - 1, _ROWS).astype(np.int64))
-    latitudes = layout.latitude - rows / layout.resolution
-    if not np.all(np.abs(latitudes) <= 90.0):
-        found = f"latitudes from {latitudes[0]:g} to {latitudes[-1]:g} deg"
-        raise InputError(str(image), found, "-90 .. 90", "look at LINE_PROJECTION_OFFSET, MAP_RESOLUTION and the name")
-    squares = np.sin(latitudes * DEG) ** 2
-    if layout.kind == "counts" or np.ptp(squares) < _SPAN:
-        return
-    means = counts[rows].mean(axis=1) * layout.scale + layout.offset
-    fall = -float(np.polyfit(squares, means, 1)[0])
-    low, high = _FALL[layout.kind]
-    if not low <= fall <= high or (layout.kind == "topography" and means.min() < _LOWEST_ROW):
-        raise InputError(
-            str(image), f"{layout.kind} that falls by {fall / KM:.1f} km from the equator to the poles",
-            "topography above the areoid, as level there" if layout.kind == "topography" else
-            "radii, which fall by about 20 km", "take the file that its name and label say: MEGR... holds radii, "
-            "MEGT... topography, MEGA... the areoid",
-        )  # fmt: skip
 
 
 def _files(path: Path) -> tuple[Path, Path | None]:

@@ -22,16 +22,13 @@ closes a file.
 import logging
 import os
 import re
-import struct
 import sys
 import threading
 import warnings
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import cache
-from io import BufferedReader
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
@@ -223,10 +220,6 @@ _ENVIRONMENT = {
     "GDAL_PNG_WHOLE_IMAGE_OPTIM": "NO",  # nor what happens to lie in memory
 }
 _SIDECAR_SIZE = 1 << 24
-_PIECE = 1 << 16
-"""bytes unpacked at a time, of which at most a thousand times as many come."""
-_ROWS_PER_STRIP = 278
-"""TIFF's tag; absent where all rows are in one strip (TIFF 6.0, page 39)."""
 _SILENT = logging.NullHandler()
 
 
@@ -349,60 +342,24 @@ def _require_held(file: "DatasetReader", path: Path, window: "Window | None") ->
 
 
 def _require_blocks(file: "DatasetReader", path: Path, window: "Window | None") -> None:
-    """Raise InputError where a GeoTIFF lacks a block of pixels, in place of which GDAL gives zeros, or where the check
-    sum of one (deflate) is wrong, which GDAL passes over.
-    """
-    (down, across), (rows, columns), tags = file.block_shapes[0], file.shape, file.tags(ns="IMAGE_STRUCTURE")
+    """Raise InputError where a GeoTIFF lacks a block of pixels, in place of which GDAL gives zeros."""
+    (down, across), (rows, columns) = file.block_shapes[0], file.shape
+    if file.nodata is not None or any(flag.name == "per_dataset" for flag in file.mask_flag_enums[0]):
+        return
+
+    def there(i: int, j: int) -> bool:
+        return file.get_tag_item(f"BLOCK_OFFSET_{j}_{i}", "TIFF", bidx=1) is not None
+
+    if down == 1 and there(0, 0) and not there(1, 0):
+        down = rows  # one long strip, which GDAL gives row by row
     (top, bottom), (left, right) = ((0, rows), (0, columns)) if window is None else window.toranges()
-    stated = file.nodata is not None or any(flag.name == "per_dataset" for flag in file.mask_flag_enums[0])
-    bands = file.count if tags.get("INTERLEAVE") == "PIXEL" else 1
-    with opened(path, ANY_SIZE) as content:
-        if down == 1 and _in_one_strip(file, content):
-            down = rows  # one block, which GDAL gives row by row
-        size = down * across * bands * max(np.dtype(one).itemsize for one in file.dtypes)
-        for i, j in product(range(top // down, -(-bottom // down)), range(left // across, -(-right // across))):
-            offset, length = (
-                file.get_tag_item(f"BLOCK_{what}_{j}_{i}", "TIFF", bidx=1) for what in ("OFFSET", "SIZE")
-            )
-            if offset is None and not stated:
-                raise InputError(
-                    str(path), f"no pixels from row {i * down + 1}, column {j * across + 1} on",
-                    "a whole raster, or nodata", "fetch it anew; where they are to be missing, state the value of "
-                    "such: gdal_edit.py -a_nodata",
-                )  # fmt: skip
-            if offset is not None and tags.get("COMPRESSION") == "DEFLATE":
-                content.seek(int(offset))
-                if not _has_end(content, int(length), size):
-                    raise ValueError(f"the block at row {i * down + 1}, column {j * across + 1} has no end")
-
-
-def _has_end(content: BufferedReader, length: int, most: int) -> bool:
-    """Whether a deflated block, from here on, is whole, with its check sum, and unpacks to so many bytes at most."""
-    block = zlib.decompressobj()
-    while not block.eof and most >= 0 and (piece := content.read(min(length, _PIECE))):
-        length -= len(piece)
-        most -= len(block.decompress(piece))
-    return block.eof and most >= 0
-
-
-def _in_one_strip(file: "DatasetReader", content: BufferedReader) -> bool:
-    """Whether a GeoTIFF says that all rows of a band are one strip, and lacks the second: blocks of its rows, which
-    GDAL makes of long ones, are no others than where each row is a strip, and most are missing.
-    """
-    if file.get_tag_item("BLOCK_OFFSET_0_1", "TIFF", bidx=1) is not None:
-        return False
-    order = "<" if content.read(2) == b"II" else ">"
-    big = struct.unpack(f"{order}H", content.read(2)) == (43,)
-    content.seek(int(file.get_tag_item("IFD_OFFSET", "TIFF", bidx=1) or 0))
-    (count,) = struct.unpack(f"{order}{'Q' if big else 'H'}", content.read(8 if big else 2))
-    size = 20 if big else 12
-    for _ in range(min(count, _PIECE)):
-        entry = content.read(size)
-        tag, kind = struct.unpack_from(f"{order}HH", entry)
-        if tag == _ROWS_PER_STRIP:
-            form = {3: "H", 4: "I", 16: "Q"}[kind]
-            return bool(struct.unpack_from(order + form, entry, size - (8 if big else 4))[0] >= file.height)
-    return True
+    for i, j in product(range(top // down, -(-bottom // down)), range(left // across, -(-right // across))):
+        if not there(i, j):
+            raise InputError(
+                str(path), f"no pixels from row {i * down + 1}, column {j * across + 1} on",
+                "a whole raster, or nodata", "fetch it anew; where they are to be missing, state the value of "
+                "such: gdal_edit.py -a_nodata",
+            )  # fmt: skip
 
 
 _AUTHORITY = "IAU_2015"

@@ -7,10 +7,7 @@ What programs are known to write wrongly into support data: put right where the 
 """
 
 import re
-from collections.abc import Sequence
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -44,8 +41,6 @@ _SAME_RADII = 1e-3
 """Share by which radii may differ from those of the keywords: a sphere does so from Mars by six times that."""
 _SAME_FOCAL_LENGTH = 0.01
 """Share by which a focal length may: a calibration changes it by less."""
-_ALIKE = 0.8
-"""Likeness (difflib) from which on an unknown key is a slip in one that is known and missing."""
 
 
 def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> PushbroomImage:
@@ -81,7 +76,6 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     if (model := content.get("name_model", MODEL)) != MODEL:
         raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
     isd, remarks = repaired(validated(content, SupportData, source), source)
-    _require_no_slips(content, SupportData, source)
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     require_own_constants(isd, body, source)
@@ -186,23 +180,6 @@ def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
 
 
 # --- geometric positions
-
-
-def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> None:
-    """Raise InputError for a key that is a slip in one that is missing, and whose place a default would take."""
-    fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
-    missing = [name for name in fields if name not in table]
-    for key, value in table.items():
-        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_ALIKE)):
-            raise InputError(where, f"the unknown key {key!r}", remedy=f"did you mean {close[0]!r}?")
-        if isinstance(value, dict) and (inner := _record(fields.get(key))) is not None:
-            _require_no_slips(value, inner, f"{where}, {key}")
-
-
-def _record(kind: Any) -> type[msgspec.Struct] | None:
-    """The record that a field holds, which may be optional."""
-    choices: Sequence[Any] = (kind, *getattr(kind, "__args__", ()))
-    return next((one for one in choices if isinstance(one, type) and issubclass(one, msgspec.Struct)), None)
 
 
 def positions(

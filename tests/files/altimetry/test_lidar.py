@@ -137,12 +137,3 @@ def test_a_fault_is_said_with_point_and_id(
         read(tmp_path, SHOT, shot)
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path / "lidar.json"))
-
-
-def test_a_key_twice_is_refused(tmp_path: Path) -> None:
-    """However it is spaced: of the two no one knows which is meant."""
-    path = tmp_path / "lidar.json"
-    for key, twice in (('"time":', '"time" : 3, "time":'), ('"line": 1.0', '"line": 1.0, "line": 2.0')):
-        path.write_text(json.dumps({"points": [SHOT]}).replace(key, twice, 1))
-        with pytest.raises(InputError, match="twice"):
-            read_lidar(path)

@@ -6,7 +6,6 @@ import struct
 import sys
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,24 +17,11 @@ from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.altimetry import ALTIMETERS, LALT, LOLA, MLA, MOLA, AltimeterShots, AltimetryCloud
+from mgsgraph.geometry.altimetry import ALTIMETERS, LOLA, MOLA, AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.trajectory import tdb_of_tt, tdb_of_utc, utc_of_tdb, utc_texts
 from mgsgraph.network.footprints import points_in_images
 from mgsgraph.units import DEG
-
-LIGHT = 299_792_458.0
-MLA_HEADER = (  # of ODE, as USGS's ode_csv2shapefile.py has it
-    "longitude,latitude,altitude,radius,EphemerisTime,MET,frm,chn,Pulswd,thrsh,gain,1way_range,Emiss,TXmJ,UTC,TOF_ns_ET,"
-    "Sat_long,Sat_lat,Sat_alt,Offnad,Phase,Sol_inc,SCRNGE,seqid,Product_id"
-)
-
-
-def mla_row(channel: int, time: float, radius: float = 2438.9, flight: float = 5.0e6) -> str:
-    return (
-        f"221.5, 63.25, -0.5, {radius}, {time}, 209501234, 3, {channel}, 12.5, 0.1, 3, {flight * LIGHT / 2e12}, 0.01,"
-        f"18.2,2011-03-29T19:40:10.5, {flight}, 221.4, 63.2, 750.1, 0.4, 90.1, 80.0, 1.0, 17, MLASCIRDR1103291940"
-    )
 
 
 def written(folder: Path, *lines: str, name: str = "shots.csv") -> Path:
@@ -129,128 +115,6 @@ def test_lengths_of_lola_in_two_units(shared_data: Path, tmp_path: Path) -> None
         part[k] = str(float(part[k]) * 1000.0)
     with pytest.raises(InputError, match=r"ranges of .* times what they should be"):
         read_shots(written(tmp_path, head, *map(",".join, parts)))
-
-
-# --- MLA
-
-
-def test_mla_of_the_orbital_data_explorer(tmp_path: Path) -> None:
-    path = written(tmp_path, MLA_HEADER, *[mla_row(channel, 354699676.684 + k) for k, channel in enumerate((0, 4, 5))])
-    shots = read_shots(path)
-    longitude, latitude, radius = planetocentric(shots.footprints[0])
-
-    assert shots.altimeter is MLA
-    assert shots.ground.tolist() == [True, True, False]
-    np.testing.assert_allclose([longitude % (2 * np.pi), latitude, radius], [221.5 * DEG, 63.25 * DEG, 2438.9e3])
-    np.testing.assert_allclose(shots.ranges, 749481.145)
-    assert shots.profile_names()[0] == "2011-03-29T19:40"
-    assert MLA.spot(shots.ranges) == pytest.approx(59.96, abs=0.01)
-    assert np.isnan(MLA.spot(np.array([np.nan])))
-
-
-# --- tables by their labels
-
-LABEL = """PDS_VERSION_ID = PDS3
-RECORD_TYPE = FIXED_LENGTH
-INSTRUMENT_ID = "LALT"
-^TABLE = "{data}"
-OBJECT = TABLE
-  INTERCHANGE_FORMAT = {form}
-  ROWS = 2
-  ROW_BYTES = {row}
-  COLUMNS = 4
-{columns}
-END_OBJECT = TABLE
-END
-"""
-COLUMN = """OBJECT = COLUMN
-  NAME = "{}"
-  DATA_TYPE = {}
-  START_BYTE = {}
-  BYTES = {}
-  UNIT = "{}"
-END_OBJECT = COLUMN"""
-
-
-def column(name: str, kind: str, start: int, size: int, unit: str) -> str:
-    return COLUMN.format(name, kind, start, size, unit)
-
-
-def test_text_by_its_label(tmp_path: Path) -> None:
-    """Heights of LALT stand above 1737.4 km; names of files in another case than on disk, as archives have them."""
-    columns = "\n".join([
-        column("UNIVERSAL TIME", "TIME", 1, 23, "N/A"), column("LONGITUDE", "ASCII_REAL", 25, 9, "DEGREE"),
-        column("LATITUDE", "ASCII_REAL", 35, 10, "DEGREE"), column("TOPOGRAPHY", "ASCII_REAL", 46, 8, "KM"),
-    ])
-    rows = [f"2008-01-07 00:00:0{k}.500, 120.0{k}00,  -45.0000, -1.250{k}\r\n" for k in range(2)]
-    (tmp_path / "LALT_LGT_TS.TAB").write_text("".join(rows), newline="")
-    label = written(
-        tmp_path, LABEL.format(data="lalt_lgt_ts.tab", form="ASCII", row=len(rows[0]), columns=columns), name="x.lbl",
-    )
-    shots = read_shots(label)
-    longitude, latitude, radius = planetocentric(shots.footprints[1])
-
-    assert shots.altimeter is LALT
-    np.testing.assert_allclose([longitude, latitude, radius], [120.01 * DEG, -45.0 * DEG, 1737.4e3 - 1250.1])
-    assert shots.times[1] - shots.times[0] == pytest.approx(1.0)
-    assert shots.profile_names() == ("2008-01-07T00:00",) * 2
-    text = label.read_text()
-    label.write_text(text.replace('"LALT"', '"MLA"'))  # nothing says what its heights would be above
-    with pytest.raises(InputError, match="without radii, above no one knows what"):
-        read_shots(label)
-
-
-def test_bytes_by_label_and_structure(tmp_path: Path) -> None:
-    rows = [struct.pack("<diii", 254699676.5 + k, 2215000000 - 2**31, 632500000, 1737000000 + k) for k in range(2)]
-    (tmp_path / "t.dat").write_bytes(b"".join(rows))
-    columns = [
-        ("EPHEMERIS_TIME", "PC_REAL", 1, 8, "SECONDS"), ("SURFACE_LONGITUDE", "LSB_INTEGER", 9, 4, "DEGREES"),
-        ("SURFACE_LATITUDE", "LSB_INTEGER", 13, 4, "DEGREES"), ("RADIUS", "LSB_INTEGER", 17, 4, "MILLIMETERS"),
-    ]  # fmt: skip
-    texts = [column(*one) for one in columns]
-    scaled = [text.replace("UNIT", "SCALING_FACTOR = 1e-7\n  UNIT") if "DEGREES" in text else text for text in texts]
-    written(tmp_path, *scaled, "END", name="TABLE.FMT")
-    label = written(
-        tmp_path, LABEL.format(data="t.dat", form="BINARY", row=20, columns='^STRUCTURE = "table.fmt"'), name="t.lbl",
-    )
-    shots = read_shots(label)
-    longitude, latitude, radius = planetocentric(shots.footprints[1])
-    np.testing.assert_allclose(
-        [longitude / DEG, latitude / DEG, radius], [(2215000000 - 2**31) * 1e-7, 63.25, 1737000.001], rtol=1e-12
-    )
-    assert shots.times.tolist() == [254699676.5, 254699677.5]
-
-
-ROW = (254699676.5, 221.5, 63.25, 1737.0)
-
-
-def table(
-    folder: Path, row: tuple[float, ...] = ROW, rows: int = 2, changed: tuple[str, str] = ("", "")
-) -> Path:
-    """A binary table of `rows` such rows (time, longitude, latitude, radius), whose label counts two."""
-    (folder / "t.dat").write_bytes(struct.pack("<4d", *row) * rows)
-    columns = [
-        ("EPHEMERIS_TIME", "PC_REAL", 1, 8, "SECONDS"), ("SURFACE_LONGITUDE", "PC_REAL", 9, 8, "DEGREES"),
-        ("SURFACE_LATITUDE", "PC_REAL", 17, 8, "DEGREES"), ("RADIUS", "PC_REAL", 25, 8, "KM"),
-    ]  # fmt: skip
-    text = LABEL.format(data="t.dat", form="BINARY", row=32, columns="\n".join(column(*one) for one in columns))
-    return written(folder, text.replace(*changed), name="t.lbl")
-
-
-@pytest.mark.parametrize(
-    ("fault", "said"),
-    [
-        ({"rows": 1}, "ROWS: 2, and 1 rows in the file"),
-        ({"row": (np.nan, *ROW[1:])}, "row 1, ephemeristime: nan; expected a number that can be"),
-        ({"row": (*ROW[:3], 1e306)}, "row 1, radius: inf"),
-        ({"row": (ROW[0], 1e3, *ROW[2:])}, "row 1, longitude: 1000 degrees"),
-        ({"changed": ("START_BYTE = 25", "START_BYTE = 26")}, "bytes 26 .. 33 of a row; expected 1 .. 32"),
-    ],
-)
-def test_tables_that_are_not_what_their_label_says(tmp_path: Path, fault: dict[str, Any], said: str) -> None:
-    assert read_shots(table(tmp_path)).times[0] == ROW[0]
-    with pytest.raises(InputError, match=said):
-        read_shots(table(tmp_path, **fault))
 
 
 def test_lola_cut_between_records_is_known_by_the_label_beside_it(tmp_path: Path) -> None:

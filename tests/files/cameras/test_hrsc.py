@@ -17,7 +17,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineTimes, LineTimesLocation, LineTimesSource, NaifKeywords
 from mgsgraph.files.cameras.label import DETECTORS, HRSC, HRSC_HEAD, read_line_scan_label
 from mgsgraph.files.labels.kernels import loaded, pool_numbers
-from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
+from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -287,8 +287,8 @@ def labels(label: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def strip(labels: Sequence[Path], shared_data: Path, times: Path) -> dict[str, PushbroomImage]:
-    images = read_strip(labels, kernels(shared_data), DETECTORS, line_times=[times] * 9)
-    return {image.name: image for image in images}
+    given = kernels(shared_data)
+    return {name: read_labelled_image(label, given, name, times) for label, name in zip(labels, DETECTORS, strict=True)}
 
 
 def turned(one: np.ndarray, other: np.ndarray) -> float:
@@ -421,31 +421,6 @@ def test_there_and_back(strip: dict[str, PushbroomImage]) -> None:
         assert np.abs(back - np.column_stack([lines, samples])).max() < 1e-6, name
 
 
-def test_all_lines_are_on_one_trajectory(
-    labels: list[Path], strip: dict[str, PushbroomImage], shared_data: Path, times: Path
-) -> None:
-    """A strip's images share the record, and see what they see when they are read alone."""
-    assert len({id(image.trajectory) for image in strip.values()}) == 1
-    alone = read_labelled_image(labels[0], kernels(shared_data), line_times=times)
-    places = np.array([0.0, 7000.3, LINES]), np.array([3.0, 600.0, 1288.0])
-    ours, theirs = (image.image_to_ground(*places)[0] for image in (strip["S2"], alone))
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-4)
-
-
-def test_a_strip_spans_lines_taken_at_other_times(
-    labels: list[Path], shared_data: Path, times: Path, tmp_path: Path
-) -> None:
-    """The second image here is the first one's, 3 s later."""
-    text = labels[1].read_text().replace("T12:08:53.843Z", "T12:08:56.843Z").replace("T12:12:10.561Z", "T12:12:13.561Z")
-    (tmp_path / "late.lbl").write_text(text)
-    late = times_file(tmp_path, [(time + 3.0, period, line) for time, period, line in CHANGES])
-    one, other = read_strip([labels[0], tmp_path / "late.lbl"], kernels(shared_data), line_times=[times, late])
-    assert one.trajectory is other.trajectory
-    np.testing.assert_allclose(other.timing.start_times - one.timing.start_times, 3.0, rtol=0, atol=1e-7)
-    first, last = one.timing.at(np.zeros(1))[0][0], other.timing.at(np.array([LINES]))[0][0]
-    assert one.trajectory.coverage == pytest.approx((first - 2.0, last + 2.0), abs=1e-6)
-
-
 def test_the_footprint_is_the_archives(image: PushbroomImage) -> None:
     """Corners as in FOOTPRINT_POINT_... of the label (DLR's own, on other terrain): within 0.03 degrees, 1.8 km."""
     corners = [(0.0, 0.0), (0.0, SAMPLES), (LINES, SAMPLES), (LINES, 0.0)]
@@ -471,15 +446,6 @@ def test_settings_are_heard(label: Path, shared_data: Path, times: Path, image: 
     assert moved.interior.focal_length == 0.1749
     apart = moved.pose(np.array([7000.0])).position - image.pose(np.array([7000.0])).position
     assert np.linalg.norm(apart) == pytest.approx(0.2 * 4234.0, rel=0.01)
-
-
-def test_strips_that_do_not_belong_together(labels: list[Path], shared_data: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="1 names and 0 line times for 9 labels"):
-        read_strip(labels, kernels(shared_data), ["one"])
-    other = tmp_path / "BLUE.lbl"
-    other.write_text(labels[3].read_text().replace("= MARS\n", "= PHOBOS\n"))
-    with pytest.raises(InputError, match=r"BLUE\.lbl: an image of PHOBOS; expected one of MARS"):
-        read_strip([labels[0], other], kernels(shared_data))
 
 
 # --- in a case

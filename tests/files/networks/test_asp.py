@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.asp_match import MatchFile, images_of, joined, match_files, read_match, read_match_text
+from mgsgraph.files.networks.asp_match import MatchFile, images_of, joined, match_files, read_match
 from mgsgraph.files.networks.asp_text import (
     ground_control_text,
     half_sizes,
@@ -236,17 +236,17 @@ def test_what_is_written_is_the_pipelines_own_layout(tmp_path: Path) -> None:
     assert struct.unpack_from("<ff", content, 16 + 45) == (40, 30)
 
 
-@given(given=free_networks(IN_ISIS), text=st.booleans())
+@given(given=free_networks(IN_ISIS))
 @_ANY_FOLDER
-def test_a_network_survives_its_match_files(tmp_path: Path, given: ControlNetwork, text: bool) -> None:
+def test_a_network_survives_its_match_files(tmp_path: Path, given: ControlNetwork) -> None:
     """Points of up to four images come apart into pairs and together again, bit for bit."""
-    files = match_files(given, tmp_path / "run", text)
+    files = match_files(given, tmp_path / "run")
     read = []
     for path, content in files.items():
         path.write_bytes(content)
         images = images_of(path, prefix="run")
         assert images == images_of(path, known=IMAGES)
-        read.append((read_match_text if text else read_match)(path, images))
+        read.append(read_match(path, images))
 
     back = joined(read)
 
@@ -326,19 +326,6 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"x\.match"):
             read_match(path, PAIR)
-
-
-def test_text_is_columns_before_rows(tmp_path: Path) -> None:
-    """The documented line: x1 y1 unc1 x2 y2 unc2."""
-    path = tmp_path / "x.txt"
-    path.write_text("\n124.5 19.7 0.5 254.3 73.9 2\n")
-    got = read_match_text(path, PAIR)
-    np.testing.assert_array_equal(got.pixels, [[[19.7, 124.5]], [[73.9, 254.3]]])
-    np.testing.assert_array_equal(got.sigmas, [[0.5], [2]])
-    for line, said in (("1 2 3 4 5", "5 fields; expected six"), ("1 2 1 3 4 0", "uncertainty 0 px; expected a pos")):
-        path.write_text(f"1.5 2.5 1 3 4 1\n{line}\n")
-        with pytest.raises(InputError, match=f"x.txt, line 2: {said}"):
-            read_match_text(path, PAIR)
 
 
 # --- NVM

@@ -8,23 +8,20 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from control_networks import contents, first_binary, networks, older, pvl_text
+from control_networks import contents, networks, older, pvl_text
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.binary import (
-    binary_network,
-    parse_binary_network,
     read_control_network,
     read_network,
     write_binary_network,
 )
 from mgsgraph.files.networks.pvl import network_text, parse_pvl_network, write_pvl_network
-from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.tie_points import PointKind, TiePoints, tie_points
+from mgsgraph.files.networks.record import ControlNetwork, ControlPoint, PointType
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.pvl import Document
-from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
 from mgsgraph.units import DEG
 
 # --- what it means to an adjustment
@@ -308,7 +305,7 @@ FAULTS = {
     "short covariance": (", 300.0", "", 16, "AprioriCovarianceMatrix: 5 items; expected a list of 6 numbers"),
     "image twice": (MEASURE, MEASURE + MEASURE, 28, "image MGS/561812335:32/MOC-NA: a second measure"),
     "wrong end": ("    End_Group\n  End_Object", "    End_Object\n  End_Object", 27, "the end of group controlmeasure"),
-    "version 6": ("= 5", "= 6", 6, "version 6; expected 1 to 5"),
+    "version 6": ("= 5", "= 6", 6, "version 6; expected 2 to 5"),
     "keyword": ("GoodnessOfFit ", "GoodnessOfFat ", 67, "the keyword goodnessoffat; expected ISIS's keywords"),
     "source": ("= Basemap", "= Atlas", 17, "point T0000, AprioriXYZSource: 'Atlas'; expected one of none, user"),
     "radii": ("(3396190.0, ", "(", 8, "TargetRadii: 2 items; expected a list of 3 numbers"),
@@ -365,124 +362,19 @@ def test_what_pvl_cannot_hold_is_refused(tmp_path: Path, change: dict[str, Any],
 # --- older versions
 
 
-def as_version_one_has_it(network: ControlNetwork) -> ControlNetwork:
-    """Besides `older`: the adjusted place stands in for the a-priori one, what was not measured is ignored, and
-    coordinates are constrained where there is a covariance.
-    """
-    replace = msgspec.structs.replace
-    points = list[ControlPoint]()
-    for point in older(network, 1).points:
-        measures = tuple(
-            replace(one, ignore=one.ignore or one.line is None or one.sample is None) for one in point.measures
-        )
-        whole = bool(point.apriori_covariance or point.adjusted_covariance)
-        points.append(replace(
-            point, measures=measures, apriori=point.apriori or point.adjusted, latitude_constrained=whole,
-            longitude_constrained=whole, radius_constrained=whole,
-        ))  # fmt: skip
-    return replace(network, points=tuple(points), target_radii=())
-
-
 @settings(deadline=None, max_examples=40)
 @given(drawn=networks())
-def test_versions_one_to_five_in_text(drawn: ControlNetwork) -> None:
+def test_versions_two_to_five_in_text(drawn: ControlNetwork) -> None:
     for version in (2, 3, 4, 5):
         assert contents(parsed(pvl_text(drawn, version))) == contents(older(drawn, version)), version
-    assert contents(parsed(pvl_text(drawn, 1))) == contents(as_version_one_has_it(drawn))
 
 
-@settings(deadline=None, max_examples=40)
-@given(drawn=networks())
-def test_version_one_in_binary(drawn: ControlNetwork) -> None:
-    assert contents(parse_binary_network(first_binary(older(drawn, 1)), "a.net")) == contents(older(drawn, 1))
-
-
-REALLY_OLD = """\
-Object = ControlNetwork
-  NetworkId    = ""
-  NetworkType  = ImageToGround
-  TargetName   = MRO/CTX
-  UserName     = ""
-  Created      = Null
-
-  Object = ControlPoint
-    PointType             = Tie
-    PointId               = 1001
-    Held                  = True
-    Latitude              = 30.0
-    Longitude             = 120.0
-    Radius                = 3390000.0
-    AprioriSigmaLatitude  = 20.0
-    AprioriSigmaLongitude = -1.0
-
-    Group = ControlMeasure
-      SerialNumber   = "M1"
-      MeasureType    = ValidatedManual
-      Sample         = 893.0
-      Line           = 616.0
-      ErrorLine      = 0.25
-      ErrorSample    = -0.5
-      ErrorMagnitude = 0.56
-      ZScore         = 1.0
-      DateTime       = ""
-      Reference      = False
-    End_Group
-
-    Group = ControlMeasure
-      SerialNumber   = "M2"
-      MeasureType    = Unmeasured
-      Sample         = Null
-      Line           = ""
-      Reference      = True
-    End_Group
-  End_Object
-
-  Object = ControlPoint
-    PointType = Tie
-    PointId   = "2"
-    Held      = True
-
-    Group = ControlMeasure
-      SerialNumber   = "M1"
-      MeasureType    = AutomaticSubPixel
-      Sample         = 1
-      Line           = 1
-      Eccentricity   = 0.5
-    End_Group
-  End_Object
- End_Object
-End
-"""
-"""In the words of ISIS's own old networks (oldNetwork.net, reallyOldNetwork.net, isis3.2.1)."""
-
-
-def test_the_oldest_words() -> None:
-    network = parsed(REALLY_OLD)
-    first, second = network.points
-    place = from_planetocentric(np.array([120.0 * DEG, 30.0 * DEG, 3.39e6]))
-
-    assert (network.target_name, network.created, network.network_id) == ("Mars", "", "")
-    assert first.measures[0] == ControlMeasure(
-        "M1", MeasureType.REGISTERED_PIXEL, 893.0, 616.0, sample_residual=-0.5, line_residual=0.25
-    )
-    assert first.measures[1] == ControlMeasure("M2", MeasureType.CANDIDATE, ignore=True)
-    assert first.reference == 1
-    assert first.apriori == first.adjusted == pytest.approx(tuple(place.tolist()))
-    assert (first.latitude_constrained, first.longitude_constrained, first.radius_constrained) == (True, True, False)
-    assert (first.type, second.type) == (PointType.CONSTRAINED, PointType.FIXED)
-    assert second.measures[0].type == MeasureType.REGISTERED_SUBPIXEL
-    assert second.measures[0].log == ((1, 0.5),)
-    only = msgspec.structs.replace(network, points=(first,))
-    assert tie_points(only).kinds.tolist() == [PointKind.CONSTRAINED]
-    # by the Jacobian of the coordinates, which knows nothing of axes: 20 m, and 10 km where nothing usable is said
-    backward = np.linalg.inv(planetocentric_jacobian(np.array([120.0 * DEG, 30.0 * DEG, 3.39e6])))
-    lengths = np.diag([3.39e6 * np.cos(30.0 * DEG), 3.39e6, 1.0]) @ backward
-    found = lengths @ tie_points(only).covariances[0] @ lengths.T
-    np.testing.assert_allclose(found, np.diag([1e8, 400.0, 1e8]), atol=1e-3)
-
-
-def test_a_network_of_the_first_version_goes_through_the_last(tmp_path: Path) -> None:
-    (tmp_path / "old.net").write_text(REALLY_OLD.replace("\n", "\r\n"), encoding="utf-8", newline="")
-    read = read_network(tmp_path / "old.net")
-
-    assert contents(parse_binary_network(binary_network(read), "")) == contents(read)
+@pytest.mark.parametrize("text", [
+    "Object = ControlNetwork\n  Object = ControlPoint\n    PointId = a\n  End_Object\nEnd_Object\nEnd\n",
+    "Object = ProtoBuffer\n  Object = Core\n    StartByte = 65536\n  End_Object\n  Group = ControlNetworkInfo\n"
+    "  End_Group\nEnd_Object\nEnd\n",
+])  # fmt: skip
+def test_the_first_version_is_refused_by_its_name(tmp_path: Path, text: str) -> None:
+    (tmp_path / "old.net").write_text(text)
+    with pytest.raises(InputError, match=r"version 1; expected .*let ISIS write it anew"):
+        read_network(tmp_path / "old.net")

@@ -2,21 +2,16 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from control_networks import assert_same, grid
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec import structs
-from msgspec.structs import replace
-from pyarrow import parquet
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
-from mgsgraph.files.networks.table import read_table, read_tie_points, table_parquet, table_text
+from mgsgraph.files.networks.table import read_table, read_tie_points, table_text
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.units import DEG
@@ -249,73 +244,3 @@ def test_kilometres_are_noticed_where_the_body_is_known(tmp_path: Path) -> None:
     assert read(tmp_path, text).points[0].apriori is not None
     with pytest.raises(InputError, match=r"line 2, point a, .*m from the body's centre; expected about 3.39619e\+06 m"):
         read(tmp_path, text, MARS)
-
-
-# --- Parquet
-
-
-COLUMNS: dict[str, Any] = {
-    "id": ["a", "a", "b"], "image": ["A", "B", "A"], "line": [1.5, 2.5, 3.5], "sample": [10, 20, 30],
-    "sigma_line_px": [0.5, None, float("nan")], "ignore": [False, None, False],
-}  # fmt: skip
-
-
-def put(folder: Path, **columns: Any) -> Path:
-    path = folder / "ties.parquet"
-    given = {name: values for name, values in (COLUMNS | columns).items() if values is not None}
-    parquet.write_table(pa.table(given), path)
-    return path
-
-
-def some_of_all() -> ControlNetwork:
-    points = list(grid(5, 3).points)
-    place, covariance = (3390000.1, 1000.0 / 3.0, -2000.7), (100.0, 1.0, 2.0, 101.0, 1.0 / 3.0, 102.0)
-    points[1] = replace(points[1], type=PointType.CONSTRAINED, apriori=place, apriori_covariance=covariance)
-    points[2] = replace(points[2], ignore=True)
-    points[3] = replace(points[3], measures=(), reference=None)
-    return replace(grid(5, 3), points=tuple(points))
-
-
-def test_a_network_comes_back_from_parquet_as_from_csv(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text(table_text(some_of_all()))
-    (tmp_path / "a.parquet").write_bytes(table_parquet(some_of_all()))
-    found = read_tie_points(tmp_path / "a.parquet")
-    expected = read_tie_points(tmp_path / "a.csv")
-    assert_same(found, expected)
-    assert len(found.ids) == 4
-    other = replace(read_table(tmp_path / "a.csv"), source="")
-    assert replace(read_table(tmp_path / "a.parquet"), source="") == other
-
-
-def test_kinds_of_columns(tmp_path: Path) -> None:
-    """Whole numbers, dictionaries and null are what they should be; NaN is as null."""
-    path = put(tmp_path, id=[7, 7, 8], image=pa.array(["A", "B", "A"]).dictionary_encode())
-    found = read_tie_points(path)
-    assert found.ids == ("7", "8")
-    assert found.measure_image == ("A", "B", "A")
-    np.testing.assert_array_equal(found.measures, [[1.5, 10], [2.5, 20], [3.5, 30]])
-    np.testing.assert_array_equal(found.measure_sigmas[:, 0], [0.5, np.nan, np.nan])
-
-
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        ({"line": [1.5, float("inf"), 3.5]}, "row 2, point a, line: 'inf'; expected a finite number"),
-        ({"image": ["A", "A", "A"]}, "row 2, point a, image A: a second measure in this image"),
-        ({"id": ["a", None, "b"]}, "row 2: no id"),
-        ({"line": [True, False, True]}, "column line: values of the kind bool; expected numbers"),
-        ({"line": [], "sample": [], "id": [], "image": [], "sigma_line_px": [], "ignore": []}, ": no point"),
-    ],
-)
-def test_a_fault_is_said_with_its_row_or_column(tmp_path: Path, columns: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=rf"ties\.parquet.*{said}"):
-        read_tie_points(put(tmp_path, **columns))
-
-
-def test_a_file_that_says_to_hold_more_than_it_can(tmp_path: Path) -> None:
-    """A thousand million rows of nothing pack into a few bytes."""
-    path, rows = tmp_path / "ties.parquet", 40_000_000
-    empty = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int8)), ["a"])
-    parquet.write_table(pa.table({"id": empty}), path)
-    with pytest.raises(InputError, match="rows"):
-        read_tie_points(path)

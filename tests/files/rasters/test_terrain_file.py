@@ -354,25 +354,6 @@ def test_a_short_file_and_a_strange_name(tmp_path: Path) -> None:
         read_megdr(image(tmp_path, "terrain.img", np.zeros((3, 3))))
 
 
-@pytest.mark.parametrize(
-    ("true", "said", "top", "bottom"), [("r", "t", 0, 720), ("t", "r", 0, 360), ("t", "a", 360, 720)]
-)
-def test_heights_tell_radii_from_topography(
-    shared_data: Path, tmp_path: Path, true: str, said: str, top: int, bottom: int
-) -> None:
-    """A file under another one's name, whole or by hemispheres, of which the real ones pass."""
-    content = (shared_data / "mola_megdr" / f"meg{true}90n000cb.img").read_bytes()
-    path = image(tmp_path, "a.img", np.frombuffer(content[top * 2880 : bottom * 2880], ">i2"))
-    offset = 4 * (90 - top // 4) + 0.5
-    products = [f"MEG{name.upper()}90N000CB.IMG" for name in (true, said)]
-    real, other = (label(bottom - top, product=name, LINE_PROJECTION_OFFSET=offset) for name in products)
-    (tmp_path / "a.lbl").write_text(real)
-    assert read_megdr(path).radii.shape == (bottom - top, 1440)
-    (tmp_path / "a.lbl").write_text(other)
-    with pytest.raises(InputError, match="km from the equator to the poles"):
-        read_megdr(path)
-
-
 @pytest.mark.parametrize(("site", "largest"), [("insight", 10.0), ("opportunity", 15.0)])
 def test_real_grid_against_real_shots(shared_data: Path, site: str, largest: float) -> None:
     """On flat ground shots and grid agree to metres, and a grid moved by one post in any direction agrees worse."""
