@@ -35,8 +35,6 @@ VERBS = {
 """Module of each verb, and its line of help: known before that module is imported."""
 
 REMOVED = {
-    "demo --attitude-time-bias": "mgsgraph.simulation.site.SimulationOptions has it",
-    "simulate --attitude-time-bias": "mgsgraph.simulation.site.SimulationOptions has it",
     "analyze --snoop": "mgsgraph adjust CASE --reject, with the critical value that --reliability says",
     "analyze --poses": "--pose once for each, with --correlations",
     "adjust --form": "points are always eliminated, to the same result",

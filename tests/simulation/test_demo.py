@@ -21,6 +21,7 @@ from mgsgraph.simulation.demo.demonstration import (
     DEMONSTRATED,
     DRAWING,
     KERNELS,
+    PAIR,
     RELIEF,
     STAGES,
     TIES,
@@ -110,6 +111,9 @@ def test_sources_are_named_from_the_results(demo: Demonstration) -> None:
 def test_sites_and_options_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="eos, gusev, isidis or pair"):
         simulation_options("olympus", known=DEMONSTRATED)
+    with pytest.raises(InputError, match="attitude time bias"):
+        simulation_options(PAIR, 0.5)
+    assert simulation_options("gusev", 0.95).attitude_time_bias == 0.95
 
 
 # --- errors against the truth

@@ -237,6 +237,7 @@ _T = TypeVar("_T")
 def simulation(
     site: str,
     seed: int,
+    attitude_time_bias: float | None = None,
     pictures: bool = True,
     kind: str | None = None,
     images: int | None = None,
@@ -247,7 +248,7 @@ def simulation(
     """How a study site or a campaign is simulated, and how it is written to a folder; `steps` says whether what each
     image of a strip adds is written, too. InputError where there is no such site, or it can't have an option.
     """
-    options = simulation_options(site, pictures)
+    options = simulation_options(site, attitude_time_bias, pictures)
     given = {"kind": kind, "images": images, "ties": ties, "steps": steps or None}
     for name, value in given.items():
         if value is not None and name not in _OPTIONS.get(site, ()):
@@ -266,11 +267,15 @@ def simulation(
     return partial(simulate_site, site, seed, options), write_site
 
 
-def simulation_options(site: str, pictures: bool = True, known: Sequence[str] = SIMULATED) -> SimulationOptions:
-    """Options of a study site's simulation; InputError unless the site is among the `known` ones."""
+def simulation_options(
+    site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
+) -> SimulationOptions:
+    """Options of a study site's simulation; InputError unless the site is among the `known` ones, and can have them."""
     if site not in known:
         raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
-    return SimulationOptions(pictures=pictures)
+    if site not in SITE_NAMES and attitude_time_bias is not None:
+        raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
+    return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
 
 
 def simulated_files(
