@@ -12,7 +12,6 @@ import numpy as np
 import profiles
 import pytest
 from commands import refused, run
-from rigs import write_rig
 
 import mgsgraph
 from mgsgraph.case import draft, draft_images
@@ -297,13 +296,3 @@ def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
     with pytest.raises(InputError, match="a pipe; expected a file"):
         draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")
-
-
-def test_images_of_one_moment_are_told(tmp_path: Path) -> None:
-    write_rig(tmp_path).unlink()
-    made = draft_case([tmp_path], tmp_path / "new.toml")
-    assert any("L, R: of one moment" in line for line in made.said), made.said
-
-
-def test_images_of_other_moments_get_none(case_file: Path, tmp_path: Path) -> None:
-    assert not any("of one moment" in line for line in draft_case([case_file.parent], tmp_path / "case.toml").said)
