@@ -72,7 +72,10 @@ def read_apart(reading: Callable[[], _Found], where: str, what: str, remedy: str
     if status:
         ended = signal.Signals(-status).name if -status in set(signal.Signals) else f"status {status}"
         raise InputError(where, f"{what} made the process that read them end ({ended})", "sound ones", remedy)
-    return _result_of(content)  # type: ignore[no-any-return]
+    found, error = pickle.loads(content)
+    if error is not None:
+        raise _raised(*error)
+    return found  # type: ignore[no-any-return]
 
 
 def _answer(reading: Callable[[], Any], sender: int, folder: str) -> None:
@@ -89,25 +92,13 @@ def _answer(reading: Callable[[], Any], sender: int, folder: str) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_CPU)
     longest = _LONGEST if hard == resource.RLIM_INFINITY else min(_LONGEST, hard)
     resource.setrlimit(resource.RLIMIT_CPU, (longest, hard))
-    with open(sender, "wb") as pipe:
-        pipe.write(_pickled_outcome(reading))
-
-
-def _pickled_outcome(function: Callable[[], Any]) -> bytes:
-    """What a function without arguments returns or raises, for `_result_of` in the process that forked this one."""
     try:
-        return pickle.dumps((function(), None), _PROTOCOL)
+        outcome = pickle.dumps((reading(), None), _PROTOCOL)
     except Exception as error:  # whatever it is, it goes on where this process began
         args = (*error.args, error.filename) if isinstance(error, OSError) and error.filename else error.args
-        return pickle.dumps((None, (type(error), args, error.__dict__, traceback.format_exc())), _PROTOCOL)
-
-
-def _result_of(outcome: bytes) -> Any:
-    """What the function of a `_pickled_outcome` has returned; or what it has raised is raised here."""
-    found, error = pickle.loads(outcome)
-    if error is not None:
-        raise _raised(*error)
-    return found
+        outcome = pickle.dumps((None, (type(error), args, error.__dict__, traceback.format_exc())), _PROTOCOL)
+    with open(sender, "wb") as pipe:
+        pipe.write(outcome)
 
 
 def _raised(kind: type[Exception], args: tuple[Any, ...], fields: dict[str, Any], trace: str) -> Exception:

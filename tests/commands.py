@@ -1,6 +1,7 @@
 """`mgsgraph` as a person uses it, in a process of its own: exit status, both streams, and what bad input looks like."""
 
 import atexit
+import csv
 import json
 import os
 import subprocess
@@ -24,6 +25,12 @@ def call(*arguments: object) -> int:
     from mgsgraph.cli import group
 
     return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """Of a CSV file, by their headings."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def refusal(*arguments: object) -> str:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.analysis.components import Components, components_of, iterated_components
 from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
 from mgsgraph.analysis.measures import Levels
@@ -117,8 +116,6 @@ class Wanted:
     """Variance components by adjusting again and again."""
     suspects: int = 0
     """Rows of the table by suspicion; 0 for no reliability."""
-    snooped: bool = False
-    """Adjust again without what data snooping finds."""
     weak: int = 0
     """Weak directions to be named."""
     levels: Levels = field(default_factory=Levels)
@@ -161,8 +158,6 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield _iterated(posterior)
     if wanted.suspects:
         yield reliability_section(reliability(posterior.linearised, wanted.levels), wanted.suspects)
-    if wanted.snooped:
-        yield _snooped(posterior, wanted.levels)
     if wanted.weak:
         yield _weak(posterior, wanted.weak)
         if posterior.network.passes:
@@ -243,34 +238,6 @@ def _iterated(posterior: Posterior) -> Section:
         "iterated", "Scaled and adjusted again, until all factors were one", found.sentences, numbers=record,
         csv=[components_table(found.components, "components_iterated")],
     )  # fmt: skip
-
-
-def _snooped(posterior: Posterior, levels: Levels) -> Section:
-    """By plain least squares, beginning with all measures, as the tests presume: those of `adjust --reject`."""
-    network, limit = posterior.network, levels.critical
-    found = adjust_network(network, replace(posterior.linearised.settings, loss="none", reject=limit))
-    rays, ranges, ids, images = network.rays, network.ranges, network.points.ids, network.images
-    gone = dict[int, list[str]]()
-    for kind, marks, points, of in (
-        ("ray", found.rays_rejected, rays.point, rays.image),
-        ("range", found.ranges_rejected, ranges.point, ranges.image),
-        ("height above the stereo surface", found.stereo_rejected, np.arange(len(ids)), None),
-    ):
-        for k in np.flatnonzero(np.zeros(0) if marks is None else marks).tolist():
-            name = f"{kind} of point {ids[points[k]]}" + (f" in image {images[of[k]].name}" if of is not None else "")
-            gone.setdefault(int(points[k]), []).append(name)
-    left = reliability(found, levels)
-    over = np.flatnonzero(left.severity > 1.0)
-    still = some(left.names(over[:NAMED]), over.size)
-    said = (
-        f"The search of `adjust --reject {limit:.3g}` leaves out measurements of {many(len(gone), 'point')}; sigma0 is "
-        f"{found.sigma0:.4g} now. Still over the critical value: {still or 'nothing'}."
-    )
-    names = Column("measures", [some(each, len(each)) for each in gone.values()], text="<", gap=2)
-    return Section("snooping", sentences=[said], tables=[Table("snooping", "Left out", (names,))], numbers={
-        "limit": limit, "sigma0": found.sigma0, "removed": [{"measures": each} for each in gone.values()],
-        "still_over": left.names(over),
-    })  # fmt: skip
 
 
 def _weak(posterior: Posterior, count: int) -> Section:

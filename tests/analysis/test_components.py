@@ -1,4 +1,4 @@
-"""Variance components: Helmert's matrix against R itself, planted factors found; blunders that `--snoop` removes."""
+"""Variance components: Helmert's matrix against R itself, planted factors found; blunders that the search removes."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,8 @@ from mgsgraph.analysis.components import (
 )
 from mgsgraph.analysis.grouping import CORRELATED, Grouping, group_redundancy, group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution, at_values
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.measures import Levels
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import (
     ResidualStatistics,
     chi_square_test,
@@ -34,8 +35,6 @@ from mgsgraph.analysis.residual_tests import (
 from mgsgraph.errors import InputError
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.network import Network
-from mgsgraph.results.analysis import Wanted, analysed
-from mgsgraph.results.section import Section
 from mgsgraph.simulation.observations import NoiseSettings
 
 SETTINGS = SolverSettings()
@@ -311,7 +310,7 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     assert "negative" in components[g].sentence
 
 
-# --- `analyze --snoop`
+# --- data snooping: planted blunders go, good measures stay, what is inseparable goes together
 
 
 TIE, SHOT, RANGE, PLACE = 3, 45, 8, 50
@@ -340,27 +339,24 @@ def planted() -> Network:
     return replace(net, ranges=replace(net.ranges, values=values), points=replace(net.points, places=places))
 
 
-@cache
-def snooped() -> Section:
-    (found,) = analysed(Posterior.of(adjust_network(planted(), SolverSettings())), Wanted(snooped=True), "pair")
-    return found
+def snooped(net: Network) -> tuple[Solution, set[str]]:
+    """Adjusted with the search at Baarda's critical value, and the points that it takes measurements of."""
+    found = adjust_network(net, SolverSettings(reject=Levels().critical))
+    points = net.rays.point[found.rays_rejected], net.ranges.point[found.ranges_rejected]
+    return found, {net.points.ids[i] for i in np.concatenate(points).tolist()}
 
 
 def test_planted_blunders_go_and_nothing_else_does() -> None:
     """A tie with two rays goes as a point, and so does what contradicts a wrong a-priori place."""
-    record = snooped().numbers
-    removed = [one["measures"] for one in record["removed"]]
-    assert [f"ray of point TIE00004 in image SIM/{image}" for image in "AB"] in removed
-    assert {names[0].split()[3] for names in removed} == {"TIE00004", "SHOT00006", "SHOT00009", "SHOT00011"}
-    assert record["still_over"] == []
-    assert record["sigma0"] == pytest.approx(adjust_network(clean(), SolverSettings()).sigma0, abs=0.1)
-    assert record["limit"] == pytest.approx(3.29, abs=0.001)
-    assert "measurements of 4 points" in snooped().text(None)
+    found, gone = snooped(planted())
+    assert gone == {"TIE00004", "SHOT00006", "SHOT00009", "SHOT00011"}
+    assert np.sum(planted().rays.point[found.rays_rejected] == TIE) == 2
+    assert not np.any(reliability(found, Levels()).severity > 1.0)
+    assert found.sigma0 == pytest.approx(adjust_network(clean(), SolverSettings()).sigma0, abs=0.1)
 
 
 def test_a_clean_network_is_left_alone() -> None:
-    (found,) = analysed(Posterior.of(adjust_network(clean(), SolverSettings())), Wanted(snooped=True), "pair")
-    assert found.numbers["removed"] == found.numbers["still_over"] == []
+    assert not snooped(clean())[1]
 
 
 def test_known_blunders_stay_out_of_honest_sigmas() -> None:

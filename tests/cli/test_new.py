@@ -9,7 +9,6 @@ import numpy as np
 import profiles
 import pytest
 from commands import refused, run
-from rigs import write_rig
 
 import mgsgraph
 from mgsgraph.case import draft
@@ -238,11 +237,3 @@ def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
     with pytest.raises(InputError, match="a pipe; expected a file"):
         draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")
-
-
-def test_images_of_one_moment_are_told(case_file: Path, tmp_path: Path) -> None:
-    (tmp_path / "rig").mkdir()
-    write_rig(tmp_path / "rig").unlink()
-    for folder, told in ((tmp_path / "rig", True), (case_file.parent, False)):
-        made = draft_case([folder], tmp_path / f"{told}.toml")
-        assert any("of one moment" in line for line in made.said) is told
