@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import archive_index
 import cubes
+import flaky_archive
 import fuzz_seeds as seeds
 import mex
 import mgs
@@ -167,9 +167,9 @@ def _networks() -> Iterator[Reader]:
     from mgsgraph.files.place_table import read_places
     from mgsgraph.studio.verdicts import read_verdicts
 
-    match, gcp, nvm = (of_tests(f"files/networks/test_{name}.py") for name in ("asp_match", "gcp", "asp_nvm"))
+    asp = of_tests("files/networks/test_asp.py")
     pair, written = ("one", "two"), seeds.written_network
-    ground = gcp.DOCUMENTED + "\n" + gcp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
+    ground = asp.DOCUMENTED + "\n" + asp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
     rows = "".join(f"p{k},{10 + k},{20 - k},33900{k}0.5\n" for k in range(6))
     said = "".join(f'p{k},accept,"good, {k}"\n' for k in range(6))
 
@@ -189,14 +189,14 @@ def _networks() -> Iterator[Reader]:
     ties, gaps = (lambda path: read_tie_points(path, MARS)), (".places", ".measure_sigmas")
     yield Reader("tie points, table", ties, table, "csv", gaps=gaps)
     yield Reader("tie points, Parquet", ties, partial(written, "network.parquet", "parquet"), "bytes", gaps=gaps)
-    binary = partial(text, "run-one__two.match", match.SOUND)
+    binary = partial(text, "run-one__two.match", asp.SOUND)
     yield Reader("match file", lambda path: read_match(path, pair), binary, "bytes", gaps=(".sigmas",))
     of_text = partial(written, "run", "match-text")
     yield Reader("match file, text", lambda path: read_match_text(path, pair), of_text, "csv")
     control = partial(text, "a.gcp", ground)
     yield Reader("ground control", lambda path: read_ground_control_network(path, MARS), control, "csv")
-    yield Reader("NVM", read_nvm, lambda: text("a.nvm", nvm.TEXT, **{"a_offsets.txt": nvm.OFFSETS}), "csv")
-    yield Reader("NVM's offsets", nvm_beside, lambda: text("a_offsets.txt", nvm.OFFSETS, **{"a.nvm": nvm.TEXT}), "csv")
+    yield Reader("NVM", read_nvm, lambda: text("a.nvm", asp.NVM, **{"a_offsets.txt": asp.OFFSETS}), "csv")
+    yield Reader("NVM's offsets", nvm_beside, lambda: text("a_offsets.txt", asp.OFFSETS, **{"a.nvm": asp.NVM}), "csv")
     places = partial(text, "places.csv", "id,longitude_deg,latitude_deg,radius_m\n" + rows)
     yield Reader("table of places", lambda path: read_places(path, MARS, "ground"), places, "csv")
     verdicts = partial(text, "verdicts.csv", "# network 0123456789abcdef\nid,verdict,note\n" + said)
@@ -207,7 +207,7 @@ def _altimetry() -> Iterator[Reader]:
     from mgsgraph.files.altimetry.lidar import read_lidar
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud, read_shots
 
-    tests = of_tests("files/altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr.py")
     lola = "LOLARDR_092490702.DAT"
     rows = "".join(f"12.{k},-45.{k},339000{k}.25,{100 + k}.5,a\n" for k in range(6))
 
@@ -308,8 +308,9 @@ def _archives() -> Iterator[Reader]:
     said = json.dumps({"url": "http://x.org/a", "total": 9, "etag": '"1"', "modified": ""})
 
     def index(folder: Path) -> None:
-        images = [archive_index.IndexEntry(1141, f"E02/0{k}", "2000-03-01T10:00:00.00", {}) for k in range(1001, 1004)]
-        archive_index.write_indexes(folder, images)
+        images = [(f"E02/0{k}", "MOC-NA") for k in range(1001, 1004)]
+        for suffix, content in zip(("tab", "lbl"), flaky_archive.index(images), strict=True):
+            (folder / f"imgindx.{suffix}").write_bytes(content)
 
     def rows(path: Path) -> object:
         return read_index(path.with_name("imgindx.tab"), path.with_name("imgindx.lbl"))
@@ -320,11 +321,10 @@ def _archives() -> Iterator[Reader]:
     def focal(path: Path) -> object:
         return camera_focal_length(path.parents[len(Path(_INSTRUMENT).parts) - 1])
 
-    at = "mgsc_1141/index/imgindx"
     yield Reader("mirrors", Archives.read, partial(text, "mirrors.toml", addresses), "pvl")
     yield Reader("part of fetch", part, lambda: text("a.img.part.json", said, **{"a.img.part": b"abc"}), "json")
-    yield Reader("index of a volume", rows, lambda: made(f"{at}.tab", index), "csv")
-    yield Reader("index's label", rows, lambda: made(f"{at}.lbl", index), "pvl")
+    yield Reader("index of a volume", rows, lambda: made("imgindx.tab", index), "csv")
+    yield Reader("index's label", rows, lambda: made("imgindx.lbl", index), "pvl")
     kernel = "KPL/IK\n\\begindata\nINS-94031_PIXEL_SIZE = ( 0.000013 )\n\\begintext\n"
     yield Reader("instrument kernel of fetch", focal, partial(text, str(_INSTRUMENT), kernel), "pvl")
 

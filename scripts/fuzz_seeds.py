@@ -226,7 +226,7 @@ def mla_table() -> str:
 
 
 def ode_table() -> str:
-    tests = of_tests("files/altimetry/test_pedr_text.py")
+    tests = of_tests("files/altimetry/test_pedr.py")
     rows = [tests.ODE_SHOT.replace("-23162931.18358", f"-{23162931.18358 - k}") for k in range(5)]
     return "\n".join((tests.ODE, *rows)) + "\n"
 
@@ -265,12 +265,12 @@ def written_network(name: str, form: str) -> Seed:
 
 
 def old_network(version: int) -> Seed:
-    import isis_networks
+    import control_networks
 
-    grid = isis_networks.grid(3, 2)
+    grid = control_networks.grid(3, 2)
     if version == 0:
-        return text("old.net", isis_networks.first_binary(grid))
-    return text("old.pvl", isis_networks.pvl_text(grid, version))
+        return text("old.net", control_networks.first_binary(grid))
+    return text("old.pvl", control_networks.pvl_text(grid, version))
 
 
 def support_data() -> str:

@@ -49,7 +49,7 @@ from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.places import selection_table
 from mgsgraph.results.plan import judged_table
 from mgsgraph.results.registration import discrepancy_table, registration_table
-from mgsgraph.results.relief import costs_table, profiles_table, relief_shots_table
+from mgsgraph.results.relief import profiles_table, relief_shots_table
 from mgsgraph.results.soundness import drivers_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
@@ -194,7 +194,6 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     relief = _relief_without_shots()
     yield "profiles.csv", profiles_table(relief)
     yield "shots.csv of coregister", relief_shots_table(relief)
-    yield "costs.csv", costs_table(relief)
     yield "disagreement.csv", disagreement_table(())
 
 

@@ -25,8 +25,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.units import DEG
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from archive_server import serving
-from simulated_archive import write_archive
+from flaky_archive import serving, write_archive
 
 from mgsgraph.text import root_mean_square as rms
 

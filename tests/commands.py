@@ -1,6 +1,7 @@
 """`mgsgraph` as a person uses it, in a process of its own: exit status, both streams, and what bad input looks like."""
 
 import atexit
+import csv
 import json
 import os
 import subprocess
@@ -8,6 +9,11 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
+
+import click
+import pytest
+
+from mgsgraph.errors import MgsgraphError
 
 COMMAND = [sys.executable, "-m", "mgsgraph"]
 WIDE = {"COLUMNS": "110"}
@@ -19,6 +25,22 @@ def call(*arguments: object) -> int:
     from mgsgraph.cli import group
 
     return group([str(one) for one in arguments], standalone_mode=False) or 0
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """Of a CSV file, by their headings."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def refusal(*arguments: object) -> str:
+    """The one line by which a command in this process refuses its arguments."""
+    with pytest.raises((MgsgraphError, click.UsageError)) as caught:
+        call(*arguments)
+    error = caught.value
+    message = error.format_message() if isinstance(error, click.UsageError) else str(error)
+    assert "\n" not in message
+    return message
 
 
 def run_afresh(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

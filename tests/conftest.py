@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import kernels
 import once
 import pytest
 from hypothesis import HealthCheck, settings
@@ -57,7 +56,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # else its threads wait for one another's processor
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each of many processes compiles all sources again
         once.share()
-        kernels.compile_in_background()
+        once.compile_in_background()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -81,7 +80,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     for marker in item.iter_markers("program"):
         require_program(*marker.args, **marker.kwargs)
     if not item.nodeid.startswith(tuple(f"tests/{start}" for start in PLAIN)):
-        kernels.wait()
+        once.wait_for_kernels()
 
 
 @pytest.fixture(scope="session")
@@ -136,6 +135,14 @@ def case_file(pair_folder: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def pictured_case(case_file: Path) -> Path:
+    """The same with pixels of noise."""
+    import profiles
+
+    return profiles.with_pixels(case_file)
+
+
+@pytest.fixture
 def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures' PNG files stay empty: to draw them takes as long again as the SVG files, which show the same; pages have
     blank ones.
@@ -159,3 +166,20 @@ def browser() -> Iterator[Any]:
         running = started.chromium.launch(executable_path=str(program), args=FLAGS)
         yield running
         running.close()
+
+
+@pytest.fixture(scope="session")
+def archive_server() -> Iterator[Any]:
+    """Archives on localhost, which whoever asks resets."""
+    import flaky_archive
+
+    with flaky_archive.served() as server:
+        yield server
+
+
+@pytest.fixture
+def archive(archive_server: Any) -> Any:
+    """A few images made up in memory."""
+    import flaky_archive
+
+    return archive_server.reset(flaky_archive.archive_files())

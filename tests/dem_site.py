@@ -4,7 +4,6 @@ true ground: what is wrong with a terrain model of them is the noise that was ad
 
 import atexit
 import shutil
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -125,12 +124,3 @@ def true_heights(grid: MapGrid) -> Array:
     """(rows, columns) m above the sphere, of the true ground at the posts of a map."""
     longitude, latitude, _ = planetocentric(grid.points(grid.posts(), np.zeros(grid.rows * grid.columns))).T
     return (site().terrain.ground_radius(longitude, latitude) - grid.radius).reshape(grid.rows, grid.columns)
-
-
-def without(name: str) -> Posterior:
-    """The posterior of a network whose first image has another name."""
-    network = posterior().network
-    images = (replace(network.images[0], name=name), *network.images[1:])
-    linearised = posterior().linearised
-    layout = replace(linearised.layout, network=replace(network, images=images))
-    return Posterior(replace(linearised, layout=layout))

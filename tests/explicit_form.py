@@ -1,17 +1,277 @@
-"""The adjustment that GTSAM alone makes of a network: an independent reference for small ones."""
+"""The explicit form, an independent reference: the Jacobian oracle of a factor, dense normal equations of factors, and
+the adjustment that GTSAM alone makes of a small network.
 
-from dataclasses import replace
+What the kernel sums is compared with NumPy's Schur complement of the explicit factors' Jacobians, which know nothing of
+patterns, tiles and blocks.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.covariances import considered_information
 from mgsgraph.adjustment.graph import Layout, lay_out
-from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, shared_vector, variable_key
+from mgsgraph.adjustment.graph.forms import (
+    explicit_graph,
+    observation_factor,
+    observation_noise,
+    point_key,
+    shared_vector,
+    variable_key,
+)
+from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables
 from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
 from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
 from mgsgraph.adjustment.rounds import exactly
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.kernel.rows import FIXED, OUT, Groups, Model, Rows, one_observation
+from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, point_covariances, reduce
+
+# --- the oracle
+
+
+def assert_jacobians(
+    factor: gtsam.NonlinearFactor, values: gtsam.Values, steps: dict[int, np.ndarray], tolerance: float = 1e-5
+) -> None:
+    """Compare a factor's linearisation with central differences of its whitened error.
+
+    `steps` holds, by key, the step of each component (metres, radians): about what the variable's scale is. The
+    difference of a column may be `tolerance` of the largest column of its block; the message names block and column.
+    """
+    linear = gtsam.JacobianFactor(factor.linearize(values))
+    jacobian, right = linear.jacobian()
+    np.testing.assert_allclose(-right, factor.whitenedError(values), rtol=1e-12, atol=1e-12)
+    column = 0
+    for key in linear.keys():
+        size = steps[key].size
+        analytic = jacobian[:, column : column + size] * steps[key]
+        numeric = np.stack([_difference(factor, values, key, steps[key], k) for k in range(size)], axis=1)
+        scale = np.abs(numeric).max()
+        worst = np.abs(analytic - numeric).max(axis=0)
+        k = int(np.argmax(worst))
+        assert worst[k] <= tolerance * max(scale, 1e-6), (
+            f"block {gtsam.DefaultKeyFormatter(key)}, column {k}: analytic {analytic[:, k]}, numeric {numeric[:, k]}"
+        )
+        column += size
+
+
+def _difference(factor: gtsam.NonlinearFactor, values: gtsam.Values, key: int, steps: np.ndarray, k: int) -> np.ndarray:
+    """Change of the whitened error per step of component k, by central differences of fourth order."""
+
+    def error(times: float) -> np.ndarray:
+        delta = gtsam.VectorValues()
+        for other in values.keys():
+            size = values.atVector(other).size if _is_vector(values, other) else 3
+            move = np.zeros(size)
+            if other == key:
+                move[k] = times * steps[k]
+            delta.insert(other, move)
+        return factor.whitenedError(values.retract(delta))
+
+    return (8.0 * (error(1.0) - error(-1.0)) - (error(2.0) - error(-2.0))) / 12.0
+
+
+def _is_vector(values: gtsam.Values, key: int) -> bool:
+    return gtsam.DefaultKeyFormatter(key).startswith(("o", "s"))
+
+
+# --- dense normal equations
+
+
+@dataclass(eq=False)
+class System:
+    """Rows with the unknowns that they feel."""
+
+    rows: Rows
+    groups: Groups
+    blocks: PairBlocks
+    model: Model
+    variables: Variables
+    sigmas: np.ndarray
+    """(columns,) units of the unknowns, m and rad (and s)."""
+
+    @property
+    def columns(self) -> int:
+        return int(self.sigmas.size)
+
+    def reduce(self, x: np.ndarray, points: np.ndarray | None = None, task: int = SYSTEM) -> Reduction:
+        return reduce(self.rows, self.groups, self.blocks.target, self.model, x, task, points)
+
+    def matrix(self, flat: np.ndarray) -> np.ndarray:
+        """(columns, columns) of blocks."""
+        full = np.zeros((self.columns, self.columns))
+        for v, w, at in zip(self.blocks.first, self.blocks.second, self.blocks.offset, strict=True):
+            rows, columns = self.variables.columns_of(v), self.variables.columns_of(w)
+            block = flat[at : at + self.variables.width[v] * self.variables.width[w]]
+            full[rows, columns] = block.reshape(self.variables.width[v], self.variables.width[w])
+            full[columns, rows] = full[rows, columns].T
+        return full
+
+    def flat(self, matrix: np.ndarray) -> np.ndarray:
+        """The blocks of a (columns, columns) matrix; the way back."""
+        parts = [
+            matrix[self.variables.columns_of(v), self.variables.columns_of(w)].ravel()
+            for v, w in zip(self.blocks.first, self.blocks.second, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def covariances(self, x: np.ndarray, joint: np.ndarray, points: np.ndarray) -> np.ndarray:
+        target = self.blocks.target
+        return point_covariances(self.rows, self.groups, target, self.model, x, self.flat(joint), points)
+
+
+def of_layout(layout: Layout, rows: Rows | None = None) -> System:
+    """The system that the adjustment itself solves."""
+    rows = layout.rows if rows is None else rows
+    return System(rows, layout.groups, layout.blocks, layout.model, layout.variables, layout.scales)
+
+
+@dataclass(eq=False)
+class Factor:
+    """One observation as a GTSAM factor."""
+
+    point: int
+    """Place in the system's order."""
+    felt: list[int]
+    """Variables."""
+    factor: gtsam.CustomFactor
+    fixed: bool
+
+
+def vector_key(variable: int) -> int:
+    """Any shared unknown; 'o' is what the oracle takes for a vector."""
+    return int(gtsam.symbol("o", variable))
+
+
+def explicit_factors(system: System) -> Iterator[Factor]:
+    """A factor for each observation that takes part."""
+    rows, groups = system.rows, system.groups
+    for pattern, first, count, _, among in rows.piece.tolist():
+        begin, end = rows.pattern_observation[pattern : pattern + 2]
+        for i in range(first, first + count):
+            for s in range(begin, end):
+                weights = rows.weight[:, among + (s - begin) * count + i - first]
+                if rows.kind[i] != OUT and weights[0] > 0.0:
+                    entry = rows.observation_entry[s]
+                    mine = rows.entry_member[entry : entry + rows.observation_terms[s] + rows.observation_shared[s]]
+                    felt = groups.member_variable[groups.member_first[rows.pattern_group[pattern]] + np.unique(mine)]
+                    fixed = bool(rows.kind[i] == FIXED)
+                    factor = observation_factor(
+                        [vector_key(v) for v in felt],
+                        [int(system.variables.width[v]) for v in felt],
+                        rows.start[i] if fixed else point_key(i),
+                        one_observation(rows, groups, i, int(s - begin)),
+                        system.model,
+                        observation_noise(int(rows.observation_kind[s]), weights, system.model),
+                        f"point {i}, observation {s - begin}",
+                    )
+                    yield Factor(i, [int(v) for v in felt], factor, fixed)
+
+
+def values_at(system: System, x: np.ndarray, points: np.ndarray) -> gtsam.Values:
+    values = gtsam.Values()
+    for v in system.variables.adjusted():
+        values.insert(vector_key(v), x[system.variables.columns_of(v)])
+    for i, place in enumerate(points):
+        values.insert(point_key(i), place)
+    return values
+
+
+@dataclass(eq=False)
+class Normals:
+    """Dense normal equations at given unknowns and points, in units of the unknowns' sigmas; points in m."""
+
+    matrix: np.ndarray
+    """(columns + 3 n, columns + 3 n), without priors on the shared unknowns; zero for points that are known or out."""
+    gradient: np.ndarray
+    cost: float
+    columns: int
+
+    @property
+    def solved(self) -> np.ndarray:
+        """Columns of the points that are unknowns."""
+        mine = np.flatnonzero(np.diag(self.matrix) > 0.0)
+        return mine[mine >= self.columns]
+
+    def reduced(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Schur complement of the points, its gradient, and the cost at the points' best places by the linear model."""
+        c, p = slice(0, self.columns), self.solved
+        gain = np.linalg.solve(self.matrix[np.ix_(p, p)], np.column_stack([self.matrix[p, c], self.gradient[p]]))
+        matrix = self.matrix[c, c] - self.matrix[c, p] @ gain[:, :-1]
+        gradient = self.gradient[c] - self.matrix[c, p] @ gain[:, -1]
+        return matrix, gradient, self.cost - 0.5 * float(self.gradient[p] @ gain[:, -1])
+
+    def inverse(self) -> np.ndarray:
+        """Covariance of everything, with priors of the units; zero for what is known."""
+        kept = np.concatenate([np.arange(self.columns), self.solved])
+        normal = self.matrix[np.ix_(kept, kept)].copy()
+        normal[: self.columns, : self.columns] += np.eye(self.columns)
+        inverse = np.zeros_like(self.matrix)
+        inverse[np.ix_(kept, kept)] = np.linalg.inv(normal)
+        return inverse
+
+
+def dense_normals(system: System, x: np.ndarray, points: np.ndarray) -> Normals:
+    """Sum of the explicit factors' linearisations."""
+    size = system.columns + 3 * points.shape[0]
+    normals = Normals(np.zeros((size, size)), np.zeros(size), 0.0, system.columns)
+    values = values_at(system, x, points)
+    for mine in explicit_factors(system):
+        normals.cost += mine.factor.error(values)
+        if mine.fixed and not mine.felt:
+            continue
+        jacobian, right = gtsam.JacobianFactor(mine.factor.linearize(values)).jacobian()
+        places = [np.arange(system.columns)[system.variables.columns_of(v)] for v in mine.felt]
+        if not mine.fixed:
+            places.append(system.columns + 3 * mine.point + np.arange(3))
+        at = np.concatenate(places)
+        jacobian = jacobian * np.append(system.sigmas, np.ones(3 * points.shape[0]))[at]
+        normals.matrix[np.ix_(at, at)] += jacobian.T @ jacobian
+        normals.gradient[at] -= jacobian.T @ right
+    return normals
+
+
+def assert_bundle_is_explicit(system: System, x: np.ndarray, share: float = 1e-9) -> Reduction:
+    """Reduced matrix, gradient and cost against the dense Schur complement, to `share` of the largest; covariances of
+    the points against the dense inverse, to ten times that. The points are solved first, so that both are of one place.
+    """
+    points = system.reduce(x).points
+    found, normals = system.reduce(x, points), dense_normals(system, x, points)
+    matrix, gradient, cost = normals.reduced()
+    assert found.blocks is not None
+    scaled = system.matrix(found.blocks) * system.sigmas * system.sigmas[:, None]
+    largest = max(np.abs(matrix).max(initial=0.0), 1e-3)  # where nothing is learned, rounding is left; a prior has 1
+    np.testing.assert_allclose(scaled, matrix, rtol=0.0, atol=share * largest)
+    # the gradient is a sum over rows that cancels: what it is compared with is what is summed
+    summed = np.sqrt(2.0 * cost * largest)
+    np.testing.assert_allclose(found.gradient * system.sigmas, gradient, rtol=0.0, atol=share * summed)
+    np.testing.assert_allclose(found.cost, cost, rtol=share)
+    inverse = normals.inverse()
+    joint = inverse[: system.columns, : system.columns] * system.sigmas * system.sigmas[:, None]
+    own = np.arange(system.columns, inverse.shape[0]).reshape(-1, 3)
+    expected = inverse[own[:, :, None], own[:, None, :]]
+    covariances = system.covariances(x, joint, points)
+    largest = np.abs(expected).max(initial=1e-300)
+    np.testing.assert_allclose(covariances, expected, rtol=0.0, atol=10.0 * share * largest)
+    return found
+
+
+def assert_gradient_is_that_of_the_cost(system: System, x: np.ndarray, share: float = 1e-6) -> None:
+    """Central differences of fourth order of the reduced cost, a step of 1e-3 sigma."""
+    found = system.reduce(x)
+    cost: Callable[[np.ndarray], float] = lambda move: system.reduce(x + move, found.points, COSTS).cost  # noqa: E731
+    numeric = np.empty(system.columns)
+    for k in range(system.columns):
+        step = np.zeros(system.columns)
+        step[k] = 1e-3 * system.sigmas[k]
+        numeric[k] = (8.0 * (cost(step) - cost(-step)) - (cost(2.0 * step) - cost(-2.0 * step))) / 12e-3
+    analytic = found.gradient * system.sigmas
+    np.testing.assert_allclose(analytic, numeric, rtol=share, atol=share * np.abs(analytic).max())
+
+
+# --- an adjustment by GTSAM alone
 
 
 def by_gtsam(solution: Solution) -> Solution:

@@ -1,16 +1,32 @@
-"""An archive on localhost, made up in memory, that serves ranges and commits the faults it is told to."""
+"""Archives on localhost, which serve ranges and commit the faults they are told to: a few images made up in memory, or
+a simulated site laid out as the public archives are, which `mgsgraph fetch` finds and fetches.
+"""
 
 import hashlib
 import re
+import shutil
 import socket
 import threading
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+
+from mgsgraph.files.rasters.megdr import REFERENCE_RADIUS
+from mgsgraph.geometry.records import Array
+from mgsgraph.simulation.camera import BORESIGHT_SAMPLE
+from mgsgraph.simulation.ground import areoid_under, terrain_grid
+from mgsgraph.simulation.mgs_files import kernel_segment, label_time, pedr_file, product_id, write_moc_image
+from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr, write_pedr
+from mgsgraph.simulation.site import SimulatedImage, SimulatedSite
+from mgsgraph.simulation.spice_files import CAMERA, CAMERA_FRAME_TEXT, ephemeris_time, write_kernels
+from mgsgraph.units import DEG
 
 Fault = Callable[["Handler", bytes], None]
 """Answers a request for some content in its own way."""
@@ -34,6 +50,13 @@ class Flaky:
     validators: bool = True
     """Whether it says ETag and Last-Modified."""
     address: str = ""
+
+    def reset(self, files: dict[str, bytes]) -> "Flaky":
+        """Without faults and memory, holding other files."""
+        self.files, self.ranges, self.validators = files, True, True
+        for memory in (self.faults, self.stays, self.asked, self.sent, self.conditions):
+            memory.clear()
+        return self
 
     def url(self, path: str) -> str:
         return f"{self.address}/{path}"
@@ -232,6 +255,14 @@ def served() -> Iterator[Flaky]:
         thread.join()
 
 
+@contextmanager
+def serving(folder: Path) -> Iterator[str]:
+    """The files of a folder; the address, for ``mgsgraph fetch --mirror``."""
+    with served() as archive:
+        archive.files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.*")}
+        yield archive.address
+
+
 # --- an archive with a few images
 
 SPICE_TEXT = b"KPL/FK\n\\begindata\nSOMETHING = 1\n\\begintext\n"
@@ -248,9 +279,11 @@ def label(**values: str) -> bytes:
     return "\r\n".join([*lines, ""]).encode()
 
 
-def image(product: str, start: str, stop: str, orbit: int | None = None, instrument: str = "MOC-NA") -> bytes:
+def image(
+    product: str, start: str, stop: str, orbit: int | None = None, instrument: str = "MOC-NA", **more: str
+) -> bytes:
     """An .imq: a record of 2048 bytes for the label, and one of pixels."""
-    more = {} if orbit is None else {"ORBIT_NUMBER": str(orbit)}
+    more |= {} if orbit is None else {"ORBIT_NUMBER": str(orbit)}
     head = label(
         RECORD_TYPE="FIXED_LENGTH", RECORD_BYTES="2048", FILE_RECORDS="2", LABEL_RECORDS="1",
         INSTRUMENT_ID=f'"{instrument}"', PRODUCT_ID=f'"{product}"', START_TIME=start, STOP_TIME=stop, **more,
@@ -312,3 +345,144 @@ def archive_files() -> dict[str, bytes]:
         files[f"megdr/{name}.img"] = rng.bytes(5000)
         files[f"megdr/{name}.lbl"] = label(RECORD_BYTES="100")
     return files
+
+
+# --- a simulated site
+
+_FIXED = {
+    "mgs.tls": "leap_seconds/naif0012.tls",
+    "mgs.tsc": "kernels/sclk/mgs_sclkscet_00061.tsc",
+    "mars.tpc": "kernels/pck/pck00009.tpc",
+    "mgs.tf": "kernels/fk/mgs_v10.tf",
+    "mars.bsp": "kernels/spk/de405.bsp",
+}
+"""Kernels that don't go by mission phase: as the simulation calls them, and where the archive has them."""
+_NOMINAL_FOCAL_LENGTH, _NOMINAL_PITCH = 3.5, 0.000013
+"""m, of the instrument kernel."""
+_PHASES = {
+    "ext1": ("2001-02-01T00:00:04", "2001-04-03T23:59:55"),
+    "ext2": ("2001-04-04T00:00:04", "2001-06-26T23:59:55"),
+}
+"""UTC from and to which the kernels of a mission phase go, by their labels."""
+_OTHERS = {1006: "M00/02320", 1015: "M01/03072", 1068: "M08/06047", 1242: "E23/00003"}
+"""Images of other volumes, so that there is something to search through; there are no such files."""
+_ANCHORS = ((1068, datetime(1999, 10, 26)), (1242, datetime(2003, 1, 1)))
+"""Volumes between which the others are spread evenly in time."""
+_LETTERS = {4: "c", 16: "e"}
+"""Of MEGDR's resolutions, posts per degree, in one file for all of Mars."""
+_REACH = (100e3, 100e3)
+"""m east and west, north and south of the site's centre, of its ground in the grids."""
+
+
+def write_archive(simulated: SimulatedSite, folder: Path, resolutions: Sequence[int] = (16,)) -> Path:
+    """Write a simulated site as archives; returns the folder, for `serving`.
+
+    images/ (PDS imaging node, MOC), kernels/ and leap_seconds/ (NAIF), pedr/ and megdr/ (PDS geosciences node, MOLA)
+    have the archives' own folders and names below. What differs: images are not compressed, kernels and profiles hold
+    the site's passes alone, and away from the site the grids, of 4 or 16 (66 MB) posts per degree, have a plain.
+    """
+    folder.mkdir(exist_ok=True)
+    _write_images(simulated, folder / "images")
+    _write_kernels(simulated, folder)
+    for image in simulated.images:
+        _write_profile(image, folder / "pedr")
+    for ppd in resolutions:
+        _write_grids(simulated, folder / "megdr", ppd)
+    return folder
+
+
+def _placed(path: Path) -> Path:
+    """The path, in a folder that is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _write_images(simulated: SimulatedSite, folder: Path) -> None:
+    volumes = {number: [(product, "MOC-NA")] for number, product in _OTHERS.items()}
+    (first, begin), (last, end) = _ANCHORS
+    for image in simulated.images:
+        product = product_id(image.settings)
+        start, stem = datetime.fromisoformat(image.settings.start), product.replace("/", "").lower()
+        number = first + int((last - first) * ((start - begin) / (end - begin)))
+        beside = f"{product[:4]}{int(product[4:]) + 1:05d}"  # the wide-angle one of the surroundings
+        volumes.setdefault(number, []).extend([(product, "MOC-NA"), (beside, "MOC-WA")])
+        path = _placed(folder / f"mgsc_{number}/{stem[:6]}/{stem}.imq")
+        write_moc_image(path, image.settings, image.clock_start, "Simulated", image.pixels)
+    for number, rows in volumes.items():
+        for suffix, content in zip(("tab", "lbl"), index(rows), strict=True):
+            _placed(folder / f"mgsc_{number}/index/imgindx.{suffix}").write_bytes(content)
+
+
+def _write_kernels(simulated: SimulatedSite, folder: Path) -> None:
+    phases = sorted({image.settings.phase for image in simulated.images})
+    with TemporaryDirectory(dir=folder) as aside:
+        write_kernels([kernel_segment(image) for image in simulated.images], Path(aside))
+        places = _FIXED | {f"mgs_{phase}.bsp": f"kernels/spk/mgs_{phase}.bsp" for phase in phases}
+        places |= {f"mgs_sc_{phase}.bc": f"kernels/ck/mgs_sc_{phase}.bc" for phase in phases}
+        for name, place in places.items():
+            shutil.move(Path(aside) / name, _placed(folder / place))
+    _placed(folder / "kernels/ik/mgs_moc_v20.ti").write_text(_instrument_text(), encoding="ascii", newline="\n")
+    for phase in phases:
+        start, stop = _PHASES[phase]
+        for stem in (f"spk/mgs_{phase}", f"ck/mgs_sc_{phase}"):
+            (folder / f"kernels/{stem}.lbl").write_bytes(label(START_TIME=start, STOP_TIME=stop))
+
+
+def _instrument_text() -> str:
+    """The camera in the words of NAIF's instrument kernel (moc20.ti): metres, first pixel 0.
+
+    Its numbers are the nominal ones, as in the archive: 1 percent off the true scale, FOCAL_LENGTH_MM / PITCH_MM pixels
+    per radian, to which a focal length of 3.4669 m belongs.
+    """
+    return f"""KPL/IK
+
+MOC narrow angle camera. Focal length and pixel size in m, angles in radians; keywords as in NAIF's kernel.
+
+\\begindata
+INS{CAMERA}_FOCAL_LENGTH  = ( {_NOMINAL_FOCAL_LENGTH} )
+INS{CAMERA}_PIXEL_SAMPLES = ( 2048 )
+INS{CAMERA}_PIXEL_LINES   = ( 1 )
+INS{CAMERA}_CENTER        = ( {BORESIGHT_SAMPLE - 1.0!r} 0.5 )
+INS{CAMERA}_PIXEL_SIZE    = ( {_NOMINAL_PITCH} )
+
+{CAMERA_FRAME_TEXT}\\begintext
+"""
+
+
+def _write_profile(image: SimulatedImage, folder: Path) -> None:
+    name = pedr_file(image)
+    start, frames = datetime.fromisoformat(image.settings.start), image.profile
+    first, last = (
+        label_time(start + timedelta(seconds=float(time) - ephemeris_time(image.settings.start)))
+        for time in frames.times[[0, -1]]
+    )
+    path = _placed(folder / f"{name[:4]}xxx" / name)
+    write_pedr(path, frames, {"START_TIME": first, "STOP_TIME": last})
+
+
+def _write_grids(simulated: SimulatedSite, folder: Path, ppd: int) -> None:
+    """Radius and topography of all of Mars: the site as a grid of that resolution has it, and a plain about it."""
+    terrain, step, letter = simulated.terrain, DEG / ppd, _LETTERS[ppd]
+    site = terrain_grid(terrain, ppd, _REACH)
+    radii = np.asarray(site.radii, dtype=np.float64)
+    latitudes = np.asarray(0.5 * np.pi - (np.arange(180 * ppd) + 0.5) * step, dtype=np.float64)
+    areoid = terrain.areoid_radius(np.full(latitudes.size, terrain.centre_lon), latitudes)
+    height = terrain.ground.level - terrain.ground.areoid
+    corner = round((latitudes[0] - site.first_latitude) / step), round(site.first_longitude / step - 0.5)
+    place = _placed(folder / f"meg{ppd:03d}" / "any").parent
+    for kind, offset, plain, own in (
+        ("r", REFERENCE_RADIUS, areoid + height, radii),
+        ("t", 0.0, np.full(latitudes.size, height), radii - areoid_under(terrain, site)),
+    ):
+        layout = MegdrLayout((180 * ppd, 360 * ppd), 0.5 * step, float(latitudes[0]), step, offset)
+        write_megdr(place, f"meg{kind}90n000{letter}b", layout, _pasted(plain, own, corner, 360 * ppd))
+
+
+def _pasted(plain: Array, own: Array, corner: tuple[int, int], wide: int) -> Iterator[Array]:
+    """Rows (wide,) that are plain (rows,) but for own (high, columns) with its upper left post at `corner`."""
+    top, left = corner
+    for number, height in enumerate(plain):
+        row = np.full(wide, height)
+        if 0 <= number - top < own.shape[0]:
+            row[left : left + own.shape[1]] = own[number - top]
+        yield row

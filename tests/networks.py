@@ -4,16 +4,19 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from joint_prior import JointNodePrior
 
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
-from mgsgraph.geometry.orientation import OrientationImages, OrientationPrior, polynomial
+from mgsgraph.geometry.orientation import OrientationPrior, evenly_spaced
+from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
     Network,
+    NodePrior,
+    Pass,
+    PassPrior,
     PointClass,
     ProfileShifts,
     Ranges,
@@ -86,24 +89,22 @@ def network(pair: SimulatedPair, held: tuple[bool, bool] = (False, False), laser
     return Network(pair.images, priors, np.array(held), points, rays, ranges)
 
 
-def as_nodes(prior: OrientationPrior, nodes: OrientationImages, u: np.ndarray) -> JointNodePrior:
-    """The prior of an orientation polynomial, of degree 3 at most, on the nodes of a Lagrange basis.
+NODES = NodePrior(
+    np.array([80.0] * 3 + [2e-4] * 3), np.array([200.0] * 3 + [4e-4] * 3), np.array([50.0] * 3 + [1e-4, 0.0, 1e-4]), 4.0
+)
+"""A pass whose nodes depart from a bias and a drift."""
 
-    Four nodes hold a cubic polynomial exactly: with this prior the cost is the polynomial's.
 
-    Parameters
-    ----------
-    prior : OrientationPrior
-        Of the polynomial's coefficients.
-    nodes : OrientationImages
-        Lagrange's basis on degree + 1 nodes.
-    u : (k,)
-        Normalised line of each node in the image that the polynomial belongs to.
+def on_passes(
+    net: Network, prior: PassPrior = NODES, intervals: int = 6, mounted: dict[int, Array] | None = None
+) -> Network:
+    """Each image on a pass of its own with so many intervals between its nodes; axes (3, 3) in which images are mounted
+    otherwise than along those of their pass.
     """
-    assert nodes.basis == "lagrange"
-    assert len(nodes) == prior.degree + 1
-    values, _ = polynomial(u, prior.degree)
-    coefficients = np.linalg.solve(values, np.eye(len(nodes)))
-    known = np.isfinite(prior.sigmas.ravel())
-    weights = np.where(known, 1.0 / prior.sigmas.ravel(), 0.0)
-    return JointNodePrior((weights[:, None] * np.kron(coefficients, np.eye(6)))[known])
+    passes = []
+    for j, image in enumerate(net.images):
+        start, stop = image.timing.at(np.array([0.0, float(image.lines)]))[0]
+        nodes = evenly_spaced("lagrange", image.trajectory.epoch, (start, stop), (stop - start) / intervals)
+        axes = None if mounted is None or j not in mounted else mounted[j][None]
+        passes.append(Pass(image.name, np.array([j]), nodes, prior, axes))
+    return replace(net, passes=tuple(passes))

@@ -1,9 +1,10 @@
-"""A MOLA profile along the small simulated pair, in the form in which the Orbital Data Explorer serves it."""
+"""Beside the small simulated pair: a MOLA profile, as the Orbital Data Explorer serves it, and pictures of noise."""
 
 from pathlib import Path
 
 import networks
 import numpy as np
+from PIL import Image
 
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.units import DEG
@@ -36,3 +37,17 @@ def write_profile(path: Path) -> None:
     rows = ["LONG_EAST,LAT_NORTH,PLANET_RAD,MOLA_RANGE,EPHEMERIS_TIME,ORBIT"]
     rows += [",".join(f"{value:.9f}" for value in row) + ",18933" for row in table.tolist()]
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def with_pixels(case_file: Path) -> Path:
+    """Give both images pixels, of noise of many wavelengths."""
+    text = case_file.read_text(encoding="utf-8")
+    for seed, letter in enumerate("AB"):
+        random, grey = np.random.default_rng(seed), np.zeros((5000, 1024), dtype=np.float32)
+        for step in (1, 8, 64):
+            coarse = random.normal(128.0, 20.0, (-(-5000 // step), 1024 // step))
+            grey += np.kron(coarse, np.ones((step, step)))[:5000] / 3.0
+        Image.fromarray(np.clip(grey, 0, 255).astype(np.uint8)).save(case_file.with_name(f"{letter}.tif"))
+        text = text.replace(f'isd = "image_{letter}.isd"', f'isd = "image_{letter}.isd"\npixels = "{letter}.tif"')
+    case_file.write_text(text, encoding="utf-8")
+    return case_file

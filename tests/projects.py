@@ -2,7 +2,7 @@
 
 import hashlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -101,29 +101,35 @@ def contents(store: StateStore) -> Iterator[tuple[str, Any]]:
         yield f"image {name}", pack(store.image(name))
         yield f"seen by {name}", tuple(store.seen_by(name))
     for unknown, one in sorted(store.shared().items()):
-        yield from _leaves(f"shared {unknown}", one)
+        yield from leaves(f"shared {unknown}", one)
     reduced = store.reduced()
     yield "reduced", tuple(reduced)
     yield "members", tuple(store.members())
     for members in store.members():
         bundle = store.bundle(members)
-        yield from _leaves(f"bundle {members}", bundle)
+        yield from leaves(f"bundle {members}", bundle)
         if bundle.reduced is not None:
-            yield from _leaves(f"reduced {members}", reduced[members])
+            yield from leaves(f"reduced {members}", reduced[members])
         ids = bundle.network.points.ids
         yield f"bundles of {members}", store.bundles_of([*ids, "nowhere"]) == dict.fromkeys(ids, members)
 
 
-def _leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
+def leaves(where: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """What is in a record, bit by bit, with the path to it."""
     if isinstance(value, np.ndarray):
         yield where, (value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, Mapping):
+        yield f"{where}, keys", tuple(value)
+        for key, item in value.items():
+            yield from leaves(f"{where}[{key}]", item)
     elif is_dataclass(value):
+        yield f"{where}, kind", type(value).__name__
         for field in fields(value):
-            yield from _leaves(f"{where}.{field.name}", getattr(value, field.name))
+            yield from leaves(f"{where}.{field.name}", getattr(value, field.name))
     elif isinstance(value, tuple) and not isinstance(value, Unknown):
         yield f"{where}, size", len(value)
         for k, item in enumerate(value):
-            yield from _leaves(f"{where}[{k}]", item)
+            yield from leaves(f"{where}[{k}]", item)
     else:
         yield where, float(value).hex() if isinstance(value, float) else repr(value)
 

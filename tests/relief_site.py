@@ -14,6 +14,8 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import read_case
 from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.registration import relief_surfaces
+from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
+from mgsgraph.registration.relief import register_by_relief
 from mgsgraph.results.archive import write_archive
 from mgsgraph.simulation.imagery import true_matches
 
@@ -23,6 +25,7 @@ STEP = 14.0
 """pixels between matches."""
 WINDOW = 42.0
 """m, width of a matching window."""
+SETTINGS = ReliefSettings(reach=400.0)
 
 
 @once
@@ -64,3 +67,11 @@ def result() -> Path:
     path = case_path().with_name("relief.npz")
     write_archive(solution(), path)
     return path
+
+
+@once
+def registration() -> ReliefRegistration:
+    """Of both profiles with the stereo surface."""
+    with pytest.MonkeyPatch.context() as patch:
+        use_matches(patch)
+        return register_by_relief(read_case(case_path()), SETTINGS, before=solution())

@@ -1,10 +1,13 @@
 """A rig: two cameras of one spacecraft, turned against each other as NAC-L and NAC-R are, and a third image."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from networks import network, pair
+from strip_files import write_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -20,6 +23,11 @@ from mgsgraph.network.joining import mountings
 PRIOR = NodePrior(np.array([20.0] * 3 + [1e-4] * 3), np.array([200.0] * 3 + [4e-4] * 3), np.zeros(6), 4.0)
 TURN = rotation.exponential(np.array([[5e-4, 1e-3, 0.0]]))[0] @ rotation.exponential(np.array([[0.0, 0.0, 3.1]]))[0]
 """From the axes of the one camera to those of the other."""
+PASS = """
+[[passes]]
+name = "one"
+images = ["L", "R"]
+"""
 BORESIGHT = SharedUnknown("boresight of R", SharedKind.CAMERA_BORESIGHT, np.array([1]), np.full(3, 3e-4))
 
 
@@ -63,3 +71,13 @@ def rig(ties: int = 60, shots: int = 12, boresight: bool = True, seed: int = 1) 
 def adjusted_rig(seed: int = 1) -> Solution:
     """The rig, adjusted."""
     return adjust_network(rig(seed=seed), SolverSettings())
+
+
+def write_rig(folder: Path, tables: str = PASS, images: Sequence[PushbroomImage] = ()) -> Path:
+    """The case file of the rig with some tables; `images` are in place of its own."""
+    return write_network(folder, rig(), tables, images)
+
+
+def later(image: PushbroomImage, name: str, seconds: float) -> PushbroomImage:
+    """The same image taken from the same places as many seconds later."""
+    return replace(image, name=name, trajectory=replace(image.trajectory, epoch=image.trajectory.epoch + seconds))

@@ -5,18 +5,8 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from networks import network
 
-from mgsgraph.network import (
-    GroundPoints,
-    ImageRays,
-    Network,
-    PointClass,
-    ProfileShifts,
-    Ranges,
-    SharedKind,
-    SharedUnknown,
-)
+from mgsgraph.network import Network, PointClass, ProfileShifts, SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.pair import PairSettings, SimulatedPair, simulate_pair
@@ -73,40 +63,3 @@ def drawn(seed: int, bias: float = 0.5, off_nadir: float = 20.0 * DEG) -> Simula
 def camera_clock(net: Network, sigma: float = 1.0) -> Network:
     """The same with an attitude-time bias of all images."""
     return replace(net, shared=(shared(SharedKind.ATTITUDE_TIME, range(len(net.images)), sigma),))
-
-
-def block(seed: int, bias: float = 0.5) -> Network:
-    """Six images of one camera: three nadir ones, each with a held one from another direction."""
-    angles = (15.0 * DEG, 20.0 * DEG, 24.0 * DEG)
-    return together([network(drawn(3 * seed + k, bias, angle)) for k, angle in enumerate(angles)])
-
-
-def together(parts: Sequence[Network]) -> Network:
-    """Networks side by side, their images and points numbered."""
-    images = tuple(
-        replace(image, name=f"{image.name}{k + 1}") for k, net in enumerate(parts) for image in net.images
-    )
-    points = np.cumsum([0, *(len(net.points) for net in parts)])
-    pictures = np.cumsum([0, *(len(net.images) for net in parts)])
-    rays, ranges, known = ([getattr(net, name) for net in parts] for name in ("rays", "ranges", "points"))
-    return Network(
-        images,
-        tuple(prior for net in parts for prior in net.priors),
-        np.concatenate([net.held for net in parts]),
-        GroundPoints(
-            tuple(f"{name}/{k + 1}" for k, net in enumerate(parts) for name in net.points.ids),
-            *(np.concatenate([getattr(one, name) for one in known])
-              for name in ("classes", "kinds", "places", "covariances")),
-        ),
-        ImageRays(
-            np.concatenate([one.point + first for one, first in zip(rays, points, strict=False)]),
-            np.concatenate([one.image + first for one, first in zip(rays, pictures, strict=False)]),
-            np.concatenate([one.places for one in rays]),
-            np.concatenate([one.sigmas for one in rays]),
-        ),
-        Ranges(
-            np.concatenate([one.point + first for one, first in zip(ranges, points, strict=False)]),
-            np.concatenate([one.image + first for one, first in zip(ranges, pictures, strict=False)]),
-            *(np.concatenate([getattr(one, name) for one in ranges]) for name in ("times", "values", "sigmas")),
-        ),
-    )  # fmt: skip

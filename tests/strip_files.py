@@ -1,11 +1,14 @@
-"""A small simulated block of HRSC as files: support data, a control network, and a case with [[passes]]."""
+"""Networks with [[passes]] as files, support data, a control network and a case; a small simulated block of HRSC."""
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.files.networks.tie_points import TiePoints
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.network import Network
 from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout
@@ -31,21 +34,28 @@ def block() -> SimulatedBlock:
     return simulate_hrsc_block(settings, seed=4)
 
 
-def write_block(folder: Path, strips: str = STRIPS, more: str = "") -> Path:
-    """The case file of the block; `more` stands before its tables."""
-    network = block().network
-    names = [image.name for image in network.images]
+def write_block(folder: Path, strips: str = STRIPS) -> Path:
+    """The case file of the block."""
+    return write_network(folder, block().network, strips)
+
+
+def write_network(folder: Path, network: Network, tables: str, images: Sequence[PushbroomImage] = ()) -> Path:
+    """The case file of a network with some tables, and what it names; `images` are in place of its own."""
+    images = images or network.images
     rays, points = network.rays, network.points
+    names = [image.name for image in network.images]
+    sizes = np.array([[image.lines, image.samples] for image in network.images])[rays.image]
+    inside = np.all((rays.places > 0.0) & (rays.places < sizes), axis=1)  # the noise of others put them outside
     ties = TiePoints(
-        "block", points.ids, points.kinds, points.places, points.covariances, rays.point,
-        tuple(names[j] for j in rays.image.tolist()), rays.places, np.asarray(rays.sigmas),
+        "ties", points.ids, points.kinds, points.places, points.covariances, rays.point[inside],
+        tuple(names[j] for j in rays.image[inside].tolist()), rays.places[inside], np.asarray(rays.sigmas)[inside],
     )  # fmt: skip
     (folder / "network.pvl").write_text(tie_network_text(ties))
-    text = ["format = 1", 'name = "block"', more, "[ties]", 'network = "network.pvl"']
-    for image in network.images:
+    text = ["format = 1", 'name = "passes"', "", "[ties]", 'network = "network.pvl"']
+    for image in images:
         file = f"{image.name.replace('/', '_')}.isd"
         (folder / file).write_text(json_text(support_data(image)))
         text += ["[[images]]", f'name = "{image.name}"', f'isd = "{file}"']
     path = folder / "case.toml"
-    path.write_text("\n".join([*text, strips]), encoding="utf-8")
+    path.write_text("\n".join([*text, tables]), encoding="utf-8")
     return path

@@ -52,9 +52,9 @@ ISD: dict[str, Any] = {
 Keys = tuple[str | int, ...]
 
 
-def edited(keys: Keys, value: object) -> dict[str, Any]:
-    """ISD with the value under `keys` replaced, or removed where it is `...`."""
-    isd = copy.deepcopy(ISD)
+def edited(keys: Keys, value: object, isd: dict[str, Any] = ISD) -> dict[str, Any]:
+    """Support data with the value under `keys` replaced, or removed where it is `...`."""
+    isd = copy.deepcopy(isd)
     inner: Any = isd
     for key in keys[:-1]:
         inner = inner[key]

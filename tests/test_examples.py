@@ -79,8 +79,7 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]
 def with_pixels(at_hand: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """And two images with pixels, in the folder `gusev`: `site` as simulated, `mirror` an archive of it."""
     import matched
-    from archive_server import serving
-    from simulated_archive import write_archive
+    from flaky_archive import serving, write_archive
 
     from mgsgraph.simulation.files import write_site
 
@@ -101,10 +100,10 @@ def with_relief(at_hand: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """And two laser profiles over whole images, registered; dense matches come from the true ground."""
     import relief_site
 
+    registration = relief_site.registration()
     case, before = mgsgraph.read_case(relief_site.case_path()), relief_site.solution()
     with pytest.MonkeyPatch.context() as patch:
         relief_site.use_matches(patch)
-        registration = mgsgraph.register_by_relief(case, mgsgraph.ReliefSettings(reach=600.0), before=before)
         yield at_hand | {"relief": case, "before": before, "registration": registration}
 
 

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run
 
+import mgsgraph
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -21,13 +24,6 @@ from hadley import Rig, adjusted, free_radii  # noqa: E402
 @pytest.fixture(scope="module")
 def rig(shared_data: Path) -> Rig:
     return hadley.read_rig(shared_data)
-
-
-def test_half_a_turn_between_cameras_of_one_pass_is_a_mounting(rig: Rig) -> None:
-    """3.134 rad, as ISIS has them."""
-    axes = rig.network.passes[0].axes_of(1)
-    assert axes is not None
-    assert np.arccos(0.5 * (np.trace(axes) - 1.0)) == pytest.approx(3.134, abs=0.002)
 
 
 def test_the_seam_knows_the_roll_and_one_of_pitch_and_turn(rig: Rig) -> None:
@@ -74,3 +70,59 @@ def test_lola_is_beside_the_ties(rig: Rig, shared_data: Path) -> None:
     assert control.right == 0
     assert 7300 < control.left < 7350
     assert control.nearest > 4.9e3
+
+
+# --- nAC-L and NAC-R near Hadley rille (`lro_nac_hadley`) by a case with passes and mountings: docs/rig_ha
+
+
+CASE = """
+format = 1
+name = "Hadley"
+[[images]]
+image = "{folder}/observationImageL.pvl"
+[[images]]
+image = "{folder}/observationImageR.pvl"
+[[passes]]
+name = "2009-07-13"
+position = {{ sigmas_m = [30.0, 10.0] }}
+attitude = {{ sigmas_mrad = [0.29, 0.1, 0.1, 0.1] }}
+[[mountings]]
+name = "NAC-R"
+camera = ["LRO/1/269182000:51104/NACR"]
+boresight_sigma_mrad = 1.0
+[ties]
+network = "{folder}/observationPair.net"
+sigma_px = 0.3
+"""
+
+
+@pytest.fixture(scope="module")
+def case(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("hadley") / "case.toml"
+    path.write_text(CASE.format(folder=shared_data / "lro_nac_hadley"), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def solution(case: Path) -> Solution:
+    return mgsgraph.adjust(mgsgraph.read_case(case))
+
+
+def test_check_says_the_mounting_of_r(case: Path) -> None:
+    """Half a turn about the optical axis: 179.6 degrees, 3.134 rad."""
+    done = run("check", case)
+    assert done.returncode == 0, done.stderr
+    assert "2009-07-13" in done.stdout
+    line = next(line for line in done.stdout.splitlines() if "mounted at" in line)
+    assert "+179." in line, line
+
+
+def test_case_and_script_have_one_answer(solution: Solution) -> None:
+    """Radii free: sigma0 and residuals as docs/rig_hadley.md has them, to its digits."""
+    assert solution.converged
+    assert solution.sigma0 == pytest.approx(0.536, abs=0.02)
+    for j in (0, 1):
+        mine = solution.residuals[solution.network.rays.image == j]
+        rms = np.sqrt(np.mean(mine**2, axis=0))
+        assert rms[0] < 0.02
+        assert rms[1] == pytest.approx(0.116, abs=0.01)

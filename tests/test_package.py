@@ -1,15 +1,23 @@
-"""The house: what is declared is what is on disk, and every import goes down."""
+"""The house: what is declared is what is on disk, every import goes down, and files for others say the same."""
 
 import ast
+import os
 import re
+import shutil
 import subprocess
 import sys
+import sysconfig
 import tomllib
 from collections.abc import Iterable
+from datetime import date
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -314,15 +322,132 @@ def test_dask_is_imported_only_when_it_is_asked_for() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_public_names_resolve() -> None:
-    import mgsgraph
-
-    assert all(getattr(mgsgraph, name) is not None for name in mgsgraph.__all__)
-    with pytest.raises(AttributeError, match="read_case"):
-        _ = mgsgraph.nothing_like_that
+# --- what the project says of itself in files for others (versions, citation, workflows, recipe) is one an
 
 
-def test_readme_holds_two_one_line_set_up_commands() -> None:
-    commands = re.findall(r"```sh setup\n(.+?)\n```", (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(commands) == 2
-    assert not any("\n" in command for command in commands)
+PROJECT: dict[str, Any] = TABLE["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+
+
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def lowest(texts: list[str]) -> dict[str, str]:
+    """Lower bound of each package."""
+    return {one.name: clause.version for one in map(Requirement, texts) for clause in one.specifier}
+
+
+def test_every_package_has_a_lower_bound_and_no_other() -> None:
+    for text in [*PROJECT["dependencies"], *(one for extra in EXTRAS.values() for one in extra)]:
+        one = Requirement(text)
+        assert one.name == "mgsgraph" or [clause.operator for clause in one.specifier] == [">="], text
+
+
+def test_the_page_of_versions_has_every_lower_bound() -> None:
+    row = r"^\| ([\w-]+) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+|-) \|$"
+    rows = re.findall(row, text_of("docs/versions.md"), re.MULTILINE)
+    declared = lowest([*PROJECT["dependencies"], *(one for extra in EXTRAS.values() for one in extra)])
+    declared.pop("mgsgraph", None)
+    assert {name: bound for name, _, bound, _ in rows} == declared, "write it anew: python scripts/versions.py --page"
+    for name, _, bound, newest in rows:
+        assert newest == "-" or Version(newest) >= Version(bound), name
+
+
+def test_all_is_what_programs_need() -> None:
+    (one,) = map(Requirement, EXTRAS["all"])
+    assert one.name == "mgsgraph"
+    assert one.extras == set(EXTRAS) - {"all", "cuda", "test", "docs", "dev"}
+    for extra in ("test", "dev"):
+        named = {name for text in EXTRAS[extra] for name in Requirement(text).extras}
+        assert named <= {"all", "test", "docs"}
+
+
+def test_versions_and_dates_agree() -> None:
+    yaml = pytest.importorskip("yaml")  # dask has it
+    headings = re.findall(r"^## (\S+) – (\d{4}-\d\d-\d\d)$", text_of("CHANGELOG.md"), re.MULTILINE)
+    cited = yaml.safe_load(text_of("CITATION.cff"))
+    assert headings[0] == (PROJECT["version"], str(cited["date-released"]))
+    assert [day for _, day in headings] == sorted((str(date.fromisoformat(day)) for _, day in headings), reverse=True)
+    assert cited["version"] == PROJECT["version"]
+    assert cited["license"] == PROJECT["license"]
+    assert [one["name"] for one in cited["authors"]] == [one["name"] for one in PROJECT["authors"]]
+    recipe = text_of("recipe/recipe.yaml")
+    assert f'version: "{PROJECT["version"]}"' in recipe
+
+
+def test_the_recipe_needs_what_the_package_needs() -> None:
+    run = re.search(r"^  run:\n((?:    .*\n)+)", text_of("recipe/recipe.yaml"), re.MULTILINE)
+    assert run is not None
+    names = {"matplotlib": "matplotlib-base"}
+    needed = re.findall(r"^    - ([\w-]+) >=([\d.]+)$", run[1], re.MULTILINE)
+    declared = {names.get(name, name): bound for name, bound in lowest(PROJECT["dependencies"]).items()}
+    assert {name: bound for name, bound in needed if name != "python"} == declared
+
+
+def test_workflows_call_parts_that_there_are() -> None:
+    yaml = pytest.importorskip("yaml")  # dask has it
+    parts = set(re.findall(r"^#   (\w+) ", text_of(".ci/run"), re.MULTILINE))
+    jobs = yaml.safe_load(text_of(".github/workflows/checks.yml"))["jobs"]
+    called = set(jobs["parts"]["strategy"]["matrix"]["part"])
+    for job in jobs.values():
+        called |= set(re.findall(r"\.ci/run (\w+)", " ".join(step.get("run", "") for step in job["steps"])))
+    assert called <= parts
+    assert {"tests", "wheel", "lowest"} <= called
+    offered = {one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)}
+    assert set(jobs["tests"]["strategy"]["matrix"]["python"]) == offered
+
+
+def test_the_core_of_the_tests_is_there() -> None:
+    files = text_of(".ci/core_tests").split()
+    assert files == sorted(set(files), key=lambda name: (name.count("/"), name))
+    assert not [name for name in files if not (ROOT / name.partition("::")[0]).is_file()]
+
+
+def test_versions_that_are_not_the_lowest_are_named() -> None:
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "versions.py", "--lowest"], capture_output=True, text=True, check=False
+    )
+    bounds = lowest(PROJECT["dependencies"])
+    above = [name for name, bound in bounds.items() if Version(version(name)) != Version(bound)]
+    assert bool(above) == (done.returncode != 0)
+    assert all(f"{name}: {version(name)} is installed" in done.stderr for name in above)
+
+
+# --- the package imports where it is installed: inside a checkout, too, where the folder `mgsgraph` comes
+
+
+NEEDED = "mgsgraph", "factors", "pyproject.toml", "README.md", "LICENSE"
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what is installed, with the link `mgsgraph/factors`."""
+    folder = tmp_path_factory.mktemp("install") / "checkout"
+    folder.mkdir()
+    for name in NEEDED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy2(ROOT / name, folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [(), ("-e",)], ids=["wheel", "editable"])
+def test_the_package_imports_inside_the_checkout(how: tuple[str, ...], checkout: Path, tmp_path: Path) -> None:
+    environment = tmp_path / "environment"
+    subprocess.run([sys.executable, "-m", "venv", environment], check=True)
+    python = environment / "bin" / "python"
+    install = [python, "-m", "pip", "install", "--quiet", "--no-deps", *how, checkout]
+    subprocess.run(install, check=True)
+    # libraries are those of this environment; its own installation of the package is not seen there
+    libraries = os.environ | {"PYTHONPATH": sysconfig.get_path("purelib")}
+    for cwd in (checkout, tmp_path):
+        for arguments in (
+            ["-c", "import mgsgraph.factors.collinearity as one; print(one.__file__)"], ["-m", "mgsgraph", "--version"],
+            ["-c", "import mgsgraph; print(mgsgraph.Posterior, mgsgraph.write_results)"],
+        ):  # fmt: skip
+            done = subprocess.run([python, *arguments], capture_output=True, text=True, cwd=cwd, env=libraries)
+            assert done.returncode == 0, done.stderr
+    assert (checkout / "mgsgraph" / "factors").is_symlink()

@@ -1,130 +1,137 @@
-"""Workers: results in order, errors as they were raised, and no process left behind, however it ends."""
+"""Reading in a fork: answers and errors as they were, and an end of the fork that is none of ours."""
 
 import os
 import signal
-import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import mgsgraph.workers as workers_module
-from mgsgraph.errors import InputError
+from mgsgraph.errors import EphemerisGap, InputError
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.records import frozen
 from mgsgraph.kernel import sweep
-from mgsgraph.workers import called_in_workers
-
-linux = pytest.mark.skipif(sys.platform != "linux", reason="workers are forks, which only Linux has soundly")
-CALLED = partial(called_in_workers, what="figures", remedy="none")
+from mgsgraph.workers import read_apart
 
 
-@pytest.fixture(autouse=True)
-def two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers_module, "threads", lambda: 2)
+class Odd(Exception):
+    """Its `args` aren't what it is made of."""
+
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(f"{one} and {other}")
+        self.one = one
 
 
-def _children() -> set[str]:
-    return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
+def apart(reading: Callable[[], object]) -> object:
+    return read_apart(reading, "here", "SPICE kernels", "fetch them again")
 
 
-@pytest.fixture
-def children() -> Callable[[], set[str]]:
-    """What tells the processes that a test has begun and not ended; other tests' servers were there before."""
-    before = _children()
-    return lambda: _children() - before
+def test_answers_come_as_they_are() -> None:
+    """Read-only arrays too: the kernels compiled for them are another signature."""
+    array, body = frozen([[1.0, 2.0], [3.0, 4.0]], "array", (None, 2)), Ellipsoid(2.0, 1.0)
+    found = apart(lambda: (array, array, body, os.getpid()))
+    assert isinstance(found, tuple)
+    assert found[0] is found[1]
+    assert not found[0].flags.writeable
+    np.testing.assert_array_equal(found[0], array)
+    assert found[2] == body
+    assert found[3] != os.getpid()
 
 
-def result(number: int) -> Callable[[], tuple[int, np.ndarray]]:
-    return lambda: (os.getpid(), np.full(100_000, number))  # more than a pipe holds
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("a", "b", "c", "d"), EphemerisGap("a", 1.0, 2.0, 3.0), KeyError("x"),
+        UnicodeDecodeError("a", b"", 0, 1, "b"), Odd(1, 2), OSError(2, "gone", "a.bsp"),
+    ],
+)
+def test_errors_come_as_they_are(error: Exception) -> None:
+    def fail() -> None:
+        raise error
+
+    with pytest.raises(type(error)) as caught:
+        apart(fail)
+    assert str(caught.value) == str(error)
+    fields = {**caught.value.__dict__}
+    fields.pop("__notes__")
+    assert fields == error.__dict__
+    assert caught.value.args == error.args
+    assert getattr(caught.value, "filename", None) == getattr(error, "filename", None)
 
 
-@linux
-def test_results_come_in_the_order_of_the_tasks_from_other_processes(children: Callable[[], set[str]]) -> None:
-    with CALLED([result(k) for k in range(20)]) as found:
-        got = found()
-    assert [int(values[0]) for _, values in got] == list(range(20))
-    assert all(values.size == 100_000 for _, values in got)
-    processes = {process for process, _ in got}
-    assert os.getpid() not in processes
-    assert len(processes) <= 2
-    assert not children()
+def test_errors_say_where_in_the_fork_they_arose() -> None:
+    def fail() -> None:
+        raise KeyError("x")
+
+    with pytest.raises(KeyError) as caught:
+        apart(fail)
+    assert 'in fail\n    raise KeyError("x")' in caught.value.__notes__[0]
 
 
-@pytest.mark.parametrize("here", ["one thread", "another thread", "a worker"])
-def test_tasks_are_called_here_where_no_fork_would_be_sound(here: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = list[int]()
-
-    def call() -> None:
-        with CALLED([os.getpid, os.getpid]) as drawn:
-            found.extend(drawn())
-
-    if here == "one thread":
-        monkeypatch.setattr(workers_module, "threads", lambda: 1)
-    if here == "a worker":
-        monkeypatch.setattr(workers_module, "parent_process", lambda: object())
-    if here == "another thread":
-        thread = threading.Thread(target=call)
-        thread.start()
-        thread.join()
-    else:
-        call()
-    assert found == [os.getpid()] * 2
+def test_a_lower_limit_of_time_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No process may raise its hard limit, as `ulimit -t 300` sets it: asking for more is a ValueError."""
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda of: (300, 300))
+    monkeypatch.setattr(resource, "setrlimit", lambda of, limits: os._exit(3) if limits != (300, 300) else None)
+    assert apart(lambda: 1) == 1
 
 
-@linux
-def test_errors_are_raised_here_and_end_the_others(children: Callable[[], set[str]]) -> None:
-    def fails() -> None:
-        raise InputError("a.png", "no room", remedy="free some")
-
-    with pytest.raises(InputError, match=r"a\.png: no room; free some"), CALLED([fails, partial(time.sleep, 0)]) as got:
-        got()
-    assert not children()
-
-
-@linux
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
-def test_a_worker_that_dies_is_one_line(number: signal.Signals, children: Callable[[], set[str]]) -> None:
-    with pytest.raises(InputError) as error, CALLED([lambda: os.kill(os.getpid(), number)]) as got:
-        got()
-    assert number.name in str(error.value)
-    assert "\n" not in str(error.value)
-    assert not children()
+def test_a_fork_that_waits_for_ever_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one does whose lock another thread held when it was forked: that costs no processor time."""
+    monkeypatch.setattr("mgsgraph.workers._PATIENCE", 1)
+    held = threading.Lock()
+    held.acquire()
+    with pytest.raises(InputError, match="SIGALRM"):
+        apart(held.acquire)
 
 
-@linux
-def test_an_interrupt_ends_the_workers(children: Callable[[], set[str]]) -> None:
-    def interrupted() -> None:
-        with CALLED([partial(time.sleep, 600.0)] * 2):
-            assert len(children()) == 2
-            signal.raise_signal(signal.SIGINT)
-
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background jobs ignore
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not children()
+def test_where_forks_are_unsafe_none_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On macOS, whose Accelerate and Objective-C don't outlive one."""
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert apart(os.getpid) == os.getpid()
 
 
-@linux
-def test_workers_end_with_the_process_that_is_killed(tmp_path: Path) -> None:
-    """Nobody tidies up then: the system ends them. A pipe that they hold closes with the last of them."""
-    program = (
-        "import sys, time; import mgsgraph.workers as w; w.threads = lambda: 2\n"
-        "with w.called_in_workers([lambda: time.sleep(600)] * 2, '', ''): print('begun', flush=True); time.sleep(600)"
-    )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, cwd=tmp_path) as running:
-        assert running.stdout is not None
-        assert running.stdout.readline() == b"begun\n"
-        running.kill()
-        assert running.stdout.read() == b""  # waits for all who hold it
+@pytest.mark.parametrize("end", [signal.SIGSEGV, signal.SIGKILL])
+def test_the_end_of_the_fork_is_an_error(end: signal.Signals, tmp_path: Path) -> None:
+    def die() -> None:
+        (tmp_path / "fork").write_text(str(os.getpid()))
+        os.kill(os.getpid(), end)
+
+    with pytest.raises(InputError) as caught:
+        apart(die)
+    assert caught.value.where == "here"
+    assert end.name in caught.value.found
+    with pytest.raises(ChildProcessError):
+        os.waitpid(int((tmp_path / "fork").read_text()), os.WNOHANG)
 
 
-@linux
-def test_threads_of_the_kernel_are_made_anew_in_a_worker() -> None:
-    """Those of this process don't come along: a worker that waited for them would wait for ever."""
+def test_nothing_is_left_or_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Fortran leaves fort.N where it works, and writes what it has against a file to the terminal."""
+    monkeypatch.chdir(tmp_path)
+    open_ones = len(list(Path("/proc/self/fd").iterdir())) if Path("/proc/self/fd").is_dir() else 0
+
+    def litter() -> str:
+        Path("fort.77").write_text("x")
+        os.write(1, b"stderr of Fortran")
+        os.write(2, b"stderr of Fortran")
+        return os.getcwd()
+
+    folder = apart(litter)
+    assert not Path(str(folder)).exists()
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
+    assert Path.cwd() == tmp_path
+    if open_ones:
+        assert len(list(Path("/proc/self/fd").iterdir())) == open_ones
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="forks are sound on Linux alone")
+def test_threads_of_the_kernel_are_made_anew_in_a_fork() -> None:
+    """Those of this process don't come along: a fork that waited for them would wait for ever."""
     assert sweep._threads(2).submit(lambda: 1).result() == 1
-    with CALLED([lambda: sweep._threads(2).submit(lambda: 2).result(60.0)]) as got:
-        assert got() == [2]
+    assert apart(lambda: sweep._threads(2).submit(lambda: 2).result(60.0)) == 2

@@ -6,8 +6,6 @@ orientation of the stage. (In step 2 each point has a height row of its own, whi
 the heights would be smaller, whatever the orientation.)
 
 Tables, words and figures all take their numbers here, so that they can't contradict each other.
-
-Heights above a terrain model by cell of a map.
 """
 
 from dataclasses import dataclass
@@ -18,11 +16,9 @@ from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.two_steps import TwoSteps, heights_above, orientation_values
 from mgsgraph.analysis.statistics import flight_axes_at, mean_and_rms, pose_sigmas, sigmas_along
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, PointClass
-from mgsgraph.units import DEG
 
 STAGES = ("before", "step_1", "step_2")
 """Nominal orientation and a-priori sigmas; adjusted without terrain; adjusted with it."""
@@ -45,11 +41,6 @@ class HeightStatistics:
     mean: Array
     """(stages,) m, mean height by rays alone."""
 
-    @property
-    def factors(self) -> Array:
-        """(stages,) reduction factor: rms of the stage `before` over that of each stage."""
-        return ratio(self.rms[0], self.rms)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupStatistics:
@@ -68,11 +59,6 @@ class GroupStatistics:
     strip's middle image alone, or the mean of these over all groups."""
     heights: HeightStatistics
     """Of tie points over the terrain model."""
-
-    @property
-    def point_factors(self) -> Array:
-        """(stages, 3) reduction factor: mean sigma of the stage `before` over that of each stage."""
-        return ratio(self.mean[0], self.mean)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,12 +82,6 @@ class TwoStepStatistics:
     """Tie points without a height row: beside the model, or of whose four posts some are missing."""
     left_out: int
     """Tie points with a height row that lie there at some stage, or have no place: left out of `heights`."""
-
-
-def ratio(before: Array, after: Array) -> Array:
-    """Quotient of before and after; NaN where that is not defined."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(np.asarray(after) > 0.0, before / np.asarray(after), np.nan))
 
 
 def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
@@ -212,97 +192,3 @@ def _group(name: str, sigmas: Array, poses: Array, heights: HeightStatistics) ->
     mean = sigmas.mean(axis=1) if count else nothing
     median = np.median(sigmas, axis=1) if count else nothing
     return GroupStatistics(name, count, mean, median, poses, heights)
-
-
-_ENOUGH = 6.0
-"""Points that cells which have any should hold on the average: the rms of so few is known to a third."""
-_MOST = 60
-"""Cells along the longer side of a map."""
-_LEAST = 1e-4 * DEG
-"""Height of a cell."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HeightCells:
-    """Count, root mean square and mean of heights by cell; rows go north, columns go east."""
-
-    west: float
-    """rad, east longitude of the western edge, of any turn."""
-    south: float
-    """rad, planetocentric latitude of the southern edge."""
-    steps: tuple[float, float]
-    """rad, width and height of a cell."""
-    count: Index
-    """(rows, columns) points."""
-    rms: Array
-    """(stages, rows, columns) m; NaN for a cell without points."""
-    mean: Array
-    """(stages, rows, columns) m; NaN for a cell without points."""
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """deg, west, east, south and north."""
-        rows, columns = self.count.shape
-        return (
-            self.west / DEG,
-            (self.west + columns * self.steps[0]) / DEG,
-            self.south / DEG,
-            (self.south + rows * self.steps[1]) / DEG,
-        )
-
-    @property
-    def total(self) -> Array:
-        """(stages,) m, root mean square over all points."""
-        squares = np.nansum(self.rms**2 * self.count, axis=(1, 2))
-        return np.asarray(np.sqrt(squares / max(int(self.count.sum()), 1)))
-
-
-def height_cells(places: Array, heights: Array, step: float | None = None) -> HeightCells:
-    """Sort heights into cells.
-
-    Parameters
-    ----------
-    places : (n, 3)
-        m, body-fixed: where each point lies at all stages, so that a cell always has the same points. At least one.
-    heights : (stages, n)
-        m.
-    step : float, optional
-        rad, height of a cell, whose width is about the same on the ground; one that leaves some points in a cell
-        when absent.
-    """
-    east, north = turned(places)
-    ratio = max(round(1.0 / max(float(np.cos(np.median(north))), 0.05)), 1)
-    if step is None:
-        sides = np.array([np.ptp(east) / ratio, np.ptp(north)])
-        step = max(float(np.sqrt(sides.prod() * _ENOUGH / east.size)), float(sides.max()) / _MOST, _LEAST)
-    steps = (step * ratio, step)
-    west, column, columns = _sorted(east, steps[0])
-    south, row, rows = _sorted(north, steps[1])
-    cell = row * columns + column
-    count = np.bincount(cell, minlength=rows * columns)
-    with np.errstate(invalid="ignore"):
-        means, squares = (
-            np.stack([np.bincount(cell, values, rows * columns) for values in stack]) / count
-            for stack in (heights, heights**2)
-        )
-    shape = len(heights), rows, columns
-    return HeightCells(
-        west, south, steps, count.reshape(rows, columns), np.sqrt(squares).reshape(shape), means.reshape(shape)
-    )
-
-
-def turned(places: Array, middle: float | None = None) -> tuple[Array, Array]:
-    """Longitudes (n,), in the turn of their mean direction or of a `middle`, and latitudes (n,), rad, of places (n, 3)
-    in m, body-fixed.
-    """
-    longitudes, latitudes, _ = planetocentric(places).T
-    if middle is None:
-        middle = float(np.arctan2(np.sin(longitudes).mean(), np.cos(longitudes).mean())) % (2.0 * np.pi)
-    return in_turn(longitudes, middle), latitudes
-
-
-def _sorted(values: Array, step: float) -> tuple[float, Index, int]:
-    """First edge, cell of each value, and number of cells; edges are multiples of the step."""
-    low = int(np.floor(values.min() / step + 1e-9))
-    index = np.maximum(np.floor(values / step + 1e-9).astype(np.int64) - low, 0)
-    return low * step, index, int(index.max()) + 1

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +32,6 @@ from mgsgraph.geometry.altimetry import MOLA
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
-from mgsgraph.network.joining import found_passes, seconds
 from mgsgraph.text import many, some
 
 _ALTIMETRY = "[[altimetry]]"
@@ -197,16 +195,6 @@ def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | N
     return None
 
 
-def _of_one_moment(images: Sequence[DraftImage]) -> list[str]:
-    """A line for those images that overlap in time, at the same places."""
-    pictures, told = [replace(one.image, name=one.name) for one in images], list[str]()
-    for group in found_passes(pictures):
-        names, spans = [pictures[j].name for j in sorted(group)], sorted(seconds(pictures[j]) for j in group)
-        if any(later[0] < earlier[1] for earlier, later in pairwise(spans)):
-            told.append(f"- {some(names, len(names))}: of one moment, so one trajectory: [[passes]] (docs/passes.md)")
-    return told
-
-
 _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 """Endings in the order of loading: leap seconds, clock, body, frames, instrument, attitude, positions."""
 _CASE_FILE = Output("a case file", lambda path: kind_of(path) is Kind.CASE)
@@ -292,7 +280,6 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
     told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
-    told += _of_one_moment(images)
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
     told += [f"- Left out: {line}" for line in left_out]
     told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]

@@ -179,18 +179,26 @@ def campaign(
     what is new, what has changed and what was interrupted, and leaves the rest. Exit status: 0 all done, 1 some failed
     or did not converge, 2 bad input.
     """
-    from mgsgraph.cli.progress import CaseBar
-    from mgsgraph.project.campaign import run_campaign, summary
+    from tqdm import tqdm
 
-    bar = CaseBar(verbose)
-    try:
-        done = run_campaign(cases, out, overrides, cluster, retry, bar)
-    except KeyboardInterrupt:
-        bar.close()
-        click.echo(f"mgsgraph: interrupted; {bar.state()}; the same command goes on", err=True)
-        ctx.exit(130)
-    finally:
-        bar.close()
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.project.campaign import CampaignEntry, line, run_campaign, summary
+
+    state = [0, 0]
+    with counting_bar("adjusting", "case") as bar:
+
+        def show(over: int, due: int, entry: CampaignEntry | None) -> None:
+            state[:] = over, due
+            bar(over, due)
+            if entry is not None and verbose:
+                tqdm.write(line(entry))
+
+        try:
+            done = run_campaign(cases, out, overrides, cluster, retry, show)
+        except KeyboardInterrupt:
+            over = f"{state[0]} of {state[1]} cases are over and recorded"
+            click.echo(f"mgsgraph: interrupted; {over}; the same command goes on", err=True)
+            ctx.exit(130)
     click.echo(summary(done))
     click.echo(f"Results are in {out}")
     ctx.exit(0 if done.count("done") == len(done.entries) else 1)
@@ -299,7 +307,7 @@ def coregister(
 
     The images are matched densely; each profile and terrain model with an unknown shift is searched for on the surface
     that they show; the case is adjusted again with one row more per shot and post, its height above that surface. OUT
-    holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv, costs.csv (misfit by shift)
+    holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv
     and figures: see docs/coregister.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.

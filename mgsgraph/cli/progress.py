@@ -14,7 +14,6 @@ from mgsgraph.workers import Stages
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.batch import Iteration
-    from mgsgraph.project.campaign import CampaignEntry
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""
@@ -134,39 +133,6 @@ class IterationBar:
     def close(self) -> None:
         """Take the bar away."""
         self._bar.close()
-
-
-class CaseBar:
-    """Progress over the cases that are due, on standard error where that is a terminal; a line each when verbose."""
-
-    def __init__(self, verbose: bool) -> None:
-        self._verbose, self._over, self._due, self._failed = verbose, 0, 0, 0
-        self._bar: tqdm[None] | None = None
-
-    def __call__(self, over: int, due: int, entry: "CampaignEntry | None") -> None:
-        """Show that a case is over."""
-        from mgsgraph.project.campaign import line
-
-        self._over, self._due = over, due
-        if self._bar is None:
-            self._bar = tqdm(total=due, desc="adjusting", unit="case", leave=False, disable=None)
-        if entry is None:
-            return
-        self._failed += entry.status == "failed"
-        if self._verbose:
-            tqdm.write(line(entry))
-        if self._failed:
-            self._bar.set_postfix_str(f"{self._failed} failed")
-        self._bar.update()
-
-    def state(self) -> str:
-        """How far it is."""
-        return f"{self._over} of {self._due} cases are over and recorded" if self._due else "nothing was begun"
-
-    def close(self) -> None:
-        """Take the bar away."""
-        if self._bar is not None:
-            self._bar.close()
 
 
 @contextmanager

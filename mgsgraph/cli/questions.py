@@ -25,10 +25,6 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
     "--pose", "poses", multiple=True, type=(str, float), metavar="IMAGE LINE", help="Orientation of an image at a line."
 )
 @click.option(
-    "--poses", "pose_pairs", multiple=True, type=(str, float, str, float), metavar="IMAGE LINE IMAGE LINE",
-    help="One image's orientation against another's.",
-)  # fmt: skip
-@click.option(
     "--projection", "projections", multiple=True, type=(str, str), metavar="NAME IMAGE",
     help="Where a ground point falls in an image.",
 )  # fmt: skip
@@ -49,7 +45,6 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."
 )
-@click.option("--snoop", is_flag=True, help="Adjust again with the blunder search of adjust --reject.")
 @click.option("--alpha", type=float, help="Baarda's level, share of false alarms; 0.001 when absent.")
 @click.option("--power", type=float, help="Share of minimal detectable blunders that are found; 0.8 when absent.")
 @click.option(
@@ -79,7 +74,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         require_replaceable(out, ANALYSIS)
     nothing = not any(value for name, value in asked.items() if name not in _DETAILS)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
-    about = {name: asked[name] for name in ("points", "pairs", "poses", "pose_pairs", "projections")}
+    about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
     given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
     for option, stated, useful, of in (
         ("--image, --cell-m", asked["images"] or given["cell_m"], raster, "--raster"),
@@ -87,8 +82,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
         ("--probability", given["probability"], points or pixels, "--point or --pixel"),
         ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
-        ("--alpha, --power", given["alpha"] or given["power"], nothing or asked["reliability"] or asked["snoop"],
-         "--reliability or --snoop"),
+        ("--alpha, --power", given["alpha"] or given["power"], nothing or asked["reliability"], "--reliability"),
         ("--no-figures", no_figures, out, "--out FOLDER"),
     ):  # fmt: skip
         require_used(option, bool(stated), bool(useful), of)
@@ -100,7 +94,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     wanted = Wanted(
         questions, asked["curves"], asked["images"] if raster else None, asked["cell_m"], sigma,
         asked["unexplained"] or nothing, asked["components"] or asked["iterate"] or nothing, asked["likelihood"],
-        asked["iterate"], asked["reliability"] or (_SUMMARY if nothing else 0), asked["snoop"],
+        asked["iterate"], asked["reliability"] or (_SUMMARY if nothing else 0),
         asked["weak"] or (_WEAK if nothing else 0), levels,
     )  # fmt: skip
     name, posterior, warning = read_posterior(adjusted)

@@ -35,6 +35,8 @@ VERBS = {
 """Module of each verb, and its line of help: known before that module is imported."""
 
 REMOVED = {
+    "analyze --snoop": "mgsgraph adjust CASE --reject, with the critical value that --reliability says",
+    "analyze --poses": "--pose once for each, with --correlations",
     "adjust --form": "points are always eliminated, to the same result",
     "campaign --form": "points are always eliminated, to the same result",
     "adjust --relief": "mgsgraph coregister CASE",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
-from mgsgraph.errors import InputError, printable
+from mgsgraph.errors import InputError, errors_from, printable
 from mgsgraph.fetch.camera_search import Box, shots_in
 from mgsgraph.fetch.case_file import (
     CASE,
@@ -148,13 +148,9 @@ def fetch_images(
         notes = _write_own(lock, meta_kernel_path(needs), meta_kernel(needs))
         notes += [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
-        for image in needs:
-            try:
+        for image in needs if choice == "128" else ():
+            with errors_from(f"{image.product}, whose place its tiles hang on"):
                 places += ground_places(image, folder)
-            except InputError as error:
-                if choice == "128":
-                    raise error.within(f"{image.product}, whose place its tiles hang on") from None
-                notes.append(f"{image.product}: its geometry can't be computed yet ({error})")
         grid = None if choice == "none" or _on_the_moon(needs) else grid_of(choice, places)
         if grid is not None:
             store.get_all(wanted_grids(grid, archives))

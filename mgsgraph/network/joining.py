@@ -465,24 +465,6 @@ def joining(
     return Definitions({one.name: one for one in passes}, {one.name: one for one in shared})
 
 
-def latest(parts: Sequence[Definitions]) -> Definitions:
-    """Several as one, as `united`, where passes of some parts have been continued: each has the nodes of all parts."""
-    times = dict[str, list[Array]]()
-    for part in parts:
-        for name, one in part.passes.items():
-            times.setdefault(name, []).append(one.nodes.times)
-    merged = {name: np.unique(np.concatenate(every)) for name, every in times.items()}
-
-    def with_all(one: NamedPass) -> NamedPass:
-        every = merged[one.name]
-        if every.size == one.nodes.times.size and one.nodes.span is not None:
-            return one
-        return replace(one, nodes=replace(one.nodes, times=every, span=one.nodes.trend_span))
-
-    passes = [{name: with_all(one) for name, one in part.passes.items()} for part in parts]
-    return united([Definitions(mine, part.shared) for mine, part in zip(passes, parts, strict=True)])
-
-
 def _axes(one: NamedPass) -> Array:
     """(m, 3, 3)"""
     return np.broadcast_to(np.eye(3), (len(one.images), 3, 3)) if one.axes is None else one.axes

@@ -11,13 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.trajectories import extended, with_expected
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.network.joining import Definitions, definitions, with_definitions
+from mgsgraph.network.joining import with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
 from mgsgraph.planning.coverage import ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
@@ -96,28 +95,19 @@ class PlannedShots:
     """px, of their places in the images that show them; None for no such measures."""
 
 
-def planned_image(
-    coverage: ImageCoverage, known: KnownImage, ties: PlannedTies, brought: Definitions | None = None
-) -> Candidate:
-    """A candidate image with its tie points; images of the network in their order, and then the candidate.
-
-    `brought` are passes and shared unknowns that it begins or joins: of a pass of the network it uses the trajectory,
-    which is continued over its lines.
-    """
+def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies) -> Candidate:
+    """A candidate image with its tie points; images of the network in their order, and then the candidate."""
     name = known.image.name
     if name in coverage.views:
         found = "a candidate that is an image of the network already"
         raise InputError(f"candidate {name}", found, "a new image", "take it out of the candidates")
-    passes = coverage.definitions
-    if brought is not None:
-        passes = extended(coverage, passes, brought, [known])
-    view = coverage.new_image(known, passes)
+    view = coverage.new_image(known)
     near = coverage.overlapping(view)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
     area = sum(common for _, common in near)
     others = [one for one, _ in near]
-    parts = _new_ties(coverage, view, others, ties, passes), _existing_ties(coverage, view, ties, passes)
+    parts = _new_ties(coverage, view, others, ties), _existing_ties(coverage, view, ties)
     additions = [one for one in parts if one is not None]
     if not additions:
         reason = "no tie point can be placed where it overlaps: too little ground, or rays nearly parallel"
@@ -128,7 +118,7 @@ def planned_image(
 
 
 def _new_ties(
-    coverage: ImageCoverage, view: OrientedImage, near: Sequence[OrientedImage], ties: PlannedTies, passes: Definitions
+    coverage: ImageCoverage, view: OrientedImage, near: Sequence[OrientedImage], ties: PlannedTies
 ) -> Network | None:
     """New tie points in the overlaps with the images near; None where there are none that their rays determine."""
     grids = [_tie_places(coverage, view, other, ties) for other in near]
@@ -138,12 +128,10 @@ def _new_ties(
     point, images, places = coverage.rays(points, [*near, view])
     ids = (f"{view.image.name}:tie:{k + 1}:{i + 1}" for k, grid in enumerate(grids) for i in range(len(grid)))
     rays = point, images, places, _sigmas(images, view, ties)
-    network = _network(coverage, _points(ids, PointClass.TIE, points), rays, new_image=view.known, passes=passes)
+    network = _network(coverage, _points(ids, PointClass.TIE, points), rays, new_image=view.known)
     if network is None:
         return None
-    state = coverage.state
-    values = with_expected(state.values, definitions(network))
-    kept = ReducedNetwork(network, state.settings, values, points).determined
+    kept = ReducedNetwork(network, coverage.state.settings, coverage.state.values, points).determined
     return part(network, np.flatnonzero(kept)) if np.any(kept) else None
 
 
@@ -157,9 +145,7 @@ def _tie_places(coverage: ImageCoverage, view: OrientedImage, other: OrientedIma
     return shared(even_places(shape, lambda places: shared(places)[1], ties.count))[0]
 
 
-def _existing_ties(
-    coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies, passes: Definitions
-) -> Network | None:
+def _existing_ties(coverage: ImageCoverage, view: OrientedImage, ties: PlannedTies) -> Network | None:
     """Tie points of the network that the candidate shows, each with its measure in it; None unless they're wanted."""
     if not ties.existing:
         return None
@@ -172,7 +158,7 @@ def _existing_ties(
     points = _points(network.points.ids[old], PointClass.TIE, state.places[old])
     names = [view.image.name] * n
     rays = np.arange(n), names, places, _sigmas(names, view, ties)
-    return _network(coverage, points, rays, view.known, old=True, passes=passes)
+    return _network(coverage, points, rays, view.known, old=True)
 
 
 def _sigmas(images: Sequence[str], view: OrientedImage, ties: PlannedTies) -> Array:
@@ -260,7 +246,6 @@ _Ranges = tuple[Index, str, Array, Array, Array]
 def _network(
     coverage: ImageCoverage, points: GroundPoints, rays: _Rays, new_image: KnownImage | None = None,
     ranges: _Ranges | None = None, shifts: ProfileShifts | None = None, old: bool = False,
-    passes: Definitions | None = None,
 ) -> Network | None:  # fmt: skip
     """Points with their rows and the images that they name; None without any row. `old` points have their
     terrain rows already.
@@ -278,7 +263,7 @@ def _network(
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)
     network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
-    network = with_definitions(network, coverage.definitions if passes is None else passes)
+    network = with_definitions(network, coverage.definitions)
     if old:
         return network
     considered = (*coverage.network.considered, *network.considered)

@@ -22,7 +22,6 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import east_north_up, from_geodetic, from_planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import footprints_in_images
-from mgsgraph.network.joining import joining
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.planning.candidates import (
     Candidate,
@@ -55,9 +54,6 @@ class CandidateImage(ImageInput, forbid_unknown_fields=True, frozen=True):
     """Sigma of line and sample of these; in the candidate measure_sigma_px, where that is said."""
     existing: bool = False
     """Whether tie points of the network that it shows are measured in it, too."""
-    of_pass: str = ""
-    """Name of the pass of the network on whose trajectory it is taken, which goes on over its lines; when absent it has
-    an orientation of its own."""
 
 
 class CandidateProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -173,8 +169,7 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
-    brought = joining(coverage.definitions, entry.name, entry.of_pass, where=f"{where}, of_pass")
-    return planned_image(coverage, KnownImage(image, prior, entry.held), ties, brought)
+    return planned_image(coverage, KnownImage(image, prior, entry.held), ties)
 
 
 def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: int) -> Candidate:

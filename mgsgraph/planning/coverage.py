@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.trajectories import with_expected
 from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
@@ -84,13 +83,9 @@ class ImageCoverage:
         """An image of the network by its name."""
         return self.views[name].known
 
-    def new_image(self, known: KnownImage, passes: Definitions | None = None) -> OrientedImage:
-        """An image that is not in the network: with its nominal orientation, or on the trajectory of a pass, as it is
-        expected to go on.
-        """
-        passes, settings = passes or Definitions(), self.state.settings
-        mine = passes.of([known.image.name])
-        correction = correction_of(known, settings, with_expected(self.state.values, mine), mine)
+    def new_image(self, known: KnownImage) -> OrientedImage:
+        """An image that is not in the network, with its nominal orientation."""
+        correction = correction_of(known, self.state.settings, {}, Definitions())
         return OrientedImage(known, correction, self._height, footprint(known.image, self._height))
 
     def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float]]:

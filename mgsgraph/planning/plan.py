@@ -239,8 +239,6 @@ class Plan:
     """Every candidate by itself, best first; worthless ones last, with the reason."""
     chosen: tuple[Evaluation, ...]
     """One after the other, each judged with those before it in place."""
-    plain: Evaluation | None
-    """The first of the ranking together, as many as were chosen; None where nothing was chosen."""
 
     @property
     def after(self) -> Sigmas:
@@ -339,7 +337,7 @@ def plan(
     judge = Evaluator(state, targets, criterion)
     useful = [one for one in sorted(candidates, key=lambda one: one.name) if one.addition is not None]
     steps = min(choose, len(useful))
-    most, done = sum(len(useful) - k for k in range(max(steps, 1))) + (steps > 1), 0
+    most, done = sum(len(useful) - k for k in range(max(steps, 1))), 0
 
     def judged(by: Evaluator, one: Candidate) -> Evaluation:
         nonlocal done
@@ -366,12 +364,9 @@ def plan(
             assert taken.addition is not None
             at = at.extended([taken.addition])
             since = [unknown for unknown in unknowns(at.network) if unknown not in there]
-    first, plain = {one.name: one for one in useful}, ranking[0] if chosen else None
-    if len(chosen) > 1:
-        plain = judge.of(*(first[one.name] for one in ranking[: len(chosen)]))
     progress(most, most)
     last = sorted(worthless, key=lambda one: one.name)
-    return Plan(name, targets, criterion, judge.now, (*ranking, *last), tuple(chosen), plain)
+    return Plan(name, targets, criterion, judge.now, (*ranking, *last), tuple(chosen))
 
 
 def _order(one: Evaluation) -> tuple[bool, float, float, str]:

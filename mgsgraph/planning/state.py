@@ -9,9 +9,7 @@ from mgsgraph.adjustment.covariances import orientation_covariance
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
-from mgsgraph.adjustment.incremental.bayes_tree import TOGETHER
 from mgsgraph.adjustment.incremental.state import shared_of
-from mgsgraph.adjustment.incremental.trajectories import prior_rows, with_expected
 from mgsgraph.adjustment.marginals import carried
 from mgsgraph.adjustment.rounds import Selection, all_rows, determined_points, exactly, without_weak
 from mgsgraph.adjustment.settings import SolverSettings
@@ -24,7 +22,7 @@ from mgsgraph.kernel.rows import Rows
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
-from mgsgraph.network.joining import Definitions, definitions, latest, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, united, with_definitions
 from mgsgraph.network.parts import (
     KnownImage,
     Unknown,
@@ -57,19 +55,16 @@ class NetworkState:
         return correction_of(known_images(self.network)[number], self.settings, self.values, definitions(self.network))
 
     def extended(self, additions: Sequence[Network]) -> "NetworkState":
-        """The network state with planned measures: new unknowns at zero (orientation images where their neighbours make
-        them likely), new points at their planned positions.
-        """
+        """The network state with planned measures: new unknowns at zero, new points at their planned positions."""
         network = together([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
-        values = with_expected(self.values, definitions(network))
-        return NetworkState(network, self.settings, values, places)
+        return NetworkState(network, self.settings, self.values, places)
 
 
 def together(networks: Sequence[Network]) -> Network:
-    """Networks as one, in which passes have the orientation images that any of them has."""
-    known = latest([definitions(one) for one in networks])
+    """Networks as one, with the passes and shared unknowns of all of them."""
+    known = united([definitions(one) for one in networks])
     return joined([with_definitions(one, known) for one in networks])
 
 
@@ -333,19 +328,16 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     state, index = present.state, present.index_of
     ids = dict.fromkeys(name for one in additions for name in one.points.ids)
     again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
-    known = latest([definitions(one) for one in (state.network, *additions)])
-    again = np.union1d(again, turned_points(state.network, known))
+    again = np.unique(again)
     before = part(state.network, again) if again.size else None
-    network = together([*([before] if before else []), *additions])
-    network = with_definitions(network, known)
-    values = with_expected(state.values, known)
+    network = with_definitions(together([*([before] if before else []), *additions]), definitions(state.network))
     places = network.points.places.copy()
     places[: again.size] = state.places[again]
-    after = ReducedNetwork(network, state.settings, values, places)
+    after = ReducedNetwork(network, state.settings, state.values, places)
     there = set(present.adjusted)
     touched = tuple(name for name in after.adjusted if name in there)
     new = tuple(name for name in after.adjusted if name not in there)
-    whole = after.information([*touched, *new]) + _of_priors(after, present, [*touched, *new])
+    whole = after.information([*touched, *new]) + _of_priors(after, [*touched, *new], new)
     if before is not None:
         old = ReducedNetwork(before, state.settings, state.values, state.places[again])
         before_too = [name for name in touched if name in set(old.adjusted)]
@@ -379,39 +371,11 @@ def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence
     return np.array([number.get(column, -1) for column in network.columns(some).tolist()], dtype=np.int64)
 
 
-def turned_points(network: Network, known: Definitions) -> Index:
-    """Points that depend on other orientation images once passes are as known: those seen at their ends."""
-    found = [np.zeros(0, dtype=np.int64)]
-    for one in network.passes:
-        nodes = known.passes[one.name].nodes
-        for j in one.images.tolist() if nodes.times.size != one.nodes.times.size else ():
-            image, rays = network.images[j], np.flatnonzero(network.rays.image == j)
-            ranges = np.flatnonzero(network.ranges.image == j)
-            times = np.concatenate([
-                image.timing.at(network.rays.places[rays, 0])[0] + image.trajectory.epoch, network.ranges.times[ranges]
-            ])  # fmt: skip
-            points = np.concatenate([network.rays.point[rays], network.ranges.point[ranges]])
-            first = [each.times[each.first_of_four(times, 0.0)] for each in (one.nodes, nodes)]
-            found.append(points[first[0] != first[1]])
-    return np.unique(np.concatenate(found))
-
-
-def _of_priors(after: ReducedNetwork, present: CurrentState, names: Sequence[Unknown]) -> Array:
-    """(d, d) inverse a-priori covariance of unknowns that had none: new ones, and of passes that are continued."""
-    columns, there = after.columns(names), set(present.adjusted)
-    place = dict(zip(columns.tolist(), range(columns.size), strict=True))
-    alone = [name for name in names if name not in there and name.kind not in TOGETHER]
-    found, mine = np.zeros((columns.size, columns.size)), after.columns(alone)
-    own = [place[column] for column in mine.tolist()]
-    found[own, own] = 1.0 / after.layout.sigmas[mine] ** 2
-    rows = [set(prior_rows(definitions(one.network))) for one in (after, present)]
-    touched = {name for name in names if name.kind in TOGETHER}
-    for more, fewer, sign in ((rows[0], rows[1], 1.0), (rows[1], rows[0], -1.0)):
-        for one in (each for each in more - fewer if touched.issuperset(each.unknowns)):
-            into = [place[column] for column in after.columns(one.unknowns).tolist()]
-            block = np.hstack(one.whitened)
-            found[np.ix_(into, into)] += sign * block.T @ block
-    return found
+def _of_priors(after: ReducedNetwork, names: Sequence[Unknown], new: Sequence[Unknown]) -> Array:
+    """(d, d) inverse a-priori covariance of new ones among unknowns."""
+    found, mine = np.zeros(after.columns(names).size), _positions(after, names, new)
+    found[mine] = 1.0 / after.layout.sigmas[after.columns(new)] ** 2
+    return np.diag(found)
 
 
 def _on_touched(

@@ -27,7 +27,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section, columns_of, drawn
 from mgsgraph.units import DEG, MRAD
 
 _MOST_SHOWN = 12
@@ -44,8 +44,6 @@ class Questions:
     """Pairs of ground points: is the height difference real?"""
     poses: tuple[tuple[str, float], ...] = ()
     """Image and line."""
-    pose_pairs: tuple[tuple[str, float, str, float], ...] = ()
-    """Image and line, other image and line: how well is the one known against the other?"""
     projections: tuple[tuple[str, str], ...] = ()
     """Ground point and image."""
     pixels: tuple[Pixel, ...] = ()
@@ -60,7 +58,7 @@ class Questions:
             raise InputError("--probability", f"{self.probability}", "a number between 0 and 1")
 
     def __bool__(self) -> bool:
-        return bool(self.points or self.pairs or self.poses or self.pose_pairs or self.projections or self.pixels)
+        return bool(self.points or self.pairs or self.poses or self.projections or self.pixels)
 
 
 def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
@@ -73,8 +71,6 @@ def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
         yield _difference(posterior.difference(first, second))
     for image, line in asked.poses:
         yield _pose(posterior.pose(image, line))
-    for pair in asked.pose_pairs:
-        yield _pose_pair(posterior, *pair)
     for point, image in asked.projections:
         yield _pixel(posterior.projection(point, image))
     if asked.pixels:
@@ -86,9 +82,8 @@ def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
 def _quantities(posterior: Posterior, asked: Questions) -> Iterator[Quantity]:
     """Everything that was asked about, once."""
     names = dict.fromkeys([*asked.points, *(name for pair in asked.pairs for name in pair)])
-    poses = [*asked.poses, *(part for pair in asked.pose_pairs for part in (pair[:2], pair[2:]))]
     yield from (posterior.of_point(name) for name in names)
-    yield from (posterior.of_pose(image, line) for image, line in dict.fromkeys(poses))
+    yield from (posterior.of_pose(image, line) for image, line in dict.fromkeys(asked.poses))
     yield from (posterior.of_projection(point, image) for point, image in dict.fromkeys(asked.projections))
     if asked.pixels:
         yield posterior.of_intersection(asked.pixels)
@@ -155,27 +150,6 @@ def _pose(found: PoseEstimate) -> Section:
     })  # fmt: skip
 
 
-def _pose_pair(posterior: Posterior, image: str, line: float, other: str, other_line: float) -> Section:
-    if (image, line) == (other, other_line):
-        raise InputError(f"poses of image {image}", f"line {line:g} twice", "two images, or two lines of one")
-    poses = posterior.pose(image, line), posterior.pose(other, other_line)
-    both = np.zeros((12, 12))
-    both[:6, :6], both[6:, 6:] = (pose.flight_turn for pose in poses)
-    joint = both @ posterior.covariance([posterior.of_pose(image, line), posterior.of_pose(other, other_line)]) @ both.T
-    apart = np.hstack([-np.eye(6), np.eye(6)])
-    sigmas = np.sqrt(np.maximum(np.diagonal(joint), 1e-300))
-    shared = np.diagonal(joint[:6, 6:]) / (sigmas[:6] * sigmas[6:])
-    said = (
-        f"Image {other} at line {other_line:g} minus {image} at line {line:g}, each along its own flight axes: "
-        f"{_flight(apart @ joint @ apart.T)}; correlation "
-        f"{', '.join(f'{name} {value:.3f}' for name, value in zip(FLIGHT_NAMES, shared, strict=True))}."
-    )
-    return Section("answer", sentences=[said], numbers={
-        "question": "poses", "images": [image, other], "lines": [line, other_line], "flight_axes": list(FLIGHT_NAMES),
-        "joint_flight_covariance_m_rad": joint, "correlation": shared,
-    })  # fmt: skip
-
-
 def _pixel(found: PixelEstimate) -> Section:
     line, sample = found.sigmas
     rho = found.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
@@ -222,7 +196,8 @@ def curve_section(posterior: Posterior, image: str) -> Section:
     ]  # fmt: skip
     file = _file_of(posterior, image)
     table = Table(file, f"Sigmas along image {image}", (
-        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
+        *columns_of("curves", {"image": [image] * lines.size, "line": lines}),
+        *parts,
     ))  # fmt: skip
 
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}

@@ -277,6 +277,15 @@ _OLDER = "adjust the case again, or read it with the older version of mgsgraph t
 _ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
+_SHAPES = {
+    "shifts": "s2", "places_before": "n3", "places": "n3", "covariances": "n33", "determined": "n", "rays_used": "k",
+    "ranges_used": "r", "residuals": "k2", "residuals_before": "k2", "range_residuals": "r",
+    "range_residuals_before": "r", "rays_rejected": "k", "ranges_rejected": "r", "stereo_rejected": "n",
+    "stereo_heights": "n", "test_dimensions": "t",
+}  # fmt: skip
+"""Of a solution's arrays: n points, k rays, r ranges, s shifts, t of these measures and points."""
+
+
 def write_archive(solution: "Solution", path: Path) -> None:
     """Write a solution to an .npz file."""
     arrays: Arrays = {}
@@ -326,27 +335,17 @@ def _require_shapes(solution: "Solution") -> None:
     """Raise InputError unless the arrays of a solution fit its network, so that no later table stumbles over them."""
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
-    shifts = len(network.shift_names)
+    sizes = {"n": n, "k": k, "r": r, "s": len(network.shift_names), "t": n + k + r, "2": 2, "3": 3}
     shared = [one.sigmas.size for one in network.shared]
     moves = [len(terms) for terms in network.shift_terms]
     of_passes = [size for one in network.passes for size in one.widths.tolist()]
     width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_passes)
-    adjusted = np.append(network.with_polynomial, np.ones(shifts + len(shared) + len(of_passes), dtype=bool))
+    adjusted = np.append(network.with_polynomial, np.ones(len(moves) + len(shared) + len(of_passes), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
-    expected: dict[str, tuple[int, ...]] = {
-        "shifts": (shifts, 2),
-        "places_before": (n, 3), "places": (n, 3), "covariances": (n, 3, 3),
-        "determined": (n,), "rays_used": (k,), "ranges_used": (r,), "residuals": (k, 2), "residuals_before": (k, 2),
-        "range_residuals": (r,), "range_residuals_before": (r,),
-    }  # fmt: skip
-    newer: dict[str, tuple[int, ...]] = {
-        "rays_rejected": (k,), "ranges_rejected": (r,), "stereo_rejected": (n,),
-        "stereo_heights": (n,), "test_dimensions": (k + r + n,),
-    }  # fmt: skip
-    expected |= {name: shape for name, shape in newer.items() if getattr(solution, name) is not None}
     root = solution.joint_covariance.square_root
     found: list[tuple[str, str, Any, Any]] = [
-        *((name, "shape ", getattr(solution, name).shape, right) for name, right in expected.items()),
+        *((name, "shape ", value.shape, tuple(sizes[one] for one in shape)) for name, shape in _SHAPES.items()
+          if (value := getattr(solution, name)) is not None),
         ("joint_covariance.square_root.first", "", root.first.tolist(), first.tolist()),
         ("joint_covariance.square_root.width", "", root.width.tolist(), width.tolist()),
     ]

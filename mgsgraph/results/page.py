@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from mgsgraph.results.results import figure, figures_of_merit, sentences_of, sol
 from mgsgraph.results.section import Section
 from mgsgraph.results.soundness import state_of
 from mgsgraph.results.tables import points_table, residuals_table
-from mgsgraph.workers import called_in_workers
 
 _TEMPLATE = "results/templates/report.html"
 _SECTIONS = ("map", "orientation", "residuals", "comparison")
@@ -93,35 +91,32 @@ def _content(
     solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
 ) -> dict[str, Any]:
     """Everything that the template shows."""
-    from mgsgraph.results.figures.page import comparison_figures, figure_tasks
+    from mgsgraph.results.figures.page import comparison_figures, solution_figures
 
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
-    drawings = figure_tasks(solution, connected)
-    if compared is not None:
-        drawings.append(("comparison", partial(comparison_figures, compared.points)))
-    parts, tasks = zip(*drawings, strict=True)
     found = solution_sections(solution, connected)
-    with called_in_workers(tasks, "figures of the page", "give this program more memory") as drawn:
-        content = {
-            "solution": solution,
-            "statements": sentences_of(found),
-            "key_figures": _key_figures(solution),
-            **_registered(solution, registration),
-            "tables": tables(solution, found),
-            "compared": compared,
-            "settings": _settings_tables(solution),
-            "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
-                name: checksum or "could not be read" for name, checksum in inputs.items()
-            }),
-            "case_name": "" if case is None else case.path.name,
-            "version": solution.versions.get("mgsgraph", NONE),
-        }
-        figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS}
-        for section, pictures in zip(parts, drawn(), strict=True):
-            figures[section] += pictures
-    return content | {"figures": figures}
+    figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS}
+    for section, picture in solution_figures(solution, connected):
+        figures[section].append(picture)
+    if compared is not None:
+        figures["comparison"] = comparison_figures(compared.points)
+    return {
+        "solution": solution,
+        "statements": sentences_of(found),
+        "key_figures": _key_figures(solution),
+        **_registered(solution, registration),
+        "tables": tables(solution, found),
+        "compared": compared,
+        "settings": _settings_tables(solution),
+        "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
+            name: checksum or "could not be read" for name, checksum in inputs.items()
+        }),
+        "case_name": "" if case is None else case.path.name,
+        "version": solution.versions.get("mgsgraph", NONE),
+        "figures": figures,
+    }
 
 
 def _registered(solution: Solution, registration: CaseRegistration | None) -> dict[str, Any]:

@@ -11,16 +11,14 @@ from mgsgraph.analysis.two_step_statistics import (
     POSE_AXES,
     STAGES,
     GroupStatistics,
-    HeightCells,
     TwoStepStatistics,
-    height_cells,
 )
 from mgsgraph.files.output.folders import fresh_folder
-from mgsgraph.files.output.table import Column, Table, picked
+from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, write_sections_into
+from mgsgraph.results.section import Section, columns_of, drawn, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
 
@@ -31,7 +29,7 @@ def write_two_steps(
     """Write the results of step 2, as those of any adjustment, and what both steps did, to a folder.
 
     Beside the files of `results.results` there are two_steps.json and .csv (figures of merit at all stages),
-    heights.csv (each point above the terrain), height_cells.csv, and height_map_1.png and _2.png (before and after).
+    heights.csv (each point above the terrain), and height_map_1.png and _2.png (before and after).
 
     Parameters
     ----------
@@ -55,23 +53,14 @@ def write_two_steps(
         write_sections_into([section], section.numbers, aside, "two_steps.json", figures)
 
 
-def cells_of(statistics: TwoStepStatistics, step: float | None = None) -> HeightCells:
-    """Heights of points whose row took part, by cell of the map; `step` in rad."""
-    places = statistics.steps.fitted.places[statistics.points[statistics.used]]
-    return height_cells(places, statistics.heights[:, statistics.used], step)
-
-
 def two_steps_section(statistics: TwoStepStatistics) -> Section:
     """Both steps and their figures of merit at all stages, heights above the terrain, and a map of these."""
-    found = cells_of(statistics) if np.any(statistics.used) else None
     csv = [_statistics_table([statistics.whole, *statistics.groups])]
     csv += [_heights_table(statistics)] if statistics.points.size else []
-    csv += [] if found is None else [_cells_table(found)]
-
     return Section(
         "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
-        sheets=None if found is None else
+        sheets=None if not np.any(statistics.used) else
         drawn("mgsgraph.results.figures.dem.height_map_sheets", statistics),
     )  # fmt: skip
 
@@ -83,20 +72,14 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
                     for step in both])  # fmt: skip
     rows = np.isfinite(surface.sigmas) & steps.fitted.determined
-    return Table("steps", "Both steps", (
-        Column("step", ["step 1, no terrain", "step 2, terrain"], label="", text="<18"),
-        Column("sigma0", np.array([step.sigma0 for step in both]), text=">8"),
-        Column("freedom", np.array([step.fit.degrees_of_freedom for step in both]), text=">9"),
-        Column("rays", np.array([int(step.rays_used.sum()) for step in both]), text=">8"),
-        Column("rays_rejected", out[:, 0], label="rejected", text=">8"),
-        Column("ranges", np.array([int(step.ranges_used.sum()) for step in both]), text=">7"),
-        Column("ranges_rejected", out[:, 1], label="rejected", text=">8"),
-        Column("heights", ["-", str(int(np.count_nonzero(rows)))], text=">8"),
-        Column("off", ["-", str(int(np.count_nonzero(steps.off)))], text=">5"),
-        Column("iterations", np.array([len(history) for history in steps.history]), text=">10"),
-        Column("seconds", np.array(steps.seconds), text=">7.1f"),
-        Column("state", ["" if step.converged else "NOT CONVERGED" for step in both], label="", text="<", gap=2),
-    ))  # fmt: skip
+    return Table("steps", "Both steps", columns_of("steps", {
+        "step": ["step 1, no terrain", "step 2, terrain"],
+        "rays": np.array([int(step.rays_used.sum()) for step in both]), "rays_rejected": out[:, 0],
+        "ranges": np.array([int(step.ranges_used.sum()) for step in both]), "ranges_rejected": out[:, 1],
+        "heights": ["-", str(int(np.count_nonzero(rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
+        "iterations": np.array([len(history) for history in steps.history]), "seconds": np.array(steps.seconds),
+        "state": ["" if step.converged else "NOT CONVERGED" for step in both],
+    }, both))  # fmt: skip
 
 
 # --- in words
@@ -172,32 +155,9 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
         "heights_at_rest": steps.at_rest,
         "ties_without_height": statistics.without_row,
         "ties_lost_from_heights": statistics.left_out,
-        "all": _group_json(statistics.whole),
-        "strips": [_group_json(group) for group in statistics.groups],
+        "figures": _statistics_table([statistics.whole, *statistics.groups]).records(),
         "statements": two_steps_statements(statistics),
     }
-
-
-def _group_json(group: GroupStatistics) -> dict[str, Any]:
-    heights = group.heights
-    sigmas = {
-        "point_sigma_mean_m": (POINT_AXES, group.mean), "point_sigma_median_m": (POINT_AXES, group.median),
-        "point_factor": (POINT_AXES, group.point_factors), "position_sigma_m": (POSE_AXES[:3], group.poses[:, :3]),
-        "attitude_sigma_mgon": (POSE_AXES[3:], group.poses[:, 3:] / MGON),
-    }  # fmt: skip
-    by_stage = {"rms_m": heights.rms, "mean_m": heights.mean, "factor": heights.factors}
-    return {
-        "name": group.name,
-        "points": group.points,
-        **{
-            key: {stage: dict(zip(axes, row, strict=True)) for stage, row in zip(STAGES, values, strict=True)}
-            for key, (axes, values) in sigmas.items()
-        },
-        "heights": {
-            "points": heights.count,
-            **{key: dict(zip(STAGES, values, strict=True)) for key, values in by_stage.items()},
-        },
-    }  # fmt: skip
 
 
 def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
@@ -207,12 +167,10 @@ def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
-    return Table("two_steps", "Figures of merit: sigmas of points and orientation, heights above the terrain", (
-        Column("strip", names, text="<18"), Column("quantity", quantities, text="<20"),
-        Column("unit", units, text="<5"),
-        Column("{}", stages, parts=STAGES, label="", text=">9.3g"),
-        Column("factor_{}", factors, parts=("step_1", "step_2"), label="smaller by", text=">8.3g"),
-    ))  # fmt: skip
+    title = "Figures of merit: sigmas of points and orientation, heights above the terrain"
+    return Table("two_steps", title, columns_of("two_steps", {
+        "strip": names, "quantity": quantities, "unit": units, "{}": stages, "factor_{}": factors,
+    }))  # fmt: skip
 
 
 def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
@@ -228,24 +186,7 @@ def _heights_table(statistics: TwoStepStatistics) -> Table:
     """One row per point with a height row."""
     network, points = statistics.steps.network, statistics.points
     longitude, latitude, _ = planetocentric(statistics.steps.fitted.places[points]).T
-    return Table("heights", "Heights above the terrain", (
-        Column("point", picked(network.points.ids, points)),
-        Column("used", statistics.used),
-        Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
-        Column("latitude", latitude, "deg", "planetocentric"),
-        Column("height_{}", statistics.heights.T, "m", "above the terrain model", STAGES),
-    ))  # fmt: skip
-
-
-def _cells_table(found: HeightCells) -> Table:
-    """One row per cell of the map that holds points."""
-    rows, columns = np.nonzero(found.count)
-    longitude = (found.west + (columns + 0.5) * found.steps[0]) / DEG % 360.0
-    return Table("height_cells", "Heights above the terrain, by cell", (
-        Column("cell", [f"{row}-{column}" for row, column in zip(rows.tolist(), columns.tolist(), strict=True)]),
-        Column("longitude", np.asarray(longitude), "deg", "of the middle, planetocentric, east", scale=1.0),
-        Column("latitude", np.asarray(found.south + (rows + 0.5) * found.steps[1]), "deg", "of the middle"),
-        Column("points", found.count[rows, columns].astype(np.float64)),
-        *(Column(f"{what}_{stage}", values[k, rows, columns], "m")
-          for k, stage in enumerate(STAGES) for what, values in (("rms", found.rms), ("mean", found.mean))),
-    ))  # fmt: skip
+    return Table("heights", "Heights above the terrain", columns_of("heights", {
+        "point": picked(network.points.ids, points), "used": statistics.used, "longitude": longitude / DEG % 360.0,
+        "latitude": latitude, "height_{}": statistics.heights.T,
+    }))  # fmt: skip

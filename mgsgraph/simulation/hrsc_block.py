@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import Basis, OrientationCorrection, OrientationImages, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import ImageRays, Network, NodePrior, Pass
 from mgsgraph.record import Record
@@ -112,8 +112,6 @@ class BlockSettings(Record):
     """Number of matched points."""
     matches: PointMatching = field(default_factory=PointMatching)
     """In how many lines, and how well."""
-    basis: Basis = "lagrange"
-    """Between the nodes."""
     spacing: float = 10.0
     """s between nodes, at most."""
     true_spacing: float | None = None
@@ -196,7 +194,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         )
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
-        nodes.append(evenly_spaced(settings.basis, orbit.epoch, coverage, settings.spacing))
+        nodes.append(evenly_spaced("lagrange", orbit.epoch, coverage, settings.spacing))
         true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)

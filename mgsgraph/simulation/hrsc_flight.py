@@ -25,8 +25,8 @@ from mgsgraph.simulation.observations import MARGIN, Visible, well_inside
 from mgsgraph.simulation.orbit import MARS, MERIDIAN, Orbit, body_matrix, sampled_trajectory
 from mgsgraph.units import DEG
 
-REFERENCE_ALTITUDE = 265e3
-"""m, at which the stated ground pixel holds; higher up it grows with the altitude (12.5 m to 25 m of the paper)."""
+_ANGLE = 12.5 / 265e3
+"""rad along track of a line without macropixels: 12.5 m at 265 km. (Across track the optics have 10.6 m there.)"""
 SLACK = 2e3
 """m of ground that the other lines see before and after the nadir strip: errors and relief shall not cut it."""
 
@@ -108,9 +108,6 @@ class Readout(Record):
 
     macropixels: tuple[int, ...] = (2, 2, 1, 2, 2)
     """Detector pixels per sample and per line of S1, P1, ND, P2, S2."""
-    ground_pixel: float = 12.5
-    """m along track of a line without macropixels at 265 km of altitude. (Across track the optics have 10.6 m there.)
-    """
     rates: int = 2
     """Line rates within an image, for even parts of the nadir strip's time."""
 
@@ -149,8 +146,7 @@ def _timing(
     """Lines of an image between two `ends`, s past the epoch, and their number."""
     changes = np.linspace(*nadir, readout.rates + 1)
     _, speed, altitude = flown.track(np.linspace(*nadir, 2 * readout.rates + 1))
-    ground = readout.ground_pixel * macropixel * altitude[1::2] / REFERENCE_ALTITUDE
-    periods, first, starts = ground / speed[1::2], [0.0], [ends[0]]
+    periods, first, starts = _ANGLE * macropixel * altitude[1::2] / speed[1::2], [0.0], [ends[0]]
     for k, change in enumerate([*changes[1:-1], ends[1]]):
         count = max(int(np.ceil((change - starts[k]) / periods[k])), 1)
         first.append(first[k] + count)
@@ -172,6 +168,8 @@ _TABLE = 129
 """Lines of an image of which the ground is tabulated, for first guesses."""
 _BESIDE = 1.3
 """Half widths of a swath beyond which a point isn't looked for in it."""
+_LINKED = 0.3
+"""Share of the points which another strip sees, too, that are matched in its lines as well."""
 _ROUNDS = 20
 """Of drawing, before strips count as too small."""
 
@@ -182,8 +180,6 @@ class PointMatching(Record):
 
     shares: tuple[float, float, float] = (0.05, 0.15, 0.80)
     """Of the points of a strip that are matched in 3, 4 and 5 of its lines, where five see them; they add up to 1."""
-    linked: float = 0.3
-    """Share of the points which another strip sees, too, that are matched in its lines as well."""
     sigma: float = 0.4
     """px of each image (macropixels), of line and sample."""
     blunders: float = 0.0
@@ -270,7 +266,7 @@ def matched_points(
         points.append(own)
         for j, other in enumerate(strips):
             if j != k:
-                tried = np.flatnonzero(other.beneath(own) & (rng.random(len(own)) < matches.linked))
+                tried = np.flatnonzero(other.beneath(own) & (rng.random(len(own)) < _LINKED))
                 point, image, pixels = other.matched(own[tried], matches, rng)
                 visible.add(tried[point] + first, image + len(STEREO) * j, pixels)
         first += count
@@ -425,8 +421,8 @@ def segment(image: PushbroomImage, name: str, first: int, stop: int) -> Pushbroo
 
 
 def in_segments(network: Network, count: int) -> Network:
-    """A network with every image cut into `count` segments of equal length, NAME/1 to NAME/count; rays are those of the
-    segment that they fall in. Laser ranges, shared unknowns and stereo surfaces are left out.
+    """A simulated block with every image cut into `count` segments of equal length, NAME/1 to NAME/count, in which its
+    rays fall.
     """
     images, edges = list[PushbroomImage](), list[Index]()
     for image in network.images:
@@ -438,15 +434,9 @@ def in_segments(network: Network, count: int) -> Network:
     inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
     places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
     passes = tuple(
-        replace(
-            one, images=(one.images[:, None] * count + np.arange(count)).ravel(),
-            axes=None if one.axes is None else np.repeat(one.axes, count, axis=0),
-        )
-        for one in network.passes
-    )  # fmt: skip
+        replace(one, images=(one.images[:, None] * count + np.arange(count)).ravel()) for one in network.passes
+    )
     return replace(
-        network, images=tuple(images), priors=tuple(np.repeat(np.array(network.priors, dtype=object), count).tolist()),
-        held=np.repeat(network.held, count), rays=replace(rays, image=rays.image * count + inner, places=places),
-        ranges=network.ranges.chosen(np.zeros(network.ranges.point.size, dtype=bool)), passes=passes, shared=(),
-        stereo=None,
+        network, images=tuple(images), priors=network.priors * count, held=np.repeat(network.held, count),
+        rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
     )  # fmt: skip

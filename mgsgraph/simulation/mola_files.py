@@ -10,7 +10,7 @@ which follows from the line of sight. So what is read back differs from what was
 * areoid radii and the spacecraft's position likewise (the orbit's curvature over a frame: below 1 m);
 * times by half a microsecond, and by the clock's rounding to 1 Hz (1e-8 s).
 
-`write_pedr` returns the shots as written.
+Fields about the instrument that no reader takes are zero. `write_pedr` returns the shots as written.
 """
 
 from collections.abc import Iterable, Mapping
@@ -36,14 +36,8 @@ _FRACTION = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 """Time of each shot in units of the frame's length, from its midpoint."""
 _PACKET = 7
 """Frames in a packet."""
-_EQUIPMENT = {
-    "received_energy": 20, "reflectivity": 12_000, "channel": 1,
-    "laser_energy": 4_500, "background": 40, "gate_delay": 37_000_000, "gate_width": 3_000_000, "orbit_model": 7,
-    "local_time": 5_236, "raw_energy": 60, "raw_width": 30,
-}
-"""Fields about the instrument, in the file's units: ordinary values (channel 1 of 4, 45 mJ, two o'clock)."""
-_LEVEL_PULSE, _LEVEL_WIDTH = 8.0, 30.0
-"""ns, of a pulse from level ground: its standard deviation, and its width at the receiver's threshold."""
+_LEVEL_PULSE = 8.0
+"""ns, standard deviation of a pulse from level ground."""
 _LIGHT = SPEED_OF_LIGHT * 1e-9
 """m/ns."""
 
@@ -139,11 +133,8 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     present = _by_frame(np.ones(frames.times.size)) > 0.0
     count = np.sum(present, axis=1)
     records = np.zeros(present.shape[0], FRAME)
-    for name, value in _EQUIPMENT.items():
-        records[name] = value
-    records["orbit"] = frames.orbit
+    records["orbit"], records["channel"], records["orbit_model"] = frames.orbit, 1, 7  # from 3 on with parallax
     records["frame_index"] = np.arange(records.size) % _PACKET + 1
-    records["packet"] = (np.arange(records.size) // _PACKET) & 0x3FFF
     records["shot_class"] = _by_frame(frames.ground.astype(np.float64))
     _put_times(records, frames.times)
 
@@ -173,12 +164,8 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     records["range"] = _whole(_by_frame(frames.ranges) / _CM, "range")
     pulse = np.hypot(_LEVEL_PULSE, 2.0 * _by_frame(frames.spread) / _LIGHT)
     records["sigma_optical"] = _whole(10.0 * pulse, "sigma_optical")
-    records["pulse_width"] = _whole(10.0 * _LEVEL_WIDTH / _LEVEL_PULSE * pulse, "pulse_width")
-    records["midpoint_range"] = records["range"].sum(axis=1) // np.maximum(np.sum(records["range"] > 0, axis=1), 1)
     off_nadir = _by_frame(frames.off_nadir).sum(axis=1) / count
     records["off_nadir"] = _whole(off_nadir / _MICRODEG, "off_nadir")
-    outward = spacecraft[2].sum(axis=1) / footprints[2].sum(axis=1)
-    records["emission"] = _whole(1e4 * np.arcsin(np.clip(outward * np.sin(off_nadir), 0.0, 1.0)), "emission")
     return records
 
 

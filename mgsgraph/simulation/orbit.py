@@ -92,11 +92,7 @@ def fixed_pole_matrix(times: Array) -> Array:
 
     The pole moves by 1.5e-5 rad a year. Files and numbers of these campaigns rest on this rotation, so it stays theirs.
     """
-    zero = np.zeros_like(times)
-    meridian = np.column_stack([zero, zero, -(MERIDIAN[0] * DEG + MERIDIAN[1] * DEG / _DAY * times)])
-    node = rotation.exponential(np.array([0.0, 0.0, -(POLE_RA[0] * DEG + 0.5 * np.pi)]))
-    equator = rotation.exponential(np.array([-(0.5 * np.pi - POLE_DEC[0] * DEG), 0.0, 0.0]))
-    return rotation.exponential(meridian) @ equator @ node
+    return turning_matrix(times, (POLE_RA[0], 0.0), (POLE_DEC[0], 0.0), MERIDIAN)
 
 
 def mars_about_sun(times: Array) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ a spacecraft; the adjustment adds b and A c as one rotation vector, which differ
 1.6 and 0.15 mrad).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -199,29 +199,6 @@ class SimulatedRig:
         return f"SimulatedRig({self.network!r})"
 
 
-def given_points(
-    names: Iterable[str], classes: Index, known: Mask, places: Array, sigmas: Array, errors: Array
-) -> GroundPoints:
-    """Points as an adjustment is given them: `known` ones (n,) at their true places (n, 3) and errors (n, 3), east,
-    north and up, of these sigmas (n, 3), all in m; the others without a place.
-    """
-    up = places / np.linalg.norm(places, axis=1)[:, None]
-    frames = np.concatenate([east_north(places), up[:, None]], axis=1)
-    return GroundPoints(
-        Names.of(names), classes,
-        np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
-        np.where(known[:, None], places + np.einsum("nk,nkj->nj", errors, frames), np.nan),
-        np.where(known[:, None, None], np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames), 0.0),
-    )  # fmt: skip
-
-
-def measured(visible: Visible, sigmas: Array, rng: np.random.Generator) -> ImageRays:
-    """Rays of what is seen, with noise; `sigmas` (n, images) in px are those of points by image."""
-    point, image, exact = visible.ordered()
-    sigma = np.repeat(sigmas[point, image][:, None], 2, axis=1)
-    return ImageRays(point, image, exact + sigma * rng.standard_normal(exact.shape), sigma)
-
-
 def seen_twice(visible: Visible, count: int) -> Index:
     """Points of `count` that at least two images show."""
     point, _, _ = visible.ordered()
@@ -248,44 +225,31 @@ _TRIES = 60
 """Points drawn for one in the overlap of L and R."""
 
 
+ALTITUDE = 50e3
+"""m."""
+_ROLL, _ASIDE = 20.0 * DEG, 1250.0
+"""rad, by which the second pass looks aside; m on the ground by which its middle lies east of the first one's."""
+_LINES, _PERIOD = 52_224, 3.4e-4
+"""Of each image, and s per line."""
+_TIE, _SHOT, _RANGE = 0.3, 3.0, 0.2
+"""Sigmas: px of a tie, px of a footprint's place in an image, m of a range."""
+_FOOTPRINT, _TRACK = (3.0, 3.0, 1.0), 20.0
+"""m, sigmas of a footprint's own place east, north and up; east and north alike of the shift that all footprints of a
+pass share."""
+_BORESIGHT, _BORESIGHT_SIGMAS = 80.0, np.array([1.6e-3, 1.6e-3, 5e-4])
+"""m on the ground below, by which the axis of R is off; rad, what is known of it beforehand, about its axes."""
+
+
 @dataclass(frozen=True, slots=True)
 class NacSettings:
     """What to simulate."""
 
-    altitude: float = 50e3
-    """m."""
-    roll: float = 20.0 * DEG
-    """rad, by which the second pass looks aside."""
-    aside: float = 1250.0
-    """m on the ground by which its middle lies east of the first one's: half of one camera's swath."""
-    lines: int = 52_224
-    """Of each image."""
-    period: float = 3.4e-4
-    """s per line."""
     ties: int = 400
     """Tie points drawn over the images of the first pass; those count that a second image shows."""
     beside: int = 40
     """Tie points in the overlap of L and R, of each pass; fewer where a boresight error leaves it too narrow."""
     shots: int = 40
-    """Laser shots of each pass, along the spacecraft's +Z; 0 for none."""
-    control: int = 0
-    """Ground control points, of the ties."""
-    tie_sigma: float = 0.3
-    """px."""
-    shot_sigma: float = 3.0
-    """px, of a footprint's place in an image."""
-    range_sigma: float = 0.2
-    """m."""
-    footprint_sigmas: tuple[float, float] = (3.0, 1.0)
-    """m, horizontal and vertical, of a footprint's own place."""
-    track_sigma: float = 20.0
-    """m, east and north alike: of the shift that all footprints of a pass share."""
-    control_sigma: float = 2.0
-    """m, of a control point in each direction."""
-    boresight: float = 80.0
-    """m on the ground below, by which the axis of R is off."""
-    boresight_sigmas: tuple[float, float, float] = (1.6e-3, 1.6e-3, 5e-4)
-    """rad, what is known of it beforehand, about R's axes x, y, z."""
+    """Laser shots of each pass, along the spacecraft's +Z."""
     errors: PassErrors = field(default_factory=PassErrors)
     """Of each pass's trajectory."""
 
@@ -308,15 +272,13 @@ def nac_cameras() -> tuple[MountedCamera, MountedCamera]:
     return cameras[0], cameras[1]
 
 
-def nac_images(settings: NacSettings) -> tuple[PushbroomImage, ...]:
+def nac_images() -> tuple[PushbroomImage, ...]:
     """Nominal images: L and R of the first pass at nadir, then of the second one."""
-    east, images = settings.aside / (MOON.equatorial * np.cos(_SITE[1])), []
-    for k, (epoch, roll) in enumerate(zip(_EPOCHS, (0.0, settings.roll), strict=True), start=1):
-        site = site_at(_SITE[0] + (k - 1) * east, _SITE[1], MOON)
-        flown = CircularPass(epoch, site, 0.0, settings.altitude, roll, MOON_BODY, turning=True)
-        images += [
-            camera.image(f"{camera.name}{k}", flown, settings.lines, settings.period) for camera in nac_cameras()
-        ]
+    east, images = _ASIDE / (MOON.equatorial * np.cos(_SITE[1])), []
+    for k, (epoch, roll) in enumerate(zip(_EPOCHS, (0.0, _ROLL), strict=True)):
+        site = site_at(_SITE[0] + k * east, _SITE[1], MOON)
+        flown = CircularPass(epoch, site, 0.0, ALTITUDE, roll, MOON_BODY, turning=True)
+        images += [camera.image(f"{camera.name}{k + 1}", flown, _LINES, _PERIOD) for camera in nac_cameras()]
     return tuple(images)
 
 
@@ -324,29 +286,26 @@ def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> Sim
     """Simulate two passes; the same settings and seed give the same."""
     settings = settings or NacSettings()
     of_truth, of_points, of_shots, of_noise = np.random.default_rng([seed, 24]).spawn(4)
-    images = nac_images(settings)
+    images = nac_images()
     passes = tuple(joined(f"pass {k + 1}", images[2 * k : 2 * k + 2], 2 * k, settings.errors) for k in (0, 1))
-    boresight = _drawn_boresight(settings, of_truth)
+    boresight = _drawn_boresight(of_truth)
     truth = TrueRig.drawn(images, passes, settings.errors, np.array([0.0, 1.0] * 2)[:, None] * boresight, of_truth)
     ties = _tie_places(truth, settings, of_points)
-    shots, ranges, carrier = _shots(truth, settings, of_shots)
-    points = np.concatenate([ties, shots])
-    rays = _rays(truth, points, len(ties), settings, of_noise)
-    given, shifts = _given(ties, shots, carrier, _of_one_pass(rays, len(points)), settings, of_noise)
+    shots, times, ranges = _shots(truth, settings.shots, of_shots)
+    points, carrier = np.concatenate([ties, shots]), np.repeat([0, 2], settings.shots)
+    rays = _rays(truth, points, len(ties), of_noise)
+    given, shifts = _given(ties, shots, carrier // 2, _of_one_pass(rays, len(points)), of_noise)
     n = np.arange(len(shots))
-    shared = SharedUnknown(
-        BORESIGHT, SharedKind.CAMERA_BORESIGHT, np.array([1, 3]), np.array(settings.boresight_sigmas)
-    )
+    shared = SharedUnknown(BORESIGHT, SharedKind.CAMERA_BORESIGHT, np.array([1, 3]), _BORESIGHT_SIGMAS)
     network = Network(
         images=images,
-        priors=own_priors(settings),
+        priors=own_priors(settings.errors),
         held=np.zeros(4, dtype=bool),
         points=given,
         rays=rays,
         ranges=Ranges(
-            len(ties) + n, carrier, ranges[:, 0],
-            ranges[:, 1] + settings.range_sigma * of_noise.standard_normal(n.size),
-            np.full(n.size, settings.range_sigma),
+            len(ties) + n, carrier, times, ranges + _RANGE * of_noise.standard_normal(n.size),
+            np.full(n.size, _RANGE),
         ),
         shifts=shifts,
         shared=(shared,),
@@ -355,55 +314,49 @@ def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> Sim
     return SimulatedRig(network, truth, points, (boresight,))
 
 
-def own_priors(settings: NacSettings) -> tuple[OrientationPrior, ...]:
+def own_priors(errors: PassErrors) -> tuple[OrientationPrior, ...]:
     """What is known of each image by itself: the pass's error, and of R that of its boresight besides."""
-    sigmas, mounted = settings.errors.sigmas, settings.errors.sigmas.copy()
-    mounted[0, 3:] = np.hypot(mounted[0, 3:], settings.boresight_sigmas)
+    sigmas, mounted = errors.sigmas, errors.sigmas.copy()
+    mounted[0, 3:] = np.hypot(mounted[0, 3:], _BORESIGHT_SIGMAS)
     return tuple(OrientationPrior(one) for one in (sigmas, mounted) * 2)
 
 
-def _drawn_boresight(settings: NacSettings, rng: np.random.Generator) -> Array:
+def _drawn_boresight(rng: np.random.Generator) -> Array:
     """(3,) rad: of the stated size about x and y in a direction that is drawn, and drawn about z."""
-    direction, size = rng.uniform(0.0, 2.0 * np.pi), settings.boresight / settings.altitude
-    about_z = settings.boresight_sigmas[2] * rng.standard_normal()
+    direction, size = rng.uniform(0.0, 2.0 * np.pi), _BORESIGHT / ALTITUDE
+    about_z = _BORESIGHT_SIGMAS[2] * rng.standard_normal()
     return np.array([size * np.cos(direction), size * np.sin(direction), about_z])
 
 
 def _tie_places(truth: TrueRig, settings: NacSettings, rng: np.random.Generator) -> Array:
     """(n, 3) m: over both images of the first pass, and in the overlaps of L and R of each pass."""
-    size = np.array([truth.images[0].lines, SAMPLES])
-    drawn = [
-        truth.ground(j, size * rng.random((settings.ties // 2, 2)), _RELIEF * rng.standard_normal(settings.ties // 2))
-        for j in (0, 1)
-    ]
-    everywhere = np.concatenate(drawn)
+    def drawn(image: int, count: int) -> Array:
+        pixels = np.array([_LINES, SAMPLES]) * rng.random((count, 2))
+        return truth.ground(image, pixels, _RELIEF * rng.standard_normal(count))
+
+    everywhere = np.concatenate([drawn(j, settings.ties // 2) for j in (0, 1)])
     places = [everywhere[seen_twice(truth.seen(everywhere), len(everywhere))]]
     for left in (0, 2):
-        count = _TRIES * settings.beside
-        tried = truth.ground(left, size * rng.random((count, 2)), _RELIEF * rng.standard_normal(count))
+        tried = drawn(left, _TRIES * settings.beside)
         point, image, _ = truth.seen(tried).ordered()
         both = np.intersect1d(point[image == left], point[image == left + 1])[: settings.beside]
         places.append(tried[both])
     return np.concatenate(places)
 
 
-def _shots(
-    truth: TrueRig, settings: NacSettings, rng: np.random.Generator
-) -> tuple[Array, Array, Index]:
-    """True footprints (n, 3) in m, times and ranges (n, 2) in s and m, and the image (n,) that carries each range."""
-    beam = nac_cameras()[0].mount @ [0.0, 0.0, 1.0]
-    shares = np.linspace(0.02, 0.98, settings.shots)
-    found = [truth.shots(left, shares, beam, _RELIEF * rng.standard_normal(shares.size)) for left in (0, 2)]
+def _shots(truth: TrueRig, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """True footprints (n, 3) in m, times (n,) in s TDB past J2000 and ranges (n,) in m of both passes."""
+    beam, shares = nac_cameras()[0].mount @ [0.0, 0.0, 1.0], np.linspace(0.02, 0.98, count)
+    found = [truth.shots(left, shares, beam, _RELIEF * rng.standard_normal(count)) for left in (0, 2)]
     places, times, ranges = (np.concatenate(each) for each in zip(*found, strict=True))
-    return places, np.column_stack([times, ranges]), np.repeat([0, 2], shares.size)
+    return places, times, ranges
 
 
-def _rays(
-    truth: TrueRig, points: Array, ties: int, settings: NacSettings, rng: np.random.Generator
-) -> ImageRays:
-    """As measured: ties in all images that show them, footprints less well."""
-    sigmas = np.where(np.arange(len(points)) < ties, settings.tie_sigma, settings.shot_sigma)
-    return measured(truth.seen(points), np.repeat(sigmas[:, None], len(truth.images), axis=1), rng)
+def _rays(truth: TrueRig, points: Array, ties: int, rng: np.random.Generator) -> ImageRays:
+    """As measured, with noise: ties in all images that show them, footprints less well."""
+    point, image, exact = truth.seen(points).ordered()
+    sigma = np.repeat(np.where(point < ties, _TIE, _SHOT)[:, None], 2, axis=1)
+    return ImageRays(point, image, exact + sigma * rng.standard_normal(exact.shape), sigma)
 
 
 def _of_one_pass(rays: ImageRays, count: int) -> Mask:
@@ -414,27 +367,24 @@ def _of_one_pass(rays: ImageRays, count: int) -> Mask:
 
 
 def _given(
-    ties: Array, shots: Array, carrier: Index, alone: Mask, settings: NacSettings, rng: np.random.Generator
-) -> tuple[GroundPoints, ProfileShifts | None]:
+    ties: Array, shots: Array, profile: Index, alone: Mask, rng: np.random.Generator
+) -> tuple[GroundPoints, ProfileShifts]:
     """Points as an adjustment is given them. What footprints of a pass have in common is one error, an unknown; tie
     points that are `alone` (n,) on rays of one pass have a height to start from: their rays are so nearly parallel that
     the boresight's error makes them meet behind the cameras.
     """
-    n, m = len(ties), len(shots)
-    flat, height = settings.footprint_sigmas
+    n, m, places = len(ties), len(shots), np.concatenate([ties, shots])
     known = alone | (np.arange(n + m) >= n)
-    control = rng.permutation(n)[: settings.control]
-    sigmas = np.concatenate([np.tile(_LOOSE, (n, 1)), np.tile([flat, flat, height], (m, 1))])
-    sigmas[control] = settings.control_sigma
+    sigmas = np.repeat([_LOOSE, _FOOTPRINT], [n, m], axis=0)
     errors = sigmas * rng.standard_normal((n + m, 3))
-    profile = carrier // 2
-    shifts = settings.track_sigma * rng.standard_normal((2, 2))
-    errors[n:, :2] -= shifts[profile]
-    classes = np.full(n + m, int(PointClass.TIE))
-    known[control], classes[control], classes[n:] = True, int(PointClass.CONTROL), int(PointClass.LASER)
-    names = [f"T{i:04d}" for i in range(n)] + [f"S{i:04d}" for i in range(m)]
-    points = given_points(names, classes, known, np.concatenate([ties, shots]), sigmas, errors)
-    if not m:
-        return points, None
-    of_point = np.concatenate([np.full(n, -1), profile])
-    return points, ProfileShifts(("LOLA 1", "LOLA 2"), of_point, np.full(2, settings.track_sigma))
+    errors[n:, :2] -= (_TRACK * rng.standard_normal((2, 2)))[profile]
+    up = places / np.linalg.norm(places, axis=1)[:, None]
+    frames = np.concatenate([east_north(places), up[:, None]], axis=1)
+    points = GroundPoints(
+        Names.of([*(f"T{i:04d}" for i in range(n)), *(f"S{i:04d}" for i in range(m))]),
+        np.repeat([int(PointClass.TIE), int(PointClass.LASER)], [n, m]),
+        np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
+        np.where(known[:, None], places + np.einsum("nk,nkj->nj", errors, frames), np.nan),
+        np.where(known[:, None, None], np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames), 0.0),
+    )  # fmt: skip
+    return points, ProfileShifts(("LOLA 1", "LOLA 2"), np.concatenate([np.full(n, -1), profile]), np.full(2, _TRACK))

@@ -17,7 +17,7 @@ from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.changes import EditLock, change
-from mgsgraph.studio.figures import drawn, images_figure, map_figure
+from mgsgraph.studio.figures import drawn, map_figure
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
 from mgsgraph.studio.map_points import (
     CLASSES,
@@ -138,7 +138,7 @@ def questions_of(asked: dict[str, Any]) -> Questions:
         )
         found = Questions(
             tuple(map(str, asked.get("points", ()))), tuple((str(a), str(b)) for a, b in asked.get("pairs", ())),
-            tuple((str(image), float(line)) for image, line in asked.get("poses", ())), (),
+            tuple((str(image), float(line)) for image, line in asked.get("poses", ())),
             tuple((str(point), str(image)) for point, image in asked.get("projections", ())), pixels,
             bool(asked.get("correlations", False)),
         )  # fmt: skip
@@ -221,22 +221,8 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         box, size, kinds, factor = _box(asked), _size(asked), _kinds(asked), number_of(asked, "factor", 0.0)
         return map_figure(opened, box, size, value, kinds, layers, factor)
 
-    def figure_of_images(request: Request) -> "Sheet":
-        asked, linked = request.query_params, views.linked
-        name = asked.get("image") or linked.block.images[0].name
-        image = linked.block.images[linked.block.network.image_number(name)]
-        window = (
-            number_of(asked, "line0", 0.0), number_of(asked, "line1", float(image.lines)),
-            number_of(asked, "sample0", 0.0), number_of(asked, "sample1", float(image.samples)),
-        )  # fmt: skip
-        others, factor = asked.getlist("with"), number_of(asked, "factor", 20.0)
-        return images_figure(linked, views.tiles, name, window, others, factor)
-
     def figure(request: Request) -> Any:
-        view, drawing = request.path_params["view"], {"images": figure_of_images, "map": figure_of_map}
-        if view not in drawing:
-            raise InputError("figure", repr(view)[:60], f"one of {', '.join(drawing)}")
-        return drawn(view, request.path_params["kind"], lambda: drawing[view](request))
+        return drawn("map", request.path_params["kind"], lambda: figure_of_map(request))
 
     def changed(asked: Any, browser: str) -> Any:
         if asked.get("kind") == "take over":
@@ -288,7 +274,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         "/api/points/{name:path}": lambda request: point_sheet(opened, request.path_params["name"]),
         "/api/chip.png": picture,
         "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
-        "/api/figure/{view:str}.{kind:str}": figure,
+        "/api/figure/map.{kind:str}": figure,
     }
     posting: dict[str, Callable[[Any, str], Any]] = {
         "/api/changes": changed,

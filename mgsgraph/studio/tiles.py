@@ -99,18 +99,6 @@ class Pyramid:
             raise InputError(str(self.path), found, f"one of {self.levels} levels from {self.lines} x {self.samples}")
         return self._pixels(level, slice(top, min(top + SIDE, lines)), slice(left, min(left + SIDE, samples)))
 
-    def window(
-        self, level: int, lines: tuple[float, float], samples: tuple[float, float]
-    ) -> tuple[Grey, tuple[float, float, float, float]]:
-        """Grey values of a level between lines and samples (px of the picture), rounded outward to its pixels, and the
-        extent of these: left, right, bottom, top in px of the picture.
-        """
-        step, (down, across) = 1 << level, self.shape(level)
-        top, bottom = max(0, int(lines[0] // step)), min(down, -int(-lines[1] // step))
-        left, right = max(0, int(samples[0] // step)), min(across, -int(-samples[1] // step))
-        grey = self._pixels(level, slice(top, bottom), slice(left, right))
-        return grey, (left * step, min(right * step, self.samples), min(bottom * step, self.lines), top * step)
-
     def _pixels(self, level: int, lines: slice, samples: slice) -> Grey:
         """Of a level, between lines and samples of it."""
         if level >= self.first:

@@ -6,16 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 from networks import network, pair
-from scipy.stats import chi2, kstest, norm
+from scipy.stats import chi2, kstest
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.blunders import closure, critical_value, judged, observed_tests, squared_unit
+from mgsgraph.adjustment.blunders import closure, judged, observed_tests, squared_unit
 from mgsgraph.adjustment.covariances import PointRows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.reliability import reliability
 from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
@@ -46,25 +44,6 @@ def planted(net: Network, share: float, seed: int) -> tuple[Network, np.ndarray]
 def rejected(solution: Solution) -> np.ndarray:
     assert solution.rays_rejected is not None
     return np.flatnonzero(solution.rays_rejected)
-
-
-@pytest.mark.parametrize("limit", [2.0, 4.0, 6.0])
-@pytest.mark.parametrize("dimensions", [1, 2, 7])
-def test_a_limit_is_as_rare_in_any_number_of_dimensions(limit: float, dimensions: int) -> None:
-    assert chi2.sf(critical_value(limit, dimensions), dimensions) == pytest.approx(2.0 * norm.sf(limit), rel=1e-9)
-
-
-def test_tests_are_those_of_the_reliability_table() -> None:
-    net = network(pair(ties=20, shots=8))
-    solution = adjust_network(net, SolverSettings())
-    at, table = at_solution(solution), reliability(solution).measures
-    tests, dimensions = observed_tests(at, judged(at.layout))
-    k, r = net.rays.point.size, net.ranges.point.size
-    mine = table.kind == MeasureKind.RAY
-    np.testing.assert_allclose(tests[:k], table.joint[mine][::2])
-    np.testing.assert_array_equal(dimensions[:k], table.dimensions[mine][::2])
-    np.testing.assert_allclose(tests[k : k + r], table.joint[table.kind == MeasureKind.RANGE])
-    assert not np.any(dimensions[k + r :])  # nothing lies on a stereo surface
 
 
 def test_tests_of_good_rays_are_chi_square() -> None:

@@ -154,11 +154,6 @@ def test_too_many_workers_for_the_memory(monkeypatch: pytest.MonkeyPatch) -> Non
         pass
 
 
-def test_no_more_workers_than_work() -> None:
-    with open_cluster("local:3", most=1) as cluster:
-        assert len(cluster.workers) == 1
-
-
 def test_one_task_at_a_time_in_a_process() -> None:
     running, most = [0], [0]
 

@@ -1,33 +1,37 @@
-"""One adjustment whose points lie with workers: the same answer as one process's, whoever comes and goes meanwhile."""
+"""One adjustment whose points lie with workers: the same answer as one process's, whoever comes and goes meanwhile;
+parts of its rows add up to the whole, and a worker that holds one does as it is told.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.cluster import connection, partitions
 from mgsgraph.adjustment.cluster.connection import Connection, Lost, open_cluster
-from mgsgraph.adjustment.cluster.partitions import Answer, Order
+from mgsgraph.adjustment.cluster.partitions import Answer, Order, Source, carry_out
 from mgsgraph.adjustment.cluster.workers import Worker, require_memory
+from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError, SolverError
 from mgsgraph.kernel import sweep
-from mgsgraph.kernel.sweep import DESIGN
+from mgsgraph.kernel.rows import partition
+from mgsgraph.kernel.sweep import COSTS, DESIGN, GRADIENT, SYSTEM, all_residuals, point_covariances, reduce
 from mgsgraph.network import Network
 
 TIES = 2100
-"""Two pieces of ties."""
+"""Two pieces of ties; the laser's is a third."""
 
 
 @cache
@@ -45,11 +49,9 @@ def scale(values: np.ndarray) -> float:
 
 # --- one adjustment on two workers
 
-distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
-
-
 @pytest.fixture(scope="module")
 def two() -> Iterator[Connection]:
+    pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     with open_cluster("local:2") as opened:
         yield opened
 
@@ -188,38 +190,92 @@ def test_a_memory_limit_below_a_partition() -> None:
         adjusted(_Village(2, limit=int(0.4e9)), SolverSettings())
 
 
-# --- the command line
+def test_a_gpu_on_a_cluster_is_refused(
+    two: Connection, case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command line hands the cluster on."""
+    monkeypatch.setattr(connection, "open_cluster", lambda _: nullcontext(two))
+    arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--device", "cuda"]
+    with pytest.raises(InputError, match=r"^--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster"):
+        group(arguments, standalone_mode=False)
+    assert not (tmp_path / "o").exists()
+
+
+# --- partitions of the rows
+
+
+@pytest.fixture(scope="module")
+def layout() -> Layout:
+    return lay_out(many(), SolverSettings())
+
+
+def test_partitions_add_up_to_the_whole(layout: Layout) -> None:
+    rows, constants = layout.rows, (layout.groups, layout.blocks.target, layout.model)
+    x = np.zeros(layout.columns)
+    whole = reduce(rows, *constants, x)
+    found = all_residuals(rows, *constants, x, whole.points)
+    joint = np.random.default_rng(0).normal(size=layout.blocks.target.size)
+    spread = point_covariances(rows, *constants, x, joint, whole.points)
+    pieces = rows.piece.shape[0]
+    assert pieces >= 3
+    for cuts in [range(pieces + 1), *([0, k, pieces] for k in range(1, pieces))]:
+        mine = [partition(rows, first, last) for first, last in pairwise(cuts)]
+        parts = [reduce(part, *constants, x) for part in mine]
+        slopes = sum(reduce(part, *constants, x, GRADIENT).gradient for part in mine)
+        np.testing.assert_allclose(slopes, whole.gradient, rtol=1e-13, atol=1e-13 * scale(whole.gradient))
+        for name in ("blocks", "gradient"):
+            total = getattr(whole, name)
+            summed = sum(getattr(part, name) for part in parts)
+            np.testing.assert_allclose(summed, total, rtol=1e-13, atol=1e-13 * scale(total))
+        assert sum(part.cost for part in parts) == pytest.approx(whole.cost, rel=1e-13)
+        for name in ("points", "states", "piece_cost"):
+            np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in parts]), getattr(whole, name))
+        again = [all_residuals(one, *constants, x, part.points) for one, part in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), found)
+        again = [point_covariances(one, *constants, x, joint, p.points) for one, p in zip(mine, parts, strict=True)]
+        np.testing.assert_array_equal(np.concatenate(again), spread)
+
+
+# --- a worker by itself
 
 
 @pytest.fixture
-def at_hand(two: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`local:2` is there already."""
-
-    @contextmanager
-    def reached(where: str) -> Iterator[Connection]:
-        assert where == "local:2"
-        yield two
-
-    monkeypatch.setattr(connection, "open_cluster", reached)
+def source(layout: Layout, monkeypatch: pytest.MonkeyPatch) -> Source:
+    monkeypatch.setattr(partitions, "_held", {})
+    return Source(layout.rows, layout.groups, layout.blocks.target)
 
 
-@pytest.mark.usefixtures("at_hand")
-def test_the_command_line_writes_the_same_tables(case_file: Path, tmp_path: Path) -> None:
-    alone, spread = tmp_path / "alone", tmp_path / "spread"
-    for out, where in ((alone, []), (spread, ["--cluster", "local:2"])):
-        told = CliRunner().invoke(group, ["adjust", str(case_file), "--no-figures", "--out", str(out), *where])
-        assert told.exit_code == 0, told.output
-    tables = sorted(path.name for path in alone.glob("*.csv"))
-    assert tables
-    for name in tables:
-        first, second = ((out / name).read_text(encoding="utf-8") for out in (alone, spread))
-        assert first == second
+def order(layout: Layout, token: str, task: int, source: Source | None = None, **changes: np.ndarray) -> Order:
+    return Order(token, reduce, (np.zeros(layout.columns), task), layout.model, source, changes)
 
 
-@pytest.mark.usefixtures("at_hand")
-def test_a_gpu_on_a_cluster_is_refused(case_file: Path, tmp_path: Path) -> None:
-    arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--device", "cuda"]
-    told = CliRunner().invoke(group, arguments)
-    assert isinstance(told.exception, InputError)
-    assert str(told.exception).startswith("--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster")
-    assert not (tmp_path / "o").exists()
+def test_what_is_not_held_is_answered_with_nothing(source: Source, layout: Layout) -> None:
+    assert carry_out(order(layout, "a", SYSTEM)) == ()
+    assert carry_out(order(layout, "a", SYSTEM, source)) != ()
+    assert carry_out(order(layout, "a", SYSTEM)) != ()
+    partitions.forget(["a"])
+    assert carry_out(order(layout, "a", SYSTEM)) == ()
+
+
+def test_what_an_order_says_is_new_holds_for_those_that_follow(source: Source, layout: Layout) -> None:
+    x, weight = np.zeros(layout.columns), 0.5 * source.rows.weight
+    carry_out(order(layout, "a", COSTS, source))
+    rows = source.rows._replace(weight=weight)
+    expected = reduce(rows, *source[1:], layout.model, x, COSTS).cost
+    for changes in ({"weight": weight}, {}):
+        (found,) = carry_out(order(layout, "a", COSTS, **changes))
+        assert found.cost == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_comes_over_the_wire_is_what_the_kernel_was_compiled_for(source: Source, layout: Layout) -> None:
+    """A read-only array would be another type to numba: a minute of compiling on every worker."""
+    given = order(layout, "a", SYSTEM, source)
+    for values in (given.arguments[0], *(one for one in source.rows if isinstance(one, np.ndarray))):
+        values.flags.writeable = False
+    try:
+        assert carry_out(given) != ()
+        assert len(sweep.sweep.signatures) == 1
+        assert all(one.flags.writeable for one in partitions._held["a"][1].rows)
+    finally:
+        for values in source.rows:
+            values.flags.writeable = values.base is None

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,39 +44,21 @@ def _one(net: Network, rng: np.random.Generator) -> int:
     return int(rng.integers(len(net.images)))
 
 
-def _with_image(net: Network, j: int, **parts: object) -> Network:
-    images = list(net.images)
-    images[j] = replace(images[j], trajectory=replace(images[j].trajectory, **parts))  # type: ignore[type-var]
-    return replace(net, images=tuple(images))
-
-
 def turned(net: Network, rng: np.random.Generator, angle: float = 0.8) -> Planted:
     """One image looks elsewhere, by 0.8 rad: 8,000 sigmas."""
     j, axis = _one(net, rng), rng.normal(size=3)
     turn = rotation.exponential(angle * axis[None] / np.linalg.norm(axis))[0]
-    camera = net.images[j].trajectory.camera  # type: ignore[attr-defined]
-    return _with_image(net, j, camera=replace(camera, constant=turn @ camera.constant)), [net.images[j].name], []
-
-
-def late(net: Network, rng: np.random.Generator, seconds: float = 40.0) -> Planted:
-    """One image has the positions of another time."""
-    j = _one(net, rng)
-    table = net.images[j].trajectory.position  # type: ignore[attr-defined]
-    moved = replace(table, positions=table.positions + seconds * table.velocities)
-    return _with_image(net, j, position=moved), [net.images[j].name], []
+    images = list(net.images)
+    trajectory: Any = images[j].trajectory
+    camera = replace(trajectory.camera, constant=turn @ trajectory.camera.constant)
+    images[j] = replace(images[j], trajectory=replace(trajectory, camera=camera))
+    return replace(net, images=tuple(images)), [images[j].name], []
 
 
 def shifted(net: Network, rng: np.random.Generator, pixels: float = 500.0) -> Planted:
     """All measures of one image are off alike, as those of another one: sigma0 hardly shows it."""
     j, places = _one(net, rng), net.rays.places.copy()
     places[net.rays.image == j] += [pixels, 0.6 * pixels]
-    return replace(net, rays=replace(net.rays, places=places)), [net.images[j].name], []
-
-
-def mirrored(net: Network, rng: np.random.Generator) -> Planted:
-    """Samples of one image count from the other side."""
-    j, places = _one(net, rng), net.rays.places.copy()
-    places[net.rays.image == j, 1] = net.images[j].samples - places[net.rays.image == j, 1]
     return replace(net, rays=replace(net.rays, places=places)), [net.images[j].name], []
 
 
@@ -103,7 +86,7 @@ def _named(found: Drivers, net: Network) -> list[str]:
     return [names[i] for i in one.members[: min(3, one.outstanding or 1)].tolist()]
 
 
-PLANTS = [turned, late, shifted, mirrored, interchanged, mismatched]
+PLANTS = [turned, shifted, interchanged, mismatched]
 
 
 @cache
@@ -115,17 +98,19 @@ def planted(
     return made, adjust_network(made[0], replace(PLAIN, max_iterations=iterations))
 
 
+# above two seconds: an adjustment that goes nowhere takes hundreds of steps
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda one: one.__name__)
 @pytest.mark.parametrize(("seed", "iterations"), [(1, PLAIN.max_iterations), (2, 3)])
 def test_what_is_planted_is_named(plant: Callable[..., Planted], seed: int, iterations: int) -> None:
     (net, images, points), solution = planted(plant, seed, iterations)
     assert (solution.drivers is None) == is_result(solution)
+    assert solution.drivers is not None or plant is mismatched  # else this would prove nothing
     if solution.drivers is not None:
         assert set(_named(solution.drivers, net)) & {*images, *points}
         assert any(name in " ".join(driver_sentences(solution.drivers, net)) for name in (*images, *points))
 
 
-@pytest.mark.parametrize("plant", [shifted, partial(late, seconds=10.0), partial(turned, angle=0.05)])
+@pytest.mark.parametrize("plant", [shifted, partial(turned, angle=0.05)])
 def test_a_wrong_image_that_hides_in_sigma0_is_no_result(plant: Callable[..., Planted]) -> None:
     (net, (name,), _), solution = planted(plant, 1)
     assert solution.converged
@@ -136,27 +121,16 @@ def test_a_wrong_image_that_hides_in_sigma0_is_no_result(plant: Callable[..., Pl
     assert _named(solution.drivers, net)[0] == name
 
 
-def test_the_plants_do_harm() -> None:
-    """Else the tests above would prove nothing."""
-    assert sum(planted(plant, 1)[1].drivers is not None for plant in PLANTS) >= 4
-
-
+# above two seconds: Tukey begins with other losses
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("settings", [replace(PLAIN, max_iterations=1), SolverSettings(starts=0, loss="tukey")],
-                         ids=["one iteration", "tukey"])  # fmt: skip
+@pytest.mark.parametrize("settings", [PLAIN, replace(PLAIN, max_iterations=1), replace(PLAIN, loss="tukey")],
+                         ids=["plain", "one iteration", "tukey"])  # fmt: skip
 def test_nobody_is_accused_of_good_data(settings: SolverSettings, seed: int) -> None:
     solution = adjust_network(block(seed), settings)
     assert solution.converged == (solution.drivers is None)
     if solution.drivers is not None:
         assert not solution.drivers.outstanding
         assert len(driver_sentences(solution.drivers, solution.network)) == 1
-
-
-def test_an_adjustment_that_comes_to_rest_has_no_drivers() -> None:
-    solution = adjust_network(block(1), PLAIN)
-    assert solution.converged
-    assert solution.drivers is None
-    assert "drivers" not in solution.seconds
 
 
 def test_shares_add_up_to_the_cost() -> None:

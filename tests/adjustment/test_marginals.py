@@ -1,4 +1,4 @@
-"""Blocks of the joint covariance against gtsam.Marginals and the dense inverse, in sigmas."""
+"""Elimination of normal equations; blocks of the joint covariance, against gtsam.Marginals and the dense inverse."""
 
 import itertools
 import pickle
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
 
-from mgsgraph.adjustment import sparse_cholesky
+from mgsgraph.adjustment import marginals, sparse_cholesky
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot, joint_covariance
 from mgsgraph.adjustment.settings import SolverSettings
@@ -142,6 +142,8 @@ def test_all_ways_to_ask_agree(made: System, seed: int) -> None:
     joint, rng = made.joint, np.random.default_rng(seed)
     adjusted = [v for v, key in enumerate(made.keys) if key is not None]
     assert joint.adjusted.tolist() == adjusted
+    for v in set(range(len(made.keys))) - set(adjusted):
+        assert not joint.of([v, *adjusted])[: made.widths[v]].any()
     sets = [rng.permutation(adjusted)[: rng.integers(1, len(adjusted) + 1)].tolist() for _ in range(4)] + [[]]
     each, begin = joint.of_each(sets), 0
     for members in sets:
@@ -166,19 +168,6 @@ def test_all_ways_to_ask_agree(made: System, seed: int) -> None:
     assert not flat.any()
 
 
-@settings(max_examples=20, deadline=None)
-@given(systems())
-def test_the_square_root_is_one_of_the_information(made: System) -> None:
-    root = made.joint.square_root
-    rows = np.zeros((0, root.columns))
-    for clique, columns in enumerate(root.columns_of):
-        part = np.zeros((root.rows_of(clique).shape[0], root.columns))
-        part[:, columns] = root.rows_of(clique)
-        rows = np.vstack([rows, part])
-    identity = rows @ made.authority @ rows.T
-    np.testing.assert_allclose(identity, np.eye(root.columns), atol=1e-9)
-
-
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("held", [set(), {0, 5, 13}])
 def test_linked_pairs_need_no_solving(pattern: str, held: set[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,17 +189,6 @@ def test_linked_pairs_need_no_solving(pattern: str, held: set[int], monkeypatch:
     if pattern == "chain":
         with pytest.raises(AssertionError, match="solved for"):
             joint.block(1, 12)
-
-
-def test_held_variables_have_zero_blocks() -> None:
-    joint = system("chain", [6, 18, 6], {1}).joint
-    assert joint.block(1, 1).shape == (18, 18)
-    assert joint.block(0, 1).shape == (6, 18)
-    assert not joint.block(0, 1).any()
-    assert not joint.block(1, 1).any()
-    of_all = joint.of((2, 1, 0))
-    assert not of_all[6:24].any()
-    np.testing.assert_array_equal(of_all[:6, :6], joint.block(2, 2))
 
 
 def test_any_two_of_many_at_a_fraction_of_the_memory() -> None:
@@ -285,3 +263,57 @@ def test_arrays_that_contradict_each_other_are_refused(monkeypatch: pytest.Monke
             replace(root, **{name: value})
     with pytest.raises(InputError, match="joint covariance: shape"):
         replace(joint, blocks=joint.blocks[1:])
+
+
+# --- elimination
+
+
+WIDTH, REACH = 6, 10
+
+
+def overlapping(near: Array) -> tuple[SparseCholesky, Array, Array]:
+    """Images, each coupled with those that are near (n, n); the flat blocks of a positive definite matrix, and the
+    whole of it.
+    """
+    count, pairs = len(near), np.argwhere(np.triu(near))
+    blocks = np.random.default_rng(3).standard_normal((len(pairs), WIDTH, WIDTH))
+    whole = np.zeros((count, WIDTH, count, WIDTH))
+    for (j, k), block in zip(pairs, blocks, strict=True):
+        if j == k:
+            block[:] = block + block.T + 10.0 * WIDTH * np.eye(WIDTH)
+        whole[j, :, k], whole[k, :, j] = block, block.T
+    first, offset = WIDTH * np.arange(count), WIDTH**2 * np.arange(len(pairs))
+    made = SparseCholesky(first, np.full(count, WIDTH), pairs, offset)
+    return made, blocks.ravel(), whole.reshape(count * WIDTH, -1)
+
+
+def test_a_band_stays_a_band() -> None:
+    """Its fronts stay as wide as the band, and twice as long a band takes twice the work, not eight times."""
+    at = np.arange(400)
+    short, long = (overlapping(np.abs(at[:n, None] - at[:n]) <= REACH)[0] for n in (200, 400))
+    assert max(front.columns.size for front in long._fronts) < 4 * REACH * WIDTH
+    assert long.operations / short.operations == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.parametrize("dissected", [False, True])
+@pytest.mark.parametrize("threads", [False, True])
+def test_solution_and_covariance_of_a_block_are_those_of_the_dense_matrix(
+    dissected: bool, threads: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In either order of elimination, with one thread of the BLAS or many."""
+    if dissected:
+        monkeypatch.setattr(sparse_cholesky, "_MANY", 0.0)
+        monkeypatch.setattr("gtsam.Ordering.ColamdSymbolicFactorGraph", gtsam.Ordering.MetisSymbolicFactorGraph)
+    if threads:
+        monkeypatch.setattr(marginals, "_WORTHWHILE", 0.0)
+    row, column = np.divmod(np.arange(72), 8)
+    near = (np.abs(row[:, None] - row) <= 1) & (np.abs(column[:, None] - column) <= 1)
+    cholesky, flat, whole = overlapping(near)
+    scales = np.random.default_rng(4).uniform(0.5, 2.0, cholesky.columns)
+    factor = cholesky.factor(flat, np.full(cholesky.columns, 0.5), scales)
+    inverse = np.linalg.inv(whole + 0.5 * np.eye(cholesky.columns))
+    right = np.random.default_rng(2).standard_normal(cholesky.columns)
+    np.testing.assert_allclose(factor.solve(right), inverse @ right, atol=1e-14)
+    joint = joint_covariance(factor.square_root())
+    np.testing.assert_allclose(joint.dense(), inverse, atol=1e-15)
+    np.testing.assert_allclose(joint.sigmas, np.sqrt(np.diag(inverse)), rtol=1e-13)

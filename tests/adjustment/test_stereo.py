@@ -11,12 +11,14 @@ from stereo_pair import stereo_network, surface
 
 from mgsgraph import compiled
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.graph.stereo import require_seen
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.stereo_surface import heights_above
+from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
 from mgsgraph.network import PointClass, Ranges, SharedKind, SharedUnknown
 from mgsgraph.planning.plan import Targets, TargetSigmas
 from mgsgraph.planning.state import CurrentState, state_of_solution
@@ -32,30 +34,30 @@ def test_true_footprints_lie_on_the_surface() -> None:
     assert np.abs(found.parallax[found.covered]).max() < 0.1
 
 
-def test_heights_have_the_derivatives_of_their_differences() -> None:
-    """By the point, and by position, rotation and focal length of both images; exact where the height is zero."""
+def test_rows_change_as_the_heights_themselves() -> None:
+    """By all unknowns of both images and by the points, about a state drawn from the priors; exact on the surface."""
     made = pair(12, 24)
-    images, corrections = made.images, list(made.true_corrections)
-    found = heights_above(surface(made), *images, made.true_footprints, tuple(corrections))
-    points = made.true_footprints - found.heights[:, None] * found.normals
-    points = points[found.covered]
-    at = heights_above(surface(made), *images, points, tuple(corrections))
-    for axis in np.eye(3):
-        ahead, behind = (
-            heights_above(surface(made), *images, points + side * axis, tuple(corrections)) for side in (1.0, -1.0)
-        )
-        np.testing.assert_allclose((ahead.heights - behind.heights) / 2.0, at.normals @ axis, atol=2e-5)
-    for side in range(2):
-        for c, step in enumerate([1.0] * 3 + [1e-6] * 3):
-            moved = []
-            for sign in (1.0, -1.0):
-                coefficients = corrections[side].coefficients.copy()
-                coefficients[0, c] += sign * step
-                both = list(corrections)
-                both[side] = replace(corrections[side], coefficients=coefficients)
-                moved.append(heights_above(surface(made), *images, points, tuple(both)).heights)
-            scale = np.abs(at.by_pose[:, side, c]).max()
-            np.testing.assert_allclose((moved[0] - moved[1]) / (2.0 * step), at.by_pose[:, side, c], atol=2e-3 * scale)
+    net = stereo_network(made, displaced=False)
+    begun, rng = lay_out(net, SolverSettings()), np.random.default_rng(5)
+    assert net.stereo is not None
+    on = np.flatnonzero(net.stereo.surface >= 0)
+
+    def heights(x: np.ndarray, points: np.ndarray) -> SurfaceHeights:
+        own = [OrientationCorrection(one.reshape(-1, 6)) for one in begun.variables.split(x)[:2]]
+        return heights_above(surface(made), *made.images, points[on], (own[0], own[1]))
+
+    x, points = 0.5 * rng.standard_normal(begun.columns) * begun.sigmas, net.points.places.copy()
+    for _ in range(6):
+        found = heights(x, points)
+        points[on] -= found.heights[:, None] * found.normals
+    rows = begun.about_stereo(points, x)
+    assert np.abs(residuals(rows, x, points[rows.point_order]).stereo[on]).max() < 1e-6
+    for _ in range(5):
+        more = x + 0.01 * rng.standard_normal(x.size) * begun.sigmas
+        moved = points + rng.normal(0.0, 0.5, points.shape)
+        want = heights(more, moved).heights
+        found = residuals(rows, more, moved[rows.point_order]).stereo[on]
+        np.testing.assert_allclose(found, want, rtol=0.0, atol=0.01 * np.abs(want).max())
 
 
 @pytest.mark.parametrize(("held", "loss"), [(False, "none"), (True, "none"), (False, "huber")])

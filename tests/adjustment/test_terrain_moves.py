@@ -1,30 +1,30 @@
-"""A terrain model that lies beside the truth, too low and tilted: its own unknowns, found and told."""
+"""A terrain model that lies beside the truth, too low and tilted: its own unknowns, found and told; and several minima
+of its shift.
+"""
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import gtsam
 import numpy as np
 import pytest
-from jacobians import assert_jacobians
-from networks import network, pair, terrain, with_tilting_surface
+from networks import network, pair, terrain, with_shift_and_surface, with_tilting_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.graph.forms import observation_factor, point_key, shift_key
+from mgsgraph.adjustment.multistart import starts_wanted
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import group_rows, scaled
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
-from mgsgraph.kernel.rows import SURFACE, one_observation
-from mgsgraph.network import GroundPoints, Network, PointClass, Surface
+from mgsgraph.network import TERRAIN, GroundPoints, Network, PointClass, Surface
 from mgsgraph.network.parts import part
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.results.ground import control_section
@@ -96,7 +96,6 @@ def test_the_truth_is_found_within_the_sigmas() -> None:
         error = solution.shift_values[-1] - TRUE
         spread = solution.shift_spread(0)
         sigmas = np.sqrt(np.diag(spread))
-        print(error, sigmas)
         assert np.all(sigmas < [30.0, 30.0, 1.0, 2.0 * ARCSEC, 2.0 * ARCSEC])
         assert np.all(np.abs(error) < 4.0 * sigmas)
         squares.append(float(error @ np.linalg.solve(spread, error)))
@@ -140,31 +139,6 @@ def test_what_moves_the_model_is_its_derivative() -> None:
     assert np.abs(np.einsum("nkj,nj->nk", surface.directions(points)[:, :2], points)).max() < 1e-6
 
 
-def test_rows_have_the_derivatives_of_all_five() -> None:
-    """The oracle, and the height that the terrain model itself says where it was moved to."""
-    made = lay_out(with_tilting_surface(network(pair())), SolverSettings())
-    surface, rng = made.network.surface, np.random.default_rng(2)
-    assert surface is not None
-    assert made.variables.angular[-5:].tolist() == [False, False, False, True, True]
-    observations = [
-        (i, j) for pattern, first, count in made.rows.piece[:, :3].tolist() for i in range(first, first + count)
-        for j, kind in enumerate(made.patterns.kind[slice(*made.patterns.first[pattern : pattern + 2])])
-        if kind == SURFACE
-    ]  # fmt: skip
-    for i, j in observations:
-        point, moves = made.rows.start[i], rng.standard_normal(5) * [50.0, 50.0, 30.0, 1e-4, 1e-4]
-        own, noise = one_observation(made.rows, made.groups, i, j), gtsam.noiseModel.Unit.Create(1)
-        factor = observation_factor([shift_key(0)], [5], point_key(0), own, made.model, noise, "a height")
-        values = gtsam.Values()
-        values.insert(shift_key(0), moves)
-        values.insert(point_key(0), point)
-        units = {shift_key(0): np.array([1.0, 1.0, 1.0, 1e-4, 1e-4]), point_key(0): np.ones(3)}
-        assert_jacobians(factor, values, units, tolerance=1e-5)
-        under = point[None] - surface.moved(point[None], moves)
-        want = surface.grid.height_above(under)[0][0]
-        assert abs(abs(factor.unwhitenedError(values)[0]) - abs(want)) < 1e-6
-
-
 def test_the_answer_is_a_stationary_point() -> None:
     """Posts are 600 m apart, the model moves by 150 m, over cells: begun at the answer, nothing moves."""
     solution = solved()
@@ -185,29 +159,11 @@ def test_the_archive_keeps_them_and_knows_what_is_missing(tmp_path: Path) -> Non
         read_solution(tmp_path)
 
 
-def test_an_archive_of_an_older_version_has_none(tmp_path: Path) -> None:
-    level = adjust_network(replace(network(pair()), surface=None), SolverSettings())
-    path = tmp_path / "solution.npz"
-    write_archive(level, path)
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    record = json.loads(arrays["record"].tobytes().decode())
-    del record["lift"]
-    arrays["record"] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
-    np.savez(path, **arrays)  # type: ignore[arg-type]
-    assert read_solution(path).lift is None
-
-
-def test_columns_are_named_with_their_units() -> None:
+def test_groups_scale_their_own_sigmas() -> None:
     net = with_tilting_surface(network(pair()))
-    axes = Frames(lay_out(net, SolverSettings())).axes[-5:]
-    assert [f"{axis} {axis.unit}" for axis in axes] == [
-        "east shift m", "north shift m", "upward shift m", "tilt about east rad", "tilt about north rad",
-    ]  # fmt: skip
     grouping = group_rows(net)
     assert {grouping.names[g] for g in grouping.unknowns[-1]} == {"shifts", "tilts"}
-    factors = np.where(np.array(grouping.names) == "tilts", 3.0, 2.0)
-    wider = scaled(net, grouping, factors).surface
+    wider = scaled(net, grouping, np.where(np.array(grouping.names) == "tilts", 3.0, 2.0)).surface
     assert wider is not None
     assert (wider.shift_sigma, wider.height_sigma) == (300.0, 80.0)
     assert wider.tilt_sigma == pytest.approx(6e-4)
@@ -226,3 +182,86 @@ def test_a_tilt_needs_a_middle_and_sigmas_are_not_negative() -> None:
     for name in ("shift", "height", "tilt"):
         with pytest.raises(InputError, match=f"surface, {name} sigma: -1"):
             Surface(grid, np.ones(1), **{f"{name}_sigma": -1.0})  # type: ignore[arg-type]
+
+
+# --- several minima over its shift: found, weighted, and carried into the covariance
+
+
+TERRAIN_VARIABLE = 3
+"""Two images, the profile, the terrain model."""
+
+
+@cache
+def rolling() -> Network:
+    """Few ties on a terrain model that may lie kilometres off: ground of sines looks alike in several places."""
+    found = with_shift_and_surface(network(pair()))
+    assert found.surface is not None
+    return replace(found, surface=replace(found.surface, shift_sigma=2000.0))
+
+
+@cache
+def mixed(starts: int | None = None) -> Solution:
+    return adjust_network(rolling(), SolverSettings(starts=starts))
+
+
+def test_they_are_what_adjustments_begun_at_them_find() -> None:
+    """Each is a minimum: an adjustment that begins a third of its sigma beside it comes back to its cost and shift."""
+    minima = mixed().minima
+    assert minima is not None
+    assert minima.starts == 16
+    assert sum(one.starts for one in minima.each) + minima.lost == 17
+    assert len(minima.each) >= 3
+    assert minima.each[0].cost == min(one.cost for one in minima.each) == mixed().cost_final
+    assert sum(one.weight for one in minima.each) == pytest.approx(1.0)
+    for one in minima.each:
+        values = [value.copy() for value in mixed().values]
+        values[TERRAIN_VARIABLE] = one.shift + 0.3 * np.sqrt(np.diag(one.spread))
+        again = adjust_network(rolling(), SolverSettings(), begin=values)
+        assert again.minima is None
+        assert again.cost_final == pytest.approx(one.cost, abs=1e-4)
+        np.testing.assert_allclose(again.shift_values[-1], one.shift, atol=1.0)
+        np.testing.assert_allclose(again.shift_spread(1), one.spread, rtol=1e-2, atol=1.0)
+
+
+def test_the_covariance_is_the_mean_square_about_the_lowest() -> None:
+    mixture, alone, minima = mixed(), mixed(0), mixed().minima
+    assert minima is not None
+    assert alone.minima is None
+    best = minima.each[0].shift
+    expected = sum(
+        one.weight * (one.spread + np.outer(one.shift - best, one.shift - best)) for one in minima.each
+    )  # fmt: skip
+    np.testing.assert_allclose(mixture.shift_spread(1), expected, rtol=1e-6)
+    assert np.all(np.diag(minima.covariance) <= np.diag(expected))
+    larger = np.linalg.eigvalsh(mixture.joint_covariance.dense() - alone.joint_covariance.dense())
+    assert larger.max() > 1e6  # m^2: kilometres
+    assert mixture.places == pytest.approx(alone.places, abs=1e-2)
+    name = rolling().points.ids[0]
+    np.testing.assert_allclose(Posterior.of(mixture).point(name).covariance, mixture.covariances[0], rtol=1e-3)
+    assert np.all(np.trace(mixture.covariances, axis1=1, axis2=2) > 0.9 * np.trace(alone.covariances, axis1=1, axis2=2))
+
+
+def test_weights_are_laplaces() -> None:
+    """Of minima so alike in their curvature, by their costs and the determinants of their shifts' covariances to some
+    tens of a per cent.
+    """
+    minima = mixed().minima
+    assert minima is not None
+    first, second = minima.each[:2]
+    root = np.sqrt(np.linalg.det(second.spread) / np.linalg.det(first.spread))
+    assert second.weight / first.weight == pytest.approx(np.exp(first.cost - second.cost) * root, rel=0.5)
+
+
+def test_redundancy_is_that_of_one_minimum() -> None:
+    found = reliability(at_solution(mixed())).measures
+    assert found.redundancy.sum() == pytest.approx(mixed().fit.degrees_of_freedom, abs=1e-3)
+
+
+def test_without_a_shift_to_be_estimated_there_are_none() -> None:
+    for one in (network(pair()), replace(rolling(), considered=(TERRAIN,))):
+        settings = SolverSettings(starts=4)
+        assert starts_wanted(one, settings, lay_out(one, settings)) == 0
+    layout = lay_out(rolling(), SolverSettings())
+    assert starts_wanted(rolling(), SolverSettings(), layout) == 16
+    assert starts_wanted(rolling(), SolverSettings(starts=4), layout) == 4
+    assert starts_wanted(rolling(), SolverSettings(loss="huber"), layout.with_loss("huber")) == 0

@@ -1,20 +1,34 @@
-"""Places in images and on the ground: there and back, what is hidden, and sigmas by numeric derivatives."""
+"""Places in images and on the ground: there and back, what is hidden, sigmas by numeric derivatives, over an overlap.
+"""
 
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from networks import network, pair
 
 import mgsgraph
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.places import State, View, on_surface
+from mgsgraph.analysis.places import State, View, on_surface, sigma_grid
+from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.place_table import PlaceTable
-from mgsgraph.geometry.body import planetocentric
+from mgsgraph.geometry.body import from_planetocentric, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.results.places import Surface, project_places
+from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.units import DEG
 
 PIXEL = 1e-6
 """px that a round trip may lose."""
@@ -120,3 +134,103 @@ def test_relief_hides_places_with_heights_of_their_own_but_not_those_beneath_it(
     assert "behind relief" not in states(ground, None)
     beneath = np.array(states(ground * (1.0 - 50.0 / 3.39e6), terrain)) == "behind relief"
     np.testing.assert_array_equal(beneath, np.array(hidden) == "behind relief")
+
+
+# --- sigmas over an overlap
+
+
+@cache
+def posterior(held: tuple[bool, bool] = (False, False)) -> Posterior:
+    return Posterior.of(adjust_network(network(pair(), held=held), SolverSettings()))
+
+
+def test_each_cell_is_an_intersection_of_its_own() -> None:
+    asked = posterior()
+    grid = sigma_grid(asked, cell=1000.0, sigma=0.8)
+    rows, columns = np.nonzero(np.isfinite(grid.values[0]))
+    assert rows.size > 20
+    middle = rows.size // 2
+    row, column = int(rows[middle]), int(columns[middle])
+    radius = np.median(np.linalg.norm(asked.linearised.points, axis=1))
+    longitude, latitude = grid.west + grid.steps[0] * (column + 0.5), grid.north - grid.steps[1] * (row + 0.5)
+    ground = from_planetocentric(np.array([[longitude, latitude, radius]]))
+    pixels = []
+    for j, image in enumerate(asked.network.images):
+        place, _ = image.ground_to_image(ground, asked.correction(j))
+        pixels.append(Pixel(image.name, *place[0].tolist(), sigma=0.8))
+    found = asked.intersection(pixels)
+    right = np.sqrt(np.diagonal(found.east_north_up))
+    assert np.allclose(grid.values[:3, row, column], right, rtol=2e-3)  # the height differs by some metres
+    assert grid.values[3, row, column] == pytest.approx(np.sqrt(np.trace(found.covariance)), rel=2e-3)
+
+
+def test_values_are_there_where_two_images_see_the_ground_and_only_there() -> None:
+    grid = sigma_grid(posterior(), cell=2000.0)
+    assert np.array_equal(np.isfinite(grid.values[0]), grid.rays >= 2)
+    assert 0 < np.isfinite(grid.values[0]).mean() < 1.0
+
+
+def test_with_the_orientation_held_sigmas_go_with_those_of_the_measures() -> None:
+    held = posterior((True, True))
+    fine, coarse = (sigma_grid(held, cell=1500.0, sigma=sigma) for sigma in (0.5, 2.0))
+    inside = np.isfinite(fine.values)
+    assert np.allclose(coarse.values[inside], 4.0 * fine.values[inside], rtol=1e-6)
+    free = sigma_grid(posterior(), cell=1500.0, sigma=0.5)
+    assert np.all(free.values[inside] > fine.values[inside])
+
+
+def test_what_makes_no_raster_is_refused() -> None:
+    names = [image.name for image in posterior().network.images]
+    with pytest.raises(InputError, match="two or more different images"):
+        sigma_grid(posterior(), [names[0], names[0]])
+    with pytest.raises(InputError, match=r"cells of .* at most; choose larger cells"):
+        sigma_grid(posterior(), names, cell=0.5)
+    with pytest.raises(InputError, match="image nowhere: no such image"):
+        sigma_grid(posterior(), [names[0], "nowhere"])
+
+
+def test_an_overlap_of_parallel_rays_is_refused() -> None:
+    net = network(pair())
+    twin = replace(net.images[0], name="twin")
+    both = replace(net, images=(*net.images, twin), priors=(*net.priors, net.priors[0]), held=np.zeros(3, dtype=bool))
+    asked = Posterior.of(adjust_network(both, SolverSettings()))
+    with pytest.raises(InputError, match="all but parallel"):
+        sigma_grid(asked, [net.images[0].name, "twin"], cell=1000.0)
+
+
+def around(longitudes: tuple[float, ...], offs: tuple[float, ...]) -> Posterior:
+    """Images of one camera over sites at 4 deg of latitude, from several sides; longitudes, off-nadir angles in deg."""
+    images = []
+    for k, (longitude, off) in enumerate(zip(longitudes, offs, strict=True)):
+        site = from_planetocentric(np.array([longitude * DEG, 4.0 * DEG, 1.0]))
+        unit = site / np.linalg.norm(site / np.array([MARS.equatorial, MARS.equatorial, MARS.polar]))
+        passage = CircularPass(1e8 + 1e5 * k, unit, HEADING, 378e3, off * DEG)
+        images.append(narrow_image(f"I{k}", passage, 4000, 2048, 1.76e-3))
+    rng = np.random.default_rng(0)
+    ground, _ = images[0].image_to_ground(rng.uniform(400.0, 3600.0, 40), rng.uniform(200.0, 1800.0, 40))
+    places = np.stack([image.ground_to_image(ground)[0] for image in images])
+    inside = np.all((places > 0.0) & (places < np.array([4000.0, 2048.0])), axis=2)
+    image, point = np.nonzero(inside)
+    points = GroundPoints(
+        tuple(f"T{i}" for i in range(40)), np.full(40, PointClass.TIE), np.full(40, PointKind.FREE), ground,
+        np.zeros((40, 3, 3)),
+    )  # fmt: skip
+    none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+    net = Network(
+        tuple(images), (NoiseSettings().prior,) * len(images), np.zeros(len(images), dtype=bool), points,
+        ImageRays(point, image, places[image, point], np.ones((image.size, 2))),
+        Ranges(none, none, empty, empty, empty),
+    )  # fmt: skip
+    return Posterior.of(adjust_network(net, SolverSettings()))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+def test_an_overlap_across_the_date_line_is_one_like_any(order: tuple[int, ...]) -> None:
+    offs = (0.0, 15.0, -15.0)
+    there, here = (
+        sigma_grid(around(tuple(np.array(sites)[list(order)]), tuple(np.array(offs)[list(order)])), cell=300.0)
+        for sites in ((179.99, 180.06, 180.0), (86.99, 87.06, 87.0))
+    )
+    assert there.values.shape == here.values.shape
+    assert np.isclose(np.remainder(there.west - here.west, 2.0 * np.pi), np.radians(93.0), atol=1e-6)
+    assert np.allclose(there.values[:3], here.values[:3], rtol=0.02, equal_nan=True)

@@ -1,31 +1,34 @@
-"""Questions to the posterior, held against the explicit graph's dense inverse at the same place.
+"""Questions to the posterior, held against the explicit graph's dense inverse at the same place; likelihood ratios.
 
 The dense system is GTSAM's linearisation of the explicit graph; what a pose or a pixel is a function of comes from
 finite differences of the geometry itself.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from statistics import NormalDist
 
 import gtsam
 import numpy as np
 import pytest
 from networks import network, pair, with_shift_and_surface, with_tilting_surface
 from odd_networks import with_fixed
-from sharing import with_all_kinds
+from sharing import shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, variable_key
 from mgsgraph.adjustment.settings import Angles, Line, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import correlation
-from mgsgraph.analysis.linearised import at_values
+from mgsgraph.analysis.likelihood import LEVELS, Likelihood, linearity_of
+from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.analysis.posterior import Pixel, Posterior, cross_covariances, posterior_of_points, stands_alone
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.network import Network
+from mgsgraph.network import Network, SharedKind
 
 TIGHT = 1e-8
 
@@ -124,12 +127,6 @@ def test_points_are_those_of_the_solution(name: str) -> None:
         assert np.array_equal(found.position, solution.places[i])
         # not the same linearisation: the last inner step, of less than a thousandth of a sigma, lies between the two
         assert np.abs(found.covariance - solution.covariances[i]).max() <= 1e-5 * max(found.covariance.max(), 1e-9)
-
-
-def test_points_on_a_terrain_model_are_at_rest() -> None:
-    at = Posterior.of(solved("shift and surface")).linearised
-    pulls = [float(np.abs(rows.by_point[0].T @ rows.residuals[0]).max()) for rows in map(at.rows_of, range(12))]
-    assert max(pulls) < 5e-4
 
 
 def moved(posterior: Posterior, image: int, line: float, step: np.ndarray) -> np.ndarray:
@@ -325,16 +322,174 @@ def test_neighbours_share_errors_so_their_height_difference_is_better_known_than
     found = posterior.difference(solution.network.points.ids[0], solution.network.points.ids[1])
     assert found.height_sigma < found.height_sigma_if_independent
     assert found.height == pytest.approx(np.linalg.norm(solution.places[1]) - np.linalg.norm(solution.places[0]))
-    with pytest.raises(InputError, match="the same point twice"):
-        posterior.difference(found.first, found.first)
 
 
-def test_unknown_names_are_named_with_what_comes_near() -> None:
-    posterior = Posterior.of(solved("pair"))
-    name = posterior.network.points.ids[0]
-    with pytest.raises(InputError, match=rf"point {name}x: no such point among 18.*{name}"):
-        posterior.point(name + "x")
-    with pytest.raises(InputError, match="image nowhere: no such image among 2"):
-        posterior.pose("nowhere", 1.0)
-    with pytest.raises(InputError, match=r"1 measures.*two or more"):
-        posterior.intersection([Pixel(posterior.network.images[0].name, 1.0, 1.0)])
+# --- some points alone, and one with all others
+
+
+@cache
+def small() -> Solution:
+    return adjust_network(with_shift_and_surface(network(pair(ties=16, shots=6))), SolverSettings(starts=0))
+
+
+def measures(posterior: Posterior, names: Sequence[str]) -> dict[tuple[str, int, int], tuple[float, ...]]:
+    """Redundancy, test and least detectable error of the rays of some points, by point, image and component."""
+    every, found = reliability(posterior.linearised).measures, dict[tuple[str, int, int], tuple[float, ...]]()
+    for k in np.flatnonzero(every.kind == MeasureKind.RAY).tolist():
+        name = posterior.network.points.ids[int(every.point[k])]
+        if name in names:
+            image = posterior.network.images[int(every.image[k])].name
+            key = name, [one.name for one in small().network.images].index(image), int(every.component[k])
+            found[key] = float(every.redundancy[k]), float(every.test[k]), float(every.detectable[k])
+    return found
+
+
+def test_some_points_alone_say_what_the_whole_says() -> None:
+    whole = Posterior.of(small())
+    chosen = np.arange(0, len(small().network.points), 3)
+    near = posterior_of_points(small(), chosen)
+    assert near is not None
+    names = near.network.points.ids.tolist()
+    assert names == [small().network.points.ids[i] for i in chosen]
+    for name in names:
+        one, other = near.point(name), whole.point(name)
+        np.testing.assert_allclose(one.position, other.position, rtol=0.0, atol=1e-4)  # to the last step
+        np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-6)
+    first, second = names[:2]
+    np.testing.assert_allclose(
+        near.difference(first, second).joint, whole.difference(first, second).joint, rtol=1e-5, atol=1e-6
+    )
+    mine, theirs = measures(near, names), measures(whole, names)
+    assert mine.keys() == theirs.keys()
+    assert mine
+    for key, values in mine.items():
+        np.testing.assert_allclose(values, theirs[key], rtol=1e-4, atol=1e-4)
+
+
+def test_considered_unknowns_need_the_whole() -> None:
+    considered = adjust_network(
+        small().network.considering(small().network.shift_names), SolverSettings(starts=0)
+    )
+    assert stands_alone(small().network)
+    assert posterior_of_points(considered, np.arange(4)) is None
+
+
+def test_covariances_with_all_others_are_those_of_pairs() -> None:
+    net = with_fixed(network(pair(ties=16, shots=6)))
+    posterior = Posterior.of(adjust_network(net, SolverSettings()))
+    ids = posterior.network.points.ids.tolist()
+    free = next(k for k, kind in enumerate(posterior.network.points.kinds) if kind == 0)
+    found = cross_covariances(posterior.linearised, free)
+    seen = 0
+    for k, name in enumerate(ids):
+        if k == free:
+            np.testing.assert_allclose(found[k], posterior.point(name).covariance, rtol=1e-9)
+            continue
+        joint = posterior.covariance([posterior.of_point(ids[free]), posterior.of_point(name)])
+        np.testing.assert_allclose(found[k], joint[:3, 3:], rtol=1e-8, atol=1e-10)
+        seen += bool(np.any(found[k]))
+    assert 0 < seen < len(ids) - 1  # fixed points go along with nothing
+
+
+# --- likelihood ratios
+
+
+EXACT = SolverSettings(cost_tolerance=1e-15, step_tolerance=1e-9)
+
+
+@cache
+def net() -> Network:
+    """The pair, its profile and terrain model of unknown shift, and a bias of its ranges."""
+    found = with_shift_and_surface(network(pair()))
+    return replace(found, shared=(shared(SharedKind.RANGE_BIAS, np.unique(found.ranges.image).tolist()),))
+
+
+@cache
+def exact() -> Solution:
+    return adjust_network(net(), EXACT)
+
+
+@cache
+def likelihood() -> Likelihood:
+    return Likelihood(at_solution(exact()))
+
+
+def test_an_image_held_at_its_nominal_orientation() -> None:
+    """Twice the cost of an adjustment that holds it, less that of one that doesn't; a shift and a bias held beside it
+    cost more.
+    """
+    name, zeros = net().images[0].name, np.zeros_like(exact().coefficients[0])
+    held = adjust_network(replace(net(), held=np.array([True, False])), EXACT)
+    found = likelihood().ratio({name: zeros})
+    assert found.degrees == zeros.size
+    rise = held.cost_final - exact().cost_final
+    assert found.squares == pytest.approx(2.0 * rise, abs=2e-4)  # lines are exact to 1e-5
+    more = likelihood().ratio({name: zeros, "profile": np.zeros(2), "range bias": np.zeros(1)})
+    assert more.degrees == zeros.size + 3
+    assert more.squares > found.squares + 1e-3
+
+
+def test_near_the_optimum_it_is_the_ellipsoids() -> None:
+    """Of all unknowns, of some with the others free (whose marginal covariance counts), and of none."""
+    solution, rng = exact(), np.random.default_rng(1)
+    names = {image.name: (j, solution.coefficients[j]) for j, image in enumerate(net().images)}
+    names |= {"profile": (2, solution.shifts[0]), "terrain model": (3, solution.shifts[1])}
+    names["range bias"] = 4, solution.shared[0]
+    for chosen in (list(names), list(names)[1:3], list(names)[4:]):
+        covariance = solution.joint_covariance.of([names[name][0] for name in chosen])
+        move = 0.1 * np.linalg.cholesky(covariance) @ rng.standard_normal(covariance.shape[0])
+        parts = np.split(move, np.cumsum([names[name][1].size for name in chosen])[:-1])
+        values = {name: names[name][1].ravel() + part for name, part in zip(chosen, parts, strict=True)}
+        found = likelihood().ratio(values)
+        assert found.squares == pytest.approx(move @ np.linalg.solve(covariance, move), rel=2e-2)
+        assert 0.9 < found.p <= 1.0
+    assert likelihood().ratio({}).squares == pytest.approx(0.0, abs=1e-9)
+
+
+def test_profiles_are_the_ellipsoids_where_all_is_linear_and_end_where_the_ratio_says() -> None:
+    (found,) = likelihood().profiles(net().images[1].name, "constant radial position")
+    for level, (low, high) in zip(LEVELS, found.intervals, strict=True):
+        wide = 2.0 * NormalDist().inv_cdf(0.5 + 0.5 * level) * found.sigma
+        assert high - low == pytest.approx(wide, rel=0.02)
+    assert found.ratio == pytest.approx(1.0, abs=0.02)
+    (shift,) = likelihood().profiles("range bias")
+    for level, ends in zip(LEVELS, shift.intervals, strict=True):
+        for end in ends:
+            square = likelihood().ratio({"range bias": np.array([end])}).squares
+            assert np.sqrt(square) == pytest.approx(NormalDist().inv_cdf(0.5 + 0.5 * level), abs=2e-3)
+
+
+def test_wide_priors_are_not_linear_and_narrow_ones_are() -> None:
+    assert exact().linearity is not None
+    assert exact().linearity.linear
+    free = network(pair())
+    priors = tuple(replace(prior, sigmas=100.0 * prior.sigmas) for prior in free.priors)
+    wide = adjust_network(replace(free, priors=priors), SolverSettings())
+    assert wide.linearity is not None
+    assert not wide.linearity.linear
+    assert wide.linearity.ratio > 2.0
+    again = linearity_of(at_solution(wide))
+    assert again is not None
+    assert again.ratio == pytest.approx(wide.linearity.ratio, rel=1e-6)
+
+
+def test_a_considered_unknown_is_held_in_the_draws_and_has_no_likelihood() -> None:
+    found = adjust_network(replace(net(), considered=("profile",)), SolverSettings())
+    assert found.linearity is not None
+    assert found.linearity.linear
+    with pytest.raises(InputError, match="'profile'"):
+        _ = Posterior.of(found).likelihood
+
+
+def test_robust_losses_and_held_networks_say_nothing() -> None:
+    assert adjust_network(net(), SolverSettings(loss="huber")).linearity is None
+    assert adjust_network(network(pair(), (True, True)), SolverSettings()).linearity is None
+
+
+@pytest.mark.parametrize(
+    ("values", "says"), [({"nobody": np.zeros(3)}, "nobody"), ({"profile": np.zeros(3)}, "3 values"),
+                         ({"profile": np.array([np.nan, 0.0])}, "2 finite numbers")],
+)  # fmt: skip
+def test_what_nothing_is_known_of_is_refused(values: dict[str, np.ndarray], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        likelihood().ratio(values)

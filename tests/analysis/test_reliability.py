@@ -18,6 +18,7 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, pair_tests, residual_covariance
 from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.reliability import (
     PointIndex,
@@ -27,9 +28,9 @@ from mgsgraph.analysis.reliability import (
     reliability,
     suspects,
 )
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
-from mgsgraph.network import Network
+from mgsgraph.geometry.orientation import evenly_spaced
+from mgsgraph.network import Network, Pass, PolynomialPrior
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)
 
@@ -187,12 +188,6 @@ def test_levels_are_the_tables() -> None:
     assert chi2.sf(levels.critical_squares(1), 1) == pytest.approx(levels.alpha, rel=1e-6)
 
 
-@pytest.mark.parametrize(("alpha", "power"), [(0.0, 0.8), (0.001, 1.0), (0.01, 0.005)])
-def test_impossible_levels_are_refused(alpha: float, power: float) -> None:
-    with pytest.raises(InputError, match=r"levels, (alpha|power): .*; expected a number between"):
-        Levels(alpha, power)
-
-
 def test_what_nothing_controls_is_counted_and_named() -> None:
     found = known("pair")
     loose = found.uncontrolled
@@ -201,21 +196,6 @@ def test_what_nothing_controls_is_counted_and_named() -> None:
     assert np.all(np.isnan(found.measures.test[loose]))
     assert f"{loose.size} measures uncontrolled" in repr(found)
     assert any("sample of point TIE" in found.name(int(k)) for k in loose)  # along the parallax of a pair side by side
-
-
-def test_every_measure_has_a_name_of_its_own_and_a_unit() -> None:
-    found = known("shift and surface")
-    names = found.names(np.arange(len(found)))
-    assert names == [found.name(k) for k in range(len(found))]
-    assert len(set(names)) == len(names)
-    table, network = found.measures, found.at.network
-    for k in np.flatnonzero(table.kind == MeasureKind.RAY).tolist():
-        what = ("line", "sample")[table.component[k]]
-        image = network.images[table.image[k]].name
-        assert names[k] == f"{what} of point {network.points.ids[table.point[k]]} in image {image}"
-    assert {found.unit(k) for k in range(len(found))} == {"px", "m", "rad"}
-    for text in ("height above the terrain of point", "a-priori east shift of profile", "rotation y of image SIM/A"):
-        assert any(text in name for name in names)
 
 
 def test_rejected_rays_do_not_take_part() -> None:
@@ -262,26 +242,17 @@ def test_ties_with_two_rays_are_one_group_and_others_are_not() -> None:
     assert [one.measures.tolist() for one in suspects(found, 3)] == [one.measures.tolist() for one in groups[:3]]
 
 
-def dense_shares(found: Reliability) -> np.ndarray:
-    """Correlations of all tests of one point from the kernel's own table."""
-    point = 13
-    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), point)
-    assert np.all(found.measures.point[mine] == point)
-    return matrix
-
-
-def test_correlations_of_tests_are_those_of_draws() -> None:
+def test_correlations_of_tests_give_the_joint_test() -> None:
+    """Of all tests of one point, from the kernel's own table: the joint test of a ray follows from them."""
     found = known("shift and surface")
-    matrix = dense_shares(found)
+    mine, matrix = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
+    assert np.all(found.measures.point[mine] == 13)
     assert np.allclose(np.diagonal(matrix), 1.0)
     assert np.abs(matrix).max() <= 1.0 + 1e-9
-    mine, _ = correlations_of_tests(found, PointIndex(found.measures.point, len(found.at.network.points)), 13)
     rays = np.flatnonzero(found.measures.kind[mine] == MeasureKind.RAY)
-    a, b = 1.0 - found.measures.redundancy[mine[rays[:2]]]
     joint, w0, w1 = found.measures.joint[mine[rays[0]]], *found.measures.test[mine[rays[:2]]]
     rho = matrix[rays[0], rays[1]]
     assert joint == pytest.approx((w0**2 - 2.0 * rho * w0 * w1 + w1**2) / (1.0 - rho**2), rel=1e-6)
-    assert max(a, b) < 1.0
 
 
 @pytest.mark.parametrize("kind", [MeasureKind.RAY, MeasureKind.RANGE, MeasureKind.GROUND])
@@ -306,3 +277,32 @@ def test_a_blunder_is_found_at_baardas_power(kind: MeasureKind) -> None:
     assert low <= power <= high
     assert alarms <= binom.ppf(0.995, 2000, 0.001)
     assert norm.sf(found.critical - found.levels.shift) == pytest.approx(0.80)
+
+
+# --- rows of what is known of passes beforehand
+
+
+POSITION = np.array([[30.0, 40.0, 50.0], [5.0, 6.0, 7.0]])
+ATTITUDE = np.array([[3e-4, 2e-4, 1e-4], [5e-5, 6e-5, 7e-5], [1e-5, 2e-5, 3e-5]])
+
+
+@cache
+def of_polynomials() -> Solution:
+    """A pair whose first image is a pass: positions linear in time, attitude quadratic."""
+    net = network(pair(ties=30, shots=8, seed=4))
+    left = net.images[0]
+    start, stop = left.timing.at(np.array([0.0, float(left.lines)]))[0]
+    nodes = evenly_spaced("lagrange", left.trajectory.epoch, (start, stop), stop - start)
+    one = Pass("one", np.array([0]), nodes, PolynomialPrior(POSITION, ATTITUDE))
+    return adjust_network(replace(net, passes=(one,)), SolverSettings())
+
+
+def test_rows_of_a_polynomial_are_of_its_coefficients() -> None:
+    at = at_solution(of_polynomials())
+    known, first = prior_rows(at), int(at.network.first_of_passes[0])
+    begin = at.layout.columns_of(first).start
+    mine = (known.about >= begin) & (known.about < begin + 24)
+    found = known.sigma[mine][np.argsort(known.about[mine])].reshape(4, 6)
+    np.testing.assert_allclose(found[:2, :3], POSITION)
+    np.testing.assert_allclose(found[:3, 3:], ATTITUDE)
+    assert np.all(np.isfinite(known.sigma) & (known.sigma > 0.0))

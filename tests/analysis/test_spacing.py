@@ -1,4 +1,4 @@
-"""How close orientation images should stand: what rays support, and what those held out say."""
+"""How close orientation images should stand: what rays support, what those held out say; strengths of processes."""
 
 from dataclasses import replace
 from functools import cache
@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.spacing import (
     choose_spacing,
     hold_out,
@@ -20,6 +22,8 @@ from mgsgraph.analysis.spacing import (
 )
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
+from mgsgraph.network import Network, NodePrior, Process, ProcessPrior
+from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.network.corrections import (
     pass_rays,
     require_supported,
@@ -27,12 +31,13 @@ from mgsgraph.network.corrections import (
     supported_spacing,
     useful_rays,
 )
+from mgsgraph.network.passes import normalised
+from mgsgraph.results.spacing import nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching
 from mgsgraph.units import MGON
 
 PITCH = Jitter(4.0 * MGON, 0.06, "pitch")
-CALM = TrajectoryErrors(attitude_wander=0.3 * MGON, position_wander=0.3)
 EXACT = TrajectoryErrors(*[1e-9] * 3, *[1e-3] * 3)
 
 
@@ -137,14 +142,6 @@ def test_jitter_asks_for_nodes_that_follow_it() -> None:
     assert len(choice.chosen_network.passes[0].nodes) == close.nodes
 
 
-def test_calm_flight_needs_few_nodes() -> None:
-    """Where nothing happens between nodes 28 s apart, closer ones predict no better; the closest isn't chosen."""
-    for seed in (1, 2):
-        choice = choose_spacing(block(None, CALM, 28.0, seed).network, SolverSettings(), [3.0, 7.0, 28.0])
-        assert choice.spacing > 3.0
-        assert choice.candidates[2].rms < 1.01 * choice.candidates[choice.best].rms
-
-
 def test_rule_of_one_standard_error() -> None:
     """By another way to the standard error: the mean without each stretch in turn (the jackknife). The chosen one is
     as good as the best within it, and all that are coarser are worse.
@@ -163,20 +160,6 @@ def test_rule_of_one_standard_error() -> None:
         assert k <= choice.chosen or difference.mean() > error
 
 
-def test_blunders_do_not_choose() -> None:
-    """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
-    settings = BlockSettings(
-        strips=1, length=150e3, points=500, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
-    )  # fmt: skip
-    made = simulate_hrsc_block(settings, 1)
-    choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0])
-    assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
-    assert choice.spacing == 4.0
-    assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders
-    assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[1].rms
-    assert not np.any(choice.chosen_network.rays.rejected)
-
-
 def test_points_off_the_model_are_judged() -> None:
     """Half of the posts are missing: rays of points there are judged by their other rays alone."""
     made = simulate_hrsc_block(BlockSettings(strips=1, length=150e3, points=400), 1)
@@ -192,3 +175,120 @@ def test_points_off_the_model_are_judged() -> None:
     assert choice.unjudged == 0
     assert choice.candidates[0].squares.size + choice.blunders == 200
     assert choice.candidates[0].rms == pytest.approx(1.0, abs=0.15)
+
+
+def test_blunders_do_not_choose() -> None:
+    """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
+    settings = BlockSettings(
+        strips=1, length=150e3, points=500, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
+    )  # fmt: skip
+    made = simulate_hrsc_block(settings, 1)
+    choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0])
+    assert 0.8 * made.blunders.sum() < choice.rejected < 1.5 * made.blunders.sum()
+    assert nodes_section(choice, "block").numbers["rays_rejected"] == choice.rejected
+    assert choice.spacing == 4.0
+    assert all(one.sigma0 < 1.8 for one in choice.candidates)  # 9 with the blunders
+    assert choice.candidates[0].rms < 1.1 < 1.3 < choice.candidates[1].rms
+    assert not np.any(choice.chosen_network.rays.rejected)
+
+
+# --- strengths of processes
+
+
+ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)
+SETTINGS = BlockSettings(strips=1, length=200e3, points=200, spacing=5.0, terrain=None, errors=ERRORS)
+
+
+def network(seed: int, off: float, estimated: bool = True) -> Network:
+    """A strip whose processes' strengths are off by a factor."""
+    net = simulate_hrsc_block(SETTINGS, seed).network
+    prior = net.passes[0].prior
+    assert isinstance(prior, NodePrior)
+    position, attitude = (
+        Process("gauss-markov", off * prior.sigmas[part], 30.0, estimated=estimated) for part in (slice(3), slice(3, 6))
+    )
+    mine = ProcessPrior((position,), (attitude,), prior.bias, prior.drift)
+    return replace(net, passes=(replace(net.passes[0], prior=mine),))
+
+
+# above two seconds: a search that adjusts a dozen times, to 1e-5
+def test_it_is_the_maximum_of_the_likelihood() -> None:
+    """-log L from the data's own information on the nodes and the dense process, maximised by brute force."""
+    net = network(4, 3.0)
+    found = estimated_strengths(net, SolverSettings(), tolerance=1e-5)
+    solution, one = found.solution, found.network.passes[0]
+    prior = one.prior
+    assert isinstance(prior, ProcessPrior)
+    size = 6 * len(one.nodes)
+    first = int(found.network.first_of_passes[0])
+    joint = at_solution(solution).of_estimator().joint.of(range(first, first + len(one.nodes) + 1))[:size, :size]
+    s = normalised(one.nodes)
+
+    def covariance(factors: np.ndarray) -> np.ndarray:
+        whole = np.zeros((size, size))
+        for c in range(6):
+            part = (prior.position if c < 3 else prior.attitude)[0].scaled(np.full(3, factors[c // 3]))
+            trend = prior.bias[c] ** 2 + prior.drift[c] ** 2 * np.outer(s, s)
+            whole[c::6, c::6] = dense_covariance((part,), c % 3, one.nodes) + trend
+        return whole
+
+    before = np.linalg.inv(covariance(np.ones(2)))
+    data = np.linalg.inv(joint) - before
+    push = np.linalg.solve(joint, solution.nodes[0].ravel())
+
+    def cost(logs: np.ndarray) -> float:
+        both = data + np.linalg.inv(covariance(np.exp(logs)))
+        signs = np.linalg.slogdet(both)[1] + np.linalg.slogdet(covariance(np.exp(logs)))[1]
+        return 0.5 * float(signs - push @ np.linalg.solve(both, push))
+
+    step = 0.02
+    for way in np.eye(2):
+        low, middle, high = (cost(k * step * way) for k in (-1, 0, 1))
+        slope, curvature = (high - low) / (2.0 * step), (high - 2.0 * middle + low) / step**2
+        assert curvature > 0.0
+        assert abs(slope / np.sqrt(curvature)) < 0.01
+
+
+# above two seconds: each of two searches adjusts a dozen times
+def test_planted_strengths_are_found() -> None:
+    """From three times too much and from a third: the same, and within 3.5 of its sigmas of the truth."""
+    ends = [estimated_strengths(network(5, off), SolverSettings()) for off in (3.0, 0.33)]
+    for one, other in zip(*(end.strengths for end in ends), strict=True):
+        assert one.sigma == pytest.approx(other.sigma, abs=0.25 * one.error)
+    truth = (ERRORS.position_wander, ERRORS.attitude_wander)
+    logs = [np.log(one.sigma / true) for one, true in zip(ends[0].strengths, truth, strict=True)]
+    assert np.all(np.abs(logs / np.sqrt(np.diagonal(ends[0].covariance))) < 3.5)
+    assert ends[0].converged
+    assert str(ends[0]).count("gauss-markov") >= 2
+
+
+def test_nothing_to_estimate_is_said() -> None:
+    with pytest.raises(InputError, match="none that is to be estimated"):
+        estimated_strengths(network(1, 1.0, estimated=False), SolverSettings())
+
+
+# above two seconds: a search over two strips
+def test_passes_have_their_strengths_in_common() -> None:
+    """Of two strips that begin unlike each other: one strength, and after a round both have it."""
+    net = simulate_hrsc_block(replace(SETTINGS, strips=2), 3).network
+    passes = []
+    for k, one in enumerate(net.passes):
+        assert isinstance(one.prior, NodePrior)
+        slow = Process("gauss-markov", (1.0 + k) * one.prior.sigmas[3:], 30.0, estimated=True)
+        still = Process("gauss-markov", one.prior.sigmas[:3], 30.0)
+        passes.append(replace(one, prior=ProcessPrior((still,), (slow,), one.prior.bias, one.prior.drift)))
+    found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings(), most=2)
+    (only,) = found.strengths
+    assert only.passes == tuple(one.name for one in net.passes)
+    assert "common to 2 passes" in str(found)
+    priors = [one.prior for one in found.network.passes]
+    first, second = (one.attitude[0].sigmas for one in priors if isinstance(one, ProcessPrior))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_what_is_hardly_seen_is_held_at_nothing() -> None:
+    """Processes a thousand times smaller than what measures can see."""
+    net = network(6, 1e-3)
+    found = estimated_strengths(net, SolverSettings(), most=1)
+    assert not any(one.searched for one in found.strengths)
+    assert str(found).count("held at nothing") == 2

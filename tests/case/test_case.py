@@ -6,12 +6,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from commands import refusal
+from cubes import MAPPED, written
 from msgspec import structs
 
 import mgsgraph
 from mgsgraph.case.assembly import merged
+from mgsgraph.case.case_file import HEAD, decode, key_tables, keys_text, plain_image, read_image
+from mgsgraph.case.reading import picture_of
+from mgsgraph.case.schema import CaseInput, ImageInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.networks.binary import read_network
@@ -121,12 +127,15 @@ def test_ground_control_joins_in(case_file: Path) -> None:
     assert net.rays.places[net.rays.point == control[0]].tolist() == [[200.5, 100.5], [220.5, 150.5]]
 
 
+TWO_GROUPS = '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'
 WRONG: dict[str, tuple[tuple[Edit, ...], str]] = {
     "no format": ((swap("format = 1", ""),), r"no key 'format'.*format = 1"),
     "malformed": ((add("= 3"),), r"malformed TOML.*line"),
-    "unknown key": ((swap("sigma_px", "sigma_pix"),), r"ties: .*'sigma_pix'.*'sigma_px'"),
+    "sigma of the second group": (
+        (swap("[ties]", TWO_GROUPS), swap("sigma_px = 1.0", "sigma_px = 0")), r"ties\[1\].sigma_px"
+    ),
+    "the same network twice": ((swap("[ties]", TWO_GROUPS),), r"a measure that .*network.pvl has too"),
     "negative sigma": ((swap("sigma_px = 1.0", "sigma_px = -1.0"),), r"ties.sigma_px: -1.0;.*>= 1e-06"),
-    "absurd sigma": ((swap("sigma_px = 1.0", "sigma_px = 1e300"),), r"ties.sigma_px"),
     "two orientation sigmas": ((swap("position_sigma_m = 30.0", "position_sigma_m = [1, 2]"),), r"position_sigma_m"),
     "nan in a list": ((swap("trend = [1.0", "trend = [nan"),), r"trend"),
     "no images": ((lambda text: re.sub(r"\[\[images\]\][^\[]*", "", text),), r"images"),
@@ -363,25 +372,6 @@ def test_what_two_networks_know_of_a_point() -> None:
             merged([known, other])
 
 
-WRONG_GROUPS: dict[str, tuple[tuple[Edit, ...], str]] = {
-    "sigma of the second group": (
-        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'), swap("sigma_px = 1.0", "sigma_px = 0")),
-        r"ties\[1\].sigma_px",
-    ),
-    "the same network twice": (
-        (swap("[ties]", '[[ties]]\nnetwork = "network.pvl"\n\n[[ties]]'),), r"a measure that .*network.pvl has too"
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("fault", WRONG_GROUPS)
-def test_wrong_groups_are_said_in_one_line(case_file: Path, fault: str) -> None:
-    edits, said = WRONG_GROUPS[fault]
-    with pytest.raises(InputError, match=said) as caught:
-        mgsgraph.read_case(edited(case_file, *edits))
-    assert "\n" not in str(caught.value)
-
-
 def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> None:
     """By the window that the case states, or that of the matching whose record lies beside the network."""
     whole = case_file.read_text(encoding="utf-8")
@@ -402,3 +392,136 @@ def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> No
     record.write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="half_window"):
         sigmas()
+
+
+# --- keys of a case file as they are told: every one that the schema takes, with a meaning; and lines of w
+
+
+TABLES = {table.path or HEAD: table for table in key_tables()}
+
+
+def test_every_key_is_there_with_a_meaning_and_a_kind() -> None:
+    assert {"head", "images", "orientation", "ties", "spice", "solver", "terrain", "passes.nodes"} <= set(TABLES)
+    for kind, name in ((CaseInput, HEAD), (ImageInput, "images")):
+        assert [key.name for key in TABLES[name].keys] == [field.name for field in msgspec.structs.fields(kind)]
+    for table in TABLES.values():
+        assert table.meaning
+        for key in table.keys:
+            assert key.meaning, f"{table.head} {key.name}"
+            assert re.fullmatch(r"[a-z\d\"][\w ,\"+/-]*", key.kind), f"{table.head} {key.name}: {key.kind}"
+    (kernels,) = [key for key in TABLES["images"].keys if key.name == "kernels"]
+    assert kernels.kind == "list of texts"
+    (loss,) = [key for key in TABLES["solver"].keys if key.name == "loss"]
+    assert (loss.kind, loss.default) == ('"none", "huber", "cauchy", "tukey"', '"none"')
+
+
+@pytest.mark.parametrize(("name", "near"), [("imags", "images"), ("nodes", "passes.nodes"), ("sulver", "solver")])
+def test_a_table_that_there_is_not_names_the_nearest(name: str, near: str) -> None:
+    with pytest.raises(InputError, match=f"did you mean {near}"):
+        keys_text(name)
+
+
+WRONG_KEYS = {
+    "in a table of several": ('isd = "image_B', 'isdd = "image_B', r"images\[1\] .*'isdd'; did you mean 'isd'"),
+    "in an inline table": ("trend = [", "sub = {a = 1}\ntrend = [", "orientation: .*'sub'"),
+    "of another table": ('isd = "image_B', 'sigma_px = 1.0\nisd = "image_B', r"images\[1\] .*it is a key of \[ties\]"),
+    "of the wrong kind": ("degree = 2", 'degree = "two"', "orientation.degree: 'two'"),
+    "missing": ('network = "network.pvl"\n', "", "ties: no key 'network'"),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG_KEYS)
+def test_what_is_wrong_is_named_with_its_line(case_file: Path, fault: str) -> None:
+    old, new, said = WRONG_KEYS[fault]
+    text = case_file.read_text(encoding="utf-8")
+    assert old in text
+    case_file.write_text(text.replace(old, new), encoding="utf-8")
+    at = text[: text.index(old)].count("\n") + 1
+    line = at - 1 if fault == "missing" else at
+    with pytest.raises(InputError, match=rf"case.toml, line {line}, {said}"):
+        mgsgraph.read_case(case_file)
+
+
+def test_data_in_the_place_of_a_case_file_say_how_to_come_by_one(case_file: Path) -> None:
+    for data in (case_file.with_name("image_A.isd"), case_file.with_name("network.pvl"), case_file.parent):
+        with pytest.raises(InputError, match=f"make one: mgsgraph new {data}"):
+            mgsgraph.read_case(data)
+
+
+# --- images of a case by files that say themselves what they are, and ISIS lists of them
+
+
+OTHER_CLOCK = ("100:0", "200:0")
+
+
+def case_of_images(folder: Path, *images: str) -> Path:
+    path = folder / "case.toml"
+    tables = "".join(f"[[images]]\n{image}\n" for image in images)
+    path.write_text(f'format = 1\nname = "cubes"\n{tables}')
+    return path
+
+
+def test_a_list_is_its_files_called_by_their_serial_numbers(tmp_path: Path) -> None:
+    (tmp_path / "cubes").mkdir()
+    written(tmp_path / "cubes", name="a.cub")
+    written(tmp_path / "cubes", OTHER_CLOCK, name="b.cub")
+    (tmp_path / "cubes" / "cubes.lis").write_text("a.cub\n\n# the second\nb.cub   # last\n")
+    wanted = decode(case_of_images(tmp_path, 'list = "cubes/cubes.lis"\nheld = true'))
+    assert [(image.name, image.cube, image.held) for image in wanted.images] == [
+        ("MGS/100:0/MOC-NA", "cubes/a.cub", True), ("MGS/200:0/MOC-NA", "cubes/b.cub", True),
+    ]  # fmt: skip
+    image = read_image(wanted.images[1], None, tmp_path, "case")
+    assert (image.name, image.lines) == ("MGS/200:0/MOC-NA", 100)
+
+
+def test_kernels_of_an_image_go_before_its_tables(tmp_path: Path) -> None:
+    """Those for all images don't: a cube with tables is whole."""
+    written(tmp_path)
+    for kernels, spice, kind in (((), None, "cube"), (("a.bsp",), None, "label"), ((), SpiceInput(("a.bsp",)), "cube")):
+        entry = plain_image(ImageInput(image="image.cub", kernels=kernels), spice, tmp_path, "case")
+        assert [key for key in ("isd", "cube", "label") if getattr(entry, key)] == [kind]
+
+
+def test_a_cube_without_spice_needs_kernels(tmp_path: Path) -> None:
+    written(tmp_path, ("Name = InstrumentPointing", "Name = Other"))
+    entry = plain_image(ImageInput(image="image.cub"), SpiceInput(("a.bsp",)), tmp_path, "case")
+    assert entry.label == "image.cub"
+    entry = plain_image(ImageInput(image="image.cub"), None, tmp_path, "case")
+    with pytest.raises(InputError, match=r"run spiceinit on the cube .*, or name the label and its kernels"):
+        read_image(entry, None, tmp_path, "case")
+
+
+def test_pixels_are_the_cubes_own_unless_it_is_a_map(tmp_path: Path) -> None:
+    assert picture_of(ImageInput(cube="image.cub"), written(tmp_path).parent) == tmp_path / "image.cub"
+    assert picture_of(ImageInput(cube="image.cub"), written(tmp_path, MAPPED).parent) is None
+
+
+FAULTS = {
+    "nothing": (("held = true",), "images[0]: no file of the image; expected one of image, list, isd, state, label"),
+    "an empty list": (('list = "empty.lis"',), "empty.lis: no file; expected the name of an image file in every line"),
+    "gone": (('list = "gone.lis"',), "gone.lis, line 2: 'c.cub', which is not there"),
+    "no image": (('image = "gone.lis"',), "no image, label or support data"),
+    "twice": (('image = "image.cub"', 'name = "MGS/100:0/MOC-NA"\nisd = "a.isd"'), "for image.cub and for a.isd"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_said_in_one_line(tmp_path: Path, fault: str) -> None:
+    written(tmp_path)
+    (tmp_path / "empty.lis").write_text("# nothing\n")
+    (tmp_path / "gone.lis").write_text("image.cub\nc.cub\n")
+    images, said = FAULTS[fault]
+    path = case_of_images(tmp_path, *images)
+    message = refusal("check", path)
+    assert said in message
+    assert str(tmp_path) in message
+
+
+@pytest.mark.parametrize(
+    "key", ["attitude_bias_s = 5.0", "focal_length_m = 1.0", 'constants = "ik"', 'line_times = "mean"']
+)
+def test_keys_that_would_change_nothing_are_refused(tmp_path: Path, key: str) -> None:
+    """A cube has its own constants and times: a case that says others would be adjusted as if it didn't."""
+    written(tmp_path)
+    with pytest.raises(InputError, match=f"{key.split()[0]} for image.cub, which is read as cube"):
+        decode(case_of_images(tmp_path, f'image = "image.cub"\n{key}'))

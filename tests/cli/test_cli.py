@@ -1,5 +1,6 @@
 """The command line as a person uses it, in processes of its own: exit status, one line on stderr, nothing left over."""
 
+import io
 import json
 import re
 import signal
@@ -10,8 +11,13 @@ from pathlib import Path
 
 import pytest
 from commands import COMMAND, refused, run, run_afresh
+from numba.core import event
+from tqdm import tqdm
 
 import mgsgraph
+from mgsgraph import compiled
+from mgsgraph.cli import progress
+from mgsgraph.cli.options import PrintableStream
 
 
 @pytest.mark.parametrize(
@@ -33,6 +39,7 @@ def test_help(arguments: tuple[str, ...]) -> None:
         (("adjust", "x.toml"), "--out"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),
         (("check", "a", "b"), "b"),
+        (("fetch", "M04/02852", "--verify"), "No such option '--verify'; the same fetch again holds the folder"),
     ],
 )
 def test_typing_errors_show_the_way(arguments: tuple[str, ...], said: str) -> None:
@@ -85,21 +92,6 @@ def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in case_file.parent.iterdir()) == before
 
 
-def test_check_names_weak_spots(case_file: Path) -> None:
-    done = run("check", case_file, "--no-laser")
-    assert "only the a-priori sigmas of the orientation hold the block" in done.stdout
-
-
-@pytest.mark.slow
-def test_demo_against_truth(tmp_path: Path) -> None:
-    done = run("demo", "--out", tmp_path / "demo", "--no-figures", "--no-relief")
-    assert done.returncode == 0, done.stderr
-    assert "NEES" in done.stdout
-    assert (tmp_path / "demo" / "inputs" / "case.toml").is_file()
-    record = json.loads((tmp_path / "demo" / "solution.json").read_text(encoding="utf-8"))
-    assert record["status"] == "converged"
-
-
 def test_bad_input_leaves_no_folder(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     text = case_file.read_text(encoding="utf-8")
@@ -117,6 +109,11 @@ def test_a_foreign_folder_is_not_replaced(case_file: Path, tmp_path: Path) -> No
     (precious / "thesis.txt").write_text("years of work", encoding="utf-8")
     refused(run("adjust", case_file, "--out", precious), "not a result of mgsgraph")
     assert (precious / "thesis.txt").read_text(encoding="utf-8") == "years of work"
+    out = tmp_path / "result"
+    assert run("adjust", case_file, "--out", out, "--no-figures").returncode == 0
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    refused(run("adjust", case_file, "--out", out, "--no-figures"), "notes.txt")
+    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
 
 
 def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) -> None:
@@ -129,6 +126,10 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     refused(done, "too weak")
     assert "SIM/" in done.stderr
     assert not (tmp_path / "result").exists()
+    done = run("check", case_file, "--no-laser")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^  tie +20 ", done.stdout, re.MULTILINE)
+    assert "too weak to solve" in done.stdout
 
 
 @pytest.mark.program("bash")
@@ -148,26 +149,6 @@ def test_not_converged_is_exit_status_one(case_file: Path, tmp_path: Path) -> No
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-figures")
     assert done.returncode == 1
     assert "max_iterations" in done.stdout
-
-
-def test_files_of_the_users_own_are_not_lost(case_file: Path, tmp_path: Path) -> None:
-    out = tmp_path / "result"
-    assert run("adjust", case_file, "--out", out, "--no-figures").returncode == 0
-    (out / "notes.txt").write_text("mine", encoding="utf-8")
-    refused(run("adjust", case_file, "--out", out, "--no-figures"), "notes.txt")
-    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
-
-
-def test_check_tells_the_rest_of_a_weak_network(case_file: Path) -> None:
-    text = case_file.read_text(encoding="utf-8")
-    text = text.replace("position_sigma_m = 30.0", "position_sigma_m = inf").replace(
-        "angle_sigma_mrad = 0.1", "angle_sigma_mrad = inf"
-    )
-    case_file.write_text(text, encoding="utf-8")
-    done = run("check", case_file, "--no-laser")
-    assert done.returncode == 0, done.stderr
-    assert re.search(r"^  tie +20 ", done.stdout, re.MULTILINE)
-    assert "too weak to solve" in done.stdout
 
 
 def test_a_full_standard_output() -> None:
@@ -312,3 +293,54 @@ def test_a_loss_that_forgets_blunders_converges(case_file: Path, tmp_path: Path)
     assert done.returncode == 1, done.stdout
     assert "converged, but NO RESULT" in done.stdout
     assert "18 of 20 tie points (90%)" in done.stdout
+
+
+# --- words while something is under way: they are said where they are true
+
+
+KIND = "numba:compile"
+
+
+@pytest.fixture(autouse=True)
+def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress, "_EXPLAIN_AFTER", 0.02)
+    monkeypatch.setattr(progress, "_BEAT", 0.01)
+    compiled._watch_compiler()
+
+
+def test_a_slow_machine_compiles_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.word_of_compiling():
+        time.sleep(0.08)
+    with progress.iteration_bar(False, 3):
+        time.sleep(0.08)
+    assert "compil" not in capsys.readouterr().err
+
+
+def test_what_numba_compiles_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.word_of_compiling(), event.trigger_event(KIND):
+        assert compiled.is_compiling()
+        time.sleep(0.15)
+    assert not compiled.is_compiling()
+    assert capsys.readouterr().err.count("compiling") == 1
+
+
+# --- what goes to a terminal: names out of files can't move its cursor, and our own bars can
+
+
+def test_one_bar_in_another_moves_up() -> None:
+    stream = io.StringIO()
+    said = PrintableStream(stream, "standard error")
+    for _ in tqdm(range(2), file=said, mininterval=0.0):
+        for _ in tqdm(range(2), file=said, mininterval=0.0, leave=False):
+            pass
+    assert "\\x1b" not in stream.getvalue()
+    assert "\n\r" in stream.getvalue()
+    assert "\x1b[A" in stream.getvalue()
+
+
+def test_names_move_nothing() -> None:
+    stream = io.StringIO()
+    said = PrintableStream(stream, "standard error")
+    for text in ("a\x1b[A", "\x1b[Ab", "\x1b[2A", "\x1b[A\r", "\x1b[B", "\x1b[A\x1b[2J"):
+        said.write(text)
+    assert "\x1b" not in stream.getvalue()

@@ -1,25 +1,20 @@
 """`mgsgraph new`: the case that it writes is one that `check` accepts, or it says why there can be none."""
 
-import errno
 import json
 import os
 import re
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import profiles
 import pytest
 from commands import refused, run
-from rig_files import write_rig
 
 import mgsgraph
-from mgsgraph.case import draft, draft_images
-from mgsgraph.case.case_file import decode, read_image
+from mgsgraph.case import draft
+from mgsgraph.case.case_file import decode
 from mgsgraph.case.draft import draft_case
 from mgsgraph.case.draft_images import DraftImage, named_as
-from mgsgraph.case.reading import case_of
 from mgsgraph.errors import InputError
 from mgsgraph.files.kinds import Kind
 from mgsgraph.results.inventory import images_inventory
@@ -75,14 +70,6 @@ def test_check_opens_the_shots_of_a_case_without_measures(case_file: Path, tmp_p
     (tmp_path / "p.csv").write_text("no,shots\n1,2\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"p\.csv"):
         images_inventory(out)
-
-
-def test_an_isis_list_stands_for_its_files(case_file: Path, tmp_path: Path) -> None:
-    case_file.with_name("cubes.lis").write_text("image_B.isd\n\nimage_A.isd\n", encoding="utf-8")
-    draft_case([case_file.with_name("cubes.lis"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
-    wanted = decode(tmp_path / "case.toml")
-    assert {image.name for image in wanted.images} == {"SIM/A", "SIM/B"}
-    assert wanted.measured
 
 
 def test_what_does_not_go_with_the_rest_is_left_out_with_the_reason(case_file: Path, tmp_path: Path) -> None:
@@ -212,44 +199,6 @@ def test_what_can_t_be_read_gets_no_name(case_file: Path, tmp_path: Path, monkey
     assert not (tmp_path / "case.toml").exists()
 
 
-def test_what_the_case_reads_is_not_what_is_written(
-    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A disk that fails below a kernel says nothing against --out."""
-
-    def failing(*_: object) -> None:
-        raise OSError(errno.EIO, "Input/output error", "a.bsp")
-
-    monkeypatch.setattr(draft, "case_of", failing)
-    with pytest.raises(OSError, match=r"a\.bsp"):
-        draft_case([case_file.parent], tmp_path / "case.toml")
-    assert not list(tmp_path.glob("*case.toml*"))
-
-
-def test_images_are_read_once_however_many_tables_fail(
-    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network = case_file.with_name("network.pvl").read_text(encoding="utf-8")
-    for k in range(5):
-        text = network.replace("SIM/A", f"NOT/{k}").replace("SIM/B", f"HERE/{k}")
-        (tmp_path / f"n{k}.pvl").write_text(text, encoding="utf-8")
-    calls = Counter[str]()
-
-    def counted(name: str, function: Callable[..., object]) -> Callable[..., object]:
-        def call(*given: object, **more: object) -> object:
-            calls[name] += 1
-            return function(*given, **more)
-
-        return call
-
-    monkeypatch.setattr(draft, "case_of", counted("cases", case_of))
-    monkeypatch.setattr(draft_images, "read_image", counted("images", read_image))
-    made = draft_case([case_file.parent, *tmp_path.glob("n*.pvl")], tmp_path / "case.toml")
-    assert made.text.count("# Left out: n") == 5
-    assert calls["images"] == 2
-    assert calls["cases"] < 20  # two for each that fails, and its halves
-
-
 def test_a_case_is_called_as_its_file_or_as_the_folder_of_its_data(case_file: Path, tmp_path: Path) -> None:
     isd = case_file.with_name("image_A.isd")
     for given, out, name in (
@@ -265,15 +214,6 @@ def test_replace_is_for_case_files(case_file: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="exists and is not a case file"):
         draft_case([case_file.with_name("image_A.isd")], out, replace=True)
     assert out.read_text(encoding="utf-8") == "[tool.black]\n"
-
-
-def test_the_cause_comes_first(case_file: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.isd"
-    cut.write_bytes(case_file.with_name("image_A.isd").read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"^cut\.isd: .*malformed"):
-        draft_case([case_file.with_name("network.pvl"), cut], tmp_path / "case.toml")
-    with pytest.raises(InputError, match=r"^\S*lidar\.json and 1 more: no image"):
-        draft_case([case_file.with_name("lidar.json"), case_file.with_name("network.pvl")], tmp_path / "case.toml")
 
 
 def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
@@ -297,13 +237,3 @@ def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
     with pytest.raises(InputError, match="a pipe; expected a file"):
         draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")
-
-
-def test_images_of_one_moment_are_told(tmp_path: Path) -> None:
-    write_rig(tmp_path).unlink()
-    made = draft_case([tmp_path], tmp_path / "new.toml")
-    assert any("L, R: of one moment" in line for line in made.said), made.said
-
-
-def test_images_of_other_moments_get_none(case_file: Path, tmp_path: Path) -> None:
-    assert not any("of one moment" in line for line in draft_case([case_file.parent], tmp_path / "case.toml").said)

@@ -1,6 +1,10 @@
-"""Exports as a whole: written whole or not at all, and verified where asked."""
+"""Exports as a whole, written whole or not at all and verified where asked; those for the Ames Stereo Pipeline, read
+back by our own readers and by a few lines that know the formats.
+"""
 
 import json
+import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +13,17 @@ from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.export import Target, spice_back
 from mgsgraph.export import solution_export as exports
-from mgsgraph.export.solution_export import Exported, ExportSettings, export_solution, target_of
+from mgsgraph.export.asp import write_asp
+from mgsgraph.export.csm import write_csm
+from mgsgraph.export.solution_export import ExportSettings, export_solution
+from mgsgraph.files.networks.asp_text import read_ground_control
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.network import PointClass
 from mgsgraph.results.results import write_results
 
 FINE = 0.01
@@ -67,21 +77,13 @@ def test_an_earlier_export_is_replaced_by_one_of_its_kind(solution: Path, tmp_pa
 
 def test_other_folders_are_left_alone(solution: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    export_solution(solution, "csm", out)
-    (out / "mine.txt").write_text("kept")
-    with pytest.raises(InputError, match="mine"):
-        export_solution(solution, "csm", out)
-    with pytest.raises(InputError, match="another kind of result"):
-        export_solution(solution, "csm", solution)
-
-
-def test_a_file_of_the_users_in_a_folder_of_an_export_is_kept(solution: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
     export_solution(solution, "asp", out)
     export_solution(solution, "asp", out)
     (out / "matches" / "mine.match").write_text("kept")
     with pytest.raises(InputError, match=r"matches/mine\.match"):
         export_solution(solution, "asp", out)
+    with pytest.raises(InputError, match="another kind of result"):
+        export_solution(solution, "csm", solution)
 
 
 def test_a_damaged_record_is_refused_where_it_is_needed(solution: Path, tmp_path: Path) -> None:
@@ -97,8 +99,6 @@ def test_a_damaged_record_is_refused_where_it_is_needed(solution: Path, tmp_path
     ("target", "settings", "found"),
     [
         ("spice", ExportSettings(scaled=True), "scaled.*isis or asp"),
-        ("csm", ExportSettings(scaled=True), "scaled"),
-        ("gis", ExportSettings(scaled=True), "scaled"),
         ("csm", ExportSettings(raster=True), "raster.*gis"),
         ("csm", ExportSettings(verify=True), "verify.*spice alone"),
         ("isis", ExportSettings(support={}), "case.*csm or asp"),
@@ -126,13 +126,6 @@ def test_a_full_disk_is_said_of_the_folder_that_was_asked_for(
     assert list(tmp_path.iterdir()) == [solution]
 
 
-def test_what_to_beware_of_is_said() -> None:
-    fine = Exported(Target.SPICE, Path("out"), ("a.tm",), 8, 0.001)
-    assert fine.sentence.endswith("where the solution has them.")
-    assert "farther off" in fine._replace(largest=0.02).sentence
-    assert "NOT converge" in fine._replace(converged=False).sentence
-
-
 @pytest.mark.parametrize("bad", [np.inf, np.nan])
 def test_what_does_not_come_back_is_not_there(
     bad: float, solution: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -141,12 +134,6 @@ def test_what_does_not_come_back_is_not_there(
     with pytest.raises(InputError, match="1 measures don't come back"):
         export_solution(solution, "spice", tmp_path / "out", ExportSettings(verify=True))
     assert not (tmp_path / "out").exists()
-
-
-def test_targets_by_name() -> None:
-    assert target_of("spice") == target_of(Target.SPICE) == Target.SPICE
-    with pytest.raises(InputError, match="spice, csm, isis, asp, gis"):
-        target_of("shapefile")
 
 
 def test_the_command(solution: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,10 +146,118 @@ def test_the_command(solution: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     command = ["export", str(solution), "--to", "csm", "--out", str(tmp_path / "x"), "--case", str(case)]
     with pytest.raises(InputError, match="no image of the solution"):
         group(command, standalone_mode=False)
-    with pytest.raises(InputError, match="no such file"):
-        group(["export", str(tmp_path / "none"), "--to", "isis", "--out", str(tmp_path / "x")], standalone_mode=False)
 
 
 def test_sigmas_of_new_points_go_along_where_asked(solution: Path, tmp_path: Path) -> None:
     done = export_solution(solution, "gis", tmp_path / "out", ExportSettings(raster=True))
     assert "sigmas.tif" in done.files
+
+
+# --- for the Ames Stereo Pipeline
+
+
+@pytest.fixture(scope="module")
+def solved() -> Solution:
+    return adjust_network(network(pair()), SolverSettings(), "pair")
+
+
+def matches(path: Path) -> np.ndarray:
+    """Columns and rows (2, n, 2) of a match file without descriptors, by struct alone."""
+    data, record = path.read_bytes(), struct.Struct("<ffiifffBIIQ")
+    first, second = struct.unpack_from("<QQ", data)
+    assert first == second
+    assert len(data) == 16 + 2 * first * record.size
+    places = [record.unpack_from(data, 16 + k * record.size)[:2] for k in range(2 * first)]
+    return np.array(places).reshape(2, first, 2)
+
+
+def test_free_points_are_matches(solved: Solution, tmp_path: Path) -> None:
+    write_asp(solved, tmp_path)
+    (path,) = (tmp_path / "matches").iterdir()
+    found, rays, net = matches(path), solved.network.rays, solved.network
+    ties = net.points.classes[rays.point] == PointClass.TIE
+    for j in range(2):
+        mine = np.flatnonzero(ties & (rays.image == j))
+        mine = mine[np.argsort(rays.point[mine])]
+        np.testing.assert_allclose(found[j], rays.places[mine, ::-1] - 0.5, atol=1e-3)
+
+
+def test_control_points_are_as_given_and_adjusted_ones_as_adjusted(solved: Solution, tmp_path: Path) -> None:
+    write_asp(solved, tmp_path)
+    net, body = solved.network, solved.network.images[0].body
+    control, adjusted = (read_ground_control(tmp_path / f"{name}.gcp", body) for name in ("control", "adjusted"))
+    given = np.flatnonzero(net.points.kinds == PointKind.CONSTRAINED)
+    np.testing.assert_allclose(control.places, net.points.places[given], atol=1e-6, rtol=0.0)
+    sigmas = np.sqrt(np.diagonal(net.points.covariances[given], axis1=1, axis2=2))
+    np.testing.assert_allclose(np.sqrt(np.diagonal(control.covariances, axis1=1, axis2=2)), sigmas, rtol=1e-12)
+    np.testing.assert_allclose(adjusted.places, solved.places, atol=1e-6, rtol=0.0)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(adjusted.covariances, axis1=1, axis2=2)), solved.sigmas, rtol=1e-9)
+    places = solved.network.rays.places[np.argsort(solved.network.rays.point, kind="stable")]
+    np.testing.assert_allclose(adjusted.measures, places, atol=1e-9)
+    write_asp(solved, tmp_path, scaled=True)
+    scaled = read_ground_control(tmp_path / "adjusted.gcp", body)
+    np.testing.assert_allclose(scaled.covariances, adjusted.covariances * solved.sigma0**2, rtol=1e-9)
+
+
+def test_rejected_measures_are_left_out(solved: Solution, tmp_path: Path) -> None:
+    rays = solved.network.rays
+    used = solved.rays_used & ~np.isin(rays.point, [0, 1])
+    some = replace(solved, rays_used=used)
+    write_asp(some, tmp_path)
+    (path,) = (tmp_path / "matches").iterdir()
+    ties = int(np.sum(solved.network.points.classes == PointClass.TIE))
+    assert matches(path).shape[1] == ties - 2
+    nothing = replace(solved, rays_used=np.zeros_like(used))
+    with pytest.raises(InputError, match="no measure that took part"):
+        write_asp(nothing, tmp_path / "nothing")
+
+
+def test_lists_go_together_and_name_files_that_are_there(solved: Solution, tmp_path: Path) -> None:
+    names = [image.name for image in solved.network.images]
+    files = write_asp(solved, tmp_path, {names[1]: "cubes/other.cub"})
+    images, cameras = ((tmp_path / f"{name}.txt").read_text().split() for name in ("images", "cameras"))
+    assert len(images) == len(cameras) == len(names)
+    assert images[1] == "cubes/other.cub"
+    assert all(camera.endswith(".adjusted_state.json") for camera in cameras)
+    assert Path(images[0]).stem == cameras[0].removesuffix(".adjusted_state.json")
+    assert all(path.is_file() for path in files)
+    assert "cubes/other.cub" in (tmp_path / "adjusted.gcp").read_text(encoding="utf-8")
+
+
+def test_cameras_are_called_like_the_files_of_their_images(solved: Solution, tmp_path: Path) -> None:
+    """Support data are no pixels: the cube of that name is meant."""
+    names = [image.name for image in solved.network.images]
+    write_asp(solved, tmp_path, {names[0]: "first.isd", names[1]: "cubes/second.tif"})
+    images, cameras = ((tmp_path / f"{name}.txt").read_text().split() for name in ("images", "cameras"))
+    assert images[:2] == ["first.cub", "cubes/second.tif"]
+    assert cameras[:2] == ["first.adjusted_state.json", "second.adjusted_state.json"]
+    csm = write_csm(solved, tmp_path, files={names[0]: "first.cub"})
+    assert {path.name for path in csm} >= {"first.json", "first.adjusted_state.json"}
+
+
+def test_without_free_or_control_points(solved: Solution, tmp_path: Path) -> None:
+    ties = adjust_network(network(pair(), laser=False), SolverSettings(), "ties")
+    names = {path.name for path in write_asp(ties, tmp_path / "ties")}
+    assert "control.gcp" not in names
+    net = solved.network
+    kinds = np.where(net.points.kinds == PointKind.FREE, PointKind.FIXED, net.points.kinds)
+    fixed = replace(net, points=replace(net.points, kinds=kinds, places=solved.places))
+    names = {path.name for path in write_asp(replace(solved, network=fixed), tmp_path / "fixed")}
+    assert not any(name.endswith(".match") for name in names)
+    assert "1e-10" in (tmp_path / "fixed" / "control.gcp").read_text()
+
+
+@pytest.mark.parametrize(
+    ("images", "said"),
+    [
+        ({"nobody": "a.cub"}, "the image 'nobody'"),
+        ({0: "a b.cub"}, "a name without blanks"),
+        ({0: "a/same.cub", 1: "b/same.cub"}, "called same"),
+    ],
+)
+def test_files_that_cant_be_told_apart(solved: Solution, tmp_path: Path, images: dict, said: str) -> None:
+    names = [image.name for image in solved.network.images]
+    asked = {names[key] if isinstance(key, int) else key: file for key, file in images.items()}
+    with pytest.raises(InputError, match=said):
+        write_asp(solved, tmp_path, asked)
+    assert not list(tmp_path.iterdir())

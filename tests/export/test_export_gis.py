@@ -1,4 +1,6 @@
-"""GIS layers in GDAL's hands: points in their places, the coordinate system, names; the file whole or not at all."""
+"""GIS layers in GDAL's hands: points, footprints, error ellipses and vectors in their places and by formulas, the
+coordinate system; the file whole or not at all.
+"""
 
 import json
 import sqlite3
@@ -10,23 +12,28 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from gis_files import LAYERS, ODD, by_gdal, degrees, layer, level_axes, odd_solution, tool
+from gis_files import LAYERS, by_gdal, degrees, layer, level_axes, odd_solution, on_body, tool, true_area
 from networks import network, pair
+from scipy.stats import chi2
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import sigma_grid
 from mgsgraph.analysis.posterior import Posterior
-from mgsgraph.analysis.statistics import rejected_points
+from mgsgraph.analysis.statistics import adjusted_points, rejected_points
 from mgsgraph.errors import InputError
-from mgsgraph.export.gis import write_gis
-from mgsgraph.geometry.body import Ellipsoid, geodetic, intersect_ellipsoid
+from mgsgraph.export.gis import exaggeration, write_gis
+from mgsgraph.geometry.body import from_planetocentric, geodetic, intersect_ellipsoid
+from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
+from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.simulation.orbit import MARS
-from mgsgraph.units import DEG
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.units import DEG, KM
 
 pyogrio = pytest.importorskip("pyogrio", reason="the extra [gis] is not installed")
+
 gdal = pytest.mark.program("ogr2ogr")
 
 
@@ -105,21 +112,6 @@ def test_what_nothing_determines_has_no_place(solution: Solution, written: Path)
 
 
 @gdal
-def test_gdal_opens_it_and_finds_everything(solution: Solution, written: Path) -> None:
-    said = tool("ogrinfo", "-ro", written)
-    assert [line.split(": ")[1].split(" (")[0] for line in said.splitlines() if line[:1].isdigit()] == list(LAYERS)
-    rows = by_gdal(written, "tie_points")
-    assert rows[0]["properties"]["id"] == ODD
-    assert rows[1]["geometry"] is None
-    assert rows[1]["properties"]["lat_deg"] is None
-    there = np.flatnonzero(solution.determined[:40])
-    found = np.array([rows[i]["geometry"]["coordinates"] for i in there])
-    assert np.abs(found - degrees(solution.places[there])).max() < 1e-9
-    images = [row["properties"]["image"] for row in by_gdal(written, "footprints_adjusted")]
-    assert images == [image.name for image in solution.network.images]
-
-
-@gdal
 def test_gdal_and_the_package_know_the_coordinate_system(written: Path) -> None:
     said = tool("ogrinfo", "-ro", "-so", written, "tie_points")
     assert "Mars (2015) - Sphere / Ocentric" in said
@@ -139,19 +131,6 @@ def test_gdal_and_the_package_know_the_coordinate_system(written: Path) -> None:
     assert np.allclose(degrees(place[None])[0] % 360.0, [row["lon_deg"], row["lat_deg"]], rtol=0.0, atol=1e-9)
 
 
-def test_the_moon_and_bodies_without_a_code(solution: Solution, tmp_path: Path) -> None:
-    for radius, code in ((1737400.0, "IAU_2015"), (3390000.0, "NONE")):
-        body = Ellipsoid(radius, radius)
-        images = tuple(replace(image, body=body) for image in solution.network.images)
-        path = write_gis(replace(solution, network=replace(solution.network, images=images)), tmp_path)[0]
-        with sqlite3.connect(path) as base:
-            rows = base.execute("select organization, definition from gpkg_spatial_ref_sys join gpkg_contents using "
-                                "(srs_id) where table_name = 'tie_points'").fetchall()  # fmt: skip
-        base.close()
-        assert rows[0][0] == code
-        assert f"{radius:.0f}" in rows[0][1]
-
-
 @gdal
 def test_the_sigma_raster_goes_along(solution: Solution, tmp_path: Path) -> None:
     grid = sigma_grid(Posterior.of(solution), cell=200.0)
@@ -165,6 +144,31 @@ def test_the_sigma_raster_goes_along(solution: Solution, tmp_path: Path) -> None
     at = (grid.west + (column + 0.5) * grid.steps[0]) / DEG, (grid.north - (row + 0.5) * grid.steps[1]) / DEG
     values = tool("gdallocationinfo", "-valonly", "-geoloc", files[-1], *at).split()
     assert np.allclose([float(one) for one in values], grid.values[:, row, column], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("longitude", "latitude"), [(180.0, 4.0), (30.0, 89.99)])
+def test_a_solution_on_the_date_line_and_on_the_pole(
+    longitude: float, latitude: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mgsgraph.simulation.pair.CENTRE", (longitude * DEG, latitude * DEG))
+    solved = adjust_network(network(simulate_pair(PairSettings(ties=10, shots=5))), SolverSettings())
+    path = write_gis(solved, tmp_path)[0]
+    found = layer(path, "footprints_adjusted")
+    if latitude < 80.0:
+        assert max(len(shapely.get_parts(shape)) for shape in found.shapes) == 2
+    else:
+        assert shapely.bounds(found.shapes)[:, 3].max() == 90.0
+    for j, shape in enumerate(found.shapes):
+        assert shapely.is_valid(shape)
+        assert np.abs(shapely.bounds(shape)).max() <= 180.0
+        assert true_area(shape, MARS) == pytest.approx(found.fields["area_km2"][j] * KM**2, rel=1e-3)
+    points = layer(path, "tie_points")
+    assert np.abs(shapely.get_coordinates(points.shapes) - degrees(solved.places[:10])).max() < 1e-9
+    assert np.allclose(points.fields["lon_deg"], degrees(solved.places[:10])[:, 0] % 360.0, rtol=0.0, atol=1e-9)
+    seen = shapely.contains(shapely.buffer(found.shapes[0], 1e-9), points.shapes)
+    assert seen.all()
+    for name in LAYERS[:-1]:
+        assert shapely.is_valid(layer(path, name).shapes).all()
 
 
 # --- the file
@@ -181,18 +185,6 @@ def test_what_is_not_there_leaves_an_empty_layer(tmp_path: Path) -> None:
         assert head["geometry_type"] in ("Point", "MultiLineString")
 
 
-def test_it_says_where_it_came_from(solution: Solution, written: Path) -> None:
-    _, _, shapes, (subjects, statements) = pyogrio.raw.read(written, layer="about")
-    said = dict(zip(subjects, statements, strict=True))
-    assert shapes is None
-    assert solution.versions["mgsgraph"] in said["program"]
-    assert said["solution"].startswith("odd: converged")
-    assert "IAU_2015:49900" in said["coordinates"]
-    factor = layer(written, "residuals_exaggerated").fields["exaggeration"][0]
-    assert f"exaggerated {factor:g} times" in said["layer residuals_exaggerated"]
-    assert {one.removeprefix("layer ") for one in said if one.startswith("layer ")} == set(LAYERS[:-1])
-
-
 def test_the_same_solution_gives_the_same_bytes(solution: Solution, written: Path, tmp_path: Path) -> None:
     assert pyogrio.get_gdal_config_option("OGR_CURRENT_DATE") is None
     again = write_gis(solution, tmp_path)
@@ -201,14 +193,6 @@ def test_the_same_solution_gives_the_same_bytes(solution: Solution, written: Pat
     }
     for path in again:
         assert path.read_bytes() == (written.parent / path.relative_to(tmp_path)).read_bytes(), path
-
-
-def test_columns_say_their_units(written: Path) -> None:
-    plain = {"rays", "rays_used", "lines", "samples", "rejected", "used", "held", "whole", "exaggeration",
-             "normalised_line", "normalised_sample", "isis_line", "isis_sample"}  # fmt: skip
-    for name in LAYERS[:-1]:
-        for field, values in layer(written, name).fields.items():
-            assert values.dtype == object or field in plain or field.endswith(("_m", "_px", "_deg", "_km2", "_s"))
 
 
 # --- bad input
@@ -221,13 +205,6 @@ def test_without_the_extra_it_says_what_to_install(
     with pytest.raises(InputError, match=r"pip install .mgsgraph\[gis\]"):
         write_gis(solution, tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_place_that_can_not_be_written(solution: Solution, tmp_path: Path) -> None:
-    (tmp_path / "solution.gpkg").mkdir()
-    with pytest.raises(InputError, match="can't be written"):
-        write_gis(solution, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["solution.gpkg"]
 
 
 def test_a_failure_leaves_the_earlier_file(
@@ -249,3 +226,159 @@ def test_a_failure_leaves_the_earlier_file(
     assert path.read_bytes() == before
     assert {one.name for one in tmp_path.iterdir()} == names
     assert pyogrio.get_gdal_config_option("OGR_CURRENT_DATE") is None
+
+
+# --- footprints
+
+
+def test_areas_and_edges_of_footprints(solution: Solution, written: Path) -> None:
+    net = solution.network
+    every = (("footprints_nominal", network_footprints(net, solution.places_before)),
+             ("footprints_adjusted", network_footprints(
+                 replace(net, images=(solution.image(0), solution.image(1))), solution.places, solution.correction
+             )))  # fmt: skip
+    for name, footprints in every:
+        found = layer(written, name)
+        for j, (shape, one) in enumerate(zip(found.shapes, footprints, strict=True)):
+            assert shapely.is_valid(shape)
+            assert found.fields["area_km2"][j] * KM**2 == pytest.approx(true_area(shape, MARS), rel=1e-5)
+            corners = degrees(one.outline)
+            gap = shapely.distance(shapely.points(corners), shapely.get_exterior_ring(shapely.get_parts(shape)[0]))
+            assert gap.max() < 1e-9
+            radius = float(np.linalg.norm(one.centre))
+            edge = np.linalg.norm(np.diff(on_body(shape, radius), axis=0), axis=1).sum()
+            assert edge == pytest.approx(np.linalg.norm(np.diff(one.outline, axis=0), axis=1).sum(), rel=1e-4)
+
+
+def test_footprints_are_the_images_corners(solution: Solution, written: Path) -> None:
+    image, height = solution.image(1), layer(written, "footprints_adjusted").fields["height_m"][1]
+    ends = np.array([0.0, image.lines, image.lines, 0.0]), np.array([0.0, 0.0, image.samples, image.samples])
+    corners, _ = image.image_to_ground(*ends, float(height), solution.correction(1))
+    shapes = layer(written, "footprints_adjusted").shapes
+    gap = shapely.distance(shapely.points(degrees(corners)), shapely.boundary(shapes[1]))
+    assert gap.max() < 1e-8
+    moved = layer(written, "footprints_nominal").shapes[1]
+    assert not shapely.equals_exact(moved, shapes[1], 1e-4)
+
+
+def test_figures_of_footprints(solution: Solution, written: Path) -> None:
+    found = layer(written, "footprints_adjusted").fields
+    for j, image in enumerate(solution.network.images):
+        mine = (solution.network.rays.image == j) & solution.rays_used
+        assert found["rays_used"][j] == mine.sum()
+        assert found["rays"][j] == (solution.network.rays.image == j).sum()
+        rms = np.sqrt(np.mean(solution.residuals[mine] ** 2, axis=0))
+        assert [found[f"residual_rms_{way}_px"][j] for way in ("line", "sample")] == pytest.approx(rms.tolist())
+        first, last = image.timing.at(np.array([0.0, float(image.lines)]))[0] + image.trajectory.epoch
+        assert (found["first_line_et_s"][j], found["last_line_et_s"][j]) == (first, last)
+
+
+# --- ellipses
+
+
+def test_ellipses_are_those_of_the_covariance(solution: Solution, written: Path) -> None:
+    found = layer(written, "error_ellipses")
+    mine = np.flatnonzero(adjusted_points(solution))
+    quantile = float(chi2.ppf(0.95, 2))
+    assert found.fields["point"].tolist() == [solution.network.points.ids[i] for i in mine]
+    for row, i in enumerate(mine.tolist()):
+        place, axes = solution.places[i], level_axes(solution.places[i])
+        covariance = axes @ solution.covariances[i] @ axes.T
+        offsets = (on_body(found.shapes[row], float(np.linalg.norm(place))) - place) @ axes.T
+        inside = np.einsum("ki,ij,kj->k", offsets, np.linalg.inv(covariance), offsets)
+        assert np.allclose(inside, quantile, rtol=1e-4)
+        minor, major = np.sqrt(quantile * np.linalg.eigvalsh(covariance))
+        assert found.fields["semi_minor_m"][row] == pytest.approx(minor)
+        assert found.fields["semi_major_m"][row] == pytest.approx(major)
+        assert found.fields["scaled_semi_major_m"][row] == pytest.approx(major * solution.sigma0)
+        azimuth = found.fields["azimuth_deg"][row] * DEG
+        along = np.array([np.sin(azimuth), np.cos(azimuth)])
+        assert along @ covariance @ along == pytest.approx(major**2 / quantile, rel=1e-9)
+
+
+def test_exaggerated_shapes_are_so_many_times_as_large(solution: Solution, written: Path) -> None:
+    for name in ("error_ellipses", "corrections", "misregistration", "residuals"):
+        true, large = layer(written, name), layer(written, f"{name}_exaggerated")
+        factor = float(large.fields["exaggeration"][0])
+        assert set(true.fields["exaggeration"]) == {1.0}
+        assert set(large.fields["exaggeration"]) == {factor}
+        assert factor > 1.0
+        for field, values in true.fields.items():
+            assert field == "exaggeration" or np.array_equal(values, large.fields[field]), field
+        extents = [shapely.bounds(one.shapes)[:, 2:] - shapely.bounds(one.shapes)[:, :2] for one in (true, large)]
+        seen = extents[0] > 1e-7
+        assert np.allclose(extents[1][seen], factor * extents[0][seen], rtol=2e-3)
+
+
+def test_an_exaggeration_is_chosen_by_all_but_the_largest() -> None:
+    assert exaggeration(np.array([1.0] * 80 + [50.0] * 20), 1e4) == 10.0  # a fifth of them are large: they count
+    assert exaggeration(np.array([1.0] * 95 + [1e6] * 5), 1e4) == 500.0
+
+
+# --- vectors
+
+
+def ends_of(shapes: Any) -> tuple[Array, Array]:
+    places = shapely.get_coordinates(shapes).reshape(len(shapes), 2, 2)
+    return places[:, 0], places[:, 1]
+
+
+def test_corrections_run_from_before_to_after(solution: Solution, written: Path) -> None:
+    found = layer(written, "corrections")
+    mine = [solution.network.points.ids.index(name) for name in found.fields["point"]]
+    assert mine == np.flatnonzero(adjusted_points(solution)).tolist()
+    start, end = ends_of(found.shapes)
+    assert np.abs(start - degrees(solution.places_before[mine])).max() < 1e-9
+    assert np.abs(end - degrees(solution.places[mine])).max() < 1e-9
+    length = np.linalg.norm((solution.places - solution.places_before)[mine], axis=1)
+    assert np.allclose(found.fields["length_m"], length)
+    parts = np.column_stack([found.fields[f"{way}_m"] for way in ("east", "north", "up")])
+    assert np.allclose(np.linalg.norm(parts, axis=1), length)
+    assert set(found.fields["class"]) == {"tie", "laser", "control"}
+
+
+def test_misregistration_is_where_the_nominal_orientation_shows_it(solution: Solution, written: Path) -> None:
+    found, net = layer(written, "misregistration"), solution.network
+    names = [image.name for image in net.images]
+    laser = solution.members(PointClass.LASER)
+    for j, image in enumerate(net.images):  # all that it sees, and nothing else
+        seen, _ = solution.image(j).ground_to_image(solution.places[laser], solution.correction(j))
+        inside = np.all((seen >= 0.0) & (seen <= [image.lines, image.samples]), axis=1)
+        mine = found.fields["point"][found.fields["image"] == image.name].tolist()
+        assert mine == [net.points.ids[i] for i in laser[inside]]
+    assert len(found.shapes) > 6
+    start, end = ends_of(found.shapes)
+    for row, (point, image) in enumerate(zip(found.fields["point"], found.fields["image"], strict=True)):
+        i, j = net.points.ids.index(point), names.index(image)
+        assert np.abs(end[row] - degrees(solution.places[i : i + 1])[0]).max() < 1e-9
+        place, _ = solution.image(j).ground_to_image(solution.places[i : i + 1], solution.correction(j))
+        isis = found.fields["isis_line"][row], found.fields["isis_sample"][row]
+        assert np.array(isis) == pytest.approx(place[0] + 0.5)
+        known, _ = net.images[j].ground_to_image(solution.places_before[i : i + 1])
+        moved = found.fields["moved_line_px"][row], found.fields["moved_sample_px"][row]
+        assert np.array(moved) == pytest.approx((place - known)[0])
+        height = geodetic(solution.places[i], MARS)[2]
+        ground = from_planetocentric(np.append(np.radians(start[row]), 1.0))
+        radii = np.array([MARS.equatorial, MARS.equatorial, MARS.polar]) + height
+        ground /= np.linalg.norm(ground / radii)
+        again, _ = net.images[j].ground_to_image(ground[None])
+        assert np.abs(again - place).max() < 1e-3
+
+
+def test_residuals_end_where_the_measures_are(solution: Solution, written: Path) -> None:
+    found, net = layer(written, "residuals"), solution.network
+    kept = np.flatnonzero(solution.determined[net.rays.point])
+    assert len(found.shapes) == kept.size
+    assert found.fields["used"].tolist() == solution.rays_used[kept].tolist()
+    assert not found.fields["used"].all()
+    assert np.allclose(found.fields["residual_line_px"], solution.residuals[kept, 0])
+    assert np.allclose(found.fields["normalised_sample"], (solution.residuals / net.rays.sigmas)[kept, 1])
+    start, end = ends_of(found.shapes)
+    assert np.abs(start - degrees(solution.places[net.rays.point[kept]])).max() < 1e-9
+    heights = geodetic(solution.places, MARS)[:, 2]
+    for j in range(2):
+        mine = np.flatnonzero(net.rays.image[kept] == j)
+        rays = kept[mine]
+        (line, sample), height = net.rays.places[rays].T, heights[net.rays.point[rays]]
+        ground, _ = solution.image(j).image_to_ground(line, sample, height, solution.correction(j))
+        assert np.abs(end[mine] - degrees(ground)).max() < 2e-7  # 1 cm: residuals are linearised

@@ -1,6 +1,5 @@
 """Exported SPICE kernels say the solution again, to SPICE alone, and a fault in any of them is seen."""
 
-import ast
 import json
 from collections.abc import Callable, Iterator
 from contextlib import chdir, contextmanager
@@ -17,14 +16,14 @@ from strip_files import write_block
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.errors import InputError
-from mgsgraph.export import spice, spice_back
+from mgsgraph.export import spice
 from mgsgraph.export.spice import MissionClock, NaifIds, SpiceNaming, write_spice
 from mgsgraph.export.spice_back import spice_differences
 from mgsgraph.export.spice_nodes import TOLERANCE, AdjustedNodes, Reprojection, adjusted_nodes, reprojection
 from mgsgraph.geometry import camera as optics
 from mgsgraph.geometry.camera import Distortion, LrocNacDistortion, RadialDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage, fit_polynomials
-from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
+from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.simulation.case_files import image_file
 
 LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
@@ -251,33 +250,6 @@ def test_spice_knows_the_field_of_view(solution: Solution, tmp_path: Path) -> No
             )
 
 
-def test_nodes_are_dense_enough_wherever_one_looks(solution: Solution) -> None:
-    image = solution.image(0)
-    nodes = evenly_spaced("lagrange", image.trajectory.epoch, image.trajectory.coverage, 0.7)
-    rng = np.random.default_rng(5)
-    wiggles = rng.normal(0.0, 1.0, (len(nodes) + 1, 6)) * [20.0, 20.0, 20.0, 2e-4, 2e-4, 2e-4]
-    correction = OrientationCorrection(wiggles, nodes=nodes)
-    found = adjusted_nodes(image, correction, (0.0, float(image.lines)))
-    assert 0.0 < found.error <= TOLERANCE
-    lines = rng.uniform(0.0, image.lines, 500)
-    true, times = image.pose(lines, correction), image.timing.at(lines)[0]
-    k = np.clip(np.searchsorted(found.times, times) - 1, 0, found.times.size - 2)
-    looks = np.einsum("nji,j->ni", true.matrix, [0.0, 0.0, 1.0])
-    off = np.empty((500, 2))
-    for n in range(500):  # chords of the frame and of the path, by SPICE's own interpolators
-        share = (times[n] - found.times[k[n]]) / (found.times[k[n] + 1] - found.times[k[n]])
-        axis, angle = spiceypy.raxisa(found.matrices[k[n] + 1] @ found.matrices[k[n]].T)
-        matrix = spiceypy.axisar(axis, angle * share) @ found.matrices[k[n]]
-        off[n, 0] = np.linalg.norm(matrix @ looks[n] - [0.0, 0.0, 1.0])
-        pair = slice(k[n], k[n] + 2)
-        for c in range(3):
-            flat = np.column_stack([found.positions[pair, c], found.velocities[pair, c]]).ravel()
-            value, _ = spiceypy.hrmint(found.times[pair], flat, times[n])
-            off[n, 1] = value - true.position[n, c] if c == 0 else np.hypot(off[n, 1], value - true.position[n, c])
-    assert off[:, 0].max() < 1.5 * TOLERANCE * image.pixel_angle * 3.0
-    assert off[:, 1].max() < 1e-2
-
-
 # --- planted faults
 
 
@@ -288,7 +260,6 @@ def attitude_of_before(nodes: AdjustedNodes, image: PushbroomImage, correction: 
 
 FAULTS: dict[str, Callable[[AdjustedNodes, PushbroomImage, OrientationCorrection], AdjustedNodes]] = {
     "time bias twice": attitude_of_before,
-    "light time": lambda nodes, *_: replace(nodes, positions=nodes.positions - nodes.velocities * 4e5 / 3e8),
     "quaternion convention": lambda nodes, *_: replace(nodes, matrices=np.swapaxes(nodes.matrices, 1, 2)),
     "velocities reversed": lambda nodes, *_: replace(nodes, velocities=-nodes.velocities),
 }
@@ -329,18 +300,6 @@ def test_a_point_that_is_not_seen_is_infinitely_off(solution: Solution, tmp_path
     assert np.isinf(spice_differences(tmp_path, behind)).all()
 
 
-def test_the_reader_shares_nothing_with_the_writer() -> None:
-    tree = ast.parse(Path(spice_back.__file__).read_text(encoding="utf-8"))
-    nodes = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    ours = {f"{one.module}.{name.name}" for one in nodes for name in one.names if "mgsgraph" in str(one.module)}
-    # what is wanted, as a record, beside errors and the loading of kernels
-    assert ours == {
-        "mgsgraph.errors.InputError", "mgsgraph.files.labels.kernels.loaded",
-        "mgsgraph.files.labels.kernels.spice_words", "mgsgraph.export.spice_nodes.Reprojection",
-        "mgsgraph.export.spice_nodes.images_of",
-    }  # fmt: skip
-
-
 # --- the files
 
 
@@ -354,16 +313,6 @@ def test_files_depend_on_the_solution_alone(solution: Solution, tmp_path: Path) 
     ]  # fmt: skip
     assert sorted(path.name for path in (tmp_path / "one").iterdir()) == sorted(path.name for path in one)
     assert all(a.read_bytes() == b.read_bytes() for a, b in zip(one, two, strict=True))
-
-
-def test_comments_say_where_the_kernels_come_from(solution: Solution, tmp_path: Path) -> None:
-    write_spice(solution, tmp_path)
-    for name in ("adjusted.bsp", "adjusted.bc", "body.bc"):
-        handle = spiceypy.dafopr(str(tmp_path / name))
-        said = "\n".join(spiceypy.dafec(handle, 100, 1000)[1])
-        spiceypy.dafcls(handle)
-        told = ("geometric", "must NOT be added again", solution.name, f"mgsgraph {solution.versions['mgsgraph']}")
-        assert not [part for part in (*told, *(image.name for image in solution.network.images)) if part not in said]
 
 
 def test_a_pool_of_ones_own_survives(solution: Solution, tmp_path: Path) -> None:
@@ -392,7 +341,6 @@ class Odd:
     ("change", "message"),
     [
         (lambda image: replace(image, name=f"Größe {image.name}"), "name: a name with letters beyond ASCII"),
-        (lambda image: replace(image, name=image.name * 60), "name: a name of .* characters"),
         (lambda image: replace(image, interior=replace(image.interior, distortion=Odd())), "distortion: the model Odd"),
     ],
 )
@@ -411,10 +359,6 @@ def test_ids_must_be_apart_and_known(solution: Solution, tmp_path: Path) -> None
         write_spice(same_time, tmp_path, SpiceNaming(images=ids))
     with pytest.raises(InputError, match="nobody: no image"):
         write_spice(solution, tmp_path, SpiceNaming(images={"nobody": NaifIds(-94, -94031)}))
-    with pytest.raises(InputError, match="body: one that SPICE doesn't know"):
-        write_spice(solution, tmp_path, SpiceNaming(body="ARRAKIS"))
-    with pytest.raises(InputError, match="no such file"):
-        write_spice(solution, tmp_path, SpiceNaming(clock=MissionClock(-94, (tmp_path / "none.tsc",))))
     (tmp_path / "other.tsc").write_text(CLOCK)
     (tmp_path / "out").mkdir()
     with pytest.raises(InputError, match="clock -95: SPICE says"):
@@ -426,9 +370,6 @@ def test_ids_must_be_apart_and_known(solution: Solution, tmp_path: Path) -> None
 def test_what_spice_cannot_write_is_one_line(
     solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(OSError, match="No such file"):  # fresh_folder words it
-        write_spice(solution, tmp_path / "nothing")
-
     def full(*_: Any) -> None:
         raise SpiceyError("An attempt to write to a file failed")
 

@@ -1,44 +1,54 @@
-"""Bundles of whole networks against dense normal equations of their rows."""
+"""Sweeps over whole networks: against dense normal equations of their rows, by threads, from other beginnings."""
+
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import pytest
+from explicit_form import (
+    System,
+    assert_bundle_is_explicit,
+    assert_gradient_is_that_of_the_cost,
+    assert_jacobians,
+    explicit_factors,
+    of_layout,
+    values_at,
+    vector_key,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import network, pair, with_shift_and_surface
-from normals import HandPoint, System, assert_bundle_is_explicit, of_layout, pack, take_apart
+from networks import network, on_passes, pair, with_shift_and_surface, with_tilting_surface
 from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, random_network, with_fixed
+from sharing import with_all_kinds
+from stereo_pair import stereo_network
 
-from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns
+from mgsgraph.adjustment.graph import lay_out, patterns
+from mgsgraph.adjustment.graph.forms import point_key
 from mgsgraph.adjustment.graph.patterns import group_blocks
-from mgsgraph.adjustment.settings import Line, SolverSettings
+from mgsgraph.adjustment.settings import Line, Loss, SolverSettings
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.kernel import sweep
 from mgsgraph.kernel.lanes import LANES
-from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GOOD, GROUND, IMAGE, OUT, RANGE, SURFACE, WEAK
-from mgsgraph.kernel.sweep import COSTS, dense, reduce
+from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, GOOD, OUT, WEAK, Rows
+from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, dense, reduce
+from mgsgraph.network import Network
 
 SEEDS = st.integers(0, 2**32 - 1)
-STATE_UNITS = {
-    IMAGE: np.array([30.0] * 3 + [1e-4] * 5 + [1e-2]),
-    RANGE: np.array([30.0] * 3 + [5.0]),
-    GROUND: np.full(3, 30.0),
-    SURFACE: np.full(3, 30.0),
+EVERYTHING: dict[str, Callable[[], Network]] = {
+    "all shared unknowns": lambda: with_all_kinds(with_tilting_surface(network(pair()))),
+    "nodes": lambda: on_passes(network(pair())),
+    "stereo surface": lambda: stereo_network(pair(12, 24)),
 }
-"""What the components of an observation's state are of the order of, the widest state of each kind."""
+"""What no network of `NETWORKS` has."""
+
+
+@cache
+def everything(name: str) -> System:
+    return of_layout(lay_out(EVERYTHING[name](), SolverSettings()))
 
 
 def state(system: System, seed: int = 3, size: float = 1.0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(system.columns) * system.sigmas * size
-
-
-def test_the_cases_are_what_they_are_called() -> None:
-    assert np.count_nonzero(made("weights of zero").rows.weight[0] == 0.0) == 6
-    assert np.count_nonzero(made("points left out").rows.kind == OUT) == 3
-    assert np.count_nonzero(made("fixed points").rows.kind == FIXED) == 6
-    assert np.diff(made("twelve rays").rows.pattern_observation).max() >= 12
-    assert made("more than a tile").rows.piece[:, 2].min() > LANES
-    sizes = made("groups of one point").rows.piece[:, 2]
-    assert np.count_nonzero(sizes == 1) > 3
-    assert np.diff(made("measured twice").rows.pattern_observation).max() == 5
 
 
 @pytest.mark.parametrize("name", NETWORKS)
@@ -66,45 +76,27 @@ def test_bundle_is_explicit_on_any_network(seed: int) -> None:
         assert_bundle_is_explicit(system, state(system, size=0.3), 1e-10)
 
 
-def with_any_columns(points: list[HandPoint], units: list[np.ndarray], seed: int) -> None:
-    """Give half the observations up to three single columns of any direction: of a new variable, or of one that is
-    there.
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_rows_have_the_derivatives_of_differences(name: str) -> None:
+    """The oracle on every observation of four points: the first and last of the layout's, and two between. Its
+    tolerance is a share of a block's largest entry, which of a focal length is next to nothing in mid-image.
     """
-    rng = np.random.default_rng(seed)
-    units += [np.array([1.0, 1.0, 1.0]), np.array([1.0])]
-    for observation in (s for point in points for s in point.observations):
-        if rng.random() < 0.5:
-            continue
-        widest = STATE_UNITS[observation.kind]
-        missing = np.zeros(widest.size - observation.width)
-        observation.directions = [np.append(d, missing) for d in observation.directions]
-        observation.width = widest.size
-        for variable in rng.choice(len(units), size=rng.integers(1, 4)):
-            if units[variable].size:
-                inside = int(rng.integers(units[variable].size))
-                observation.singles.append((int(variable), inside))
-                observation.directions.append(rng.standard_normal(widest.size) * widest / units[variable][inside])
+    system = everything(name)
+    x = state(system)
+    points = system.reduce(x).points
+    steps = {vector_key(v): 0.1 * system.sigmas[system.variables.columns_of(v)] for v in system.variables.adjusted()}
+    for mine in explicit_factors(system):
+        if mine.point in np.linspace(0, points.shape[0] - 1, 4).astype(int):
+            values = values_at(system, x, points)
+            for key in set(values.keys()) - set(mine.factor.keys()):
+                values.erase(key)
+            assert_jacobians(mine.factor, values, steps | {point_key(mine.point): np.ones(3)}, tolerance=2e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "seed", "line"),
-    [("shifts and terrain", 1, "measured"), ("measured twice", 2, "predicted"), ("second held", 1, "measured"),
-     ("fixed points", 2, "predicted"), ("weights of zero", 1, "measured")],
-)  # fmt: skip
-def test_bundle_is_explicit_with_any_columns(name: str, seed: int, line: Line) -> None:
-    """Whatever feels whatever: a variable through a polynomial and a single column, one column twice in an observation,
-    ...
-    """
-    now = made(name, line)
-    variables = now.layout.variables
-    points = take_apart(now.layout, now.rows)
-    units = [
-        now.layout.scales[now.layout.columns_of(v)] if variables.first[v] >= 0 else np.zeros(0)
-        for v in range(variables.first.size)
-    ]
-    with_any_columns(points, units, seed)
-    system = pack(points, units, now.layout)
-    assert_bundle_is_explicit(system, state(system, size=0.3), 1e-11 if line == "measured" else 1e-8)
+@pytest.mark.parametrize("name", EVERYTHING)
+def test_bundle_is_explicit_whatever_is_felt(name: str) -> None:
+    system = everything(name)
+    assert_bundle_is_explicit(system, state(system), 1e-7)
 
 
 @pytest.mark.parametrize("piece", [1, LANES + 1])
@@ -162,23 +154,17 @@ def test_a_point_behind_its_camera_has_no_finite_cost() -> None:
     assert np.any(found.states == BEHIND)
 
 
-@settings(max_examples=4)
-@given(seed=SEEDS, line=st.sampled_from(["predicted", "measured"]), loss=st.sampled_from(["none", "huber", "cauchy"]))
-def test_bundle_gradient_is_that_of_the_full_cost(seed: int, line: str, loss: str) -> None:
+@pytest.mark.parametrize("name", ["all shared unknowns", "nodes"])
+def test_gradient_is_that_of_the_reduced_cost(name: str) -> None:
     """What counts of the reduced system is its gradient, that of the full cost."""
-    layout = lay_out(network(pair()), SolverSettings(line=line, loss=loss))
-    graph = BundleGraph(layout)
-    x = np.random.default_rng(seed).standard_normal(36) * layout.scales
-    gradient = graph.reduction(x).gradient * layout.scales
-    numeric = np.empty(36)
-    for k in range(36):
-        step = np.zeros(36)
-        step[k] = 1e-4 * layout.scales[k]
-        difference = [graph.reduction(x + times * step, COSTS).cost for times in (1.0, -1.0, 2.0, -2.0)]
-        numeric[k] = (8.0 * (difference[0] - difference[1]) - (difference[2] - difference[3])) / 12e-4
-    # Huber's curvature jumps, which costs the differences some digits
-    share = 1e-4 if loss == "huber" else 1e-5
-    np.testing.assert_allclose(gradient, numeric, rtol=share, atol=share * np.abs(gradient).max())
+    assert_gradient_is_that_of_the_cost(everything(name), state(everything(name)))
+
+
+@pytest.mark.parametrize(("line", "loss"), [("predicted", "none"), ("measured", "huber"), ("predicted", "cauchy")])
+def test_gradient_is_that_of_the_reduced_cost_with_any_loss(line: Line, loss: Loss) -> None:
+    """Huber's curvature jumps, which costs the differences some digits."""
+    system = of_layout(lay_out(network(pair()), SolverSettings(line=line, loss=loss)))
+    assert_gradient_is_that_of_the_cost(system, state(system), 1e-4 if loss == "huber" else 1e-5)
 
 
 def test_the_bundles_own_blocks_are_the_shared_ones() -> None:
@@ -214,3 +200,87 @@ def test_known_points_hold() -> None:
     covariances = system.covariances(state(system), np.diag(system.sigmas**2), found.points)
     assert not np.any(covariances[still])
     assert np.all(np.linalg.eigvalsh(covariances[~still]) > 0.0)
+
+
+# --- sweeps by threads, and from other beginnings
+
+
+def all_results(system: System, x: np.ndarray) -> dict[str, np.ndarray]:
+    """A reduction's numbers, and covariances."""
+    found = system.reduce(x)
+    names = ("cost", "piece_cost", "blocks", "gradient", "points", "states")
+    covariances = system.covariances(x, np.diag(system.sigmas**2), found.points)
+    return {name: np.asarray(getattr(found, name)) for name in names} | {"covariances": covariances}
+
+
+@pytest.mark.parametrize("name", ["more than a tile", "groups of one point"])
+def test_threads_share_the_same_work(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, calls, results = sweep.even_parts, list[int](), list[dict[str, np.ndarray]]()
+
+    def counted(rows: Rows, count: int) -> np.ndarray:
+        calls.append(count)
+        return parts(rows, count)
+
+    monkeypatch.setattr(sweep, "_WORTHWHILE", 1.0)
+    monkeypatch.setattr(sweep, "even_parts", counted)
+    monkeypatch.setattr(patterns, "PIECE", 32)
+    now = case(NETWORKS[name]())
+    system = of_layout(now.layout, now.rows)
+    for threads in (1, 2):
+        monkeypatch.setattr(sweep, "threads", lambda threads=threads: threads)
+        results.append(all_results(system, state(system)))
+    assert calls == [2, 2]  # one thread has nothing to divide
+    for what, one in results[0].items():
+        np.testing.assert_allclose(results[1][what], one, rtol=0.0, atol=1e-12 * np.abs(one).max(), err_msg=what)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 50])
+def test_parts_are_all_pieces_once(count: int) -> None:
+    rows = made("groups of one point").rows
+    edges = sweep.even_parts(rows, count)
+    assert edges.size == count + 1
+    assert (edges[0], edges[-1]) == (0, rows.piece.shape[0])
+    assert np.all(np.diff(edges) >= 0)
+
+
+@settings(max_examples=8)
+@given(seed=SEEDS)
+def test_a_warm_start_saves_steps_and_changes_nothing(seed: int) -> None:
+    """Begun where a neighbouring orientation's points are. The gradient is of the place before the last step, which may
+    be 1e-3 sigma long: with rows that bend by 1e-4 over a sigma (more on rough terrain) its share is 1e-7.
+    """
+    now = made("shifts and terrain")
+    system = of_layout(now.layout)
+    x = state(system, seed)
+    near = system.reduce(x + 0.1 * state(system, seed + 1)).points
+    cold, warm = system.reduce(x), system.reduce(x, near)
+    assert warm.cost == pytest.approx(cold.cost, rel=1e-11)
+    np.testing.assert_allclose(warm.points, cold.points, rtol=0.0, atol=1e-5)
+    scaled = cold.gradient * system.sigmas
+    np.testing.assert_allclose(warm.gradient * system.sigmas, scaled, rtol=0.0, atol=1e-6 * np.abs(scaled).max())
+    assert system.reduce(x, near, COSTS).cost == warm.cost
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_the_gradient_alone_is_that_of_the_system(name: str) -> None:
+    system = of_layout(made(name).layout)
+    x = state(system)
+    whole, alone = system.reduce(x), system.reduce(x, task=GRADIENT)
+    assert alone.blocks is None
+    assert alone.serves(x, COSTS)
+    assert not alone.serves(x, SYSTEM)
+    assert alone.cost == whole.cost
+    for part in ("gradient", "points", "states"):
+        np.testing.assert_array_equal(getattr(alone, part), getattr(whole, part))
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
+def test_a_robust_loss_has_one_answer(loss: str) -> None:
+    """It may have several minima: from `rows.start` on, always the same one is found, wherever the caller begins."""
+    system = of_layout(lay_out(network(pair()), SolverSettings(loss=loss)))
+    x = state(system)
+    cold = system.reduce(x)
+    warm = system.reduce(x, cold.points + np.random.default_rng(4).normal(0.0, 3000.0, cold.points.shape))
+    assert warm.cost == cold.cost
+    np.testing.assert_array_equal(warm.points, cold.points)
+    np.testing.assert_array_equal(warm.gradient, cold.gradient)

@@ -1,5 +1,6 @@
 """Every kind of observation against the oracle on physical geometry, and against what the geometry itself says."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -7,24 +8,21 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from explicit_form import assert_jacobians
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from jacobians import assert_jacobians
 from networks import network, pair, with_shift_and_surface
-from stereo_pair import stereo_network
+from numba import njit
 
-from mgsgraph.adjustment.graph import Layout, lay_out, stereo
+from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.forms import measurement, observation_factor, orientation_key, point_key, shift_key
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
-from mgsgraph.factors import collinearity
+from mgsgraph.factors import rotation
 from mgsgraph.factors.laser_range import Range
 from mgsgraph.factors.priors import zero_prior
-from mgsgraph.geometry.body import east_north, from_planetocentric
-from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
-from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, STEREO, SURFACE, Rows, one_observation
-from mgsgraph.simulation.observations import NoiseSettings
+from mgsgraph.geometry.body import east_north
+from mgsgraph.kernel.rows import GROUND, IMAGE, Rows, one_observation
 
 MODELS = [(line, angles) for line in ("predicted", "measured") for angles in ("camera", "opk-paper", "opk-peer")]
 SEEDS = st.integers(0, 2**32 - 1)
@@ -66,12 +64,12 @@ def single(made: Layout, point: int, observation: int) -> Rows:
     return one_observation(made.rows, made.groups, point, observation)
 
 
-def state(seed: int, rotation: float) -> tuple[np.ndarray, np.ndarray]:
-    """Orientation coefficients (18,) of some 300 m and `rotation` rad (linear and quadratic terms 0.1 and 0.01 of it),
+def state(seed: int, turned: float) -> tuple[np.ndarray, np.ndarray]:
+    """Orientation coefficients (18,) of some 300 m and `turned` rad (linear and quadratic terms 0.1 and 0.01 of it),
     and a displacement (3,) of a point.
     """
     rng = np.random.default_rng(seed)
-    coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([300.0, rotation], 3))
+    coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([300.0, turned], 3))
     return coefficients.ravel(), rng.standard_normal(3) * 200.0
 
 
@@ -94,37 +92,14 @@ def image_factor(made: Layout, point: int, observation: int, noise: gtsam.noiseM
 
 @pytest.mark.parametrize(("line", "angles"), MODELS)
 @settings(max_examples=6)
-@given(seed=SEEDS, rotation=ROTATION_SIZES, ray=st.integers(0, 35))
-def test_image(line: str, angles: str, seed: int, rotation: float, ray: int) -> None:
+@given(seed=SEEDS, turned=ROTATION_SIZES, ray=st.integers(0, 35))
+def test_image(line: str, angles: str, seed: int, turned: float, ray: int) -> None:
     made = layout(line, angles)
-    coefficients, move = state(seed, rotation)
+    coefficients, move = state(seed, turned)
     point, observation = observations_of(made, IMAGE)[ray]
     values = values_of(orientation_key(0), coefficients, made.rows.start[point] + move)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.7, 1.3]))
     assert_jacobians(image_factor(made, point, observation, noise), values, steps(), tolerance=2e-6)
-
-
-@settings(max_examples=6)
-@given(seed=SEEDS, shot=st.integers(0, 5))
-def test_range(seed: int, shot: int) -> None:
-    """Oracle, and the distance between the instrument's corrected place and the point."""
-    made = layout()
-    coefficients, move = state(seed, 1e-3)
-    point, observation = observations_of(made, RANGE)[shot]
-    place = made.rows.start[point] + move
-    values = values_of(orientation_key(0), coefficients, place)
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
-    rows = single(made, point, observation)
-    factor = observation_factor([orientation_key(0)], [18], point_key(0), rows, made.model, noise, "a range")
-    assert_jacobians(factor, values, steps(), tolerance=1e-7)
-    ranges = made.network.ranges
-    k = int(np.flatnonzero(ranges.point == made.point_order[point])[0])
-    image = made.network.images[ranges.image[k]]
-    since = ranges.times[[k]] - image.trajectory.epoch
-    correction = OrientationCorrection(coefficients.reshape(3, 6)).at(image.moments(image.timing.lines(since)))[0][0]
-    instrument = image.trajectory.pose(since).position[0] + correction[:3]
-    expected = ranges.values[k] - np.linalg.norm(place - instrument)
-    assert factor.unwhitenedError(values)[0] == pytest.approx(expected, abs=1e-8)
 
 
 def test_a_range_bias_lengthens_what_is_measured() -> None:
@@ -165,47 +140,6 @@ def test_ground_prior(moving: bool, seed: int, shot: int) -> None:
     assert factor.error(values) == pytest.approx(0.5 * squares, rel=1e-9)
 
 
-@pytest.mark.parametrize("moving", [True, False])
-@settings(max_examples=6)
-@given(seed=SEEDS)
-def test_surface(moving: bool, seed: int) -> None:
-    """Oracle, and the same height and normal as the terrain model itself says."""
-    made = layout(surface=True, moving=moving)
-    grid, rng = made.network.surface.grid, np.random.default_rng(seed)
-    point, observation = observations_of(made, SURFACE)[0]
-    place = np.array(
-        [
-            grid.first_longitude + (40 + rng.uniform(0.1, 0.9)) * grid.longitude_step,
-            grid.first_latitude - (40 + rng.uniform(0.1, 0.9)) * grid.latitude_step,
-            grid.radii[40, 40] + rng.normal(0.0, 200.0),
-        ]
-    )
-    shift, under = rng.normal(0.0, 100.0, 2), from_planetocentric(place)
-    moved = under + shift @ east_north(made.rows.start[[point]])[0] if moving else under
-    rows = single(made, point, observation)
-    keys = [shift_key(0)] if moving else []
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, 20.0)
-    factor = observation_factor(keys, [2] * len(keys), point_key(0), rows, made.model, noise, "a height")
-    values = values_of(shift_key(0), shift, moved)
-    if not moving:
-        values.erase(shift_key(0))
-    assert_jacobians(factor, values, steps(), tolerance=1e-6)
-    height, slope = grid.height_above(under[None])
-    assert factor.unwhitenedError(values) == pytest.approx(height, abs=1e-6)
-    jacobian, _ = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
-    np.testing.assert_allclose(jacobian[:, -3:] * 20.0, slope, atol=1e-9)
-
-
-@settings(max_examples=6)
-@given(seed=SEEDS)
-def test_prior_of_coefficients(seed: int) -> None:
-    coefficients, _ = state(seed, 1e-2)
-    values = gtsam.Values()
-    values.insert(orientation_key(0), coefficients)
-    sigmas = np.tile(np.repeat([50.0, 1e-3], 3), 3)
-    assert_jacobians(zero_prior(orientation_key(0), sigmas), values, steps(), tolerance=1e-9)
-
-
 def test_an_unknown_coefficient_has_no_prior_row() -> None:
     factor = zero_prior(orientation_key(0), np.array([1.0, np.inf, 2.0, 1.0, 1.0, 1.0]))
     values = gtsam.Values()
@@ -232,109 +166,6 @@ def test_the_oracle_finds_a_sign_error() -> None:
         assert_jacobians(planted, values, steps())
 
 
-# --- heights above stereo surfaces
-
-
-TERMS = (1.0, 0.1)
-"""Constant and linear terms of the orientation: each costs two dozen calls of the whole geometry."""
-
-
-def above_the_surface(seed: int, shot: int) -> tuple[gtsam.CustomFactor, gtsam.CustomFactor, gtsam.Values]:
-    """At a state of both images' coefficients, drawn from their priors, and with a shot on the surface there: its row,
-    made anew about that state; the height itself, with the derivatives of the row; and the state.
-    """
-    net = stereo_network(pair(12, 24, 1, NoiseSettings(trend=TERMS)), displaced=False)
-    assert net.stereo is not None
-    made, size = lay_out(net, SolverSettings()), 6 * len(TERMS)
-    shared = np.zeros(made.columns)
-    shared[: 2 * size] = made.sigmas[: 2 * size] * np.random.default_rng(seed).standard_normal(2 * size)
-    point, observation = observations_of(made, STEREO)[shot]
-    surface, mine = net.stereo.surfaces[0], made.point_order[point]
-
-    def height(both: np.ndarray, place: np.ndarray) -> SurfaceHeights:
-        corrections = tuple(OrientationCorrection(one.reshape(-1, 6)) for one in np.split(both, 2))
-        return heights_above(surface, *net.images, place[None], corrections)
-
-    place = net.points.places[mine]
-    for _ in range(6):
-        found = height(shared[: 2 * size], place)
-        place = place - found.heights[0] * found.normals[0]
-    places = net.points.places.copy()
-    places[mine] = place
-    keys, noise = [orientation_key(0), orientation_key(1)], gtsam.noiseModel.Isotropic.Sigma(1, 2.0)
-    rows = single(made.about_stereo(places, shared), point, observation)
-    row = observation_factor(keys, [size, size], point_key(0), rows, made.model, noise, "a height")
-    values = gtsam.Values()
-    for key, one in zip(keys, np.split(shared[: 2 * size], 2), strict=True):
-        values.insert(key, one)
-    values.insert(point_key(0), place)
-
-    def itself(this: gtsam.CustomFactor, at: gtsam.Values, jacobians: list[np.ndarray] | None) -> np.ndarray:
-        if jacobians is not None:
-            matrix = 2.0 * gtsam.JacobianFactor(row.linearize(at)).jacobian()[0]
-            for k, columns in enumerate(np.split(matrix, [size, 2 * size], axis=1)):
-                jacobians[k] = np.asfortranarray(columns)
-        return height(np.concatenate([at.atVector(key) for key in keys]), at.atPoint3(point_key(0))).heights
-
-    return row, gtsam.CustomFactor(noise, [*keys, point_key(0)], itself), values
-
-
-def steps_of_both() -> dict[int, np.ndarray]:
-    orientation = np.tile(np.repeat([1.0, 1e-5], 3), len(TERMS))
-    return {orientation_key(0): orientation, orientation_key(1): orientation, point_key(0): np.ones(3)}
-
-
-def test_height_above_a_stereo_surface() -> None:
-    """Oracle on the row, and on the height itself: by the point and by the orientation of both images; 3 s, for each of
-    hundred differences takes the whole geometry.
-    """
-    row, itself, values = above_the_surface(3, 5)
-    assert_jacobians(row, values, steps_of_both(), tolerance=1e-6)
-    assert_jacobians(itself, values, steps_of_both(), tolerance=1e-3)
-    assert row.unwhitenedError(values)[0] == pytest.approx(itself.unwhitenedError(values)[0], abs=1e-6)
-
-
-def test_the_oracle_finds_a_sign_error_above_a_stereo_surface(monkeypatch: pytest.MonkeyPatch) -> None:
-    def wrong(*given: Any) -> SurfaceHeights:
-        found = heights_above(*given)
-        return found._replace(by_pose=-found.by_pose)
-
-    monkeypatch.setattr(stereo, "heights_above", wrong)
-    _, itself, values = above_the_surface(3, 5)
-    with pytest.raises(AssertionError, match="block o0"):
-        assert_jacobians(itself, values, steps_of_both(), tolerance=1e-3)
-
-
-def test_the_oracle_finds_a_sign_error_in_an_equation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The explicit factors call the functions of `factors` themselves, as plain Python."""
-    made, right = layout(), collinearity.by_rotation
-    coefficients, move = state(3, 1e-3)
-    values = values_of(orientation_key(0), coefficients, made.rows.start[0] + move)
-    assert_jacobians(image_factor(made, 0, 0, UNIT(2)), values, steps())
-    monkeypatch.setattr(collinearity, "by_rotation", lambda *given: tuple(-value for value in right(*given)))
-    with pytest.raises(AssertionError, match=r"block o0, column (3|4|5|9|10|11|15|16|17)"):
-        assert_jacobians(image_factor(made, 0, 0, UNIT(2)), values, steps())
-
-
-@pytest.mark.parametrize("angles", ["camera", "opk-paper", "opk-peer"])
-def test_residual_is_measured_minus_predicted_place(angles: str) -> None:
-    """Against ground_to_image, which finds the line by Newton's method on the true, corrected pose."""
-    made, rng = layout(angles=angles), np.random.default_rng(5)
-    coefficients = rng.standard_normal((3, 6)) * np.outer([1.0, 0.1, 0.01], np.repeat([3.0, 1e-5], 3))
-    correction = OrientationCorrection(coefficients, angles)
-    for point, observation in observations_of(made, IMAGE)[::3]:
-        ray, image = row_of(made, point, observation)
-        place = made.rows.start[point] + rng.standard_normal(3) * 50.0
-        error = image_factor(made, point, observation, UNIT(2)).unwhitenedError(
-            values_of(orientation_key(0), coefficients.ravel(), place)
-        )
-        predicted, _ = made.network.images[image].ground_to_image(place[None], correction)
-        measured = made.network.rays.places[ray]
-        # what carrying the pose by its rates leaves out is the orbit's curvature: half of 3.5 m/s2 over the lines moved
-        curvature = 1e-6 * (measured[0] - predicted[0, 0]) ** 2
-        np.testing.assert_allclose(error, measured - predicted[0], rtol=0.0, atol=1e-5 + curvature)
-
-
 def test_a_point_behind_the_camera() -> None:
     made = layout()
     values = values_of(orientation_key(0), np.zeros(18), 2.0 * made.rows.start[0])
@@ -357,3 +188,29 @@ def test_model_forms_agree_at_the_measured_line(line: str, angles: str) -> None:
         rows, _ = measurement(single(made, point, observation), made.model)
         found = rows(lambda line_offset: ((0.0,) * 6, (0.0,) * 6), tuple(place[0].tolist()))
         np.testing.assert_allclose(found.residual, [0.0, -3.0], rtol=0.0, atol=2e-7)
+
+
+# --- sine and cosine without branches
+
+ANGLES = st.one_of(
+    st.floats(-1e4, 1e4),
+    st.floats(-1e-6, 1e-6),
+    # about the quarters of a turn, where sine and cosine change places
+    st.builds(lambda k, off: (0.25 * math.pi) * k + off, st.integers(-12_000, 12_000), st.floats(-1e-9, 1e-9)),
+)
+
+
+compiled = njit(rotation.sine_cosine, error_model="numpy")
+"""As the kernel calls it."""
+
+
+@settings(max_examples=200)
+@given(angle=ANGLES)
+@example(angle=0.0)
+@example(angle=-0.0)
+@example(angle=1e4)
+def test_sine_and_cosine(angle: float) -> None:
+    """Against the C library's; rotation corrections are of microradians, where the error of a sine is relative."""
+    for sine, cosine in (rotation.sine_cosine(angle), compiled(angle)):
+        assert abs(sine - math.sin(angle)) <= 4e-16 * min(1.0, abs(angle))
+        assert abs(cosine - math.cos(angle)) <= 4e-16

@@ -1,11 +1,12 @@
 """The kernel as plain Python (NUMBA_DISABLE_JIT=1) is dense algebra, and says the same as compiled here, on one thread
-and on two.
+and on two; compiled kernels are kept, but never among installed packages.
 """
 
 import json
 import os
 import subprocess
 import sys
+import tempfile
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 import pytest
 
 import mgsgraph
+from mgsgraph import compiled
+from mgsgraph.compiled import find_a_place_for_compiled_kernels, find_a_place_for_fonts
 
 CODE = """
 import numpy as np
@@ -41,7 +44,7 @@ DENSE = """
 import warnings
 import numpy as np
 from networks import network, pair, with_shift_and_surface
-from normals import assert_bundle_is_explicit, of_layout
+from explicit_form import assert_bundle_is_explicit, of_layout
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel.sweep import reduce
@@ -90,6 +93,74 @@ def test_the_same_numbers(how: dict[str, str], threads: list[int] | None) -> Non
     here: dict[str, Any] = {}
     with warnings.catch_warnings(action="ignore"):
         exec(CODE, here)
-    compiled = np.array(here["found"])
-    assert np.abs(np.array(other) - compiled).max() <= 1e-9 * np.abs(compiled).max()
+    mine = np.array(here["found"])
+    assert np.abs(np.array(other) - mine).max() <= 1e-9 * np.abs(mine).max()
     assert threads is None or started == threads
+
+
+# --- where compiled kernels are kept
+
+
+def place_of(package: Path, monkeypatch: pytest.MonkeyPatch, caches: Path) -> str | None:
+    unset(monkeypatch, "NUMBA_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
+    find_a_place_for_compiled_kernels(package)
+    return os.environ.get("NUMBA_CACHE_DIR")
+
+
+def unset(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
+    """Until the test ends; set before, for `delenv` keeps nothing in mind of what isn't there. Of a cache that stayed
+    set, processes of later tests would compile everything anew, for minutes.
+    """
+    monkeypatch.setenv(variable, "")
+    monkeypatch.delenv(variable)
+
+
+def test_place_of_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checkout, installed = tmp_path / "mgsgraph" / "factors", tmp_path / "site-packages" / "mgsgraph" / "factors"
+    for folder in (checkout, installed):
+        folder.mkdir(parents=True)
+    assert place_of(checkout, monkeypatch, tmp_path / "caches") is None
+    assert place_of(installed, monkeypatch, tmp_path / "caches") == str(tmp_path / "caches" / "mgsgraph")
+    (tmp_path / "file").write_text("")
+    found = place_of(installed, monkeypatch, tmp_path / "file")
+    assert found is not None
+    assert "mgsgraph-kernels" in found
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "the user's own choice")
+    find_a_place_for_compiled_kernels(installed)
+    assert os.environ["NUMBA_CACHE_DIR"] == "the user's own choice"
+
+
+def test_a_folder_that_somebody_else_has_made_is_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What lies in it would be run."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    planted = tmp_path / f"mgsgraph-kernels-{os.getuid()}"
+    planted.mkdir()
+    planted.chmod(0o777)
+    (tmp_path / "file").write_text("")
+    compiled._temporary_caches.cache_clear()
+    installed = tmp_path / "site-packages" / "mgsgraph"
+    found = place_of(installed, monkeypatch, tmp_path / "file")
+    assert found is not None
+    assert Path(found) != planted
+    assert Path(found).stat().st_mode & 0o777 == 0o700
+    compiled._temporary_caches.cache_clear()
+    planted.chmod(0o700)
+    assert place_of(installed, monkeypatch, tmp_path / "file") == str(planted)
+    compiled._temporary_caches.cache_clear()
+
+
+def test_matplotlib_has_a_place_where_home_is_read_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "file").write_text("")
+    compiled._temporary_caches.cache_clear()
+    for variable in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(variable, str(tmp_path / "fine"))
+    unset(monkeypatch, "MPLCONFIGDIR")
+    find_a_place_for_fonts()
+    assert "MPLCONFIGDIR" not in os.environ
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "file" / "config"))
+    find_a_place_for_fonts()
+    found = os.environ["MPLCONFIGDIR"]
+    assert Path(found).parent.parent == tmp_path
+    compiled._temporary_caches.cache_clear()

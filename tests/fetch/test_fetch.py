@@ -1,10 +1,12 @@
 """From ids to a folder: what is fetched, what a second run does, what is locked, and the case that it leaves."""
 
 import json
-import re
+import os
+import signal
+import subprocess
 import sys
-from collections.abc import Iterator
-from datetime import datetime
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,8 @@ import flaky_archive
 import mgs
 import numpy as np
 import pytest
-from flaky_archive import Flaky, cut, status, web_page
+from commands import COMMAND, call, refusal
+from flaky_archive import Flaky, cut, stall, status, web_page
 
 import mgsgraph
 from mgsgraph.case.case_file import decode
@@ -30,21 +33,6 @@ QUICK = RetryPolicy(tries=3, first_wait=0.001, longest_wait=0.01, connecting=20.
 ONE, OTHER, LATE = "M04/02852", "m0402856", "R10-00002"
 KERNELS = ("de405.bsp", "mgs_map2.bsp", "mgs_moc_v20.ti", "mgs_sc_map2.bc", "mgs_sclkscet_00061.tsc", "mgs_v10.tf",
            "naif0012.tls", "pck00009.tpc")  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def _server() -> Iterator[Flaky]:
-    with flaky_archive.served() as archive:
-        yield archive
-
-
-@pytest.fixture
-def archive(_server: Flaky) -> Flaky:
-    _server.files = flaky_archive.archive_files()
-    for memory in (_server.faults, _server.stays, _server.asked, _server.sent):
-        memory.clear()
-    _server.ranges = _server.validators = True
-    return _server
 
 
 def fetch(archive: Flaky, folder: Path, *images: str, **more: Any) -> Fetched:
@@ -143,16 +131,7 @@ def test_an_index_that_leads_out_of_its_volume(archive: Flaky, tmp_path: Path) -
         fetch(archive, tmp_path / "d", terrain="none")
 
 
-def test_ids_that_cannot_be(archive: Flaky, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="wide angle"):
-        fetch(archive, tmp_path / "d", "M04/02853")
-    with pytest.raises(InputError, match=r"M04/02999: in no volume"):
-        fetch(archive, tmp_path / "d", "M04/02999")
-    with pytest.raises(InputError, match="not the id"):
-        fetch(archive, tmp_path / "none", "hello")
-    with pytest.raises(InputError, match="volume 'mgsc_68': not the name of a volume"):
-        fetch(archive, tmp_path / "none", volumes=("mgsc_68",))
-    assert not (tmp_path / "none").exists()
+def test_an_image_that_its_label_says_is_none_of_the_narrow_angle(archive: Flaky, tmp_path: Path) -> None:
     archive.files["images/mgsc_1030/m04028/m0402852.imq"] = flaky_archive.image(
         "M04/02852", "1999-08-24T14:12:13", "1999-08-24T14:12:19", instrument="MOC-WA"
     )
@@ -222,14 +201,6 @@ def test_one_at_a_time_fetches_into_a_folder(archive: Flaky, tmp_path: Path) -> 
         fetch(archive, tmp_path / "d", OTHER)
     assert before == {name: (tmp_path / "d" / name).read_bytes() for name in files(tmp_path / "d")}
     fetch(archive, tmp_path / "d", OTHER, terrain="none")
-
-
-def test_waits_are_told(archive: Flaky, tmp_path: Path) -> None:
-    archive.faults["kernels/spk/de405.bsp"].append(status(503))
-    told = list[str]()
-    fetch(archive, tmp_path / "d", terrain="none", say=told.append)
-    (sentence,) = told
-    assert sentence.endswith("de405.bsp: the server says 503 Service Unavailable; tried again in 0 s")
 
 
 def test_content_that_has_changed_at_the_archive(archive: Flaky, tmp_path: Path) -> None:
@@ -368,21 +339,10 @@ def test_words_of_an_archive_go_to_the_terminal_as_text(archive: Flaky, tmp_path
 
     archive.faults[name].append(busy)
     fetch(archive, tmp_path / "d", terrain="none", say=said.append)
-    assert len(said) == 1
-    assert all(one.isprintable() for one in said)
-
-
-def test_lock_records_what_came(archive: Flaky, tmp_path: Path) -> None:
-    fetch(archive, tmp_path / "d")
-    record = json.loads((tmp_path / "d" / "fetch.lock").read_text())
-    entry = record["files"]["kernels/de405.bsp"]
-    assert entry["url"] == archive.url("kernels/spk/de405.bsp")
-    assert re.fullmatch(r"[0-9a-f]{64}", entry["sha256"])
-    datetime.fromisoformat(entry["fetched"])
-    record["files"]["kernels/de405.bsp"] = entry | {"etag": '"1"', "modified": ""}  # as earlier versions wrote it
-    record.pop("crc32", None)
-    (tmp_path / "d" / "fetch.lock").write_text(json.dumps(record))
-    assert Lock.read(tmp_path / "d").whole("kernels/de405.bsp")
+    (sentence,) = said
+    assert sentence.isprintable()
+    assert sentence.startswith(archive.url(name))
+    assert sentence.endswith("tried again in 0 s")
 
 
 def test_tiles_need_the_images_place(archive: Flaky, tmp_path: Path) -> None:
@@ -434,3 +394,54 @@ def test_real_kernels_give_the_geometry_that_isis_has(archive: Flaky, shared_dat
     ]
     assert tdb_of_utc([fetched.images[0].start], "x")[0] == pytest.approx(mgs.START, abs=0.01)
     assert camera_focal_length(folder) == pytest.approx(3.466916, abs=1e-6)
+
+
+# --- as a person uses it
+
+
+def test_fetch(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "a folder"
+    assert call("fetch", "M04/02852", "m0402856", "--mirror", archive.address, "--out", out) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "- M04/02852: 1999-08-24T14:12:13.64, orbit 2063, mgs_map2.bsp, mgs_sc_map2.bc, ap12058l.b"
+    assert f"  mgsgraph init '{out}/project' --case '{out}/case.toml'" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["M04/02853"], "of the wide angle (MOC-WA)"),
+        (["M04/02999"], "in no volume that was looked through (mgsc_1029, mgsc_1030, mgsc_1280)"),
+        (["M24/00001"], "expected phases M00 .. M23"),
+        (["M04/02852", "--volume", "1030"], "volume '1030': not the name of a volume; expected one such as mgsc_1068"),
+        (["nonsense"], "not the id of an image of MOC, CTX, LROC NAC or HRSC; expected one such as E02/00665"),
+        ([], "at least one id"),
+        (["M04/02852", "--mirror", "nowhere.toml"], "nowhere.toml: no such file"),
+        (["M04/02852", "--mirror", "ftp://x.org"], "an address such as https://"),
+    ],
+)
+def test_one_line_for_errors(archive: Flaky, tmp_path: Path, arguments: list[str], said: str) -> None:
+    where = [] if any(one.startswith("--") for one in arguments) else ["--mirror", archive.address]
+    assert said in refusal("fetch", *arguments, *where, "--out", tmp_path / "out")
+
+
+def test_an_interrupted_fetch_goes_on(archive: Flaky, tmp_path: Path) -> None:
+    """It waits for no silent server, and the same command takes up what had come."""
+    name, over = "megdr/meg016/megr90n000eb.img", threading.Event()
+    archive.faults[name].append(stall(3000, over))
+    arguments = [*COMMAND, "fetch", "M04/02852", "--mirror", archive.address, "--out", str(tmp_path / "out")]
+    running = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    part = tmp_path / "out" / f"megdr/{Path(name).name}.part"
+    deadline = time.monotonic() + 30.0
+    while not (part.exists() and part.stat().st_size == 3000) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, error = running.communicate(timeout=60.0)  # the server is silent for 120 s
+    over.set()
+    assert running.returncode == 130
+    assert error == "mgsgraph: interrupted; what has come is kept, the same command goes on\n"
+    archive.asked.clear()
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True, timeout=60, env=os.environ)
+    assert "The case is" in done.stdout
+    assert archive.requests(name) == ["bytes=3000-"]
+    assert not list((tmp_path / "out").rglob("*.part*"))

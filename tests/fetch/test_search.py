@@ -1,17 +1,38 @@
-"""Names, indices, phases, orbits and tiles: what an image needs, by the archives' layout."""
+"""What an image needs, by the layout of archives: ids, indices, phases, orbits, tiles; CTX, LROC NAC and HRSC, too."""
 
+import json
+import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import flaky_archive
 import pytest
+from flaky_archive import Flaky, image
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
+from mgsgraph.fetch.camera_search import dates_in
+from mgsgraph.fetch.download import RetryPolicy
+from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
-from mgsgraph.fetch.needs import Archives, ProductId, grid_of, products_of, terrain_of, wanted_grids
+from mgsgraph.fetch.needs import (
+    CTX,
+    HRSC,
+    LROC_NAC,
+    Archives,
+    CameraProduct,
+    ProductId,
+    grid_of,
+    products_of,
+    terrain_of,
+    wanted_grids,
+)
 from mgsgraph.fetch.search import IndexRow, find_image, orbit_at, read_index, volumes_listed
+from mgsgraph.fetch.store import Lock
+from mgsgraph.files.labels.kernels import members
 from mgsgraph.files.rasters.megdr import read_megdr
 
 # --- names
@@ -24,16 +45,12 @@ def test_ways_to_write_an_id(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "E02", "E02/665", "E02/006655", "../E0200665", "E02//00665", "M01/00115.exe", "É02/00665"]
-)
-def test_no_ids(text: str) -> None:
-    with pytest.raises(InputError, match="E02/00665"):
-        ProductId.read(text)
-
-
-@pytest.mark.parametrize("text", ["SP2/46804", "AB1/00101", "FHA/00435", "M24/00001", "E00/00001", "S99/00001"])
-def test_ids_of_other_phases(text: str) -> None:
-    with pytest.raises(InputError, match=r"M00 \.\. M23"):
+    ("text", "said"),
+    [("", "E02/00665"), ("E02/665", "E02/00665"), ("../E0200665", "E02/00665"), ("M01/00115.exe", "E02/00665"),
+     ("É02/00665", "E02/00665"), ("SP2/46804", "M00 .. M23"), ("M24/00001", "M00 .. M23"), ("E00/00001", "M00 .. M23")],
+)  # fmt: skip
+def test_no_ids_and_those_of_other_phases(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
         ProductId.read(text)
 
 
@@ -261,3 +278,221 @@ def test_names_of_whole_grids_are_those_that_the_reader_knows(shared_data: Path,
     assert grid_of("128").sigma < grid_of("16").sigma < grid_of("4").sigma
     with pytest.raises(InputError, match="4, 16 or 128"):
         terrain_of("32")
+
+
+# --- images of CTX, LROC NAC and HRSC out of archives laid out as the public ones, made up in memory
+
+
+QUICK = RetryPolicy(tries=2, first_wait=0.001, longest_wait=0.01, connecting=20.0, reading=20.0)
+B10, NAC, H5270 = "B10_013341_1010_XN_79S172W", "M103595705LE", "h5270_0000_ir2"
+SHOTS = "output/20260819t1202/{}_79S_80S_pts_csv.csv"
+
+
+def said(product: str, url: str, **box: float) -> bytes:
+    """ODE's answer for one product."""
+    record = {"pdsid": product, "LabelURL": url, **{key: str(value) for key, value in box.items()}}
+    return json.dumps({"ODEResults": {"Status": "Success", "Products": {"Product": record}}}).encode()
+
+
+def kernels(
+    root: str, mk: str, names: tuple[str, ...], data: str = "data/", folder: str = "extras/mk/"
+) -> dict[str, bytes]:
+    listed = "\n".join(f"'$KERNELS/{name}'" for name in names)
+    paths = "PATH_VALUES = ('./data')\nPATH_SYMBOLS = ('KERNELS')"
+    text = f"KPL/MK\n\\begindata\n{paths}\nKERNELS_TO_LOAD = (\n{listed}\n)\n"
+    found = {f"{root}{folder}{mk}": text.encode()}
+    for name in names:
+        kind = {"bsp": b"DAF/SPK ", "bc": b"DAF/CK  ", "bpc": b"DAF/PCK "}.get(name.lower().rpartition(".")[2])
+        text = b"KPL/X\n\\begindata\nA = 1\n" + name.encode()
+        body = text if kind is None else (kind + name.encode()).ljust(1024, b"\0")
+        found[f"{root}{data}{name}"] = body
+    return found
+
+
+def shots_asked(data_set: str, *box: str) -> str:
+    sides = "".join(f"&{n}={v}" for n, v in zip(("minlat", "maxlat", "westernlon", "easternlon"), box, strict=True))
+    return f"ode/livegds/?query={data_set}&results=v&output=JSON{sides}"
+
+
+def archive_files() -> dict[str, bytes]:
+    """A CTX, a NAC and an HRSC image: volumes, kernels of their time and of others, answers of ODE."""
+    box = {"Minimum_latitude": -79.5, "Maximum_latitude": -78.5, "Westernmost_longitude": 187.0}
+    lroc = "https://pds.lroc.im-ldi.com/data/LRO-L-LROC-2-EDR-V1.0"
+    nac_url = f"{lroc}/LROLRC_0001/DATA/COM/2009211/NAC/M103595705LE.xml"
+    found = {
+        f"ode/{CTX.query.format(B10)}": said(
+            B10, f"https://planetarydata.jpl.nasa.gov/img/data/mro/ctx/mrox_1232/data/{B10}.IMG",
+            Easternmost_longitude=189.0, **box,
+        ),
+        f"ode/{LROC_NAC.query.format(NAC.lower())}": said(f"nac.{NAC.lower()}", nac_url),
+        f"ctx/mrox_1232/data/{B10}.IMG": image(B10, "2009-06-01T00:38:16.057", "2009-06-01T00:38:35.000", None, "CTX"),
+        f"lroc/LROLRC_0001/DATA/COM/2009211/NAC/{NAC}.IMG": image(
+            NAC, "2009-07-30T12:20:38.185", "2009-07-30T12:20:55.0", 410, "LROC"
+        ),
+        f"hrsc/mexhrs_4000/data/5270/{H5270}.img": image(
+            "H5270_0000_IR2.IMG", "2008-02-08T12:08:53.843Z", "2008-02-08T12:12:07Z", None, "HRSC",
+            FOOTPRINT_POINT_LATITUDE="(25.9, 12.5, 12.6)", FOOTPRINT_POINT_LONGITUDE="(78.2, 76.9, 77.0)",
+        ),
+        shots_asked("molapedr", "-79.5200", "-78.4800", "186.9800", "189.0200"): json.dumps({"GDSResults": {
+            "ResultFiles": {"ResultFile": {"URL": f"https://oderest.rsl.wustl.edu/{SHOTS.format('MOLA')}"}}
+        }}).encode(),
+        f"ode/{SHOTS.format('MOLA')}": b"long_East,lat_North\n187.0,-79.0\n",
+    }  # fmt: skip
+    found |= kernels("mro_kernels/", "mro_2009_v14.tm", (
+        "lsk/naif0012.tls", "pck/pck00008.tpc", "sclk/mro_sclkscet_00082_65536.tsc", "fk/mro_v16.tf",
+        "ik/mro_ctx_v11.ti",
+        "spk/de421.bsp", "spk/mro_psp10.bsp", "spk/mro_psp11.bsp", "ck/mro_sc_psp_090519_090525.bc",
+        "ck/mro_sc_psp_090526_090601.bc", "ck/mro_hga_psp_090526_090601.bc",
+    ))  # fmt: skip
+    found["mro_kernels/extras/mk/mro_2009_v09.tm"] = b"KPL/MK\n\\begindata\n"
+    for name, start, stop in (
+        ("mro_kernels/data/spk/mro_psp10.lbl", "2009-01-01", "2009-04-01"),
+        ("mro_kernels/data/spk/mro_psp11.lbl", "2009-04-01", "2009-07-01"),
+        ("mex_kernels/DATA/SPK/ORMM_T19_080201000000_00474.LBL", "2008-02-01", "2008-03-01"),
+        ("mex_kernels/DATA/SPK/ORMM_T19_080301000000_00484.LBL", "2008-03-01", "2008-04-01"),
+    ):
+        found[name] = flaky_archive.label(START_TIME=f"{start}T00:00:00", STOP_TIME=f"{stop}T00:00:00")
+    found |= kernels("lro_kernels/", "lro_2009_v17.tm", (
+        "lsk/naif0012.tls", "pck/moon_pa_de421_1900_2050.bpc", "fk/lro_frames_2014049_v01.tf",
+        "spk/lrorg_2009169_2009258_v01.bsp", "spk/lrorg_2009258_2009349_v01.bsp", "ck/lrosc_2009182_2009213_v01.bc",
+        "ck/lrolc_2009181_2009213_v01.bc", "ck/lrosa_2009182_2009213_v01.bc",
+    ))  # fmt: skip
+    for name in ("lro/kernels/iak/lro_instrumentAddendum_v04.ti", "mro/kernels/iak/mroctxAddendum005.ti"):
+        found[f"isis/{name}"] = b"KPL/IK\n\\begindata\nB = 1\n"
+    found |= kernels("mex_kernels/", "MEX_V16.TM", (
+        "LSK/NAIF0012.TLS", "SPK/ORMM_T19_080201000000_00474.BSP", "SPK/ORMM_T19_080301000000_00484.BSP",
+        "CK/ATNM_MEASURED_080101_090101_V03.BC", "CK/ATNM_MEASURED_090101_100101_V03.BC",
+    ), "DATA/", "EXTRAS/MK/")  # fmt: skip
+    return found
+
+
+@pytest.fixture
+def archive(archive_server: Flaky) -> Flaky:
+    return archive_server.reset(archive_files())
+
+
+def fetch(archive: Flaky, folder: Path, *images: str, **more: Any) -> Fetched:
+    return fetch_images(images, folder, archives=Archives.under(archive.address), retry=QUICK, terrain="none", **more)
+
+
+@pytest.mark.parametrize(
+    ("product", "kernels_of_its_time", "left"),
+    [
+        (B10, ("de421.bsp", "mro_psp11.bsp", "mro_sc_psp_090526_090601.bc"), "mro_psp10.bsp"),
+        (NAC, ("lrorg_2009169_2009258_v01.bsp", "lrosc_2009182_2009213_v01.bc", "lrolc_2009181_2009213_v01.bc"),
+         "lrosa_2009182_2009213_v01.bc"),
+        (H5270, ("ORMM_T19_080201000000_00474.BSP", "ATNM_MEASURED_080101_090101_V03.BC"),
+         "ATNM_MEASURED_090101_100101_V03.BC"),
+    ],
+)  # fmt: skip
+def test_an_image_and_the_kernels_of_its_time(
+    archive: Flaky, tmp_path: Path, product: str, kernels_of_its_time: tuple[str, ...], left: str
+) -> None:
+    fetched = fetch(archive, tmp_path / "d", product)
+    (needs,) = fetched.images
+    folder = tmp_path / "d"
+
+    assert tuple(Path(one).name for one in needs.kernels if "/spk/" in one.lower() or "/ck/" in one.lower()) == (
+        kernels_of_its_time
+    )
+    assert not (folder / "kernels" / left).exists()
+    assert (folder / needs.image_path).is_file()
+    case = decode(fetched.case)
+    assert [(one.name, one.label) for one in case.images] == [(product.upper(), needs.image_path)]
+    assert case.spice is not None
+    loaded = members(folder / case.spice.kernels[0])
+    assert [path.name for path in loaded] == [Path(one).name for one in (*needs.kernels, needs.addendum) if one]
+    assert bool(needs.addendum) == (product != H5270)
+    assert any("hrscAddendum004.ti is not" in note for note in needs.notes) == (product == H5270)
+    lock = Lock.read(folder)
+    assert all(map(lock.whole, lock.files))
+    assert lock.images[product.upper()] == needs
+
+    archive.asked.clear()
+    assert fetch(archive, folder, product).brought == {}
+    assert not archive.asked
+
+
+def test_shots_of_the_orbital_data_explorer(archive: Flaky, tmp_path: Path) -> None:
+    fetched = fetch(archive, tmp_path / "d", B10)
+    assert (tmp_path / "d" / f"shots/{B10.lower()}_pts_csv.csv").read_bytes().startswith(b"long_East")
+    assert f"shots/{B10.lower()}_pts_csv.csv" in fetched.case.read_text(encoding="utf-8")
+    assert fetched.images[0].box == (-79.5, -78.5, 187.0, 189.0)
+    lunar = fetch(archive, tmp_path / "e", NAC)
+    assert not lunar.images[0].shots
+    assert lunar.images[0].orbit == 410
+    assert [note for note in lunar.notes if "no laser shots" in note]
+
+
+def test_a_file_that_is_damaged_is_fetched_again(archive: Flaky, tmp_path: Path) -> None:
+    fetch(archive, tmp_path / "d", NAC)
+    damaged = tmp_path / "d" / "kernels" / "lrosc_2009182_2009213_v01.bc"
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:-1])
+    assert set(fetch(archive, tmp_path / "d", NAC).brought) == {f"kernels/{damaged.name}"}
+    assert damaged.read_bytes() == whole
+
+
+def test_what_is_refused(archive: Flaky, tmp_path: Path) -> None:
+    for images, found in (
+        (("B11_013341_1010_XN_79S172W",), "not known to the Orbital Data Explorer"),
+        (("H9999_0000_ND2",), "in none of mexhrs_4000"),
+        ((B10, NAC), "several missions"),
+        ((B10, "E02/00665"), "several missions"),
+    ):
+        with pytest.raises(InputError, match=found):
+            fetch(archive, tmp_path / images[0], *images)
+    fetch(archive, tmp_path / "d", B10)
+    with pytest.raises(InputError, match="several missions"):
+        fetch(archive, tmp_path / "d", NAC)
+    assert list(Lock.read(tmp_path / "d").images) == [B10]
+    for path in [name for name in archive.files if "/ck/mro_sc" in name]:
+        archive.files["mro_kernels/extras/mk/mro_2009_v14.tm"] = archive.files[
+            "mro_kernels/extras/mk/mro_2009_v14.tm"
+        ].replace(Path(path).name.encode(), b"mro_sc_psp_080101_080102.bc")
+    with pytest.raises(InputError, match="no CK that holds"):
+        fetch(archive, tmp_path / "e", B10)
+    del archive.files["mro_kernels/extras/mk/mro_2009_v14.tm"], archive.files["mro_kernels/extras/mk/mro_2009_v09.tm"]
+    with pytest.raises(InputError, match="no meta-kernel"):
+        fetch(archive, tmp_path / "f", B10)
+
+
+def test_ids_and_dates_in_names() -> None:
+    for text, camera in ((f"{B10}.IMG", CTX), (NAC.lower(), LROC_NAC), ("M1379255373RE", LROC_NAC), (H5270, HRSC),
+                         ("h1995_0000_s13", HRSC)):  # fmt: skip
+        product = CameraProduct.read(text)
+        assert product is not None
+        assert product.camera is camera
+    assert CameraProduct.read("E02/00665") is None
+    covered = dates_in("mro_sc_psp_090526_090601.bc")
+    assert covered is not None
+    assert (f"{covered.start:%Y-%m-%d}", f"{covered.stop:%Y-%m-%d}") == ("2009-05-26", "2009-06-02")
+    assert dates_in("moon_pa_de421_1900_2050.bpc") is None
+    assert dates_in("mro_psp11.bsp") is None
+
+
+def test_shots_in_a_box(archive: Flaky, tmp_path: Path) -> None:
+    """ODE makes another table, under another name, each time it is asked: the one that is here is kept."""
+    archives = Archives.under(archive.address)
+    asked = shots_asked("lolardr", "25.5000", "26.1000", "3.3000", "3.5000")
+    for name in ("LOLA", "AGAIN"):
+        archive.files[f"ode/{SHOTS.format(name)}"] = b"Pt_Longitude,Pt_Latitude\n3.4,25.9\n" + name.encode()
+    answer = "<URL>https://oderest.rsl.wustl.edu/{}</URL>"
+    archive.files[asked] = answer.format(SHOTS.format("LOLA")).encode()
+    box = (3.3, 3.5, 25.5, 26.1)
+    table = fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK)
+    first = table.read_bytes()
+    assert first.endswith(b"LOLA")
+    assert Lock.read(tmp_path / "d").files
+
+    archive.files[asked] = answer.format(SHOTS.format("AGAIN")).encode()
+    archive.asked.clear()
+    assert fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK).read_bytes() == first
+    assert not archive.asked
+    table.unlink()
+    assert fetch_shots("lola", box, tmp_path / "d", archives=archives, retry=QUICK).read_bytes().endswith(b"AGAIN")
+    for wrong in ((3.5, 3.3, 25.5, 26.1), (3.3, 3.5, -91.0, 0.0)):
+        with pytest.raises(InputError, match="box"):
+            fetch_shots("lola", wrong, tmp_path / "d", archives=archives, retry=QUICK)
+    with pytest.raises(InputError, match="no table of shots"):
+        fetch_shots("mola", box, tmp_path / "d", archives=archives, retry=QUICK)

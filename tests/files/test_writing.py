@@ -1,17 +1,40 @@
-"""What is made aside is gone when its process is, and nothing but an earlier output of its kind is replaced."""
+"""What is made aside goes with its process; nothing but an earlier output of its kind is replaced; damage is told."""
 
+import ast
+import errno
+import json
 import os
+import re
 import signal
 import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
 
 from mgsgraph.atomic_write import beside, is_aside, made_beside, scratch, sweep
 from mgsgraph.errors import InputError
-from mgsgraph.files.writing import begins, claimed, fresh_file, require_free, require_writable, write_file
+from mgsgraph.files.output import folders
+from mgsgraph.files.output.folders import FIGURES, TABLES, fresh_folder, require_replaceable
+from mgsgraph.files.writing import (
+    FILES,
+    MATCH,
+    begins,
+    claimed,
+    fresh_file,
+    page_of,
+    read_record,
+    record_text,
+    require_as_recorded,
+    require_free,
+    require_writable,
+    write_file,
+    write_page,
+)
+from mgsgraph.results.page import require_page as require_report
+from mgsgraph.studio.match_review import require_page as require_review
 
 
 def killed_within(made: Callable[[], AbstractContextManager[Path]]) -> str:
@@ -54,15 +77,6 @@ def test_what_a_living_process_makes_stays(tmp_path: Path, folder: bool) -> None
     assert not names(tmp_path)
 
 
-def test_a_living_process_without_an_exchange_is_left_alone(tmp_path: Path) -> None:
-    """Its earlier result has stepped aside; the new one is about to take its place."""
-    with made_beside(tmp_path / "out", folder=True) as place:
-        old = place.with_suffix(".replaced")
-        old.mkdir()
-        sweep(tmp_path)
-        assert names(tmp_path) == sorted([place.name, old.name])
-
-
 def test_what_is_not_ours_stays(tmp_path: Path) -> None:
     foreign = [".out.unfinished", ".out.0a1b2c3.unfinished", ".out.0A1B2C3D.unfinished", "out.0a1b2c3d.unfinished",
                ".out.0a1b2c3d.unfinished.txt", ".out.0a1b2c3d.part"]  # fmt: skip
@@ -92,23 +106,17 @@ def test_what_another_host_makes_stays(tmp_path: Path) -> None:
     assert names(tmp_path) == [theirs]
 
 
-def test_scratch_is_private_from_the_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder that others may enter for a moment could be entered in it."""
+def test_scratch_of_a_killed_process_goes_with_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is private from the beginning: a folder that others may enter for a moment could be entered in it."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    killed_within(scratch)
+    assert len(names(tmp_path)) == 1
     modes = list[int]()
     monkeypatch.setattr(Path, "chmod", lambda self, mode: modes.append(self.stat().st_mode & 0o777))
     with scratch() as place:
         modes.append(place.stat().st_mode & 0o777)
-    assert set(modes) == {0o700}
-
-
-def test_scratch_of_a_killed_process_goes_with_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    killed_within(scratch)
-    assert len(names(tmp_path)) == 1
-    with scratch() as place:
-        assert place.stat().st_mode & 0o777 == 0o700
         assert names(tmp_path) == [place.name]
+    assert set(modes) == {0o700}
     assert not names(tmp_path)
 
 
@@ -140,11 +148,6 @@ def test_whoever_reads_the_old_file_reads_it_to_its_end(tmp_path: Path) -> None:
         assert reading.read() == "old"
     assert (tmp_path / "same").read_text() == "old"
     assert path.read_text() == "new text"
-
-
-def test_names_of_asides() -> None:
-    assert is_aside(beside(Path("a/b.txt")).name)
-    assert not is_aside("b.txt")
 
 
 def test_a_claimed_folder_may_be_written_into(tmp_path: Path) -> None:
@@ -200,3 +203,143 @@ def test_links_that_lead_nowhere_are_no_files(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=f"{name}: can't be written"):
             write_file(tmp_path / name, "new")
         assert (tmp_path / name).is_symlink()
+
+
+# --- records, which say of themselves whether they are as they were written
+
+
+RECORD = {"program": "mgsgraph", "settings": {"half_window": 12}, "statements": ["grün", "1.5 px"], "none": None}
+
+
+def test_a_record_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(record_text(RECORD), encoding="utf-8")
+    assert read_record(path) == RECORD
+    assert json.loads(path.read_text(encoding="utf-8")).items() > RECORD.items()  # any reader of JSON takes it
+
+
+def test_a_flipped_bit_is_found_wherever_it_is(tmp_path: Path) -> None:
+    path, text = tmp_path / "x.json", record_text(RECORD).encode()
+    for place in range(len(text)):
+        broken = bytearray(text)
+        broken[place] ^= 1 << place % 8
+        path.write_bytes(broken)
+        with pytest.raises(InputError, match=r"x\.json"):
+            read_record(path)
+
+
+def test_a_record_from_before_is_taken_as_it_is(tmp_path: Path) -> None:
+    for record in (RECORD, {"a": {"b": {"c": []}}}):
+        for text in (json.dumps(record, indent=1) + "\n", json.dumps(record)):
+            (tmp_path / "x.json").write_text(text, encoding="utf-8")
+            assert read_record(tmp_path / "x.json") == record
+
+
+def test_a_file_that_its_record_knows(tmp_path: Path) -> None:
+    network = tmp_path / "network.pvl"
+    network.touch()
+    (tmp_path / "mine.pvl").touch()
+    require_as_recorded(network, b"content")  # beside none
+    (tmp_path / MATCH).write_text(record_text({FILES: {"network.pvl": sha256(b"content").hexdigest()}}))
+    require_as_recorded(network, b"content")
+    require_as_recorded(tmp_path / "mine.pvl", b"other")
+    with pytest.raises(InputError, match=r"network\.pvl: is damaged, or was changed"):
+        require_as_recorded(network, b"contenu")
+    later = (tmp_path / MATCH).stat().st_mtime + 60.0
+    os.utime(network, (later, later))  # qnet has saved it
+    require_as_recorded(network, b"contenu")
+
+
+# --- results: whatever one holds, the next run may replace
+
+
+HOUSE = Path(folders.__file__).parents[2]
+ROOMS = ("files/output", "matching", "registration", "results", "simulation/demo")
+"""That write_result results; `export` says itself what it has made, in export.json."""
+FILE = re.compile(r"[a-z_]+\.(json|csv|txt|npz|tif|png|svg)")
+
+
+def test_every_name_of_a_result_is_known() -> None:
+    found = {
+        node.value
+        for room in ROOMS
+        for path in (HOUSE / room).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and FILE.fullmatch(node.value)
+    }
+    assert not found - set(TABLES)
+    assert len(found) > 20
+
+
+def test_every_kind_of_figure_is_known() -> None:
+    """What is handed to `new_sheet` and `sheet_name` by name."""
+    found = {
+        node.args[0].value
+        for path in (HOUSE / "results" / "figures").rglob("*.py")
+        # sheets of the page stand in it, those of the studio's views are handed out one by one
+        if not path.stem.startswith("page") and not path.stem.endswith("_views")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id in {"new_sheet", "sheet_name"}
+        and isinstance(node.args[0], ast.Constant)
+    }
+    assert found <= set(FIGURES)
+    assert {"residuals", "map", "quantiles"} <= found
+
+
+def test_a_file_that_could_not_be_replaced_is_told_of(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="'jitter.png' is not a name"):
+        write_result(tmp_path / "out", ["jitter.png"])
+    assert (tmp_path / "out" / "jitter.png").exists()
+
+    figures = [f"{kind}{number}.png" for kind in FIGURES for number in ("", "_1", "_12")]
+    write_result(tmp_path / "fine", [*figures, *TABLES])
+    require_replaceable(tmp_path / "fine")
+
+
+def write_result(out: Path, names: list[str]) -> None:
+    with fresh_folder(out) as folder:
+        for name in names:
+            (folder / name).touch()
+        (folder / "solution.json").write_text('{"program": "mgsgraph"}', encoding="utf-8")
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: str, mode: int = 0o777) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", path)
+
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setattr(os, "mkdir", refuse)
+    for out in (tmp_path / "out", tmp_path / "deep" / "out", tmp_path / "empty"):
+        with pytest.raises(InputError) as caught:
+            require_replaceable(out)
+        assert str(caught.value).startswith(f"{out}: can't be written (Permission denied);")
+
+
+# --- pages: earlier ones of the same verb are replaced
+
+
+REPORT, REVIEW = "results/templates/report.html", "studio/templates/review.html"
+
+
+def test_pages_are_known_by_the_head_of_the_template(tmp_path: Path) -> None:
+    head = (HOUSE / "files/output/templates/page.html").read_text(encoding="utf-8")
+    page = tmp_path / "page.html"
+    for template, other in ((REPORT, REVIEW), (REVIEW, REPORT)):
+        page.write_text(head.replace("{% block generator %}{% endblock %}", Path(template).stem), encoding="utf-8")
+        assert page_of(template).known(page)
+        assert not page_of(other).known(page)
+
+
+def test_other_pages_are_left_alone(tmp_path: Path) -> None:
+    page = tmp_path / "index.html"
+    page.write_text("<!doctype html><title>Mine</title>", encoding="utf-8")
+    for attempt in (
+        lambda: require_report(page), lambda: require_review(page), lambda: write_page(REPORT, {}, page)
+    ):
+        with pytest.raises(InputError, match=r"index\.html: exists and is not a page of mgsgraph re.*; choose another"):
+            attempt()
+    assert "Mine" in page.read_text(encoding="utf-8")

@@ -1,24 +1,28 @@
-"""Footprints: areas against formulas of sphere and ellipsoid, overlaps anywhere on the body, what is refused."""
+"""Footprints: areas against formulas of sphere and ellipsoid, overlaps and shapes on the map anywhere on the body, date
+line and poles too, what is refused.
+"""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+import shapely
+from gis_files import degrees, on_body, true_area
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.footprint import Footprint, footprint, gaps, overlaps
+from mgsgraph.geometry.footprint import Footprint, footprint, gaps, map_lines, map_polygons, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import simulate_pair
 from mgsgraph.simulation.site import bridge_image
-from mgsgraph.units import DEG, KM
+from mgsgraph.units import DEG
 
 SPHERE = Ellipsoid(3.39e6, 3.39e6)
+
 PAIR = simulate_pair()
 
 
@@ -71,16 +75,6 @@ def test_area_of_a_box_is_that_of_the_zone(west: float, south: float, width: flo
 def test_area_of_a_cap(latitude: float, radius: float) -> None:
     want = 2.0 * np.pi * SPHERE.equatorial**2 * (1.0 - np.cos(radius * DEG))
     assert cap(latitude, radius, 180.0).area == pytest.approx(want, rel=3e-4)  # a circle of 200 corners: 1.6e-4 less
-
-
-def test_area_of_a_triangle_is_its_excess() -> None:
-    """Girard's theorem, on the octant: three right angles."""
-    corners = np.eye(3)[[0, 1, 2, 0]]
-    step = np.linspace(0.0, 1.0, 200, endpoint=False)[:, None]
-    ring = np.concatenate([(1.0 - step) * a + step * b for a, b in pairwise(corners)])
-    ring *= SPHERE.equatorial / np.linalg.norm(ring, axis=1)[:, None]
-    one = Footprint("octant", np.concatenate([ring, ring[:1]]), SPHERE)
-    assert one.area == pytest.approx(0.5 * np.pi * SPHERE.equatorial**2, rel=1e-4)
 
 
 # --- overlaps
@@ -240,12 +234,6 @@ def test_overlap_of_images_is_where_both_see() -> None:
     assert found.areas[0] == pytest.approx(weight.mean() * first.lines * first.samples * inside.mean(), rel=0.02)
 
 
-def test_height_moves_an_oblique_footprint() -> None:
-    low, high = (footprint(PAIR.images[1], height).centre for height in (0.0, 3.0 * KM))
-    moved = high / np.linalg.norm(high) - low / np.linalg.norm(low)
-    assert np.linalg.norm(moved) * MARS.equatorial > 100.0
-
-
 def test_an_image_that_looks_past_the_body() -> None:
     image = PAIR.images[0]
     wide = widened(image, 2000.0)
@@ -273,3 +261,47 @@ def test_a_swath_around_the_body_has_no_outline() -> None:
     assert found.outline.shape == (0, 3)
     assert not found.whole
     assert found.area == 0.0
+
+
+# --- shapes on the map
+
+
+@settings(deadline=None)
+@given(
+    st.one_of(st.floats(-180.0, 180.0), st.floats(179.0, 181.0)),
+    st.one_of(st.floats(-90.0, 90.0), st.floats(88.0, 90.0)),
+    st.floats(0.01, 3.0),
+)
+def test_a_circle_anywhere_keeps_its_area_and_its_inside(longitude: float, latitude: float, radius: float) -> None:
+    ring = cap(latitude, radius, longitude).outline
+    (shape,) = map_polygons(ring[None])
+    if abs(90.0 - abs(latitude) - radius) < 1e-3:
+        return  # an edge through the pole itself
+    west, south, east, north = shapely.bounds(shape)
+    assert west >= -180.0
+    assert east <= 180.0
+    assert south >= -90.0
+    assert north <= 90.0
+    assert shapely.is_valid(shape)
+    assert true_area(shape, SPHERE) == pytest.approx(Footprint("cap", ring, SPHERE).area, rel=2e-3)
+    rng = np.random.default_rng(1)
+    middle = ring[:-1].mean(axis=0) / np.linalg.norm(ring[:-1].mean(axis=0))
+    around = middle + np.radians(radius) * rng.uniform(-1.5, 1.5, (60, 3))
+    away = np.degrees(np.arccos(np.clip(around @ middle / np.linalg.norm(around, axis=1), -1.0, 1.0))) / radius
+    clear = np.abs(away - 1.0) > 0.05
+    inside = shapely.contains_xy(shape, degrees(around[clear]))
+    assert np.array_equal(inside, away[clear] < 1.0)
+
+
+@settings(deadline=None)
+@given(st.floats(-1.0, 1.0), st.floats(-80.0, 80.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_lines_over_the_date_line_keep_their_length(at: float, latitude: float, east: float, north: float) -> None:
+    ends = np.radians([[180.0 + at, latitude], [180.0 + at + east, latitude + north]])
+    start, end = from_planetocentric(np.column_stack([ends, np.ones(2)]))
+    (line,) = map_lines(start[None], end[None])
+    assert np.abs(shapely.bounds(line)[[0, 2]]).max() <= 180.0
+    pieces = [on_body(part, 1.0) for part in shapely.get_parts(line)]
+    found = sum(np.linalg.norm(np.diff(piece, axis=0), axis=1).sum() for piece in pieces)
+    assert found == pytest.approx(2.0 * np.arcsin(0.5 * np.linalg.norm(end - start)), rel=1e-4, abs=1e-9)
+    if min(abs(at), abs(at + east)) > 1e-6:  # neither end on the date line
+        assert len(pieces) == (1 if (at > 0.0) == (at + east > 0.0) else 2)

@@ -1,4 +1,6 @@
-"""Geometry that can't be: each planted fault is refused by name, and true images are not."""
+"""What geometry and records refuse: each planted fault by name, one image under two names, fields of the wrong kind;
+and what they accept.
+"""
 
 import re
 from collections.abc import Callable
@@ -11,16 +13,22 @@ from networks import network
 
 from mgsgraph.adjustment.graph.layout import lay_out
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case import case_file
-from mgsgraph.case.schema import ImageInput
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels import labelled_image
 from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
-from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.image import LineTiming, PushbroomImage, require_distinct, twins
 from mgsgraph.geometry.plausibility import require_on_ground, require_plausible
-from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.geometry.records import (
+    chosen_rows,
+    concatenated,
+    frozen,
+    frozen_index,
+    repeated,
+    require_covariances,
+    require_names,
+)
+from mgsgraph.geometry.trajectory import PositionTable, Trajectory
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 IMAGES = simulate_pair(PairSettings(ties=5, shots=2), seed=1).images
@@ -43,12 +51,10 @@ def looking_away(image: PushbroomImage) -> PushbroomImage:
 
 FAULTS: dict[str, tuple[Callable[[PushbroomImage], PushbroomImage], str]] = {
     "metres for kilometres": (lambda image: with_tables(image, 1e3, 1e3), "km from the body's centre"),
-    "kilometres for metres": (lambda image: with_tables(image, 1e-3, 1e-3), "km from the body's centre"),
     "velocities of another unit": (lambda image: with_tables(image, 1.0, 1e-3), "velocities of"),
     "velocities of another sign": (lambda image: with_tables(image, 1.0, -1.0), "velocities of"),
     "axes of the body": (lambda image: replace(image, body=Ellipsoid(3.3762e6, 3.39619e6)), "check the order"),
     "small radii": (lambda image: replace(image, body=Ellipsoid(3396.19, 3376.2)), "from the body's"),
-    "large radii": (lambda image: replace(image, body=Ellipsoid(3.39619e9, 3.3762e9)), "that there is"),
     "a body that isn't": (lambda image: replace(image, body=Ellipsoid(3.3e6, 3.28e6)), "that there is"),
     "flattening": (lambda image: replace(image, body=Ellipsoid(3.39619e6, 3.2762e6)), "those of MARS"),
     "attitude": (looking_away, "a middle that looks past the body"),
@@ -126,11 +132,127 @@ def test_one_position_that_is_off_is_named() -> None:
         require_plausible(replace(IMAGES[0], trajectory=bent), "a.cub")
 
 
-def test_images_of_a_strip_are_held_to_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of HRSC that are read together, on one trajectory."""
-    entry = ImageInput(name="x", label="x.img", kernels=("x.bsp",))
-    monkeypatch.setattr(labelled_image, "read_strip", lambda *_, **__: (IMAGES[0],))
-    assert case_file._hrsc_strip([entry], None, tmp_path / "case.toml")[0].name == IMAGES[0].name
-    monkeypatch.setattr(labelled_image, "read_strip", lambda *_, **__: (looking_away(IMAGES[0]),))
-    with pytest.raises(InputError, match="looks past the body"):
-        case_file._hrsc_strip([entry], None, tmp_path / "case.toml")
+# --- one image under two names
+
+
+FIRST, SECOND = simulate_pair().images
+
+
+def later(image: PushbroomImage, lines: float) -> PushbroomImage:
+    timing = image.timing
+    starts = timing.start_times + lines * timing.periods
+    return replace(image, timing=LineTiming(timing.first_lines, starts, timing.periods))
+
+
+def aside(image: PushbroomImage, metres: float) -> PushbroomImage:
+    """The image from a trajectory so many metres beside its own."""
+    assert isinstance(image.trajectory, Trajectory)
+    table = image.trajectory.position
+    places = table.positions + metres * np.cross(table.positions[0], table.velocities[0]) / np.linalg.norm(
+        np.cross(table.positions[0], table.velocities[0])
+    )
+    moved = PositionTable(table.times, places, table.velocities)
+    return replace(image, trajectory=replace(image.trajectory, position=moved))
+
+
+def test_twins_are_found_whatever_they_are_called() -> None:
+    again = replace(FIRST, name="again")
+    assert twins([FIRST, SECOND, again, later(FIRST, 0.01)]) == [(0, 2), (0, 3), (2, 3)]
+    assert twins([FIRST, aside(FIRST, 0.1)]) == [(0, 1)]
+
+
+def test_others_are_not() -> None:
+    narrower = replace(FIRST, interior=replace(FIRST.interior, first=FIRST.interior.first + np.array([0.0, 500.0])))
+    assert twins([FIRST, SECOND, later(FIRST, 1.5), narrower, aside(FIRST, 300.0)]) == []
+    assert twins([FIRST, replace(FIRST, lines=FIRST.lines - 1)]) == []
+
+
+def test_both_names_are_said() -> None:
+    with pytest.raises(InputError, match="SIM/A and again"):
+        require_distinct([FIRST, SECOND, replace(FIRST, name="again")], "here")
+
+
+# --- records
+
+
+def test_frozen_copies_and_can_not_be_written() -> None:
+    given = np.arange(6).reshape(2, 3)
+    array = frozen(given, "field", (None, 3))
+    given[0, 0] = 99
+
+    assert array.dtype == np.float64
+    assert array[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        array[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "shape", "said"),
+    [
+        (np.zeros(3), (None, 3), r"field: an array of shape \(3,\); expected shape \(n, 3\)"),
+        ([[1.0, np.nan]], (None, 2), r"field: nan at \[0, 1\]; expected finite numbers"),
+        (["x"], (1,), "field: no array of numbers"),
+    ],
+)
+def test_frozen_refuses(value: object, shape: tuple[int | None, ...], said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        frozen(value, "field", shape)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ([0, 1, 3], r"index 0 \.\. 3; expected 0 \.\. 2"), ([0.5, 1.0, 2.0], "expected whole numbers"),
+    ],
+)  # fmt: skip
+def test_what_is_no_index_is_refused(value: list[object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        frozen_index(value, "index", 3, 3)  # type: ignore[arg-type]
+
+
+def test_covariances_where_they_are_needed() -> None:
+    lopsided = np.eye(3)
+    lopsided[0, 1] = 1e-3
+    faults = {"zero": np.zeros((3, 3)), "flat": np.diag([1.0, 1.0, 0.0]), "negative": -np.eye(3), "lopsided": lopsided}
+    for fault in faults.values():
+        stack = np.array([np.diag([1e-4, 1.0, 1e6]), fault])
+        require_covariances(stack, np.array([True, False]), ("good", "bad"), "file")
+        with pytest.raises(InputError, match="file, point bad: an a-priori covariance that is not positive definite"):
+            require_covariances(stack, np.array([True, True]), ("good", "bad"), "file")
+    require_covariances(np.zeros((0, 3, 3)), np.zeros(0, dtype=bool), (), "file")
+
+
+@pytest.mark.parametrize("name", ["a\x1b[2Jb", "a" * 501])
+def test_names_that_no_terminal_should_be_given(name: str) -> None:
+    require_names(("é", "image 2", ""), "images")
+    with pytest.raises(InputError, match="images"):
+        require_names(("é", name), "images")
+    with pytest.raises(InputError, match="images: the id 'é' twice"):
+        require_names(("é", "b", "é"), "images")
+
+
+@pytest.mark.parametrize("parts", [[2, 4], [0, 3, 0]])
+def test_a_repeated_value_takes_the_memory_of_one(parts: list[int]) -> None:
+    """Chosen, joined and kept by a record it is what the full array is."""
+    blocks = [repeated(0.0, (n, 3, 3)) for n in parts]
+    together, rows = concatenated(blocks), np.array([0, sum(parts) - 1, 0])
+    mixed = concatenated([*blocks, np.ones((2, 3, 3))])
+    assert together.shape == (sum(parts), 3, 3)
+    assert frozen(together, "x", (None, 3, 3)) is together
+    assert chosen_rows(together, rows).shape == (3, 3, 3)
+    assert not any(chosen_rows(together, rows).strides)
+    np.testing.assert_array_equal(mixed, np.concatenate([np.zeros((sum(parts), 3, 3)), np.ones((2, 3, 3))]))
+    np.testing.assert_array_equal(chosen_rows(mixed, rows), mixed[rows])
+
+
+def test_what_nobody_can_write_to_is_not_copied() -> None:
+    given = np.arange(3.0)
+    assert frozen(given, "x", (3,)) is not given
+    given.flags.writeable = False
+    assert frozen(given, "x", (3,)) is given
+    assert frozen(given[1:], "x", (2,)).base is given
+    owner = np.arange(3.0)
+    view = owner.view()
+    view.flags.writeable = False
+    assert frozen(view, "x", (3,)).base is None  # the owner may still be written to

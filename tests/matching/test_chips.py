@@ -7,7 +7,6 @@ import pytest
 from chip_scene import PAIR, grey, inner, moved, picture, ties_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
@@ -71,16 +70,6 @@ def test_the_shift_leads_back_to_the_right_place(by: tuple[float, float]) -> Non
     back = np.einsum("kij,kj->ki", frames.step, found.shift)[1::2]
     assert back == pytest.approx(np.tile(-np.array(by), (6, 1)), abs=0.12)
     assert (found.best[1::2] > found.correlation[1::2] + 0.05).all()
-
-
-def test_some_points_alone_give_the_same() -> None:
-    ties = ties_at(inner(5))
-    frames, calls = chip_frames(PAIR.images, ties), list[tuple[int, int]]()
-    every, some = likeness(picture, ties, frames), likeness(picture, ties, frames, np.array([1, 4]),
-                                                            lambda done, most: calls.append((done, most)))  # fmt: skip
-    assert np.flatnonzero(np.isfinite(some.correlation)).tolist() == [3, 9]
-    assert some.correlation[[3, 9]] == pytest.approx(every.correlation[[3, 9]], abs=1e-12)
-    assert calls[-1] == (2, 2)
 
 
 def test_finer_pixels_are_averaged() -> None:
@@ -147,15 +136,6 @@ def test_flat_and_empty_chips_have_no_correlation() -> None:
             correlation, best, shift, at_edge = compare(*pair)
             assert np.isnan([correlation[0], best[0], *shift[0]]).all()
             assert not at_edge[0]
-
-
-@settings(max_examples=30, deadline=None)
-@given(hnp.arrays(np.float64, (1, 9, 9), elements=st.floats(-1e6, 1e6)), st.sampled_from([2, 16, 64, 256]))
-def test_stretching_keeps_the_order_and_the_levels(patch: np.ndarray, levels: int) -> None:
-    drawn = stretched(patch, levels)
-    assert np.unique(drawn).size <= levels
-    order = np.argsort(patch.ravel(), kind="stable")
-    assert np.all(np.diff(drawn.ravel()[order].astype(int)) >= 0)
 
 
 # --- rays

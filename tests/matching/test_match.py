@@ -1,14 +1,25 @@
-"""Matching from end to end on a small simulated pair: against truth, of two and three images."""
+"""Matching from end to end on a small simulated pair, sparse and dense: against truth, and what is written of it."""
 
+import json
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import matched
 import numpy as np
 import pytest
+from commands import rows_of
+from numpy.typing import NDArray
 
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.matching.dense import DenseMatches, dense_matches
 from mgsgraph.matching.match import Matches, match_scene, matches_of
 from mgsgraph.matching.measuring import Measured
+from mgsgraph.matching.patches import Patch, disparities
+from mgsgraph.matching.scene import Picture, Scene
+from mgsgraph.results.matching import match_statements, write_matches
 
 FEW = replace(matched.SETTINGS, cells=20, features=400)
 
@@ -37,6 +48,8 @@ def test_tie_points_are_in_order(count: int) -> None:
     begins = np.flatnonzero(np.diff(ties.measure_point, prepend=-1))
     np.testing.assert_array_equal(np.flatnonzero(found.reference), begins)
     np.testing.assert_array_equal(ties.measures[begins] % 1.0, 0.5)
+    if count == 2:  # two features beside one sharp pixel are measured at that pixel, both
+        assert len(np.unique(ties.measures[begins], axis=0)) == len(begins)
     assert np.all((ties.measure_sigmas > 0.0) & (ties.measure_sigmas < 0.5))
     assert np.all(found.covariances[begins] == 0.0)
     others = ~found.reference
@@ -156,8 +169,153 @@ def test_workers_change_nothing() -> None:
     }  # fmt: skip
 
 
+# above two seconds: a pair matched whole
 def test_a_narrow_search_still_finds_what_is_near() -> None:
     """Images whose orientations are known well: a search of less than a few pixels of the coarse grid."""
     found = match_scene(matched.true_scene(), replace(FEW, search=20.0), workers=1)
     assert found.agreements[0].moved < 10.0
     assert np.linalg.norm(matched.errors(found), axis=1).max() < 1.5
+
+
+# --- dense matches
+
+
+SPACING = 50.0
+
+
+@cache
+def scene() -> Scene:
+    """The pair as it was taken, over the model of its ground, not over the ground itself."""
+    pictures = [Picture(image.true, image.pixels, matched.prior(100.0)) for image in matched.site().images]
+    return Scene(tuple(pictures), matched.ground(matched.site().grid))
+
+
+@cache
+def found() -> DenseMatches:
+    (one,) = dense_matches(scene(), SPACING)
+    return one
+
+
+@cache
+def off() -> NDArray[np.float64]:
+    """(n, 2) pixels from where the ground under the anchors truly is on the second picture."""
+    names = [scene().pictures[j].image.name for j in (found().first, found().second)]
+    return found().pixels - matched.true_places(names[0], found().anchors, names[1])
+
+
+def test_nearly_every_post_is_matched_where_its_ground_is() -> None:
+    assert len(off()) > 0.94 * found().posts
+    assert np.all(np.sqrt(np.mean(off() ** 2, axis=0)) < 0.2)
+    assert np.mean(np.linalg.norm(off(), axis=1) > 1.0) < 1e-3
+
+
+def test_posts_are_on_a_grid_over_all_the_ground_that_both_show() -> None:
+    one, two = (scene().pictures[j] for j in (found().first, found().second))
+    plane = one.on_chart(scene().ground, found().anchors)
+    lines, samples = np.meshgrid(np.arange(10.0, one.image.lines), np.arange(10.0, one.image.samples), indexing="ij")
+    every = one.on_chart(scene().ground, np.column_stack([lines.ravel(), samples.ravel()])[::37])
+    places = two.project(scene().ground.points(every))
+    shared = np.all((places > 0.0) & (places < [two.image.lines, two.image.samples]), axis=1).mean()
+    whole = shared * one.image.lines * one.image.samples * 2.88 * 4.42  # m along and across of a pixel
+    assert found().posts == pytest.approx(whole / SPACING**2, rel=0.1)
+    np.testing.assert_array_equal(found().anchors % 1.0, 0.5)
+    apart = np.linalg.norm(plane[:, None] - plane[None, :200], axis=2)
+    apart[apart == 0.0] = np.inf
+    nearest = apart.min(axis=0)
+    assert np.median(nearest) == pytest.approx(SPACING, rel=0.1)
+
+
+def test_covariances_are_those_of_the_errors() -> None:
+    squares = np.einsum("ni,nij,nj->n", off(), np.linalg.inv(found().covariances), off())
+    assert 0.5 < np.mean(squares) / 2.0 < 1.5
+    sigmas = np.sqrt(np.diagonal(found().covariances, axis1=1, axis2=2).mean(axis=0))
+    assert np.all(np.abs(np.log(sigmas / np.sqrt(np.mean(off() ** 2, axis=0)))) < np.log(1.5))
+
+
+def test_threads_don_t_matter_and_progress_is_told() -> None:
+    told = []
+    several, one = (
+        dense_matches(scene(), 4.0 * SPACING, workers, lambda *what: told.append(what))[0] for workers in (None, 1)
+    )
+    np.testing.assert_array_equal(several.pixels, one.pixels)
+    assert told[0] == ("dense matching", 0, told[0][2])
+    assert told[-1] == ("dense matching", told[0][2], told[0][2])
+
+
+def test_orientations_that_contradict_each_other_give_hardly_a_match() -> None:
+    """228 m between the nominal orientations: nothing is alike along the parallax, and chance is not delivered."""
+    with pytest.raises(InputError, match=r"none of \d+ posts matches; expected .* adjusted orientations"):
+        dense_matches(matched.scene(), 2.0 * SPACING)
+
+
+@pytest.mark.parametrize("shift", [-7, 0, 11])
+def test_disparities_of_a_shifted_patch(shift: int) -> None:
+    rng = np.random.default_rng(2)
+    grey = np.kron(rng.integers(40, 210, (60, 90)), np.ones((2, 2))).astype(np.uint8)
+    valid = np.full(grey.shape, 255, dtype=np.uint8)
+    half = valid.copy()
+    half[:, :60] = 0
+    found = disparities(Patch(grey, half), Patch(np.roll(grey, -shift, axis=1), valid), 16)
+    inner = found[10:-10, 80:-40]
+    assert np.isfinite(inner).mean() > 0.95
+    assert np.nanmedian(inner) == pytest.approx(shift, abs=0.1)
+    assert np.all(np.isnan(found[:, :60]))
+
+
+# --- what matching writes
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("matches") / "out"
+    write_matches(matched.matches(3), matched.scene(3), "three images", matched.SETTINGS, folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["network.pvl", "network.net"])
+def test_networks_hold_the_ties(written: Path, name: str) -> None:
+    ties, found = matched.matches(3).ties, read_tie_points(written / name, matched.scene(3).ground.body)
+    assert found.ids == ties.ids
+    assert found.measure_image == ties.measure_image
+    np.testing.assert_array_equal(found.measure_point, ties.measure_point)
+    np.testing.assert_allclose(found.measures, ties.measures, atol=1e-9)
+    np.testing.assert_allclose(found.measure_sigmas, ties.measure_sigmas, rtol=1e-6)
+    np.testing.assert_array_equal(found.kinds, ties.kinds)
+
+
+def test_pixels_in_networks_are_those_of_isis(written: Path) -> None:
+    text = (written / "network.pvl").read_text(encoding="utf-8")
+    line = matched.matches(3).ties.measures[0, 0]
+    assert f"= {line + 0.5:g}" in text
+
+
+def test_table_has_every_measure(written: Path) -> None:
+    found = matched.matches(3)
+    rows = rows_of(written / "matches.csv")
+    assert len(rows) == len(found.ties.measure_image)
+    assert [row["image"] for row in rows] == list(found.ties.measure_image)
+    assert [row["id"] for row in rows] == [found.ties.ids[i] for i in found.ties.measure_point.tolist()]
+    assert [row["reference"] == "true" for row in rows] == found.reference.tolist()
+    for name, values in (
+        ("isis_line", found.ties.measures[:, 0] + 0.5),
+        ("isis_sample", found.ties.measures[:, 1] + 0.5),
+        ("sigma_line_px", found.ties.measure_sigmas[:, 0]),
+        ("against_reference_line_sample_px2", found.covariances[:, 0, 1]),
+        ("correlation", found.correlation),
+        ("coplanarity_m", found.misfit),
+    ):
+        told = np.array([float(row[name]) if row[name] else np.nan for row in rows])
+        np.testing.assert_array_equal(told, values)
+
+
+def test_the_record_has_what_was_found(written: Path) -> None:
+    found = matched.matches(3)
+    record = json.loads((written / "match.json").read_text(encoding="utf-8"))
+    assert record["program"] == "mgsgraph"
+    assert record["points"] == len(found.ties.ids)
+    assert record["measures"] == len(found.ties.measure_image)
+    assert record["losses"]["kept"] == found.losses.kept
+    assert record["settings"]["cells"] == matched.SETTINGS.cells
+    assert (record["cells_with_matches"], record["cells"]) == found.cells
+    assert None in [one["height_sigma_m"] for one in record["orientations"]]  # parallel rays
+    assert record["statements"] == match_statements(found, matched.scene(3))

@@ -1,14 +1,17 @@
-"""Pictures over a ground: from pixels to the chart and back, derivatives, parallax, and pictures that show nothing."""
+"""Pictures over a ground and its chart: from pixels to the chart and back, derivatives, parallax; tracks."""
 
 from dataclasses import replace
 
 import matched
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.matching.scene import Picture, Pixels
+from mgsgraph.matching.scene import GroundChart, Picture, Pixels, joined, star
 
 SCENES = [("true ground", matched.true_scene), ("terrain model", matched.scene)]
 
@@ -122,3 +125,117 @@ def test_blank_and_saturated_pictures_are_refused(pixels: Pixels | None, said: s
         _ = with_pixels(saturated(0.6) if pixels is None else pixels).levels
     assert said in str(caught.value)
     assert with_pixels(saturated(0.4)).levels[1] == 255.0
+
+
+# --- the plane of comparison
+
+
+RADIUS = 3.39e6
+PLACES = ((0.3, 0.2), (np.pi - 1e-4, -0.4), (-np.pi + 1e-4, 0.1), (1.0, np.pi / 2 - 1e-5), (-2.0, -np.pi / 2 + 1e-5))
+"""rad: on the date line and beside both poles, too."""
+
+
+def around(longitude: float, latitude: float, size: float = 2e-3) -> np.ndarray:
+    """Points (n, 3) on a sphere, some kilometres about a place."""
+    middle = from_planetocentric(np.array([[longitude, latitude, RADIUS]]))[0]
+    points = middle + size * RADIUS * np.random.default_rng(1).uniform(-1.0, 1.0, (60, 3))
+    return np.asarray(points * (RADIUS / np.linalg.norm(points, axis=1, keepdims=True)))
+
+
+@pytest.mark.parametrize(("longitude", "latitude"), PLACES)
+@settings(deadline=None)
+@given(turn=st.floats(0.0, 6.3))
+def test_there_and_back_with_true_lengths(longitude: float, latitude: float, turn: float) -> None:
+    points = around(longitude, latitude)
+    flight = np.array([np.cos(turn), np.sin(turn), 0.7])
+    chart = GroundChart.about(points, flight)
+    plane = chart.plane(points)
+    back = chart.directions(plane) * RADIUS
+    assert np.abs(back - points).max() < 1e-6
+    assert np.abs(chart.plane(back) - plane).max() < 1e-6
+    lengths = np.linalg.norm(np.diff(plane, axis=0), axis=1) / np.linalg.norm(np.diff(points, axis=0), axis=1)
+    assert np.abs(lengths - 1.0).max() < 1e-5
+    np.testing.assert_allclose(chart.axes @ chart.axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(chart.axes) == pytest.approx(1.0)
+    ahead = chart.plane(points + 10.0 * flight / np.linalg.norm(flight)) - plane
+    assert np.all(ahead[:, 1] > 0.0)  # y is along the flight
+    assert np.abs(ahead[:, 0]).max() < 0.1
+
+
+def test_areas_are_true_far_from_the_middle() -> None:
+    """Caps of the sphere are discs of the same area (Snyder 1987, p. 182)."""
+    chart = GroundChart(np.eye(3), RADIUS)
+    for angle in (1e-4, 0.1, 1.0, 3.0):
+        edge = np.array([[np.sin(angle), 0.0, np.cos(angle)], [0.0, np.sin(angle), np.cos(angle)]])
+        size = np.linalg.norm(chart.plane(edge), axis=1)
+        cap = 4.0 * np.pi * RADIUS**2 * np.sin(0.5 * angle) ** 2
+        np.testing.assert_allclose(np.pi * size**2, cap, rtol=1e-12)
+
+
+def test_beyond_the_antipode_is_nowhere() -> None:
+    chart = GroundChart(np.eye(3), RADIUS)
+    assert np.all(np.isnan(chart.directions(np.array([[2.1 * RADIUS, 0.0]]))))
+
+
+# --- tracks
+
+
+def tracks_of(links: list[tuple[int, int]], likeness: list[float], pictures: list[int]) -> set[tuple[int, ...]]:
+    found = joined(np.array(links, dtype=np.int64).reshape(-1, 2), np.array(likeness), np.array(pictures))
+    return {tuple(track) for track in found}
+
+
+def test_chains_and_triangles_are_one_track() -> None:
+    assert tracks_of([(0, 1), (1, 2)], [0.9, 0.8], [0, 1, 2]) == {(0, 1, 2)}
+    assert tracks_of([(0, 1), (1, 2), (0, 2)], [0.9, 0.8, 0.7], [0, 1, 2]) == {(0, 1, 2)}
+    assert tracks_of([(2, 1), (0, 2)], [0.9, 0.8], [2, 1, 0]) == {(2, 1, 0)}  # by picture
+    assert tracks_of([], [], [0, 1]) == set()
+
+
+def test_conflicts_split_at_the_weakest_link() -> None:
+    """Features 0 and 3 are of one picture; the chain between them breaks where it is weakest."""
+    pictures = [0, 1, 2, 0]
+    chain = [(0, 1), (1, 2), (2, 3)]
+    assert tracks_of(chain, [0.9, 0.5, 0.8], pictures) == {(0, 1), (3, 2)}
+    assert tracks_of(chain, [0.5, 0.9, 0.8], pictures) == {(3, 1, 2)}
+    assert tracks_of(chain, [0.9, 0.8, 0.5], pictures) == {(0, 1, 2)}
+
+
+@st.composite
+def graphs(draw: st.DrawFn) -> tuple[list[tuple[int, int]], list[float], list[int]]:
+    count = draw(st.integers(2, 14))
+    pictures = draw(st.lists(st.integers(0, 4), min_size=count, max_size=count))
+    pairs = [(i, j) for i in range(count) for j in range(i + 1, count) if pictures[i] != pictures[j]]
+    links = draw(st.lists(st.sampled_from(pairs), unique=True, max_size=25)) if pairs else []
+    likeness = draw(st.permutations(np.linspace(0.5, 1.0, max(len(links), 1)).tolist()))
+    return links, likeness[: len(links)], pictures
+
+
+@settings(deadline=None)
+@given(graph=graphs(), seed=st.integers(0, 100))
+def test_order_of_links_does_not_matter(graph: tuple[list[tuple[int, int]], list[float], list[int]], seed: int) -> None:
+    links, likeness, pictures = graph
+    found = tracks_of(links, likeness, pictures)
+    order = np.random.default_rng(seed).permutation(len(links))
+    turned = [links[k][:: 1 if k % 2 else -1] for k in order]
+    assert tracks_of(turned, [likeness[k] for k in order], pictures) == found
+    members = [feature for track in found for feature in track]
+    assert len(set(members)) == len(members)
+    linked = {frozenset(link) for link in links}
+    for track in found:
+        assert len(track) > 1
+        assert len({pictures[f] for f in track}) == len(track)
+        reached, edges = {track[0]}, [link for link in linked if link <= set(track)]
+        for _ in track:
+            for edge in edges:
+                reached |= edge if edge & reached else set()
+        assert reached == set(track)
+    if links:
+        best = links[int(np.argmax(likeness))]
+        assert any(set(best) <= set(track) for track in found)
+
+
+def test_stars_begin_at_the_first() -> None:
+    track, first, other = star([[4, 7, 1], [2, 3]])
+    assert (track.tolist(), first.tolist(), other.tolist()) == ([0, 0, 1], [4, 4, 2], [7, 1, 3])
+    assert [part.size for part in star([])] == [0, 0, 0]

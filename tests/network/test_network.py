@@ -1,8 +1,9 @@
-"""The network: what it refuses, and what it knows of its own connections."""
+"""The network: what it refuses; and how its images are connected, against plain graph searches."""
 
 from dataclasses import replace
 from typing import Any
 
+import networks
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,13 +11,15 @@ from hypothesis import strategies as st
 
 from mgsgraph.errors import EphemerisGap, InputError
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, geodetic
+from mgsgraph.geometry.footprint import Footprint
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
-from mgsgraph.network.connectivity import _common_by_class, groups
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
+from mgsgraph.simulation.orbit import MARS
+from mgsgraph.units import DEG
 
-PAIR = simulate_pair()
+PAIR = networks.pair()
 PRIOR = PAIR.settings.noise.prior
 NO_RANGES = Ranges(
     np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0), np.zeros(0), np.zeros(0)
@@ -91,53 +94,6 @@ def test_counts_and_undetermined_points() -> None:
     np.testing.assert_array_equal(net.undetermined, [False, False, True, False, False])
 
 
-def common_points(net: Network) -> np.ndarray:
-    """(images, images) number of points seen by both; on the diagonal, seen by the image."""
-    pairs, shared = _common_by_class(net, None)
-    common = np.zeros((len(net.images),) * 2, dtype=int)
-    common[tuple(pairs.T)] = shared.sum(axis=1)
-    return common + np.triu(common, 1).T
-
-
-def islands(net: Network) -> list[list[int]]:
-    return [list(group) for group in groups(len(net.images), np.argwhere(np.triu(common_points(net), 1)))]
-
-
-def test_islands() -> None:
-    """Images 0-2-4 are connected in a chain, 1-3 in a pair, 5 is alone."""
-    net = network([(0, 0), (0, 2), (1, 2), (1, 4), (2, 1), (2, 3), (3, 5)], among=6)
-
-    assert islands(net) == [[0, 2, 4], [1, 3], [5]]
-    common = common_points(net)
-    np.testing.assert_array_equal(np.diag(common), [1, 1, 2, 1, 1, 1])
-    assert (common[0, 2], common[2, 4], common[0, 4], common[1, 3]) == (1, 1, 0, 1)
-
-
-incidences = st.integers(1, 5).flatmap(
-    lambda images: st.tuples(
-        st.just(images), st.lists(st.tuples(st.integers(0, 6), st.integers(0, images - 1)), max_size=25)
-    )
-)
-
-
-@given(incidences)
-def test_common_points_and_islands_are_those_of_the_table(drawn: tuple[int, list[tuple[int, int]]]) -> None:
-    """Against the plain table of points by images, and its transitive closure."""
-    images, pairs = drawn
-    pairs = pairs + [(7, j) for j in range(images) if all(image != j for _, image in pairs)]
-    pairs = [(0, pairs[0][1]), *pairs]
-    net = network(pairs, among=images)
-    table = np.zeros((8, images), dtype=int)
-    for point, image in pairs:
-        table[point, image] = 1
-    np.testing.assert_array_equal(common_points(net), table.T @ table)
-
-    reach = np.linalg.matrix_power((table.T @ table > 0).astype(int), images) > 0
-    assert {frozenset(group) for group in islands(net)} == {frozenset(np.flatnonzero(row).tolist()) for row in reach}
-    sizes = [len(group) for group in islands(net)]
-    assert sizes == sorted(sizes, reverse=True)
-
-
 # --- refusals
 
 OTHER_BODY = replace(PAIR.images[1], name="I1", body=Ellipsoid(1_737_400.0, 1_737_400.0))
@@ -163,12 +119,11 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "no such point": ({"points": points([PointKind.FREE] * 2)}, "rays, points: index 0 .. 2; expected 0 .. 1"),
     "short places": ({"rays": replace(rays(STEREO), places=np.ones((4, 2)))}, "rays, places: an array of shape (4, 2)"),
     "lost place": ({"rays": replace(rays(STEREO), places=np.full((5, 2), np.nan))}, "rays, places: nan at [0, 0]"),
-    "zero sigma": ({"rays": replace(rays(STEREO), sigmas=np.zeros((5, 2)))}, "image sigmas: 0.0; expected positive"),
     "unknown sigma": ({"rays": replace(rays(STEREO), sigmas=np.full((5, 2), np.nan))}, "image sigmas: nan"),
     "range from nowhere": ({"ranges": one_range(image=[2])}, "ranges, images: index 2 .. 2; expected 0 .. 1"),
+    "zero sigma": ({"rays": replace(rays(STEREO), sigmas=np.zeros((5, 2)))}, "image sigmas: 0.0; expected positive"),
     "timeless range": ({"ranges": one_range(times=[np.nan])}, "ranges, times: nan at [0]"),
     "no such profile": ({"shifts": ProfileShifts(("A",), [0, 1, -1], [9.0])}, "profile shifts, profiles: index 0 .. 2"),
-    "short shift sigmas": ({"shifts": ProfileShifts(("A",), [-1] * 3, [])}, "shifts, sigmas: an array of shape (0,)"),
     "free but shifted": ({"shifts": ProfileShifts(("A",), [-1, 0, -1], [9.0])}, "ground point P1: a profile's shift"),
     "short surface": ({"surface": Surface(GRID, [1.0])}, "surface, sigmas: shape (1,); expected 3 positive numbers"),
     "unknown surface": ({"surface": Surface(GRID, [1.0, np.inf, np.nan])}, "surface, sigmas"),
@@ -196,8 +151,6 @@ def test_a_shot_outside_the_tables_is_named_the_worst_first() -> None:
 POINT_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "same id": ({"ids": ("P0", "P1", "P1")}, "ground points: the id 'P1' twice"),
     "no such kind": ({"kinds": [0, 1, 3]}, "ground points, kinds: index 0 .. 3; expected 0 .. 2"),
-    "no such class": ({"classes": [0, 1, -1]}, "ground points, classes: index -1 .. 1"),
-    "short places": ({"places": np.zeros((2, 3))}, "ground points, places: an array of shape (2, 3)"),
     "infinite place": ({"places": [[np.inf, 0.0, 0.0]] * 3}, "ground point P0: an infinite place"),
     "unknown fixed": ({"kinds": [0, 0, 2]}, "ground point P2: no a-priori place"),
     "unknown constrained": ({"kinds": [0, 1, 0]}, "ground point P1: no a-priori place"),
@@ -218,3 +171,146 @@ def test_ground_points_that_can_not_be(fault: str) -> None:
 
 def test_priors_of_different_degrees_go_together() -> None:
     assert network(STEREO, priors=(PRIOR, OrientationPrior(np.ones((1, 6))))).priors[1].degree == 0
+
+
+# --- how images are connected
+
+Links = list[tuple[int, int, int]]
+"""Pairs of images with their number of common points."""
+
+
+def box(name: str, west: float, size: float = 1.0) -> Footprint:
+    """A square of degrees on the equator."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * size * DEG
+    corners[:, 0] += west * DEG
+    return Footprint(name, from_planetocentric(np.column_stack([corners, np.full(5, MARS.equatorial)])), MARS)
+
+
+def block(images: int, links: Links, west: list[float] | None = None, classes: list[int] | None = None) -> Connectivity:
+    """Images in a row of footprints, by default all in one place, with points of their own besides."""
+    return connectivity(linked(images, links, classes), footprints(images, west or [0.0] * images))
+
+
+def footprints(images: int, west: list[float]) -> list[Footprint]:
+    return [box(f"I{j}", west[j]) for j in range(images)]
+
+
+def linked(images: int, links: Links, classes: list[int] | None = None) -> Network:
+    """Each image sees a point of its own; the links' points are seen by two."""
+    rows = [(j,) for j in range(images)] + [(i, j) for i, j, count in links for _ in range(count)]
+    pairs = [(k, image) for k, row in enumerate(rows) for image in row]
+    return network(pairs, images, points=points([PointKind.FREE] * len(rows), classes=classes or [0] * len(rows)))
+
+
+graphs = st.integers(1, 7).flatmap(
+    lambda m: st.tuples(
+        st.just(m),
+        st.dictionaries(
+            st.tuples(st.integers(0, m - 1), st.integers(0, m - 1)).filter(lambda pair: pair[0] < pair[1]),
+            st.integers(1, 6), max_size=12,
+        ) if m > 1 else st.just({}),
+    )
+)  # fmt: skip
+
+
+def parts(images: set[int], joined: set[tuple[int, int]]) -> list[frozenset[int]]:
+    """Groups by merging sets, the plain way."""
+    found = [frozenset({j}) for j in images]
+    for i, j in joined:
+        if i in images and j in images:
+            mine = {group for group in found if i in group or j in group}
+            found = [group for group in found if group not in mine] + [frozenset().union(*mine)]
+    return found
+
+
+@given(graphs)
+def test_bridges_and_islands_are_those_of_trying_it(drawn: tuple[int, dict[tuple[int, int], int]]) -> None:
+    """Take each link out and see whether more parts are left."""
+    m, counts = drawn
+    found = block(m, [(i, j, count) for (i, j), count in counts.items()])
+    everyone, joined = set(range(m)), set(counts)
+    whole = parts(everyone, joined)
+
+    assert {frozenset(island) for island in found.islands} == set(whole)
+    assert [len(island) for island in found.islands] == sorted(map(len, whole), reverse=True)
+    bridges = {pair for pair in joined if len(parts(everyone, joined - {pair})) > len(whole)}
+    assert {tuple(pair) for pair in found.pairs[found.bridges].tolist()} == bridges
+    assert {j for island in whole if len(island) == 1 for j in island} == set(found.unconnected.tolist())
+    for row in np.flatnonzero(found.bridges).tolist():
+        lost = frozenset(found.cut_off(row))
+        assert lost in parts(everyone, joined - {tuple(found.pairs[row].tolist())})
+        assert 2 * len(lost) <= next(len(island) for island in whole if lost < island)
+
+
+@given(graphs)
+def test_the_spine_holds_parts_together_as_well_as_all_links(drawn: tuple[int, dict[tuple[int, int], int]]) -> None:
+    """With the links of at least so many points alone, the spine joins what all of them join: no joint is weaker."""
+    m, counts = drawn
+    found = block(m, [(i, j, count) for (i, j), count in counts.items()])
+    spine = {tuple(found.pairs[row].tolist()): int(found.points[row]) for row in found.spine}
+    assert list(spine.values()) == sorted(spine.values())
+    assert len(spine) == m - len(found.islands)
+    for least in range(1, 8):
+        strong = {pair for pair, count in counts.items() if count >= least}
+        kept = {pair for pair, count in spine.items() if count >= least}
+        assert set(parts(set(range(m)), kept)) == set(parts(set(range(m)), strong))
+
+
+def test_classes_are_counted_apart() -> None:
+    """Two tie points, one laser point and one control point in common; the images' own points don't count."""
+    classes = [0, 0, PointClass.TIE, PointClass.TIE, PointClass.LASER, PointClass.CONTROL]
+    found = block(2, [(0, 1, 4)], classes=classes)
+    assert found.common.tolist() == [[2, 1, 1, 0]]
+    assert found.points.tolist() == [4]
+    assert found.seen.tolist() == [5, 5]
+
+
+def test_rejected_rays_do_not_join() -> None:
+    net = linked(3, [(0, 1, 2), (1, 2, 1)])
+    used = ~((net.rays.point == 5) & (net.rays.image == 2))  # the one point that joins images 1 and 2
+    found = connectivity(net, footprints(3, [0.0] * 3), used)
+    assert found.islands == ((0, 1), (2,))
+    assert found.seen.tolist() == [3, 4, 1]
+    assert found.unconnected.tolist() == [2]
+    assert len(found.untied) == 2
+
+
+def test_hints_where_points_and_footprints_disagree() -> None:
+    """I0 and I1 overlap by half and share points; I1 and I2 overlap and share none; I0 and I3 share but lie apart."""
+    found = block(4, [(0, 1, 3), (0, 3, 2)], west=[0.0, 0.5, 1.4, 3.0])
+    rows = {tuple(pair): row for row, pair in enumerate(found.pairs.tolist())}
+    assert set(rows) == {(0, 1), (0, 3), (1, 2)}
+    assert found.shares[rows[0, 1]] == pytest.approx(0.5, rel=1e-3)
+    assert found.untied.tolist() == [rows[1, 2]]
+    assert found.apart.tolist() == [rows[0, 3]]
+    assert found.gaps[rows[0, 3]] == pytest.approx(2.0 * DEG * MARS.equatorial, rel=5e-3)
+    assert found.gaps[rows[0, 1]] == 0.0
+    assert found.names == ("I0", "I1", "I2", "I3")
+    assert "2 islands" in repr(found)
+
+
+def test_footprints_of_other_images_are_refused() -> None:
+    with pytest.raises(InputError, match="one of each image"):
+        connectivity(linked(2, [(0, 1, 1)]), [box("I0", 0.0), box("J", 0.0)])
+
+
+def test_a_chain_of_five_hundred() -> None:
+    """Deep, and every link a bridge: no recursion."""
+    found = block(500, [(j, j + 1, 2) for j in range(499)], west=[0.5 * j for j in range(500)])
+    assert np.count_nonzero(found.bridges) == 499
+    middle = next(row for row in found.links.tolist() if found.pairs[row].tolist() == [249, 250])
+    assert len(found.cut_off(middle)) == 250
+
+
+def test_footprints_lie_at_the_height_of_the_points() -> None:
+    """Their outlines are the images' edges, seen at the middle height of the points that each image measures."""
+    net = networks.network(PAIR)
+    places = np.concatenate([PAIR.true_ties, PAIR.true_footprints])
+    for j, one in enumerate(network_footprints(net, places, lambda j: PAIR.true_corrections[j])):
+        image = PAIR.images[j]
+        edge, _ = image.ground_to_image(one.outline, PAIR.true_corrections[j])
+        assert np.minimum(np.abs(edge), np.abs(edge - [image.lines, image.samples])).min(axis=1).max() < 1e-4
+        want = np.median(geodetic(places[net.rays.point[net.rays.image == j]], MARS)[:, 2])
+        assert geodetic(one.outline, MARS)[:, 2] == pytest.approx(want, abs=0.5)
+    for one in network_footprints(net, np.full_like(places, np.nan)):
+        assert geodetic(one.outline, MARS)[:, 2] == pytest.approx(0.0, abs=1e-6)

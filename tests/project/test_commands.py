@@ -14,8 +14,6 @@ import pytest
 from commands import call
 from msgspec import structs
 from projects import digest
-from pyarrow.csv import read_csv
-from pyarrow.parquet import read_table
 
 import mgsgraph
 from mgsgraph.atomic_write import beside
@@ -24,7 +22,6 @@ from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.project.project import open_project
-from mgsgraph.results import tables as large_tables
 from mgsgraph.results.archive import read_solution
 
 
@@ -75,22 +72,6 @@ def test_looking_at_a_project_loads_no_solver(project: Path, case_file: Path) ->
         assert solver == {f"mgsgraph.adjustment.{name}" for name in ("settings", "incremental", "incremental.state")}
 
 
-def test_an_addition_loads_no_batch_solver(project: Path, case_file: Path) -> None:
-    """What is loaded before the first image is read is most of what a command takes."""
-    assert call("solve", project, "--no-figures") == 0
-    assert call("remove", project, "SIM/B") == 0
-    folder = case_file.parent
-    ties = ("--ties", folder / "network.pvl", "--shots", folder / "lidar.json")
-    there = loaded("add", project, folder / "image_B.isd", *ties)
-    assert {name.split(".")[0] for name in there} & (HEAVY | {"asyncio"}) == COMPILER | {"gtsam"}
-    assert {name for name in there if name.startswith("mgsgraph.results")} == {
-        "mgsgraph.results", "mgsgraph.results.archive"
-    }  # fmt: skip
-    batch = ("adjust", "cluster", "solution", "multistart", "conditional", "linearity")
-    assert not there & {f"mgsgraph.adjustment.{name}" for name in batch}
-    assert not [name for name in there if name.startswith(("mgsgraph.results.figures", "mgsgraph.analysis"))]
-
-
 def refused(project: Path, said: str, *arguments: str | Path) -> None:
     """One line, and nothing has changed."""
     before = state(project)
@@ -98,28 +79,6 @@ def refused(project: Path, said: str, *arguments: str | Path) -> None:
         call(*arguments)
     assert "\n" not in str(caught.value)
     assert state(project) == before
-
-
-def test_tables_of_a_solution_in_either_form(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """CSV and Parquet of the same numbers, as asked; where nothing is, what is large is Parquet."""
-    for form in ("csv", "parquet"):
-        assert call("solve", project, "--no-figures", "--tables", form) == 0
-    first, second = project / "solutions" / "0001", project / "solutions" / "0002"
-    for name in ("points", "residuals"):
-        assert (first / f"{name}.csv").is_file()
-        assert not (first / f"{name}.parquet").exists()
-        assert not (second / f"{name}.csv").exists()
-        text, binary = read_csv(first / f"{name}.csv"), read_table(second / f"{name}.parquet")
-        assert [column for column in binary.column_names if column != "geometry"] == text.column_names
-        for column in text.column_names:
-            one, other = (table[column].to_pylist() for table in (binary, text))
-            if isinstance(other[0], int | float) and not isinstance(other[0], bool):
-                np.testing.assert_allclose(np.array(one, float), np.array(other, float), rtol=1e-6, atol=1e-6)
-            elif other.count(None) < len(other):
-                assert one == other
-    monkeypatch.setattr(large_tables, "MOST_CSV_ROWS", 10)
-    assert call("solve", project, "--no-figures") == 0
-    assert (project / "solutions" / "0003" / "points.parquet").is_file()
 
 
 def test_from_a_case_to_a_solution_and_back(
@@ -283,42 +242,46 @@ def test_before_the_first_solution_images_are_only_put_in(
 
 
 def test_what_is_refused(project: Path, case_file: Path, tmp_path: Path) -> None:
-    folder = case_file.parent
+    folder, b = case_file.parent, case_file.with_name("image_B.isd")
     network = (folder / "network.pvl").read_text(encoding="utf-8")
-    (tmp_path / "other.pvl").write_text(network.replace("SIM/A", "SIM/Y").replace("SIM/B", "SIM/Z"))
     line = re.search(r"( Line *= )([\d.]+)", network)
     assert line is not None
-    moved = f"{line.group(1)}{float(line.group(2)) + 1.0}"
-    (tmp_path / "moved.pvl").write_text(network.replace(line.group(), moved, 1))
-    isd = folder / "image_B.isd"
-    refused(project, "in the project already", "add", project, f"SIM/B={isd}")
-    refused(project, "in the project already", "add", project, case_file)
-    refused(project, "given twice", "add", project, f"x={isd}", f"x={isd}")
-    refused(project, "SIM/B and x, which are one image", "add", project, f"x={isd}")
     isd = other_image(case_file)
-    refused(project, "unknown image 'SIM/[YZ]'", "add", project, f"x={isd}", "--ties", tmp_path / "other.pvl")
-    refused(project, "measured there before", "add", project, "--ties", tmp_path / "moved.pvl")
-    refused(project, "no such file", "add", project, tmp_path / "x.isd")
-    refused(project, "at least one", "add", project)
-    refused(project, "no image 'x'", "remove", project, "x")
-    refused(project, "not empty", "init", project)
     moon = json.loads(isd.read_text(encoding="utf-8"))
     moon["radii"] |= {"semimajor": 1737.4, "semiminor": 1737.4}
     moon["naif_keywords"] = {}  # they say whose radii these are
-    (tmp_path / "moon.isd").write_text(json.dumps(moon), encoding="utf-8")
-    refused(project, "image moon: a body of 1737.4 km", "add", project, f"moon={tmp_path / 'moon.isd'}")
     shots = json.loads((folder / "lidar.json").read_text(encoding="utf-8"))
     shots["points"][0]["range"] += 0.5
-    (tmp_path / "shots.json").write_text(json.dumps(shots), encoding="utf-8")
-    refused(project, "one range", "add", project, "--shots", tmp_path / "shots.json")
-    for table, said in ((project / "x.csv", "lies in the project"), (isd, ".csv"), (tmp_path, ".csv")):
-        refused(project, said, "remove", project, "SIM/B", "--impact", table)
-    (tmp_path / "mine.csv").write_text("mine\n", encoding="utf-8")
-    refused(project, "not an earlier impact", "remove", project, "SIM/B", "--impact", tmp_path / "mine.csv")
+    other, moved, of_moon, ranges, mine = (
+        tmp_path / name for name in ("other.pvl", "moved.pvl", "moon.isd", "shots.json", "mine.csv")
+    )
+    other.write_text(network.replace("SIM/A", "SIM/Y").replace("SIM/B", "SIM/Z"))
+    moved.write_text(network.replace(line.group(), f"{line.group(1)}{float(line.group(2)) + 1.0}", 1))
+    of_moon.write_text(json.dumps(moon), encoding="utf-8")
+    ranges.write_text(json.dumps(shots), encoding="utf-8")
+    mine.write_text("mine\n", encoding="utf-8")
+    for said, verb, *arguments in (
+        ("in the project already", "add", f"SIM/B={b}"),
+        ("in the project already", "add", case_file),
+        ("given twice", "add", f"x={b}", f"x={b}"),
+        ("SIM/B and x, which are one image", "add", f"x={b}"),
+        ("unknown image 'SIM/[YZ]'", "add", f"x={isd}", "--ties", other),
+        ("measured there before", "add", "--ties", moved),
+        ("no such file", "add", tmp_path / "x.isd"),
+        ("at least one", "add"),
+        ("no image 'x'", "remove", "x"),
+        ("not empty", "init"),
+        ("image moon: a body of 1737.4 km", "add", f"moon={of_moon}"),
+        ("one range", "add", "--shots", ranges),
+        ("lies in the project", "remove", "SIM/B", "--impact", project / "x.csv"),
+        (".csv", "remove", "SIM/B", "--impact", isd),
+        ("not an earlier impact", "remove", "SIM/B", "--impact", mine),
+    ):
+        refused(project, said, verb, project, *arguments)
     with open_project(project, write=True):
-        for verb in (("solve",), ("add", f"x={isd}"), ("remove", "SIM/B")):
+        for verb, *arguments in (("solve",), ("add", f"x={isd}"), ("remove", "SIM/B")):
             with pytest.raises(InputError, match="another mgsgraph process"):
-                call(verb[0], project, *verb[1:])
+                call(verb, project, *arguments)
 
 
 def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
@@ -331,16 +294,6 @@ def test_a_result_that_nobody_knows_of_is_swept(project: Path) -> None:
     assert call("solve", project, "--no-figures") == 0
     assert not aside.exists()
     assert json.loads((left / "solution.json").read_text())["status"] == "converged"
-
-
-def test_bad_input_is_one_line_and_status_2(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "mgsgraph", "status", str(tmp_path)],
-        capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "110"},
-    )  # fmt: skip
-    assert done.returncode == 2
-    said = f"{tmp_path}: is no project: there is no project.sqlite in it; make one with: mgsgraph init {tmp_path}"
-    assert done.stderr.strip() == f"mgsgraph: error: {said}"
 
 
 def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,62 +1,48 @@
-"""Strips in reports: course and sigmas along time, tables, words, pictures, and the archive that reads them back."""
+"""Strips in reports: course and sigmas along time; figures of merit of two steps, heights by cell, tables and map."""
 
-import csv
 import json
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import call, rows_of
 from mex import CHANGES
-from networks import network, pair
+from networks import network, pair, with_shift_and_surface
 from strip_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.frames import flight_frame
 from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.adjustment.two_steps import adjust_in_two_steps
+from mgsgraph.analysis.spacing import respaced
 from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_reports
-from mgsgraph.case.reading import read_case
-from mgsgraph.cli import group
-from mgsgraph.errors import InputError
+from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners, two_step_statistics
+from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import evenly_spaced
-from mgsgraph.network import Network, Pass, PolynomialPrior
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network, PointClass
 from mgsgraph.network.joining import seconds
-from mgsgraph.results.archive import read_solution, write_archive
-from mgsgraph.results.figures import write_figures
-from mgsgraph.results.figures.orientation import orientation_sheets, pass_curve
-from mgsgraph.results.inventory import bare_nodes, inventory
-from mgsgraph.results.passes import calendar, nodes_table, passes_table
-from mgsgraph.results.results import solution_json, statements, summary_table
+from mgsgraph.results.archive import read_solution
+from mgsgraph.results.figures.dem import height_map_sheets
+from mgsgraph.results.figures.orientation import pass_curve
+from mgsgraph.results.inventory import bare_nodes
+from mgsgraph.results.passes import calendar, nodes_table
+from mgsgraph.results.results import write_results
+from mgsgraph.results.two_steps import (
+    write_two_steps,
+)
+from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation.observations import TerrainErrors
 from mgsgraph.units import ARCSEC, MGON
-
-
-def respaced() -> Network:
-    """The block with nodes every 3 s."""
-    strips = []
-    for strip in block().network.passes:
-        nodes = evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 3.0)
-        strips.append(replace(strip, nodes=nodes))
-    return replace(block().network, passes=tuple(strips))
 
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    return adjust_network(respaced(), SolverSettings(), "block")
-
-
-@pytest.fixture(scope="module")
-def mixed() -> Solution:
-    """The pair: its first image a strip with polynomials on its four nodes, the other one by itself."""
-    net = network(pair())
-    start, stop = seconds(net.images[0])
-    epoch = net.images[0].trajectory.epoch
-    nodes = evenly_spaced("lagrange", epoch, (start - epoch, stop - epoch), (stop - start) / 2.0)
-    trend = np.array([1.0, 0.3, 0.1, 0.05])[:, None] * net.priors[0].sigmas[0]
-    prior = PolynomialPrior(trend[:, :3], trend[:, 3:])
-    strip = Pass('one, "A"', np.array([0]), nodes, prior)
-    return adjust_network(replace(net, passes=(strip,)), SolverSettings(), "mixed")
+    return adjust_network(respaced(block().network, 3.0), SolverSettings(), "block")
 
 
 # --- the course
@@ -65,7 +51,7 @@ def mixed() -> Solution:
 @pytest.mark.parametrize("angles", ["opk-paper", "opk-peer"])
 def test_the_course_is_what_each_image_has(angles: Angles) -> None:
     """Lengths of corrections, and sums of variances, are those of the images' own profiles, whatever the axes."""
-    solved = adjust_network(respaced(), SolverSettings(angles=angles), "block")
+    solved = adjust_network(respaced(block().network, 3.0), SolverSettings(angles=angles), "block")
     for image in (0, 2, 9):
         profile = orientation_profile(solved, image, 7)
         course = strip_corrections(solved, image // 5, profile.times)
@@ -100,7 +86,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
 
 
-# --- tables and words
+# --- tables
 
 
 def test_report(solution: Solution) -> None:
@@ -121,8 +107,7 @@ def test_report(solution: Solution) -> None:
 
 def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
     nodes_table(solution).write_csv(tmp_path / "passes.csv")
-    with (tmp_path / "passes.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "passes.csv")
     assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
     assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
     for k, row in enumerate(rows[: len(solution.nodes[0])]):
@@ -143,46 +128,6 @@ def test_calendar_is_tdb() -> None:
     assert calendar(-0.0004) == "2000-01-01T12:00:00.000"
 
 
-def test_words_and_table(solution: Solution, mixed: Solution) -> None:
-    first, second = passes_table(solution).rows
-    assert first[:4] == ["HRSC/00", "lagrange", "5", str(len(solution.network.passes[0].nodes))]
-    assert second[0] == "HRSC/01"
-    (datum,) = [line for line in statements(solution) if line.startswith("No laser rows")]
-    assert " are 50 m in position and 0.442 mrad in rotation" in datum  # 28 and 3 mgon together
-    assert not any("held" in line for line in statements(solution))
-    for one in (solution, mixed):
-        table = summary_table(one)
-        assert "Passes " in table
-        assert "held" not in table
-        assert max(map(len, table.splitlines())) <= 110
-
-
-def test_json(solution: Solution, mixed: Solution) -> None:
-    for one in (solution, mixed):
-        record = solution_json(one)
-        assert json.loads(json.dumps(record, allow_nan=False)) == record
-        assert not any(image["held"] for image in record["images"])
-    assert [image["pass"] for image in solution_json(mixed)["images"]] == ['one, "A"', None]
-    strip = solution_json(solution)["passes"][0]
-    assert strip["images"][0] == "HRSC/00/S1"
-    assert strip["trend"][3]["component"] == "rotation x"
-    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(solution.trends[0][3])
-
-
-# --- check
-
-
-def test_check(tmp_path: Path) -> None:
-    case = read_case(write_block(tmp_path))
-    said = inventory(case)
-    assert "  pass HRSC/01\n" in said
-    assert f", {len(case.network.passes[1].nodes)} orientation images (lagrange) every " in said
-    sigmas = case.network.passes[1].prior.node_sigmas(np.zeros(len(case.network.passes[1].nodes)))[0]
-    assert f"{sigmas[0]:.3g} m, {1e3 * sigmas[3]:.3g} mrad" in said
-    assert "held" not in said.replace("no held image", "")
-    assert "no laser, no ground control, no held image" in said
-
-
 def test_bare_nodes_are_counted() -> None:
     """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
     net = block().network
@@ -201,98 +146,209 @@ def test_bare_nodes_are_counted() -> None:
     assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 
-# --- pictures
-
-
 def test_the_curve_passes_through_its_nodes(solution: Solution) -> None:
-    for one in (solution,):
-        drawn = pass_curve(one, 1)
-        assert drawn.node_shares[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-9)
-        assert np.all(drawn.sigmas > 0.0)
-        for curve, at in zip(drawn.values.T, drawn.node_values.T, strict=True):
-            near = np.interp(drawn.node_shares, drawn.shares, curve)
-            np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
-
-
-def test_passes_are_on_one_sheet(mixed: Solution) -> None:
-    passes, images = orientation_sheets(mixed)
-    assert (passes.name, images.name) == ("passes", "orientation")
-    names = [text.get_text() for text in passes.figure.axes[-1].get_xticklabels()]
-    assert names == [one.name for one in mixed.network.passes]
-    labels = [axes.get_ylabel() for axes in passes.figure.axes]
-    assert labels == ["along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)"]
+    drawn = pass_curve(solution, 1)
+    assert drawn.node_shares[[0, -1]] == pytest.approx([0.0, 1.0], abs=1e-9)
+    assert np.all(drawn.sigmas > 0.0)
+    for curve, at in zip(drawn.values.T, drawn.node_values.T, strict=True):
+        near = np.interp(drawn.node_shares, drawn.shares, curve)
+        np.testing.assert_allclose(near, at, atol=max(0.1 * float(np.ptp(curve)), 1e-6))
 
 
 @pytest.mark.usefixtures("light_figures")
-def test_files(solution: Solution, mixed: Solution, tmp_path: Path) -> None:
-    names = write_figures(solution, tmp_path / "block")
-    assert "passes.png" in names
-    assert not any(name.startswith("orientation") for name in names)
-    assert {"passes.png", "orientation.png"} <= set(write_figures(mixed, tmp_path / "mixed"))
-
-
-# --- the archive
-
-
-@pytest.mark.parametrize("which", ["solution", "mixed"])
-def test_the_same_solution_comes_back(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    solved: Solution = request.getfixturevalue(which)
-    write_archive(solved, tmp_path / "solution.npz")
-    back = read_solution(tmp_path)
-    write_archive(back, tmp_path / "again.npz")
-    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "solution.npz").read_bytes()
-    assert type(back.network.passes[0].prior) is type(solved.network.passes[0].prior)
-    assert solution_json(back) == solution_json(solved)
-
-
-def edited(solved: Solution, path: Path, drop: tuple[str, ...] = (), **arrays: np.ndarray) -> Path:
-    """The archive of a solution without some fields of its record, and with other arrays."""
-    write_archive(solved, path)
-    with np.load(path) as archive:
-        parts = {name: archive[name] for name in archive.files}
-    record = json.loads(parts["record"].tobytes())
-    for name in drop:
-        inner, _, key = f"record.{name}".rpartition(".")
-        holder = record
-        for step in inner.split(".")[1:]:
-            holder = holder[step]
-        del holder[key]
-    parts["record"] = np.frombuffer(json.dumps(record).encode(), dtype=np.uint8)
-    parts |= {name.replace("__", "."): array for name, array in arrays.items()}
-    np.savez(path, **parts)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("drop", "arrays", "says"),
-    [
-        (("nodes",), {}, "nodes.0: an array that"),
-        (("trends",), {}, "trends.0: an array that"),
-        ((), {"nodes__0": np.zeros((3, 6))}, r"nodes: shapes \[\(3, 6\)"),
-        ((), {"trends__1": np.full(12, np.nan)}, "trends: not a number"),
-        ((), {"network__passes__0__nodes__times": np.arange(3.0)}, "3 nodes; expected at least 4"),
-        ((), {"network__passes__1__images": np.array([0, 1])}, "image 0; expected an image of the network, of one"),
-    ],
-)
-def test_what_does_not_fit_is_refused(
-    solution: Solution, tmp_path: Path, drop: tuple[str, ...], arrays: dict[str, np.ndarray], says: str
-) -> None:
-    path = edited(solution, tmp_path / "x.npz", drop, **arrays)
-    with pytest.raises(InputError, match=says) as caught:
-        read_solution(path)
-    assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
-
-
-# --- the command line
-
-
 def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_block(tmp_path)
-    assert not group(["adjust", str(path), "--out", str(tmp_path / "out"), "--no-figures"], standalone_mode=False)
-    said = capsys.readouterr().out
     nodes = len(block().network.passes[1].nodes)
+    assert call("check", path) == 0
+    said = capsys.readouterr().out
+    assert "  pass HRSC/01\n" in said
+    assert f", {nodes} orientation images (lagrange) every " in said
+    assert call("adjust", path, "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().out
     assert re.search(rf"^  HRSC/01 +{nodes} ", said, re.MULTILINE)
-    assert "pitch" in said
-    assert (tmp_path / "out" / "passes.csv").is_file()
-    assert len(read_solution(tmp_path / "out").network.passes) == 2
+    assert " are 50 m in position and 0.442 mrad in rotation" in said  # 28 and 3 mgon together
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"passes.csv", "passes.png"} <= names
+    assert not any(name.startswith("orientation") and name.endswith("png") for name in names)
+    strip = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))["passes"][0]
+    assert (strip["images"][0], strip["trend"][3]["component"]) == ("HRSC/00/S1", "rotation x")
+    trend = read_solution(tmp_path / "out").trends[0]
+    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(trend[3])
+
+
+# --- figures of merit of two steps
+
+
+TERRAIN = TerrainErrors(missing=0.02)
+
+
+@cache
+def merit(which: str) -> TwoStepStatistics:
+    return two_step_statistics(adjust_in_two_steps(networks(which), SolverSettings(reject=4.0), which))
+
+
+@cache
+def networks(which: str) -> Network:
+    if which == "pair":
+        return with_shift_and_surface(network(pair(ties=40, shots=6)))
+    settings = BlockSettings(strips=2, length=150e3, points=400, terrain=TERRAIN)
+    return simulate_hrsc_block(settings, seed=3).network
+
+
+# --- figures of merit
+
+
+# above two seconds: adjusts a block in two steps, once for all tests here
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_the_whole_is_its_parts(which: str) -> None:
+    found = merit(which)
+    assert [group.name for group in found.groups] == [name for name, _ in owners(networks(which))]
+    assert found.whole.points <= sum(group.points for group in found.groups)
+    for group in (found.whole, *found.groups):
+        assert np.all(group.mean[1] < group.mean[0])  # what an adjustment knows is no less than what each point knows
+        assert np.all(group.poses[2] <= group.poses[0] * (1.0 + 1e-9))
+    assert found.whole.heights.count == int(found.used.sum())
+    np.testing.assert_allclose(found.whole.heights.rms, np.sqrt(np.mean(found.heights[:, found.used] ** 2, axis=1)))
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
+    """Along the vertical of each point, whatever flew over it."""
+    found, steps = merit(which), merit(which).steps
+    ties = (steps.network.points.classes == PointClass.TIE) & steps.free.determined & steps.fitted.determined
+    up = steps.fitted.places[ties] / np.linalg.norm(steps.fitted.places[ties], axis=1, keepdims=True)
+    stages = (steps.rays_alone.nominal()[1], steps.free.covariances, steps.fitted.covariances)
+    sigmas = [np.sqrt(np.einsum("ni,nij,nj->n", up, one[ties], up)) for one in stages]
+    assert found.whole.points == int(ties.sum())
+    np.testing.assert_allclose(found.whole.mean[:, 2], np.mean(sigmas, axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.whole.median[:, 2], np.median(sigmas, axis=1), rtol=1e-9)
+
+
+def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
+    """As `analysis.statistics.strip_corrections` has them at the nodes, between which they hardly change."""
+    found, net = merit("block"), networks("block")
+    means = np.empty((2, len(net.passes), 6))
+    for step, solution in enumerate((found.steps.free, found.steps.fitted)):
+        for k, strip in enumerate(net.passes):
+            image = net.images[int(strip.images[2])]
+            nodes = strip_corrections(solution, k, node_times(solution, k))
+            at = image.moments(np.linspace(0.0, float(image.lines), 101))
+            times = at.times + at.epoch
+            means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]
+            np.testing.assert_allclose(found.groups[k].poses[step + 1], means[step, k], rtol=0.01)
+    np.testing.assert_allclose(found.whole.poses[1:], means.mean(axis=1), rtol=0.01)
+
+
+def test_what_is_held_is_known_beforehand() -> None:
+    """Without unknowns the orientation is not uncertain, and step 1 has nothing to add to the rays."""
+    net = replace(networks("block"), passes=(), held=np.ones(10, dtype=bool))
+    found = two_step_statistics(adjust_in_two_steps(net, SolverSettings()))
+    assert np.all(found.whole.poses == 0.0)
+    np.testing.assert_allclose(found.whole.mean[0], found.whole.mean[1], rtol=1e-9)
+    assert np.all(found.whole.mean[2] < found.whole.mean[1])
+
+
+def test_a_priori_attitude_is_the_settings() -> None:
+    """28 mgon of bias, 3 of wander and a drift of 5 at the ends, whose mean over the strip is smaller."""
+    found = merit("block").whole.poses[0, 3:] / MGON
+    assert np.all(found > np.hypot(28.0, 2.0))
+    assert np.all(found < np.sqrt(28.0**2 + 3.0**2 + 5.0**2))
+
+
+def test_the_block_does_what_the_paper_says() -> None:
+    whole = merit("block").whole
+    assert np.all(whole.poses[1, 4:] < whole.poses[0, 4:] / 3.0)  # pitch and yaw come without the terrain
+    assert whole.poses[1, 3] > 0.3 * whole.poses[0, 3]  # roll doesn't
+    assert whole.mean[0, 2] > 1.3 * whole.mean[1, 2]
+    assert np.all(np.diff(whole.heights.rms) < 0.0)
+
+
+def test_heights_before_are_of_the_places_that_fit_the_images_best() -> None:
+    """By Gauss-Newton on the pixels, with differences for derivatives, from where the rays come closest in space."""
+    net, found = networks("block"), merit("block")
+    assert net.surface is not None
+    left_out = found.steps.free.rays_rejected
+    assert left_out is not None
+    rays = np.flatnonzero(~left_out)
+    point, origins, directions = net.rays.point[rays], *np.empty((2, rays.size, 3))
+    for j, image in enumerate(net.images):
+        mine = net.rays.image[rays] == j
+        origins[mine], directions[mine] = image.sightlines(*net.rays.places[rays[mine]].T)
+    places, _, _ = intersect_rays(origins, directions, point, len(net.points))
+
+    def misfit(at: Array) -> Array:
+        result = np.empty((rays.size, 2))
+        for j, image in enumerate(net.images):
+            mine = net.rays.image[rays] == j
+            measured = net.rays.places[rays[mine]]
+            result[mine] = image.ground_to_image(at[point[mine]], start=measured[:, 0])[0] - measured
+        return result / net.rays.sigmas[rays]
+
+    for _ in range(3):
+        r = misfit(places)
+        by = np.stack([(misfit(places + step) - misfit(places - step)) / 20.0 for step in 10.0 * np.eye(3)], axis=2)
+        normal, right = np.zeros((len(net.points), 3, 3)), np.zeros((len(net.points), 3))
+        np.add.at(normal, point, np.einsum("rki,rkj->rij", by, by))
+        np.add.at(right, point, np.einsum("rki,rk->ri", by, r))
+        some = np.unique(point)
+        places[some] -= np.linalg.solve(normal[some], right[some, :, None])[:, :, 0]
+    np.testing.assert_allclose(found.heights[0], above(net, places[found.points]), atol=0.02, rtol=0.02)
+    assert np.std(found.heights[0]) > 50.0
+
+
+def test_heights_after_step_1_are_of_its_places() -> None:
+    net, found = networks("block"), merit("block")
+    np.testing.assert_allclose(found.heights[1], above(net, found.steps.free.places[found.points]), rtol=0.02)
+
+
+def above(net: Network, places: Array) -> Array:
+    """m above the terrain model, along its normal."""
+    assert net.surface is not None
+    return net.surface.grid.height_above(places)[0]
+
+
+def test_points_over_missing_posts_are_counted() -> None:
+    surface = networks("block").surface
+    assert surface is not None
+    assert merit("block").without_row == int(np.isinf(surface.sigmas).sum()) > 0
+    ties = len(networks("block").points)
+    assert merit("block").points.size + merit("block").without_row + merit("block").left_out == ties
+
+
+# --- tables, map
+
+
+@pytest.mark.usefixtures("light_figures")
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_files(which: str, tmp_path: Path) -> None:
+    found, out = merit(which), tmp_path / "out"
+    write_two_steps(found, out)
+    drawn = {path.name for path in out.iterdir()}
+    assert {"map.png", "height_map_1.png", "height_map_2.png"} <= drawn
+    record = json.loads((out / "two_steps.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in record["steps"]] == [f"{which}, step 1", which]
+    heights = next(row for row in record["figures"] if row["quantity"] == "terrain_rms_height")
+    assert heights["values"] == found.whole.heights.rms.tolist()
+    np.testing.assert_array_equal(read_solution(out).places, found.steps.fitted.places)
+
+    assert len(rows_of(out / "two_steps.csv")) == (len(found.groups) + 1) * 14
+    pitch = next(
+        row for row in rows_of(out / "two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
+    )
+    assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
+    assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / MGON)
+    used = np.array([float(row["height_step_2_m"]) for row in rows_of(out / "heights.csv") if row["used"] == "true"])
+    assert np.sqrt(np.mean(used**2)) == pytest.approx(found.whole.heights.rms[2])
+    write_two_steps(found, out, figures=False)  # an earlier result is replaced, by an adjustment in one step, too
+    write_results(found.steps.fitted, out, figures=False)
+    assert not any(path.name.startswith(("passes.png", "two_steps")) for path in out.iterdir())
+
+
+@pytest.mark.parametrize("which", ["pair", "block"])
+def test_the_maps_show_before_and_after_on_one_scale(which: str) -> None:
+    found = merit(which)
+    for sheet, heights in zip(height_map_sheets(found), found.heights[[0, -1]], strict=True):
+        (marks,) = [one for one in sheet.figure.axes[0].collections if one.get_array() is not None]
+        np.testing.assert_array_equal(marks.get_array(), heights[found.used])
+        low, high = marks.get_clim()
+        assert -low == high == pytest.approx(np.quantile(np.abs(found.heights[:, found.used]), 0.98))

@@ -1,5 +1,6 @@
-"""The report page: its figures, tables and comparisons, and what a real browser makes of it."""
+"""The report page, its figures and tables and what a real browser makes of it; two solutions compared."""
 
+import json
 import re
 import warnings
 from dataclasses import replace
@@ -10,23 +11,26 @@ import networks
 import numpy as np
 import profiles
 import pytest
-from sharing import with_all_kinds
+from commands import call, rows_of
+from matplotlib.quiver import Quiver
 from strip_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
+from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.case.reading import adjust as adjust_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.table import NONE, Table, fixed
-from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.files.output.table import NONE, Table
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.results import page as report_page
-from mgsgraph.results.comparison import compare, orientation_difference
+from mgsgraph.results.comparison import compare, input_section, orientation_difference, settings_section
 from mgsgraph.results.figures import page as report_figures
+from mgsgraph.results.figures.map import comparison_sheet
 from mgsgraph.results.page import tables as tables_of
 from mgsgraph.results.page import write_report
-from mgsgraph.results.results import solution_sections
+from mgsgraph.results.results import solution_sections, write_results
 from mgsgraph.simulation.files import write_pair
 
 LINES, SAMPLES = (3000, 3400), (100, 250)
@@ -64,11 +68,6 @@ def solution(case: Case) -> Solution:
 
 
 @pytest.fixture(scope="module")
-def registration(case: Case, solution: Solution) -> CaseRegistration:
-    return register_case(case, solution)
-
-
-@pytest.fixture(scope="module")
 def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
     earlier = replace(solution, name="earlier", places=solution.places + 1.0)
     inputs = {"solution.npz": "0" * 64, "gone.bsp": None}
@@ -78,7 +77,7 @@ def page(case: Case, solution: Solution, tmp_path_factory: pytest.TempPathFactor
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take most of the time."""
-    monkeypatch.setattr(report_figures, "figure_tasks", lambda *_: [("map", list)])
+    monkeypatch.setattr(report_figures, "solution_figures", lambda *_: [])
 
 
 def text_of(solution: Solution, folder: Path, **wanted: Any) -> str:
@@ -114,27 +113,10 @@ def test_the_same_inputs_give_the_same_page(page: Path, case: Case, solution: So
     assert again == page.read_text(encoding="utf-8")
 
 
-def test_what_could_not_be_read_is_said(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    assert '<td>gone.bsp</td><td class="sum">could not be read</td>' in text
-    assert '<td class="sum">' + "0" * 64 in text
-
-
 @pytest.mark.usefixtures("no_figures")
-def test_a_page_takes_the_place_of_no_other_file(solution: Solution, tmp_path: Path) -> None:
+def test_an_earlier_page_stays_whole_and_no_other_file_is_replaced(solution: Solution, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"'.npz'; expected a page \(.html\)"):
         write_report(solution, tmp_path / "solution.npz")
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(InputError, match="can't be written"):
-        write_report(solution, tmp_path / "file" / "r.html")
-    (tmp_path / "r.html").mkdir()
-    with pytest.raises(InputError, match="what is there is no file"):
-        write_report(solution, tmp_path / "r.html")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "r.html"]
-
-
-@pytest.mark.usefixtures("no_figures")
-def test_an_earlier_page_stays_whole(solution: Solution, tmp_path: Path) -> None:
     earlier = '<meta name="generator" content="mgsgraph report">'
     (tmp_path / "r.html").write_text(earlier)
     others = replace(solution.network, images=tuple(
@@ -156,30 +138,13 @@ def test_one_that_has_not_converged_is_marked(tmp_path: Path) -> None:
     assert "NOT CONVERGED: nothing on this page is a result" in text
     assert "<h1>Report on A &lt;b&gt;&amp;</h1>" in text
     assert "<b>" not in text
-    assert "with the case file (--case)" in text
-    assert "if the case names profiles of MOLA" in text  # others' footprints can't be shown
 
 
 @pytest.mark.usefixtures("no_figures")
 def test_strips_without_laser(tmp_path: Path) -> None:
     text = text_of(adjust_network(block().network, SolverSettings(), "block"), tmp_path)
-    assert "This solution has no laser points" in text
     assert 'id="table-passes"' in text
     assert 'id="table-ranges"' not in text
-
-
-def test_unknowns_that_images_share() -> None:
-    network = with_all_kinds(networks.with_shift_and_surface(networks.network(networks.pair())))
-    found = tables(adjust_network(network, SolverSettings()))
-    assert len(named(found, "shared").rows) == sum(one.kind.width for one in network.shared)
-    assert [row[0] for row in named(found, "shifts").rows] == list(network.shift_names)
-
-
-@pytest.mark.usefixtures("no_figures")
-def test_a_case_without_profiles_says_so(solution: Solution, case: Case, tmp_path: Path) -> None:
-    text = text_of(solution, tmp_path, case=replace(case, profiles=()))
-    assert "if the case names profiles of MOLA" in text
-    assert 'data-name="overlay' not in text
 
 
 # --- tables
@@ -196,12 +161,10 @@ def test_a_long_table_is_cut_and_says_so(solution: Solution, monkeypatch: pytest
 
 
 def test_undetermined_points_have_dashes(solution: Solution) -> None:
-    places = solution.places.copy()
-    places[3] = np.nan
-    covariances = solution.covariances.copy()
-    covariances[3] = np.nan
-    determined = np.arange(len(places)) != 3
-    found = named(tables(replace(solution, places=places, covariances=covariances, determined=determined)), "points")
+    lost = np.arange(len(solution.places)) == 3
+    parts = {"places": np.where(lost[:, None], np.nan, solution.places), "determined": ~lost,
+             "covariances": np.where(lost[:, None, None], np.nan, solution.covariances)}  # fmt: skip
+    found = named(tables(replace(solution, **parts)), "points")
     (row,) = [row for row in found.rows if row[0] == solution.network.points.ids[3]]
     assert row[3:12] == [NONE] * 9
     assert row[-1] == "rejected"
@@ -222,20 +185,7 @@ def test_measures_are_those_that_fit_worst(solution: Solution) -> None:
     assert table.rows[0][3:5] == [f"{line:.2f}", f"{sample:.2f}"]
 
 
-@pytest.mark.parametrize(
-    ("value", "said"), [(1.005e3, "1005.00"), (-0.001, "0.00"), (-1.5, "-1.50"), (float("nan"), NONE), (1e9, "1e+09")]
-)
-def test_numbers(value: float, said: str) -> None:
-    assert fixed(value) == said
-
-
 # --- against an earlier solution
-
-
-def test_against_itself_nothing_moved(solution: Solution) -> None:
-    found = compare(solution, solution)
-    assert "differs by at most 0 sigmas" in found.section.sentences[1]
-    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.section.sentences[2]
 
 
 def test_a_known_difference_of_orientation_is_found(solution: Solution) -> None:
@@ -262,21 +212,6 @@ def test_differences_are_in_units_of_the_larger_sigma(solution: Solution) -> Non
     for pair in ((solution, other), (other, solution)):
         _, sigmas = orientation_difference(pair[0], 1, pair[1], 1)
         np.testing.assert_allclose(sigmas, np.maximum(*parts))
-
-
-def test_a_solution_without_laser_has_fewer_points_and_observations(case: Case, solution: Solution) -> None:
-    other = adjust_case(read_case(case.path, laser=False))
-    found = compare(solution, other)
-    assert found.section.tables[0].note.startswith("The numbers of observations differ")
-    names = set(solution.network.points.ids) - set(other.network.points.ids)
-    assert f", {len(names)} new, 0 gone" in found.section.sentences[2]
-
-
-def test_costs_of_other_losses_are_not_compared(solution: Solution) -> None:
-    other = replace(solution, settings=replace(solution.settings, loss="huber", loss_width=2.0))
-    found = named(compare(solution, other).section.tables, "merit_compared")
-    assert "The losses differ (huber, width 2; now none)" in found.note
-    assert named(compare(solution, solution).section.tables, "merit_compared").note == ""
 
 
 def test_points_by_their_names(solution: Solution) -> None:
@@ -334,16 +269,6 @@ def test_every_figure_is_there_and_nothing_is_asked_for(browser: Any, page: Path
     assert seen.tab.evaluate("[...document.querySelectorAll('nav a')].every(one => document.querySelector(one.hash))")
     assert seen.said == []
     assert {url for url in seen.asked if not url.startswith("data:")} == {page.as_uri()}
-
-
-@pytest.mark.parametrize(("width", "some"), [(380, True), (1280, False)])
-def test_what_is_wider_than_the_screen_says_so(browser: Any, page: Path, width: int, some: bool) -> None:
-    tab = Opened(browser, page, viewport={"width": width, "height": 800}).tab
-    tab.wait_for_timeout(200)
-    found = tab.evaluate("[...document.querySelectorAll('.scroll')].map(one => [one.scrollWidth > one.clientWidth + 1, "
-                         "one.previousElementSibling?.className === 'hint'])")  # fmt: skip
-    assert all(wider == said for wider, said in found)
-    assert any(wider for wider, _ in found) or not some
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(380, "dark"), (1280, "light")])
@@ -412,18 +337,93 @@ def test_unknown_numbers_come_last(browser: Any, solution: Solution, tmp_path: P
         assert seen.column("images", c)[-1] == NONE
 
 
-def test_on_paper_images_are_whole(browser: Any, page: Path) -> None:
-    seen = Opened(browser, page, viewport={"width": 700, "height": 900})
-    seen.tab.emulate_media(media="print")
-    visible = "sel => [...document.querySelectorAll(sel)].map(one => one.checkVisibility())"
-    assert set(seen.tab.evaluate(visible, "nav, .bar button")) == {False}
-    assert set(seen.tab.evaluate(visible, "#table-points [role=status]")) == {True}  # what was cut
-    right = "one => one.getBoundingClientRect().right"
-    assert max(seen.tab.evaluate(f"[...document.querySelectorAll('figure .drawing')].map({right})")) <= 700
-    assert seen.said == []
+# --- what differs of two solutions
 
 
-def test_without_javascript_nothing_is_missing(browser: Any, page: Path) -> None:
-    tab = browser.new_context(offline=True, java_script_enabled=False).new_page()
-    tab.goto(page.as_uri())
-    assert tab.locator("#table-points tbody tr").last.is_visible()
+LABELS = ("A", "B")
+
+
+def test_a_solution_and_itself_have_nothing_apart(solution: Solution) -> None:
+    found = compare(solution, solution, LABELS)
+    assert "differs by at most 0 sigmas" in found.section.sentences[1]
+    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.section.sentences[2]
+    assert {table.name for table in found.section.tables}.isdisjoint({"settings_compared", "input_compared"})
+    rows = named(found.section.tables, "sigmas_compared").rows
+    ratios = np.array([[float(text) for text in row[4:]] for row in rows])
+    np.testing.assert_array_equal(ratios, 1.0)
+
+
+def test_settings_that_differ_are_listed(solution: Solution) -> None:
+    other = replace(solution, settings=replace(solution.settings, loss="huber", loss_width=2.0))
+    table = settings_section(solution, other, LABELS).tables[0]
+    assert table.rows == [["loss", "none", "huber"], ["loss_width", "not set", "2.0"]]
+    assert "The losses differ" in named(compare(other, solution).section.tables, "merit_compared").note
+
+
+def test_measures_that_differ_are_counted(solution: Solution) -> None:
+    """One left out, two moved by 3 and 4 px, three of twice the sigma."""
+    network, rays = solution.network, solution.network.rays
+    places, sigmas = rays.places.copy(), rays.sigmas.copy()
+    places[[5, 6]] += np.array([3.0, 4.0])
+    sigmas[[7, 8, 9]] *= 2.0
+    kept = np.arange(1, rays.point.size)
+    changed = replace(rays, places=places, sigmas=sigmas).chosen(kept)
+    of_measures = {name: getattr(solution, name)[kept] for name in ("residuals", "residuals_before", "rays_used")}
+    other = replace(solution, network=replace(network, rays=changed), **of_measures)
+    table = input_section(solution, other, LABELS).tables[0]
+    numbers = np.array([[int(text) for text in row[1:5]] for row in table.rows])
+    assert (numbers[:, 0] - numbers[:, 1]).sum() == 1
+    assert numbers[:, 2:].sum(axis=0).tolist() == [2, 3]
+    assert input_section(other, solution, LABELS).tables[0].rows[0][5] == "same"
+
+
+def test_images_of_other_priors_are_named(solution: Solution) -> None:
+    network = solution.network
+    loose = (replace(network.priors[0], sigmas=3.0 * network.priors[0].sigmas), *network.priors[1:])
+    other = replace(solution, network=replace(network, priors=loose))
+    found = input_section(solution, other, LABELS)
+    assert [row[0] for row in found.tables[0].rows] == [network.images[0].name]
+    assert any(network.images[0].name in sentence for sentence in found.sentences)
+
+
+def test_the_ratio_of_sigmas_is_that_of_the_measures(solution: Solution) -> None:
+    """All observations four times as good, priors too: every sigma is a quarter of what it was."""
+    earlier, later = (
+        replace(solution, covariances=factor * solution.covariances) for factor in (1.0, 1.0 / 16.0)
+    )  # fmt: skip
+    points = CommonPoints(later, earlier)
+    np.testing.assert_allclose(points.ratio[np.isfinite(points.ratio)], 0.25)
+    for row in named(compare(later, earlier, LABELS).section.tables, "sigmas_compared").rows:
+        assert row[4:] == ["0.250", "0.250", "0.250"]
+
+
+def test_the_map_has_arrows(solution: Solution) -> None:
+    """Of a block longer than wide by less than four times; of two points there is no map."""
+    few = CommonPoints(solution, solution)
+    object.__setattr__(few, "rows", tuple(rows[:2] for rows in few.rows))
+    assert comparison_sheet(few, LABELS) is None
+    points = CommonPoints(solution, solution)
+    n, (k, *_) = 400, points.rows[0]
+    east, north = np.meshgrid(np.linspace(-2e4, 2e4, 20), np.linspace(-2e4, 2e4, 20))
+    frame = east_north_up(solution.places[[k]])[0]
+    object.__setattr__(points, "rows", (np.full(n, k), np.full(n, k)))
+    plane = np.column_stack([east.ravel(), north.ravel()])
+    object.__setattr__(points, "places", solution.places[k] + plane @ frame[:2])
+    object.__setattr__(points, "moved", np.tile([3.0, 4.0, 1.0], (n, 1)))
+    sheet = comparison_sheet(points, LABELS)
+    assert sheet is not None
+    (arrows,) = [one for one in sheet.figure.axes[0].collections if isinstance(one, Quiver)]
+    np.testing.assert_allclose(np.asarray(arrows.V) / np.asarray(arrows.U), 4.0 / 3.0)
+
+
+@pytest.mark.usefixtures("light_figures")
+def test_the_command_writes_every_common_point(solution: Solution, tmp_path: Path) -> None:
+    write_results(solution, tmp_path / "a", figures=False)
+    later = replace(solution, places=solution.places + [[1.0, 2.0, 3.0]] * solution.sigmas)
+    write_results(later, tmp_path / "b", figures=False)
+    assert call("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c") == 0
+    assert {"comparison.json", "comparison.png"} < {path.name for path in (tmp_path / "c").iterdir()}
+    rows = rows_of(tmp_path / "c" / "points_compared.csv")
+    np.testing.assert_array_equal([float(row["east_m"]) for row in rows], CommonPoints(later, solution).moved[:, 0])
+    record = json.loads((tmp_path / "c" / "comparison.json").read_text(encoding="utf-8"))
+    assert record["sigmas_compared"][0]["class"] == "tie"

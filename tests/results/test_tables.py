@@ -1,6 +1,5 @@
-"""Tables: every figure is recomputed here from the record, and reads back bit for bit."""
+"""Tables, records and rasters: every figure is recomputed here from the solution, and reads back bit for bit."""
 
-import csv
 import json
 import math
 from dataclasses import replace
@@ -8,18 +7,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.csv
 import pytest
-from networks import network, pair
+import rasterio
+import shapely
+from commands import rows_of
+from full_disk import files_of_at_most
+from networks import network, pair, with_shift_and_surface
+from pyarrow import parquet
+from rasterio.crs import CRS
+from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.analysis.statistics import local_sigmas, point_statistics, ray_statistics
+from mgsgraph.analysis.places import BANDS, SigmaGrid
+from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import local_sigmas, point_statistics, ray_statistics, worst_first
 from mgsgraph.case.reading import Case
-from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.errors import InputError
+from mgsgraph.files.rasters.raster_file import geographic_crs
+from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.network import PointClass
+from mgsgraph.results import tables as large_tables
+from mgsgraph.results.answers import Questions, answered, write_sigma_raster
+from mgsgraph.results.ground import control_section, surface_heights
 from mgsgraph.results.inventory import wild_ranges
-from mgsgraph.results.results import solution_json, statements
-from mgsgraph.results.tables import orientation_table, points_table, residuals_table
+from mgsgraph.results.results import solution_json, statements, write_results
+from mgsgraph.results.tables import form_of, orientation_table, points_table, residuals_table
 from mgsgraph.units import ARCSEC, DEG
 
 XYZ = ("x", "y", "z")
@@ -27,8 +42,7 @@ XYZ = ("x", "y", "z")
 
 def rows(write: Any, solution: Solution, folder: Path) -> list[dict[str, str]]:
     write(solution).write_csv(folder / "table.csv")
-    with (folder / "table.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return rows_of(folder / "table.csv")
 
 
 def column(table: list[dict[str, str]], name: str) -> np.ndarray:
@@ -50,14 +64,6 @@ def test_json_is_strict_and_has_the_agreed_keys(solution: Solution, lossy: Solut
         assert record["statements"] == statements(one)
 
 
-def test_json_states_the_end(solution: Solution) -> None:
-    record = solution_json(solution)
-    assert (record["status"], record["program"]) == ("converged", "mgsgraph")
-    assert (record["sigma0"], record["iterations"]) == (solution.sigma0, len(solution.history))
-    assert record["observations"] - record["unknowns"] == record["degrees_of_freedom"]
-    assert solution_json(replace(solution, converged=False))["status"] == "not converged"
-
-
 def test_what_is_no_number_is_null(solution: Solution) -> None:
     bare = replace(solution, fit=replace(solution.fit, observations=5, unknowns=5), cost_initial=math.inf)
     record = solution_json(bare)
@@ -68,38 +74,27 @@ def test_what_is_no_number_is_null(solution: Solution) -> None:
 
 
 def test_residuals_by_image_and_class(solution: Solution) -> None:
-    network = solution.network
-    for j, image in enumerate(solution_json(solution)["images"]):
-        mine = network.rays.image == j
-        rms = np.sqrt(np.mean(solution.residuals[mine] ** 2, axis=0))
+    """Without rejected rays, by NumPy."""
+    spoilt, used, network = solution.residuals.copy(), np.ones(len(solution.residuals), dtype=bool), solution.network
+    spoilt[[0, 5]], used[[0, 5]] = 1e6, False
+    one = replace(solution, residuals=spoilt, rays_used=used)
+    errors = ray_statistics(one).standard_errors
+    for j, image in enumerate(solution_json(one)["images"]):
+        mine = used & (network.rays.image == j)
+        rms = np.sqrt(np.mean(spoilt[mine] ** 2, axis=0))
         assert (image["residual_rms_line_px"], image["residual_rms_sample_px"]) == pytest.approx(rms.tolist())
-        for point_class in network.classes:
-            rays = solution.residuals[mine & (network.points.classes[network.rays.point] == point_class)]
+        assert image["rays_used"] == mine.sum()
+        for point_class in (PointClass.TIE, PointClass.LASER):
+            rays = spoilt[mine & (network.points.classes[network.rays.point] == point_class)]
             part = image[point_class.name.lower()]
             assert part["count"] == len(rays)
-            if len(rays):
-                want = [*rays.mean(axis=0), *np.sqrt(np.mean(rays**2, axis=0))]
-                names = ("mean_line_px", "mean_sample_px", "rms_line_px", "rms_sample_px")
-                assert [part[name] for name in names] == pytest.approx(want)
-
-
-def test_rejected_rays_count_for_no_residual(solution: Solution) -> None:
-    spoilt = solution.residuals.copy()
-    used = np.ones(len(spoilt), dtype=bool)
-    spoilt[[0, 5]], used[[0, 5]] = 1e6, False
-    record = solution_json(replace(solution, residuals=spoilt, rays_used=used))["images"]
-    assert sum(image["rays"] - image["rays_used"] for image in record) == 2
-    assert max(image["residual_rms_line_px"] for image in record) < 10.0
-
-
-def test_standard_errors_are_those_of_numpy(solution: Solution) -> None:
-    found, network = ray_statistics(solution), solution.network
-    for j in range(2):
-        mine = solution.residuals[
-            (network.rays.image == j) & (network.points.classes[network.rays.point] == PointClass.TIE)
-        ]
-        want = mine.std(axis=0, ddof=1) / math.sqrt(len(mine))
-        assert found.standard_errors[j, PointClass.TIE] == pytest.approx(want, rel=1e-9)
+            want = [*rays.mean(axis=0), *np.sqrt(np.mean(rays**2, axis=0))]
+            names = ("mean_line_px", "mean_sample_px", "rms_line_px", "rms_sample_px")
+            assert [part[name] for name in names] == pytest.approx(want)
+            error = rays.std(axis=0, ddof=1) / math.sqrt(len(rays))
+            assert errors[j, point_class] == pytest.approx(error, rel=1e-9)
+        worse = replace(solution, residuals=solution.residuals * np.where(mine, 50.0, 1.0)[:, None])
+        assert worst_first(worse)[0] == j
 
 
 def test_orientation_over_the_31_places(solution: Solution) -> None:
@@ -117,15 +112,6 @@ def test_orientation_over_the_31_places(solution: Solution) -> None:
             assert found[name]["rms"] == pytest.approx(np.sqrt(np.mean(profile.rotation[:, c] ** 2)) / ARCSEC)
 
 
-def test_held_image_does_not_move(lossy: Solution) -> None:
-    image = solution_json(lossy)["images"][1]
-    assert image["held"]
-    for name, part in image["orientation"].items():
-        if name != "places":
-            # omega, phi, kappa are taken from rounded matrices twice
-            assert (part["mean"], part["rms"], part["sigma_mean"]) == pytest.approx((0.0, 0.0, 0.0), abs=1e-8)
-
-
 def test_points_by_class(solution: Solution, lossy: Solution) -> None:
     record, mine = solution_json(solution), solution.network.points.classes == PointClass.LASER
     moved = (solution.places - solution.places_before)[mine]
@@ -136,6 +122,7 @@ def test_points_by_class(solution: Solution, lossy: Solution) -> None:
     assert laser["mean_sigma_m"] == pytest.approx(solution.sigmas[mine].mean(axis=0).tolist())
     scaled = record["sigmas"]["scaled_by_sigma0"]["mean_sigma_m"]["laser"]
     assert scaled == pytest.approx((solution.sigma0 * solution.sigmas[mine].mean(axis=0)).tolist())
+    assert lossy.network.held.tolist() == [image["held"] for image in solution_json(lossy)["images"]] == [False, True]
     # one has a single ray and no place, the other has lost both its rays
     lost = solution_json(lossy)
     assert (lost["points"]["tie"]["count"], lost["points"]["tie"]["rejected"]) == (40, 2)
@@ -275,3 +262,124 @@ def test_residual_table(lossy: Solution, tmp_path: Path) -> None:
     np.testing.assert_array_equal(column(ranges, "range_m"), network.ranges.values)
     # the simulator fires along the optical axis at known lines
     assert column(ranges, "isis_line")[[0, -1]] == pytest.approx([60.5, 5000.0 - 60.0 + 0.5], abs=1e-3)
+
+
+# --- Parquet
+
+
+def test_parquet_holds_what_csv_does(solution: Solution, tmp_path: Path) -> None:
+    for form in ("csv", "parquet"):
+        names = write_results(solution, tmp_path / form, figures=False, tables=form)  # type: ignore[arg-type]
+        assert {f"points.{form}", f"residuals.{form}"} <= set(names)
+    for name in ("points", "residuals"):
+        one = pyarrow.csv.read_csv(tmp_path / "csv" / f"{name}.csv")
+        other = parquet.read_table(tmp_path / "parquet" / f"{name}.parquet")
+        left = other.drop_columns(["geometry"]) if name == "points" else other
+        assert one.column_names == left.column_names
+        for column in one.column_names:
+            assert [x or None for x in one[column].to_pylist()] == [x or None for x in left[column].to_pylist()], column
+
+
+def test_places_are_in_geoparquet(solution: Solution, tmp_path: Path) -> None:
+    write_results(solution, tmp_path / "r", figures=False, tables="parquet")
+    table = parquet.read_table(tmp_path / "r" / "points.parquet")
+    about = json.loads(table.schema.metadata[b"geo"])
+    assert about["columns"]["geometry"]["crs"] == geographic_crs(solution.network.images[0].body)
+    shapes = shapely.from_wkb(np.array(table["geometry"].to_pylist(), dtype=object))
+    lon, lat = table["lon_deg"].to_numpy(), table["lat_deg"].to_numpy()
+    np.testing.assert_allclose(shapely.get_x(shapes) % 360.0, lon, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(shapely.get_y(shapes), lat)
+
+
+def test_the_longer_table_decides(solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert form_of(solution) == "csv"
+    assert form_of(solution, "parquet") == "parquet"
+    monkeypatch.setattr(large_tables, "MOST_CSV_ROWS", 10)
+    assert form_of(solution) == "parquet"
+    assert form_of(solution, "csv") == "csv"
+
+
+# --- shifts and terrain
+
+
+def test_shifts_and_heights_are_told() -> None:
+    solution = adjust_network(with_shift_and_surface(network(pair())), SolverSettings())
+    record = control_section(solution).numbers
+    shift, terrain = record["shifts"]
+    assert terrain["name"] == "terrain model"
+    assert shift["east_north_m"] == solution.shifts[0].tolist()
+    assert shift["sigma_east_north_m"] == pytest.approx(solution.joint_covariance.sigmas[-4:-2].tolist())
+    before, after = surface_heights(solution)
+    assert record["surface"]["count"] == after.size == 12
+    assert record["surface"]["rms_height_before_m"] == pytest.approx(np.sqrt(np.mean(before**2)))
+    assert solution_json(solution)["control"] == record
+    plain = control_section(adjust_network(network(pair()), SolverSettings()))
+    assert (plain.sentences, plain.numbers["surface"]["count"]) == ([], 0)
+
+
+def test_heights_above_stereo_surfaces_are_told(tmp_path: Path) -> None:
+    solution = adjust_network(stereo_network(pair(), displaced=False), SolverSettings())
+    heights = solution.stereo_heights[-6:]
+    assert control_section(solution).numbers["stereo"] == {
+        "count": 6, "rms_height_m": pytest.approx(np.sqrt(np.mean(heights**2)))
+    }  # fmt: skip
+    residuals_table(solution).write_csv(tmp_path / "residuals.csv")
+    mine = [row for row in rows_of(tmp_path / "residuals.csv") if row["kind"] == "stereo height"]
+    assert [row["point"] for row in mine] == list(solution.network.points.ids[-6:])
+    assert [float(row["residual_height_m"]) for row in mine] == (-heights).tolist()
+    said = {(row["image"], row["used"], row["isis_line"], float(row["sigma_height_m"])) for row in mine}
+    assert said == {("", "true", "", 1.0)}
+
+
+# --- the sigma raster in GDAL's hands
+
+
+MARS = Ellipsoid(3396190.0, 3376200.0)
+STEP = np.radians(0.01)
+GRID = SigmaGrid(
+    ("A", "B"), 0.7, np.radians(175.0), np.radians(-14.0), (2.0 * STEP, STEP),
+    np.arange(60.0).reshape(4, 3, 5), np.full((3, 5), 2),
+)  # fmt: skip
+
+
+def test_each_cell_is_found_by_its_coordinates(tmp_path: Path) -> None:
+    write_sigma_raster(GRID, MARS, tmp_path / "sigmas.tif")
+    with rasterio.open(tmp_path / "sigmas.tif") as file:
+        assert file.crs == CRS.from_user_input("IAU_2015:49900")
+        assert file.descriptions == BANDS
+        assert set(file.units) == {"m"}
+        assert file.tags()["images"] == "A, B"
+        for row, column in ((0, 0), (2, 4), (1, 3)):
+            place = (175.0 + 0.02 * (column + 0.5), -14.0 - 0.01 * (row + 0.5))
+            assert np.array_equal(next(file.sample([place])), GRID.values[:, row, column])
+
+
+def test_what_is_not_known_is_nodata(tmp_path: Path) -> None:
+    values = GRID.values.copy()
+    values[:, 1, 2] = np.nan
+    write_sigma_raster(replace(GRID, values=values), Ellipsoid(1000e3, 990e3), tmp_path / "sigmas.tif")
+    with rasterio.open(tmp_path / "sigmas.tif") as file:
+        assert np.array_equal(file.dataset_mask() == 0, np.isnan(values[0]))
+        assert "1000000" in file.crs.to_wkt()
+
+
+def test_a_file_that_does_not_fit_is_an_error(tmp_path: Path) -> None:
+    with files_of_at_most(500), pytest.raises(InputError, match="can't be written"):
+        write_sigma_raster(GRID, MARS, tmp_path / "sigmas.tif")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(InputError, match="can't be written"):
+        write_sigma_raster(GRID, MARS, tmp_path / "file" / "sigmas.tif")
+
+
+def test_every_question_has_its_answer_in_words_and_figures() -> None:
+    posterior = Posterior.of(adjust_network(network(pair()), SolverSettings()))
+    points, images = posterior.network.points.ids, [image.name for image in posterior.network.images]
+    asked = Questions(
+        points=points[:1], pairs=((points[0], points[1]),), poses=((images[0], 100.0), (images[1], 50.0)),
+        projections=((points[0], images[1]),), correlations=True,
+    )  # fmt: skip
+    found = {answer.numbers["question"]: answer for answer in answered(posterior, asked)}
+    assert list(found) == ["point", "pair", "pose", "projection", "correlations"]
+    assert len(found["correlations"].numbers["names"]) == 3 + 3 + 6 + 6 + 2
+    assert "95 % error ellipsoid" in found["point"].text()

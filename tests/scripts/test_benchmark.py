@@ -1,14 +1,24 @@
-"""The benchmark: its ratios and its gate judge right, it hears the peer, its command line is clear."""
+"""The benchmarks: ratios and the gate judge right, the peer is heard, what commands and questions cost is watched; that
+of GPUs runs on a bare machine and finds the CPU's cost, where the simulator stands in for the device.
+"""
 
 import json
 import math
+import os
+import runpy
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from runs import figures
+from outside import require
+
+from mgsgraph.adjustment.batch import BundleProblem, levenberg_marquardt
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.errors import InputError, SolverError
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 if not SCRIPTS.is_dir():
@@ -16,11 +26,10 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import benchmark  # noqa: E402
+import benchmark_costs as costs  # noqa: E402
 import benchmark_speed as speed  # noqa: E402
 import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
-
-from mgsgraph.errors import InputError  # noqa: E402
 
 FAKE = """#!{python}
 import json, sys
@@ -33,6 +42,17 @@ if "schur" in sys.argv:
     said["cov_schur_t"] = 3.0
 print(json.dumps(said))
 """
+
+
+def figures(**changes: Any) -> dict[str, Any]:
+    """What a run of ours says."""
+    common = {
+        "images": 2, "points": 400, "observations": 800, "converged": True, "message": "fine", "iterations": 3,
+        "cost_final": 100.0 * (1.0 + 1e-10), "seconds_read": 0.1, "seconds_network": 0.1, "seconds_set_up": 0.2,
+        "seconds_solve": 0.5, "seconds_covariance": 0.75, "seconds_per_iteration": 0.1, "peak_memory_mb": 50.0,
+        "bytes_per_observation": 250.0,
+    }  # fmt: skip
+    return common | changes
 
 
 @pytest.fixture
@@ -63,15 +83,8 @@ def test_ratios_are_of_medians_and_spread_over_neighbours() -> None:
     }
     found = speed.ratio(runs, "plain", "seconds_solve")
     assert found == speed.Ratio(5.0, 5.0, 30.0)
-    assert speed.ratio(runs, "plain", "seconds_covariance") is None
     assert speed.ratio(runs, "custom", "seconds_solve") is None
-
-
-def test_a_run_that_is_not_repeated_is_compared_with_its_neighbour() -> None:
-    runs = {
-        speed.OURS: [figures(seconds_solve=one) for one in (1.0, 2.0, 2.0)],
-        "custom": [{"seconds_solve": 8.0}],
-    }
+    runs["custom"] = [{"seconds_solve": 8.0}]  # not repeated: compared with its neighbour
     assert speed.ratio(runs, "custom", "seconds_solve") == speed.Ratio(4.0, 8.0, 8.0)
 
 
@@ -124,79 +137,16 @@ def test_the_gate_names_what_fails() -> None:
         speed.judged(limits, {}, ["M"])
 
 
-def test_the_committed_baseline_holds_what_the_issue_demands() -> None:
-    limits = speed.read_baseline(speed.BASELINE)
-    for size in ("L", "XL"):
-        for variant, least in (("plain", 12.0), ("analytic", 4.0), ("custom", 1.0)):
-            assert limits[f"{size}: solve, {variant} / mgsgraph"].required == least
-        assert limits[f"{size}: bytes per observation"].required == 300.0
-    assert limits["S: solve, best / mgsgraph"].required == 0.5
-    assert limits["L: covariance, custom / mgsgraph"].required == 2.0
-    assert not [name for name in limits if "second" in name]  # seconds belong to a machine
-    for size in blocks.SIZES:
-        assert limits[f"{size}: cost, relative difference"].required == 1e-8
-    variants = {name: [{"seconds_solve": 1.0, "cost_final": 1.0, "seconds_covariance": 1.0}]
-                for name in speed.VARIANTS}  # fmt: skip
-    known = {name for size in blocks.SIZES for name in speed.metrics(size, {speed.OURS: [figures()], **variants})}
-    assert set(limits) <= known
-
-
-def test_updating_the_baseline_keeps_its_lines(tmp_path: Path) -> None:
-    path = tmp_path / "baseline.json"
-    path.write_text(speed.BASELINE.read_text(encoding="utf-8"), encoding="utf-8")
-    before = speed.read_baseline(path)
-    speed.update_baseline(path, {"L: solve, plain / mgsgraph": 33.0, "something else": 1.0})
-    after = speed.read_baseline(path)
-    assert list(after) == list(before)
-    assert after["L: solve, plain / mgsgraph"] == speed.Limit("higher", 12.0, 33.0, 0.25)
-    assert after["XL: solve, plain / mgsgraph"] == before["XL: solve, plain / mgsgraph"]
-    speed.update_baseline(path, {})  # a run of other sizes
-    assert speed.read_baseline(path) == after
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "", "[]", '{"metrics": 3}', '{"metrics": {"S: a": {"direction": "up", "required": 1}}}',
-        '{"metrics": {"S: a": {"direction": "lower"}}}', '{"metrics": {"S: a": {"direction": "lower", "value": NaN}}}',
-        '{"metrics": {"S: a": {"direction": "lower", "required": "1"}}}',
-        '{"metrics": {"S: a": {"direction": "lower", "required": 1, "colour": 2}}}',
-    ],
-)  # fmt: skip
-def test_a_file_that_is_no_baseline_is_one_clear_line(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "baseline.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        speed.read_baseline(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in str(caught.value)
-
-
 # --- the peer's program
 
 
-def test_the_peers_figures_in_our_words(fake_peer: Path) -> None:
-    one = speed.run_peer(fake_peer, Path("S.bin"), "custom", 2)
-    assert (one["seconds_solve"], one["seconds_covariance"], one["cost_final"]) == (1.0, 3.0, 100.0)
-    assert one["converged"]
-    assert "seconds_covariance" not in speed.run_peer(fake_peer, Path("S.bin"), "analytic", 2)
-
-
-@pytest.mark.parametrize("says", ["", "no json", "{}", '{"t_solve": "fast"}'])
+@pytest.mark.parametrize("says", ["no json", "{}"])
 def test_a_peer_that_says_something_else_is_one_clear_line(tmp_path: Path, says: str) -> None:
     path = tmp_path / "odd"
     path.write_text(f"#!/bin/sh\necho '{says}'\necho 'bad file' >&2\nexit 3\n", encoding="utf-8")
     path.chmod(0o755)
     with pytest.raises(InputError, match=r"exit status 3, saying 'bad file'.*build\.sh"):
         speed.run_peer(path, Path("S.bin"), "plain", 1)
-
-
-def test_a_peer_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        speed.require_peer(tmp_path / "peer_ceres")
-    (tmp_path / "text").write_text("not a program", encoding="utf-8")
-    with pytest.raises(InputError, match="not executable"):
-        speed.require_peer(tmp_path / "text")
 
 
 # --- the command line
@@ -220,40 +170,6 @@ def test_one_file_of_the_peers_format(tmp_path: Path) -> None:
     assert found["peak_memory_mb"] > found["memory_before_mb"] > 50.0
     added = 2.0**20 * (found["peak_memory_mb"] - found["memory_before_mb"])
     assert found["bytes_per_observation"] == pytest.approx(added / problem.u.size)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["speed", "--problem", "none.bin"], "none.bin: can't be read"),
-        (["speed", "--problem", "none.bin", "--json", "/proc/none/out.json"], "out.json: can't be written"),
-        (["speed", "XXL"], "no size 'XXL'"),
-        (["speed", "S", "S"], "named twice"),
-        (["speed", "S", "--problem", "none.bin"], "exclude"),
-        (["speed", "--problem", "none.bin", "--gate"], "the gate judges sizes"),
-        (["speed", "S", "--gate"], "no peer to compare with"),
-        (["speed", "S", "--peer", "none"], "none: no such file"),
-        (["speed", "S", "--repeat", "0"], "at least 1"),
-        (["speed", "S", "--repeat", "many"], "at least 1"),
-        (["speed", "S", "--shared", "none"], "gen.py: no such file"),
-        (["speed", "--unheard-of"], "unrecognized"),
-        (["scaling"], "invalid choice: 'scaling'"),
-        (["unheard-of"], "invalid choice: 'unheard-of'"),
-        ([], "invalid choice: ''"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(
-    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    assert called(monkeypatch, *arguments) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"benchmark {arguments[0]}: error: " if arguments[1:] else "benchmark: error: ")
-    assert err.count("\n") == 1
-    assert message in err
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -287,48 +203,114 @@ def test_sizes_with_the_peer_in_one_run(
     assert order[:8] == ["ours", "plain", "analytic", "custom", "plain", "analytic", "custom", "ours"]
     assert len(order) == 24
     text = capsys.readouterr().out
-    assert "| L | 8.00 (8.00 .. 8.00) | 4.00 (4.00 .. 4.00) | 2.00 (2.00 .. 2.00) | 4.00 (4.00 .. 4.00) |" in text
     assert page.read_text(encoding="utf-8") in text
     assert "FAILED L: solve, plain / mgsgraph: 8, at least 12" in text
     assert text.count("FAILED") == 1
     record = json.loads(out.read_text(encoding="utf-8"))
     assert record["metrics"]["S: solve, best / mgsgraph"] == 2.0
     assert len(record["runs"]["L"]["custom"]) == 3
-    lax = tmp_path / "lax.json"
-    lax.write_text('{"metrics": {"S: solve, plain / mgsgraph": {"direction": "higher", "required": 8.0}}}')
-    assert called(monkeypatch, "speed", "S", "--peer", fake_peer, "--gate", "--baseline", lax) == 0
-    assert "The gate is passed." in capsys.readouterr().out
     monkeypatch.setattr(speed, "ours", lambda *given: figures(converged=False, message="no rest"))
     assert called(monkeypatch, "speed", "S") == 1
     assert "FAILED S: ours did not converge (no rest)" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("small_sizes")
-def test_what_takes_minutes_runs_once(monkeypatch: pytest.MonkeyPatch, fake_peer: Path, tmp_path: Path) -> None:
-    monkeypatch.setattr(speed, "ours", lambda *given: figures())
-    given = ("speed", "Kaguya", "--peer", fake_peer, "--repeat", "3", "--json", tmp_path / "out.json")
-    assert called(monkeypatch, *given) == 0
-    runs = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["runs"]["Kaguya"]
-    assert {name: len(one) for name, one in runs.items()} == {"mgsgraph": 3, "plain": 3, "analytic": 3, "custom": 1}
-
-
-@pytest.mark.usefixtures("small_sizes")
-def test_a_folder_of_problems_is_used_and_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    seen: list[Path] = []
-
-    def ours(problem: Path, line: str, threads: int) -> dict[str, Any]:
-        seen.append(problem)
-        return figures()
-
-    monkeypatch.setattr(speed, "ours", ours)
-    for _ in range(2):
-        assert called(monkeypatch, "speed", "M", "--repeat", "1", "--work", tmp_path / "work") == 0
-        written = (tmp_path / "work" / "M.bin").stat().st_mtime_ns
-        assert seen[-1] == tmp_path / "work" / "M.bin"
-    assert (tmp_path / "work" / "M.bin").stat().st_mtime_ns == written
 
 
 def test_a_failed_run_of_ours_says_why(tmp_path: Path) -> None:
     (tmp_path / "bad.bin").write_bytes(b"something else")
     with pytest.raises(InputError, match=r"exit status 2: .*b'somethin' at its head"):
         speed.ours(tmp_path / "bad.bin", "measured", 1)
+
+
+# --- what commands and questions cost
+
+
+# --- processes
+
+
+def test_a_command_is_watched_as_it_runs() -> None:
+    took = costs.watched([sys.executable, "-c", "x = bytes(200_000_000)[::4096]; import time; time.sleep(0.5)"])
+    assert 0.5 < took.wall < 60.0
+    assert 0.0 < took.processor < took.wall
+    with pytest.raises(SolverError, match=r"no$"):
+        costs.watched([sys.executable, "-c", "import sys; sys.exit('no')"])
+    runs = [costs.Took(9.0, 1.0, 5.0), costs.Took(1.0, 3.0, 4.0), costs.Took(2.0, 2.0, 3.0)]
+    assert costs.median(runs) == (2.0, 2.0, 4.0)
+
+
+# --- pages
+
+
+def test_questions_have_medians_and_ratios_of_the_same_turn() -> None:
+    assert costs.ratio([0.4, 0.9, 0.6], [0.2, 0.3, 0.2]) == "3.00 (2.00 .. 3.00)"
+
+
+# --- small runs
+
+
+@pytest.mark.slow
+@pytest.mark.program("git")
+def test_an_archive_is_made_and_run_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(costs.JOBS, "block-pvl", costs.Job("block", 8, 300, pvl=True, pages=True, memory_gb=1e-6))
+    found = costs.run("block-pvl", tmp_path)
+    assert (found.images, found.wall > 0.0, found.memory > 1e7) == (8, True, True)
+    assert found.measures > 2 * found.points > 0
+    assert {"reading", "solve"} <= found.stages.keys()
+    (tmp_path / "runs.jsonl").write_text(json.dumps(asdict(found)) + "\n", encoding="utf-8")
+    assert costs.kept(tmp_path / "runs.jsonl") == [found]
+
+
+@pytest.mark.slow
+def test_commands_of_a_small_project(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Half a minute, as each command is a process of its own."""
+    given = "project", "2", "--ties", "20", "--repeats", "1", "--out", tmp_path / "a.md"
+    assert called(monkeypatch, *given) == 0
+    (row,) = (line for line in (tmp_path / "a.md").read_text(encoding="utf-8").splitlines() if line.startswith("| 2 |"))
+    assert len(row.split("|")) == 10
+
+
+@pytest.mark.slow
+def test_questions_at_the_smallest_size(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    require(blocks.SHARED / "gen.py", "the peer's generator")
+    given = ("S", "--repeat", "2", "--queries", "2", "--out", tmp_path / "a.md")
+    assert called(monkeypatch, "analysis", *given) == 0
+    text = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert "Size S: 2 images, 400 points, 2,636 scalar measures" in text
+    rows = [line.split(" | ")[0].strip("| ") for line in text.splitlines() if line.startswith("| ")]
+    assert {"linearised", "file", "variance components", *costs.QUERIES} <= set(rows)
+
+
+# --- GPUs
+
+
+BARE = """
+import importlib.util, runpy, sys
+found = importlib.util.find_spec
+absent = ("gtsam", "threadpoolctl", "pyarrow")
+importlib.util.find_spec = lambda name, *more: None if name in absent else found(name, *more)
+sys.argv = sys.argv[1:]
+sys.path.insert(0, sys.argv[1])
+del sys.argv[1]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.slow
+def test_it_runs_without_gtsam_to_the_cpus_cost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a minute, as the simulator runs each thread of a kernel in Python."""
+    pytest.importorskip("numba_cuda", reason="numba-cuda is not installed (the extra `cuda`)")
+    kept, page = tmp_path / "gpu.json", tmp_path / "gpu.md"
+    program = [sys.executable, "-c", BARE, str(SCRIPTS / "benchmark_gpu.py"), str(SCRIPTS)]
+    options = ["S", "--runs", "1", "--line", "predicted", "--json", str(kept), "--out", str(page)]
+    environment = os.environ | {"NUMBA_ENABLE_CUDASIM": "1"}
+    done = subprocess.run([*program, *options], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    (found,) = json.loads(kept.read_text(encoding="utf-8"))
+    monkeypatch.syspath_prepend(SCRIPTS)
+    problem, _ = runpy.run_path(str(SCRIPTS / "peer_blocks.py"))["chain"](2, 40, shots=4)
+    net, settings = runpy.run_path(str(SCRIPTS / "peer_problem.py"))["network"](problem, "predicted")
+    layout = lay_out(net, settings)
+    start = np.zeros(layout.columns)
+    outcome = levenberg_marquardt(BundleProblem(BundleGraph(layout)), start, settings, lambda _: None)
+    assert found["cost"] == pytest.approx(outcome.cost_final, rel=1e-9)
+    assert found["iterations"] == len(outcome.history)
+    assert 0.0 < found["system"] <= found["adjusted"]
+    assert f"| {found['size']} |" in page.read_text(encoding="utf-8")

@@ -2,7 +2,6 @@
 
 import math
 import re
-import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,7 @@ sys.path.append(str(SCRIPTS))
 import peer_blocks as blocks  # noqa: E402
 import peer_problem as peer  # noqa: E402
 
-from mgsgraph.errors import EphemerisGap, InputError  # noqa: E402
+from mgsgraph.errors import InputError  # noqa: E402
 from mgsgraph.files.networks.tie_points import PointKind  # noqa: E402
 from mgsgraph.geometry.orientation import OrientationCorrection  # noqa: E402
 from mgsgraph.network import PointClass  # noqa: E402
@@ -102,48 +101,6 @@ def test_a_file_cut_short_is_one_clear_line(small: Path, share: float) -> None:
     cut.unlink()
 
 
-def changed(whole: bytes, place: int, kind: str, value: float) -> bytes:
-    return whole[:place] + struct.pack(kind, value) + whole[place + struct.calcsize(kind) :]
-
-
-@pytest.mark.parametrize(
-    ("place", "kind", "value", "message"),
-    [
-        (0, "<b", 80 + 1, "at its head"),
-        (8, "<q", -1, "negative number"),
-        (24, "<q", 2**62, "bytes; expected"),
-        (48, "<d", 0.0, "focal length"),
-        (56, "<d", float("nan"), "pixel"),
-        (64, "<d", float("nan"), "orientation: nan"),
-        (64 + 5 * 18 * 8, "<d", -1.0, "orientation_sigmas"),
-        (64 + 10 * 18 * 8 + 95 * 24, "<i", 5, r"ray_image: index 0 .. 5"),
-    ],
-)
-def test_a_damaged_file_is_one_clear_line(small: Path, place: int, kind: str, value: float, message: str) -> None:
-    bad = small.with_name("bad")
-    bad.write_bytes(changed(small.read_bytes(), place, kind, value))
-    with pytest.raises(InputError, match=message) as caught:
-        peer.read_problem(bad)
-    assert str(caught.value).startswith(str(bad))
-    assert "\n" not in str(caught.value)
-
-
-def test_more_bytes_than_promised_are_refused(small: Path) -> None:
-    long = small.with_name("long")
-    long.write_bytes(small.read_bytes() + b"\0")
-    with pytest.raises(InputError, match="damaged"):
-        peer.read_problem(long)
-
-
-def test_no_file_and_a_folder_are_one_clear_line(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.bin", tmp_path):
-        with pytest.raises(InputError, match="can't be read"):
-            peer.read_problem(path)
-    with pytest.raises(InputError, match="can't be written"):
-        peer.write_problem(blocks.chain(2, 3, shots=0)[0], tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_cannot_be_is_refused(chain: tuple[peer.PeerProblem, peer.Truth]) -> None:
     problem = chain[0]
     twice = problem.shot_point.copy()
@@ -153,9 +110,6 @@ def test_what_cannot_be_is_refused(chain: tuple[peer.PeerProblem, peer.Truth]) -
     for change, message in (
         ({"shot_point": twice}, "two laser shots"),
         ({"u": far}, "normalised line -1.6"),
-        ({"ranges": -problem.ranges}, "ranges"),
-        ({"ties": 1000}, "1000 of them ties"),
-        ({"y": problem.y[1:]}, r"y: an array of shape"),
     ):
         with pytest.raises(InputError, match=message):
             replace(problem, **change)
@@ -173,9 +127,8 @@ def test_projection_is_the_peers(generator: ModuleType) -> None:
     np.testing.assert_allclose(far, distance, atol=1e-8)  # m
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_network_has_the_peers_residuals(chain: tuple[peer.PeerProblem, peer.Truth], seed: int) -> None:
-    problem, rng = chain[0], np.random.default_rng(seed)
+def test_network_has_the_peers_residuals(chain: tuple[peer.PeerProblem, peer.Truth]) -> None:
+    problem, rng = chain[0], np.random.default_rng(1)
     added = rng.standard_normal(problem.orientation.shape) * problem.orientation_sigmas
     places = problem.places + rng.normal(0.0, 50.0, problem.places.shape)
     wanted = peer.residuals(problem, problem.orientation + added, places)
@@ -233,36 +186,10 @@ def test_a_line_sigma_moves_the_image_by_its_pixels(chain: tuple[peer.PeerProble
     np.testing.assert_allclose(np.abs(after - before)[:, 0], problem.sigmas, rtol=1e-6)
 
 
-def test_a_shot_outside_its_image_is_named(chain: tuple[peer.PeerProblem, peer.Truth]) -> None:
-    outside = chain[0].shot_u.copy()
-    outside[4] = 1.2
-    with pytest.raises(EphemerisGap, match="image 0"):
-        peer.network(replace(chain[0], shot_u=outside), "measured")
-
-
 # --- generated problems
 
 
-@pytest.mark.slow
-def test_a_block_of_kaguyas_size() -> None:
-    problem, truth = blocks.kaguya()
-    assert (problem.orientation.shape[0], problem.places.shape[0], problem.u.size) == blocks.KAGUYA
-    assert np.bincount(problem.ray_image, minlength=375).min() > 0
-    pairs = problem.ray_point * 375 + problem.ray_image
-    assert np.unique(pairs).size == pairs.size  # one measure of a point in an image
-    assert np.all(np.diff(problem.ray_point) >= 0)
-    # every point is seen along two rays that aren't parallel
-    centres, _ = peer.poses(truth.orientation, problem.ray_image, problem.u)
-    looks = truth.places[problem.ray_point] - centres
-    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
-    first = np.searchsorted(problem.ray_point, problem.ray_point)
-    apart = np.arccos(np.clip(np.einsum("ki,ki->k", looks, looks[first]), -1.0, 1.0))
-    widest = np.zeros(problem.places.shape[0])
-    np.maximum.at(widest, problem.ray_point, apart)
-    assert np.degrees(widest.min()) > 5.0
-
-
-@pytest.mark.parametrize(("images", "ties", "shots"), [(2, 500, 40), (5, 2000, 20), (9, 400, 0)])
+@pytest.mark.parametrize(("images", "ties", "shots"), [(2, 500, 40), (9, 400, 0)])
 def test_a_chain_is_drawn_from_its_sigmas(images: int, ties: int, shots: int) -> None:
     problem, truth = blocks.chain(images, ties, seed=5, shots=shots)
     assert (problem.orientation.shape[0], problem.ties, problem.ranges.size) == (images, ties, images * shots)
@@ -275,26 +202,6 @@ def test_a_chain_is_drawn_from_its_sigmas(images: int, ties: int, shots: int) ->
             assert np.mean(values) == pytest.approx(0.0, abs=4.0 / math.sqrt(values.size)), name
     off = problem.places[:ties] - truth.places[:ties]
     assert off.std() == pytest.approx(blocks.GUESS, rel=0.1)
-
-
-def test_seeds_make_problems_and_repeat_them() -> None:
-    one, again, other = (blocks.chain(3, 20, seed=seed)[0] for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.u, again.u)
-    assert not np.array_equal(one.u, other.u)
-
-
-@pytest.mark.parametrize("wrong", [(1, 10, 1), (2, 1, 1), (2, 10, -1)])
-def test_a_chain_of_nothing_is_refused(wrong: tuple[int, int, int]) -> None:
-    with pytest.raises(InputError, match="at least"):
-        blocks.chain(wrong[0], wrong[1], shots=wrong[2])
-
-
-def test_without_the_peers_generator_it_says_so(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--shared"):
-        blocks.made("S", tmp_path)
-    (tmp_path / "gen.py").write_text("x = 1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="no function 'generate'"):
-        blocks.made("S", tmp_path)
 
 
 # --- end to end
@@ -318,12 +225,3 @@ def test_cost_is_the_peers(size: str) -> None:
     assert solution.cost_final == pytest.approx(wanted, rel=1e-8)
     again = peer.cost(problem, peer.peer_orientation(problem, solution.coefficients), solution.places)
     assert again == pytest.approx(wanted, rel=1e-8)  # the corrections mean the same in the peer's equations
-
-
-def test_the_strict_form_is_close_and_not_the_same(chain: tuple[peer.PeerProblem, peer.Truth]) -> None:
-    from mgsgraph.adjustment.adjust import adjust_network
-
-    strict, loose = (adjust_network(*peer.network(chain[0], line)) for line in ("predicted", "measured"))
-    assert strict.converged
-    assert strict.cost_final == pytest.approx(loose.cost_final, rel=0.05)
-    assert strict.cost_final != pytest.approx(loose.cost_final, rel=1e-9)

@@ -21,7 +21,7 @@ from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_strip
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import MARGIN, NoiseSettings
-from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip, true_image
+from mgsgraph.simulation.strip import SimulatedStrip, StripSettings, simulate_strip
 from mgsgraph.units import DEG
 
 Measures = dict[tuple[str, str], tuple[float, float]]
@@ -121,23 +121,6 @@ def test_true_points_lie_on_the_terrain(strip: SimulatedStrip) -> None:
     assert np.ptp(planetocentric(strip.true_ties)[:, 1]) > 0.5 * DEG
 
 
-@pytest.mark.parametrize(
-    "noise", [NoiseSettings(), NoiseSettings(position=2000.0, angle=1e-3, trend=(1.0, 1.0, 1.0, 1.0))]
-)
-def test_polynomial_places_are_the_image_s_own(noise: NoiseSettings) -> None:
-    """With small corrections by themselves; where they are too coarse the image is asked."""
-    image, true = simulate_strip(StripSettings(images=2, ties=1, shots=1, lines=20_000)).images[1], noise.correction(
-        np.random.default_rng(3)
-    )
-    found = true_image(image, true, 100.0)
-    assert (found.error > 1e-4) == (noise.position > 100.0)
-    lines, samples = np.random.default_rng(0).uniform(40.0, [19_960.0, 984.0], (300, 2)).T
-    points, _ = image.image_to_ground(lines, samples, np.linspace(-180.0, 180.0, 300), true)
-    which, places = found.project(points)
-    assert which.tolist() == list(range(300))
-    assert np.abs(places - np.column_stack([lines, samples])).max() < 1e-4
-
-
 # --- statistics
 
 
@@ -216,19 +199,6 @@ def test_additions_are_the_whole(strip: SimulatedStrip) -> None:
     assert ranges == [name for laser in strip.lasers for name in laser.ids]
 
 
-def test_new_ties_are_seen_by_the_new_image_and_one_before(strip: SimulatedStrip) -> None:
-    known: set[str] = set()
-    for k in range(1, 7):
-        added = strip.steps[k]
-        images: dict[str, set[str]] = {}
-        for point, image in of_ties(added.ties):
-            images.setdefault(point, set()).add(image)
-        for name in set(images) - known:
-            assert added.image.name in images[name]
-            assert len(images[name]) >= 2
-        known |= set(images)
-
-
 def test_known_shots_come_again_as_they_were_and_without_a_range_that_counts(strip: SimulatedStrip) -> None:
     given = {
         name: (laser.times[i], laser.ranges[i], *laser.footprints[i])
@@ -303,7 +273,7 @@ def test_the_case_adjusts_and_its_sigmas_are_honest(tmp_path: Path) -> None:
     share its orientation: at worst one point per pair of images counts, with 54.
     """
     orientation, ties, laser, fit = [], [], [], []
-    for seed in range(200, 206):
+    for seed in range(200, 206):  # 4 s: with fewer strips the bands hold nothing
         made = simulate_strip(StripSettings(images=6, ties=40, shots=10), seed)
         case = read_case(write_strip(made, tmp_path))
         solution = adjust(case)
@@ -333,24 +303,13 @@ def test_the_case_adjusts_and_its_sigmas_are_honest(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: StripSettings(images=1), "strip settings, images: 1; expected a whole number, at least 2"),
         (lambda: StripSettings(images=501), "strip settings, images: 501; expected 2 .. 500"),
-        (lambda: StripSettings(ties=0), "strip settings, ties: 0"),
-        (lambda: StripSettings(shots=0), "strip settings, shots: 0"),
-        (lambda: StripSettings(lines=100), "strip settings, lines: 100"),
         (lambda: StripSettings(overlap=1.0), "strip settings, overlap: 1.0"),
-        (lambda: StripSettings(overlap=float("nan")), "strip settings, overlap: nan"),
-        (lambda: StripSettings(period=-1.0), "strip settings, period: -1.0"),
-        (lambda: StripSettings(relief=-1.0), "strip settings, relief: -1.0 m"),
-        (lambda: simulate_strip(seed=-1), "seed: -1"),
         (lambda: simulate_strip(StripSettings(images=500, lines=20_000)), "turns back at the pole"),
-        (lambda: simulate_strip(StripSettings(images=2, off_nadir=70.0 * DEG)), "looks past the body"),
         (
             lambda: simulate_strip(StripSettings(images=4, ties=20, noise=NoiseSettings(position=1e5))),
             "STRIP/00.*ground shared with earlier images for .* of 20 tie points",
         ),
-        (lambda: simulate_strip(StripSettings(images=2, ties=1)).addition(2), "image 2; expected 0 .. 1"),
-        (lambda: simulate_strip(StripSettings(images=2, ties=1)).upto(0), "0 images; expected 1 .. 2"),
     ],
 )
 def test_impossible_settings_are_refused_in_one_line(make, says: str) -> None:

@@ -1,23 +1,37 @@
-"""Images linked by geometry: the same ground in all of them, Jacobians and error ellipses by finite differences."""
+"""What the studio says of places and points: the ground in all images, Jacobians, ellipses, refinement, sheets."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
+import matched
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from PIL import Image
 from sites import plain_site
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.posterior import Posterior, cross_covariances
+from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import read_case
+from mgsgraph.cli import group
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import geodetic
+from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import whole_correction
+from mgsgraph.network.parts import KnownImage, alone, with_images
+from mgsgraph.project.reading import posterior_near, read_posterior
 from mgsgraph.simulation.files import write_site
+from mgsgraph.studio.changes import change
 from mgsgraph.studio.linked import Ellipse, GroundModel, LinkedImages, ground_record
 from mgsgraph.studio.marks import laser_profiles, shots_of, ties_of
-from mgsgraph.studio.opened import Block
+from mgsgraph.studio.opened import Block, Opened
+from mgsgraph.studio.point_sheet import correlations, point_sheet, refine
+from mgsgraph.studio.point_sheet import tests_of as judged
 
 
 @pytest.fixture(scope="module")
@@ -227,3 +241,181 @@ def test_jacobian_follows_the_slope_of_the_terrain(on_terrain: Block) -> None:
         (there(line, sample + step) - there(line, sample - step)) / (2.0 * step),
     ])
     np.testing.assert_allclose(linked.under(name, line, sample)[1][0].jacobian, numeric, atol=5e-3)
+
+
+# --- refinement of clicked places on rendered images whose truth is known: near the truth, and honest abou
+
+
+Clicked = tuple[str, float, float]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[LinkedImages, dict[str, Path | None]]:
+    """The rendered pair over a terrain model that is 40 m off, and files of its pixels."""
+    pytest.importorskip("cv2")
+    folder, scene = tmp_path_factory.mktemp("pixels"), matched.true_scene()
+    known = [KnownImage(one.image, matched.prior(100.0)) for one in scene.pictures]
+    network = with_images(alone(known[0]), known)
+    files = dict[str, Path | None]()
+    for number, one in enumerate(scene.pictures):
+        pixels = np.asarray(one.pixels)
+        files[one.image.name] = folder / f"{number}.tif"
+        Image.fromarray(np.asarray(pixels)).save(folder / f"{number}.tif")
+    return LinkedImages(replace(Block.of_network(network, SolverSettings()), terrain=matched.true_terrain())), files
+
+
+def test_a_click_goes_to_the_ground_of_the_reference(
+    site: tuple[LinkedImages, dict[str, Path | None]],
+) -> None:
+    linked, files = site
+    one, two = list(files)
+    rng, away, squares, sigmas = np.random.default_rng(4), list[float](), list[float](), list[float]()
+    size = [linked.block.images[0].lines, linked.block.images[0].samples]
+    for place in rng.uniform(60.0, np.array(size) - 60.0, (60, 2)):
+        true = matched.true_places(one, place[None], two)[0]
+        start = true + rng.normal(0.0, 1.0, 2)
+        try:
+            found = refine(linked, files, (one, *place.tolist()), (two, *start.tolist()))
+        except InputError:  # flat ground, or beside the other image
+            continue
+        off = found.place - true
+        away.append(float(np.linalg.norm(off)))
+        squares.append(float(off @ np.linalg.solve(found.covariance, off)))
+        sigmas.append(float(np.sqrt(0.5 * found.covariance.trace())))
+        assert 0.3 < found.correlation <= 1.0
+    assert len(away) > 25
+    assert np.median(away) < 0.2  # clicked 1 px beside in each direction
+    assert np.median(sigmas) < 0.2
+    assert 0.4 < np.median(squares) / 1.386 < 2.5  # median of chi square with two degrees of freedom
+
+
+@pytest.mark.parametrize(("what", "said"), [
+    ("file", "no file of its pixels"), ("edge", "too near to its edge|leaves the picture"),
+    ("image", "image nobody: no such image"), ("elsewhere", "isn't in it|no least-squares match"),
+])  # fmt: skip
+def test_what_cannot_be_refined_is_said(
+    site: tuple[LinkedImages, dict[str, Path | None]], what: str, said: str
+) -> None:
+    linked, files = site
+    one, two = list(files)
+    place = np.array([300.0, 250.0])
+    true = matched.true_places(one, place[None], two)[0]
+    first, second = (one, *place.tolist()), (two, *true.tolist())
+    if what == "file":
+        files = files | {two: None}
+    elif what == "edge":
+        first = one, 0.5, 0.5
+    elif what == "image":
+        first = "nobody", 1.0, 1.0
+    else:
+        second = two, float(true[0]) + 200.0, float(true[1])
+    with pytest.raises(InputError, match=said):
+        refine(linked, files, first, second)
+
+
+# --- the sheet of a point: what it says near by, without the rest of the block, is what the whole posterio
+
+
+def command(*words: object) -> None:
+    run = CliRunner().invoke(group, [str(word) for word in words])
+    assert run.exit_code == 0, run.output
+
+
+@pytest.fixture
+def changed(solved: Path, tmp_path: Path) -> tuple[Opened, str]:
+    """A project after a change of one of its ties, and that tie."""
+    opened = Opened(Path(shutil.copytree(solved, tmp_path / "project")))
+    ids = opened.block().network.points.ids
+    name = ids[int(np.flatnonzero(opened.block().network.points.classes == 0)[4])]
+    ray = point_sheet(opened, name)["rays"][0]
+    change(opened, {"kind": "move", "point": name, "image": ray["image"], "line": ray["line"] + 0.5,
+                    "sample": ray["sample"]})  # fmt: skip
+    return opened, name
+
+
+def test_after_a_change_the_sheet_reads_its_point_alone(changed: tuple[Opened, str]) -> None:
+    opened, name = changed
+    sheet = point_sheet(opened, name)
+    assert not opened.is_read
+    whole = read_posterior(opened.path)[1]
+    found = whole.point(name)
+    frame = east_north_up(found.position[None])[0]
+    np.testing.assert_allclose(sheet["sigmas_m"], np.sqrt(np.diag(frame @ found.covariance @ frame.T)), rtol=1e-5)
+    assert sheet["edited"]
+    for ray in sheet["rays"]:
+        at = whole.projection(name, ray["image"]).pixel
+        np.testing.assert_allclose(ray["residual_px"], [ray["line"] - at[0], ray["sample"] - at[1]], atol=1e-4)
+    assert name in sheet["answer"]
+
+
+def test_tests_of_a_point_are_those_of_the_whole_block(changed: tuple[Opened, str]) -> None:
+    opened, name = changed
+    found = judged(opened, name)
+    assert not opened.is_read
+    whole = reliability(read_posterior(opened.path)[1].linearised)
+    every, number = whole.measures, whole.at.network.points.ids.find([name])[0]
+    mine = np.flatnonzero((every.kind == MeasureKind.RAY) & (every.point == number))
+    assert mine.size == 4
+    for k in mine.tolist():
+        ray = found["rays"][whole.at.network.images[int(every.image[k])].name]
+        for key, value in (("redundancy", every.redundancy), ("w", every.test), ("detectable_px", every.detectable)):
+            said = ray[key][int(every.component[k])]
+            if said is None:  # nothing controls the measure
+                assert not np.isfinite(value[k])
+            else:
+                np.testing.assert_allclose(said, value[k], rtol=1e-3, atol=1e-5)
+    assert found["critical"] == pytest.approx(whole.critical)
+
+
+def test_correlations_are_those_most_correlated(changed: tuple[Opened, str], solved: Path) -> None:
+    name = changed[1]
+    for opened in (changed[0], Opened(solved), Opened(solved / "solutions" / "0001")):
+        found = correlations(opened, name)
+        posterior = opened.posterior()
+        ids = posterior.network.points.ids
+        (k,) = ids.find([name]).tolist()
+        cross = cross_covariances(posterior.linearised, k)
+        frames = east_north_up(posterior.linearised.places)
+        sigmas = np.array([
+            np.sqrt(np.diag(frame @ posterior.point(one).covariance @ frame.T))
+            for frame, one in zip(frames, ids, strict=True)
+        ])  # fmt: skip
+        every = np.einsum("ab,nbd,nad->na", frames[k], cross, frames) / (sigmas[k] * sigmas)
+        every[k] = 0.0
+        order = np.argsort(-np.abs(every).max(axis=1))[:12]
+        rows = {row["name"]: row["correlation"] for row in found["rows"]}
+        sizes = np.abs(list(rows.values())).max(axis=1)
+        # iSAM2's covariance is that of its last linearisation
+        np.testing.assert_allclose(sizes[:8], np.abs(every[order[:8]]).max(axis=1), rtol=1e-3)
+        for other, values in rows.items():
+            np.testing.assert_allclose(values, every[ids.find([other])[0]], atol=1e-3)
+        assert set(found["distance_m"]) == set(rows)
+
+
+def test_a_point_held_where_its_sheet_says_it_is_stays_there(changed: tuple[Opened, str]) -> None:
+    opened, name = changed
+    place = point_sheet(opened, name)["place"]
+    before = read_posterior(opened.path)[1].point(name).position
+    sigmas = {f"sigma_{axis}_m": 5.0 for axis in ("east", "north", "up")}
+    keys = "longitude_deg", "geodetic_latitude_deg", "height_m"
+    change(opened, {"kind": "hold", "point": name, **{key: place[key] for key in keys}, **sigmas})
+    held = read_posterior(opened.path)[1]
+    np.testing.assert_allclose(held.point(name).position, before, rtol=0.0, atol=1e-3)
+    sheet = point_sheet(opened, name)
+    assert (sheet["class"], sheet["kind"]) == ("control", "constrained")
+    assert max(sheet["sigmas_m"]) < 5.0
+
+
+def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
+    solved: Path, case_file: Path, tmp_path: Path
+) -> None:
+    assert posterior_near(solved, "nobody") is None
+    command("init", tmp_path / "new", "--case", case_file)
+    opened = Opened(tmp_path / "new")
+    name = opened.block().network.points.ids[0]
+    assert posterior_near(tmp_path / "new", name) is None
+    assert point_sheet(opened, name)["answer"] is None
+    with pytest.raises(InputError, match="nothing has been adjusted"):
+        judged(opened, name)
+    with pytest.raises(InputError, match="no"):
+        point_sheet(opened, "nobody")

@@ -16,6 +16,7 @@ from chip_scene import PAIR, inner, moved, picture, ties_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from studio_server import CONTRAST
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
@@ -421,21 +422,8 @@ def test_it_fits_and_can_be_read(browser: Any, page: Path, width: int, scheme: s
         one.getBoundingClientRect().right <= one.closest('article').getBoundingClientRect().right + 1)""")
     assert seen.tab.evaluate("[...document.images].map(one => one.clientWidth)") == [162] * 24
     assert seen.tab.evaluate("getComputedStyle(document.images[0]).imageRendering") == "pixelated"
-    contrasts = seen.tab.evaluate(CONTRAST)
-    assert min(contrasts) >= 4.5
+    assert seen.tab.evaluate(CONTRAST) == []
     assert seen.tab.evaluate("parseFloat(getComputedStyle(document.activeElement).outlineWidth)") >= 2
-
-
-CONTRAST = """(() => {
-  const light = text => { const [r, g, b] = text.match(/[\\d.]+/g).slice(0, 3).map(v => v / 255)
-    .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
-  const behind = one => { for (; one; one = one.parentElement) { const c = getComputedStyle(one).backgroundColor;
-    if (!/, 0\\)$/.test(c)) return c; } return 'rgb(255, 255, 255)'; };
-  const text = 'h1, h2, p, summary, label, button, select, dt, dd, th, td, b, figcaption, .said';
-  return [...document.querySelectorAll(text)].filter(one => one.checkVisibility()).map(one => {
-      const a = light(getComputedStyle(one).color), b = light(behind(one));
-      return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05); });
-})()"""
 
 
 def test_earlier_verdicts_begin_a_page_and_none_are_lost(browser: Any, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.joining import Definitions, NamedPass, mountings, seconds, united
 from mgsgraph.network.parts import KnownImage, Members, Unknown, pass_unknowns
-from mgsgraph.network.passes import PolynomialPrior, normalised
+from mgsgraph.network.passes import PolynomialPrior
 
 _UNTURNED = 1e-3
 """Of a mounting's matrix, by which two statements of it may differ."""
@@ -157,19 +157,6 @@ def prior_rows(known: Definitions) -> list[PriorRows]:
         for unknowns, blocks, _ in one.prior.factors(one.nodes):
             found.append(PriorRows(tuple(names[k] for k in unknowns), blocks))
     return found
-
-
-def with_expected(values: Mapping[Unknown, Array], known: Definitions) -> dict[Unknown, Array]:
-    """Values (d,) of unknowns, m and rad, with those that orientation images of passes which have none yet are expected
-    to have.
-    """
-    units = dict[Unknown, Array]()
-    for one in known.passes.values():
-        own = [*one.prior.node_sigmas(normalised(one.nodes)), one.prior.trend_sigmas]
-        units |= zip(pass_unknowns(one), own, strict=False)
-    new = {unknown: unit for unknown, unit in units.items() if unknown not in values}
-    rows = prior_rows(known) if new else []
-    return dict(values) | expected(rows, new, values)
 
 
 def expected(

@@ -1,9 +1,8 @@
 """Figures of the report page: those of the results and of a registration, each as a data URI."""
 
 import base64
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from mgsgraph.adjustment.solution import Solution
@@ -58,15 +57,9 @@ def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
 # --- by the page's sections
 
 
-def figure_tasks(
-    solution: Solution, connected: Connectivity
-) -> list[tuple[str, Callable[[], list[Picture]]]]:
-    """What draws `figures.solution_sheets` as pictures, each with its section of the page."""
-    return [(section, partial(_pictures, sheets)) for section, sheets in solution_sheets(solution, connected)]
-
-
-def _pictures(sheets: Callable[[], Iterable[Sheet]]) -> list[Picture]:
-    return drawn(sheets())
+def solution_figures(solution: Solution, connected: Connectivity) -> list[tuple[str, Picture]]:
+    """`figures.solution_sheets` as pictures, each with its section of the page."""
+    return [(section, drawn([sheet])[0]) for section, sheet in solution_sheets(solution, connected)]
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:

@@ -200,7 +200,7 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
 
 
 def _orientation(demo: Demonstration, j: int) -> dict[str, Any]:
-    """Corrections of one image over the papers' 31 places, and what is left of its errors, in predicted sigmas."""
+    """Errors of one image over the papers' 31 places before and after, and what is left of them in predicted sigmas."""
     solution = demo.solution
     image, profile = solution.network.images[j], orientation_profile(solution, j, PLACES)
     true = demo.simulated.images[j].true.pose(profile.lines)
@@ -208,10 +208,6 @@ def _orientation(demo: Demonstration, j: int) -> dict[str, Any]:
     left, turned = after.position - true.position, _turn(after, true)
     return {
         "image": image.name,
-        "correction_mean_m": (profile.position_after - profile.position_before).mean(axis=0),
-        "correction_mean_arcsec": profile.rotation.mean(axis=0) / ARCSEC,
-        "sigma_mean_m": profile.position_sigma.mean(axis=0),
-        "sigma_mean_arcsec": profile.rotation_sigma.mean(axis=0) / ARCSEC,
         "error_before_mean_m": (before.position - true.position).mean(axis=0),
         "error_before_mean_arcsec": _turn(before, true).mean(axis=0) / ARCSEC,
         "error_after_mean_m": left.mean(axis=0),

@@ -5,7 +5,7 @@ import {ofFrame, ofOther, upright} from './affine.js';
 import {drawLaser, nearestShot} from './laser_plot.js';
 import {Measuring} from './measuring.js';
 import {Pane} from './pane.js';
-import {download, make, short} from './plot.js';
+import {make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
@@ -56,11 +56,6 @@ export class Images {
     button('Whole image', () => this.whole(), 'Show the whole first image (0)');
     button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen');
     this.measureButton = button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)');
-    this.exports = make('select', {title: 'Save this view as a figure with its caption'});
-    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']])
-      this.exports.append(make('option', {value, textContent: words}));
-    this.exports.addEventListener('change', () => this.save());
-    tools.append(this.exports);
     this.place = make('p', {className: 'image-ground', textContent: 'Move over an image to see its ground.'});
     this.place.setAttribute('aria-live', 'off');
     this.row = make('div', {className: 'image-panes'});
@@ -380,22 +375,6 @@ export class Images {
     const [line, sample] = mapping.toImage(...at), name = pane.tieAt(at);
     this.app.place({image: pane.name, line, sample});
     if (name) this.app.select(name);
-  }
-
-  // --- figures
-
-  save() {
-    const kind = this.exports.value;
-    this.exports.value = '';
-    if (!kind || !this.fitted()) return;
-    const {clientWidth: width, clientHeight: height} = this.frame.canvas;
-    const [down, right] = this.mapping(this.frame).bounds(width, height);
-    const asked = new URLSearchParams({
-      image: this.frame.name, line0: down[0], line1: down[1], sample0: right[0], sample1: right[1],
-      factor: this.shown.residuals ? this.factor.value : 0,
-    });
-    for (const pane of this.panes.slice(1)) asked.append('with', pane.name);
-    download(`/api/figure/images.${kind}?${asked}`, `images.${kind}`);
   }
 }
 

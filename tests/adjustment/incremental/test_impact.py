@@ -1,7 +1,10 @@
-"""What is said of a change is what has changed: moves, sigmas, neighbours, and nothing noticeable left out."""
+"""What is said of a change is what has changed: moves, sigmas, neighbours, and nothing noticeable left out; what a
+coefficient moves at most.
+"""
 
 from collections import Counter
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,11 +21,14 @@ from increments import (
     take,
     take_alone,
 )
+from strategies import differences
 
 from mgsgraph.adjustment.incremental.impact import Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.incremental.state import NOTICEABLE
-from mgsgraph.geometry.orientation import OrientationCorrection
+from mgsgraph.adjustment.incremental.state import NOTICEABLE, ground_motion, image_motion
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.network import Network
 from mgsgraph.network.parts import KnownImage
 
@@ -123,12 +129,13 @@ def test_removals() -> None:
     assert any(f"{len(impact.lost)} points that no other image saw" in said for said in impact.sentences)
 
 
-def test_what_moves_the_ground_is_the_image() -> None:
+@pytest.mark.parametrize("angles", ["camera", "opk-paper"])
+def test_what_moves_the_ground_is_the_image(angles: Angles) -> None:
     """The move on the ground: where the image's middle pixel meets the ellipsoid, before and after; and its sigma is
     the spread of that place over the orientation's covariance, drawn.
     """
     made = fan()
-    adjustment = grown(made, 3)
+    adjustment = grown(made, 3, SolverSettings(angles=angles))
     before = {name: adjustment.correction(name) for name in adjustment.images}
     impact = take(adjustment, made, 3)
     rng = np.random.default_rng(4)
@@ -140,22 +147,15 @@ def test_what_moves_the_ground_is_the_image() -> None:
         assert impact.images.on_ground[k] == pytest.approx(np.linalg.norm(now - was), rel=0.01, abs=0.01)
         correction, covariance = adjustment.correction(name), adjustment.covariance(name)
         drawn = rng.multivariate_normal(correction.coefficients.ravel(), covariance, 400, method="cholesky")
-        places = [
-            image.image_to_ground(*middle, 0.0, OrientationCorrection(one.reshape(-1, 6)))[0][0] for one in drawn
-        ]
+        corrections = [OrientationCorrection(one.reshape(-1, 6), angles) for one in drawn]
+        places = [image.image_to_ground(*middle, 0.0, one)[0][0] for one in corrections]
         spread = float(np.sqrt(np.trace(np.cov(np.array(places).T))))
         assert impact.images.ground_after[k] == pytest.approx(spread, rel=0.15)  # four sigmas of 400 draws
 
 
-def test_it_can_be_read() -> None:
-    """Text and HTML name what was done; a name that looks like markup stays text."""
-    made = fan()
-    adjustment = grown(made, 3)
-    impact = take(adjustment, made, 3)
-    assert repr(impact).startswith("Impact(add FAN/3: 4 images reached, ")
-    assert impact.table().text(units=True)[2].split()[:2] == ["FAN/3", "new"]
+def test_a_name_that_looks_like_markup_stays_text() -> None:
     odd = IncrementalAdjustment()
-    image = replace(made.images[0], name="<b>&")
+    image = replace(fan().images[0], name="<b>&")
     odd.add(KnownImage(image, NOISE.prior), ())
     html = odd.remove("<b>&")._repr_html_() + odd._repr_html_()
     assert "<b>&<" not in html
@@ -168,3 +168,39 @@ def test_saying_it_changes_nothing() -> None:
     adjustment.points([strip().ties.ids[0]])
     adjustment.covariance("STRIP/000N", "STRIP/003X")
     assert apart(adjustment, before) == 0.0
+
+
+# --- what a coefficient does to image places, against central differences
+
+IMAGES = [*strip().images[:2], fan().images[1]]
+STEPS = np.tile(np.repeat([1.0, 1e-5], 3), 3)
+
+
+@pytest.mark.parametrize("angles", get_args(Angles))
+@pytest.mark.parametrize("image", IMAGES, ids=lambda image: image.name)
+def test_no_image_place_moves_faster_than_stated(image: PushbroomImage, angles: Angles) -> None:
+    """At the corners and within, and the fastest moves about as fast as stated."""
+    lines, samples = np.meshgrid(np.linspace(1.0, image.lines - 1.0, 5), np.linspace(1.0, image.samples - 1.0, 3))
+    points, _ = image.image_to_ground(lines.ravel(), samples.ravel())
+    stated = image_motion(KnownImage(image, NOISE.prior))
+
+    def places(coefficients: np.ndarray) -> np.ndarray:
+        return image.ground_to_image(points, OrientationCorrection(coefficients.reshape(-1, 6), angles))[0]
+
+    speed = np.linalg.norm(differences(places, np.zeros(18), STEPS), axis=1)
+    assert stated.shape == (18,)
+    # the pixel's size on the ground along the track is its width to a tenth; ground nearer than the middle moves faster
+    assert np.all(speed < 1.15 * stated)
+    for kind in (slice(0, 3), slice(3, 6)):
+        assert speed[:, kind].max() > 0.8 * stated[kind].max()
+
+
+def test_an_image_that_looks_past_the_body_has_a_motion_and_no_ground() -> None:
+    """Turned round: as fast as if the ground were where it would be below."""
+    trajectory = IMAGES[0].trajectory
+    away = replace(trajectory.camera, constant=np.diag([1.0, -1.0, -1.0]) @ trajectory.camera.constant)
+    known = KnownImage(replace(IMAGES[0], trajectory=replace(trajectory, camera=away)), NOISE.prior)
+    near = image_motion(KnownImage(IMAGES[0], NOISE.prior))
+    assert np.all(np.isfinite(image_motion(known)))
+    np.testing.assert_allclose(image_motion(known), near, rtol=0.1)
+    assert not np.any(ground_motion(known, "camera"))

@@ -1,7 +1,7 @@
 """MOC images: labels of both kinds, geometry against SPICE and ISIS's formulas, pixels; faults said in one line."""
 
 import sys
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,36 +16,34 @@ from mgsgraph.files.labels.kernels import clock_time, loaded
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import read_label
 from mgsgraph.files.rasters.pictures import PixelArea, pixel_area, read_moc_pixels, require_fragments
-from mgsgraph.geometry.body import planetocentric
 from mgsgraph.results.figures.registration import pixels_of
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
 """m, of the ISIS addendum."""
 
 
-def written(folder: Path, *changes: tuple[str, str], name: str = "M0402852.IMG") -> Path:
-    text = LABEL
+def changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
-    path = folder / name
-    path.write_bytes(image_bytes(text))
+    return text
+
+
+def written(folder: Path, *changes: tuple[str, str]) -> Path:
+    path = folder / "M0402852.IMG"
+    path.write_bytes(image_bytes(changed(LABEL, changes)))
+    return path
+
+
+def changed_cube(isis_label: Path, folder: Path, *changes: tuple[str, str]) -> Path:
+    path = folder / "changed.lbl"
+    path.write_text(changed(isis_label.read_text(), changes))
     return path
 
 
 @pytest.fixture
 def isis_label(shared_data: Path) -> Path:
     return shared_data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
-
-
-def changed_cube(isis_label: Path, folder: Path, *changes: tuple[str, str]) -> Path:
-    text = isis_label.read_text()
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    path = folder / "changed.lbl"
-    path.write_text(text)
-    return path
 
 
 # --- labels
@@ -87,15 +85,15 @@ def test_the_published_start_and_length_of_a_real_image(shared_data: Path) -> No
 
 
 @pytest.mark.parametrize("pointer", ['"m0402852.img"', '("M0402852.IMG", 9)', '("M0402852.IMG", 2049 <BYTES>)'])
-@pytest.mark.parametrize("asked", ["label", "image"])
-def test_detached_label(tmp_path: Path, pointer: str, asked: str) -> None:
+def test_detached_label(tmp_path: Path, pointer: str) -> None:
     whole = image_bytes()
     body = whole[2048:] if "," not in pointer else bytes(2048) + whole[2048:]
     (tmp_path / "M0402852.IMG").write_bytes(body)
     (tmp_path / "M0402852.LBL").write_text(LABEL.replace("^IMAGE = 9", f"^IMAGE = {pointer}"))
-    got = read_moc_pixels(tmp_path / f"M0402852.{'LBL' if asked == 'label' else 'IMG'}")
-    np.testing.assert_array_equal(got[:, 0], np.arange(6))
-    assert got.shape == (6, 256)
+    for asked in ("LBL", "IMG"):
+        got = read_moc_pixels(tmp_path / f"M0402852.{asked}")
+        np.testing.assert_array_equal(got[:, 0], np.arange(6))
+        assert got.shape == (6, 256)
 
 
 def test_wide_angles_are_told_by_their_filter(tmp_path: Path) -> None:
@@ -112,7 +110,7 @@ CONSTANTS = NaifKeywords("the addendum", {
 })  # fmt: skip
 
 
-def everything_of(path: Path) -> None:
+def used(path: Path) -> None:
     label = read_line_scan_label(path)
     label.camera.interior(CONSTANTS, label)
     read_moc_pixels(path)
@@ -121,49 +119,43 @@ def everything_of(path: Path) -> None:
 def refused(path: Path) -> str:
     """What is said of a label whose image can't be used, in one line that begins with its file."""
     with pytest.raises(InputError) as caught:
-        everything_of(path)
+        used(path)
     assert str(caught.value).startswith(str(path))
-    assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
-FAULTS: dict[str, tuple[str, str, str]] = {
-    "no exposure": ("LINE_EXPOSURE_DURATION = 0.482100 <MILLISECONDS>\n", "", "no LINE_EXPOSURE_DURATION"),
-    "negative exposure": ("0.482100", "-0.4821", "-0.0019284 s; expected a positive line period"),
-    "exposure in hours": ("<MILLISECONDS>", "<HOURS>", "the unit <hours>"),
-    "summing of 9": ("DOWNTRACK_SUMMING = 4", "DOWNTRACK_SUMMING = 9", "9; expected 1 .. 8"),
-    "off the detector": ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 7", "from 513 on end at 2304"),
-    "negative edit mode": ('EDIT_MODE_ID = "512"', 'EDIT_MODE_ID = "-16"', "-16; expected a whole number of detector"),
-    "other instrument": ('"MOC-NA"', '"MARCI"', "the camera 'MARCI'; expected one of those known by PDS3 labels"),
-    "no clock": ('SPACECRAFT_CLOCK_START_COUNT = "619971158:28"\n', "", "no SPACECRAFT_CLOCK_START_COUNT"),
-    "no lines": ("LINES = 6", "LINES = 0", "0; expected a whole number above zero"),
-    "pointer to nowhere": ("^IMAGE = 9", '^IMAGE = ("LOST.IMG", 1)', "the file LOST.IMG, which is not there"),
-    "16 bits": ("SAMPLE_BITS = 8", "SAMPLE_BITS = 16", "16; expected 8"),
-    "never closed": ("END_OBJECT = IMAGE\n", "", "never closed"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, fault: str) -> None:
-    old, new, said = FAULTS[fault]
-    path = written(tmp_path, (old, new))
-    assert said in refused(path)
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("LINE_EXPOSURE_DURATION = 0.482100 <MILLISECONDS>\n", "", "no LINE_EXPOSURE_DURATION"),
+        ("0.482100", "-0.4821", "-0.0019284 s; expected a positive line period"),
+        ("<MILLISECONDS>", "<HOURS>", "the unit <hours>"),
+        ("DOWNTRACK_SUMMING = 4", "DOWNTRACK_SUMMING = 9", "9; expected 1 .. 8"),
+        ("CROSSTRACK_SUMMING = 2", "CROSSTRACK_SUMMING = 7", "from 513 on end at 2304"),
+        ('EDIT_MODE_ID = "512"', 'EDIT_MODE_ID = "-16"', "-16; expected a whole number of detector"),
+        ('"MOC-NA"', '"MARCI"', "the camera 'MARCI'; expected one of those known by PDS3 labels: MGS MOC-NA, MGS MOC"),
+        ("^IMAGE = 9", '^IMAGE = ("LOST.IMG", 1)', "the file LOST.IMG, which is not there"),
+        ("SAMPLE_BITS = 8", "SAMPLE_BITS = 16", "16; expected 8"),
+    ],
+)
+def test_a_faulty_label_is_refused_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert said in refused(written(tmp_path, (old, new)))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ("FirstLineSample       = 1", "FirstLineSample       = 2", "end at 2049"),
-        ("  Group = BandBin", "  Group = Mapping\n  End_Group\n  Group = BandBin", "a map-projected cube"),
-        (
-            "  Group = BandBin",
-            "  Group = AlphaCube\n AlphaSamples = 672\n AlphaLines = 4864\n  End_Group\n  Group = BandBin",
-            "1536 of 4864 lines",
-        ),
+        ("= 1999-08-24T14:12:13.64", "= 1999-08-24T14:12:11.64", "which is 1.995 s after the label"),
     ],
 )
-def test_a_faulty_cube_label_is_refused(isis_label: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
-    assert said in refused(changed_cube(isis_label, tmp_path, (old, new)))
+def test_a_faulty_cube_label_is_refused(
+    isis_label: Path, shared_data: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        read_labelled_image(changed_cube(isis_label, tmp_path, (old, new)), kernels(shared_data))
+    projected = ("  Group = BandBin", "  Group = Mapping\n  End_Group\n  Group = BandBin")
+    assert "a map-projected cube" in refused(changed_cube(isis_label, tmp_path, projected))
 
 
 # --- geometry
@@ -205,13 +197,6 @@ def test_ground_points_are_those_of_spice(isis_label: Path, shared_data: Path, t
     np.testing.assert_allclose(got, want, rtol=0, atol=1e-3)
 
 
-def test_the_image_shows_the_south_pole_that_its_rationale_names(isis_label: Path, shared_data: Path) -> None:
-    """RationaleDesc = "South Pole 3 degree ring"."""
-    image = read_labelled_image(isis_label, kernels(shared_data))
-    ground, _ = image.image_to_ground(np.array([768.0]), np.array([128.0]))
-    assert np.degrees(planetocentric(ground)[0, 1]) == pytest.approx(-87.0, abs=0.1)
-
-
 def test_constants_of_the_instrument_kernel(isis_label: Path, shared_data: Path) -> None:
     """The kernel's field of view is 2 x 0.0038015622659 wide at distance 1, of 2047 pixels between outer centres."""
     image = read_labelled_image(isis_label, kernels(shared_data), constants="ik", name="mine")
@@ -223,9 +208,8 @@ def test_constants_of_the_instrument_kernel(isis_label: Path, shared_data: Path)
     assert widened[0, 1] / place[1, 1] == pytest.approx(3500.0 / 3466.916, rel=1e-6)
 
 
-@pytest.mark.parametrize("order", [("moc20.ti", "mocAddendum004.ti"), ("mocAddendum004.ti", "moc20.ti")])
-def test_focal_length_in_either_unit(isis_label: Path, shared_data: Path, order: tuple[str, str]) -> None:
-    given = kernels(shared_data, order)
+def test_focal_length_in_either_unit(isis_label: Path, shared_data: Path) -> None:
+    given = kernels(shared_data, ("mocAddendum004.ti", "moc20.ti"))
     assert read_labelled_image(isis_label, given).interior.focal_length == pytest.approx(3.5, rel=1e-15)
     assert read_labelled_image(isis_label, given, focal_length=3.437).interior.focal_length == 3.437
 
@@ -240,31 +224,10 @@ def test_biases_reach_the_trajectory(isis_label: Path, shared_data: Path) -> Non
     np.testing.assert_array_equal(plain.pose(line).position, unbiased.pose(line).position)
 
 
-def test_an_image_that_no_kernel_covers(shared_data: Path) -> None:
-    path = shared_data / "mgs_moc_pair" / "M0100115.img"
-    with pytest.raises(InputError) as caught:
-        read_labelled_image(path, kernels(shared_data))
-    assert str(caught.value).startswith(f"{path}: positions of -94: nothing for all of 1999-05-06T15:33:58.126")
-
-
-def test_a_start_time_that_contradicts_the_clock(isis_label: Path, shared_data: Path, tmp_path: Path) -> None:
-    label = changed_cube(isis_label, tmp_path, ("= 1999-08-24T14:12:13.64", "= 1999-08-24T14:12:11.64"))
-    with pytest.raises(InputError, match=r"which is 1\.995 s after the label"):
-        read_labelled_image(label, kernels(shared_data))
-
-
-@pytest.mark.parametrize(
-    ("without", "constants", "said"),
-    [("mocAdd", "iak", "no INS-94031_ITRANSL"), ("moc20", "ik", "no INS-94031_PIXEL_SIZE"), ("moc", "iak", "frame")],
-)
-def test_missing_camera_constants(
-    isis_label: Path, shared_data: Path, without: str, constants: str, said: str
-) -> None:
-    fewer = [path for path in kernels(shared_data) if not path.name.startswith(without)]
-    with pytest.raises(InputError) as caught:
-        read_labelled_image(isis_label, fewer, constants=constants)  # type: ignore[arg-type]
-    assert said in str(caught.value)
-    assert str(caught.value).startswith(str(isis_label))
+def test_missing_camera_constants(isis_label: Path, shared_data: Path) -> None:
+    fewer = [path for path in kernels(shared_data) if not path.name.startswith("mocAdd")]
+    with pytest.raises(InputError, match=r"no INS-94031_ITRANSL"):
+        read_labelled_image(isis_label, fewer)
 
 
 # --- pixels
@@ -300,53 +263,24 @@ def test_compressed_pixels_without_pdr(tmp_path: Path, monkeypatch: pytest.Monke
         read_moc_pixels(path)
 
 
-def test_a_compressed_file_cut_short(shared_data: Path, tmp_path: Path) -> None:
-    path = tmp_path / "M0100115.imq"
-    path.write_bytes((shared_data / "mgs_moc_pair" / "M0100115.imq").read_bytes()[:900_000])
-    with pytest.raises(InputError, match="900000 bytes; expected 1908736"):
-        read_moc_pixels(path)
-
-
-def fragment(length: int = 9, size: tuple[int, int] = (2, 3), status: int = 0, bits: int = 1) -> bytes:
+def fragment(length: int = 9, size: tuple[int, int] = (2, 3), status: int = 0) -> bytes:
     """A fragment of a compressed image of `size` cells of 16 lines and samples."""
     head = bytearray(62)
     head[6:8] = head[40:42] = size[0].to_bytes(2, "little")
-    head[13], head[43], head[44], head[58:62] = status, size[1], bits, length.to_bytes(4, "little")
+    head[13], head[43], head[44], head[58:62] = status, size[1], 1, length.to_bytes(4, "little")
     return bytes(head) + bytes(length + 1)
 
 
-@pytest.mark.parametrize(
-    ("content", "good"),
-    [
-        (fragment() + fragment(status=2), True),
-        (fragment() + fragment(), False),  # none is the last
-        (fragment() + fragment(status=2)[:-3], False),
-        (fragment(size=(65535, 3)) + fragment(status=2), False),  # 17 GB of pixels
-        (fragment(bits=4, size=(1, 3)) * 3, True),
-        (fragment(bits=4, size=(3, 3)), False),
-    ],
-)
-def test_fragments_of_compressed_images(tmp_path: Path, content: bytes, good: bool) -> None:
-    """By their headers: before anything is decompressed."""
+def test_fragments_of_compressed_images(tmp_path: Path) -> None:
+    """By their headers, before anything is decompressed: the last is there, whole, and of no more pixels than said."""
     path = tmp_path / "a.imq"
-    path.write_bytes(bytes(2048) + content)
-    area = PixelArea(path, 2048, 0, 0, "MOC-PRED-X-5", 0)
-    if good:
-        require_fragments(area, 32, 48)
-    else:
+    area, last = PixelArea(path, 2048, 0, 0, "MOC-PRED-X-5", 0), fragment(status=2)
+    path.write_bytes(bytes(2048) + fragment() + last)
+    require_fragments(area, 32, 48)
+    for content in (fragment() + fragment(), fragment() + last[:-3], fragment(size=(65535, 3)) + last):
+        path.write_bytes(bytes(2048) + content)
         with pytest.raises(InputError, match="fetch it again"):
             require_fragments(area, 32, 48)
-    with pytest.raises(InputError, match="after 4096 bytes"):
-        require_fragments(replace(area, offset=4096), 32, 48)
-
-
-def test_a_real_compressed_image_whose_stream_is_damaged(shared_data: Path, tmp_path: Path) -> None:
-    content = bytearray((shared_data / "mgs_moc_pair" / "M0100115.imq").read_bytes())
-    content[2048 + 58] ^= 1
-    path = tmp_path / "M0100115.imq"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="expected one of those of 4864 x 672"):
-        read_moc_pixels(path)
 
 
 def test_the_label_of_a_cube_that_is_not_there(isis_label: Path) -> None:

@@ -1,5 +1,6 @@
 """Labels and kernels of all cameras whose real kernels are at hand: against ISIS's tables, ALE's and SPICE itself."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels import labelled_image
 from mgsgraph.files.labels.isis_cube import attitude_table, position_table, tables_of_label
 from mgsgraph.files.labels.kernels import loaded
-from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
+from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
@@ -198,12 +199,6 @@ def test_the_moon_turns_as_the_kernels_say_and_it_is_told(shared_data: Path) -> 
         assert turned(tables(one).body.at(np.zeros(1))[0], want) < 1e-12
 
 
-def test_a_gap_within_an_image_is_named(shared_data: Path) -> None:
-    """The cube has 4,656 lines, 30.264 s; SPK slices cover 20:09:48.637 .. 20:10:01.237."""
-    with pytest.raises(InputError, match=r"expected a time within .* \.\. 2009-04-05T20:10:01\.237 UTC"):
-        image_of(shared_data, KAGUYA, "isis")
-
-
 # --- MOC wide angle
 
 
@@ -230,68 +225,43 @@ def test_wide_angle_by_kernels_is_spices(shared_data: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(got[0], np.asarray(point) * 1e3, rtol=0, atol=1e-2)
 
 
-# --- HRSC
-
-
-def test_images_of_other_lenses_are_no_strip(shared_data: Path) -> None:
-    labels = [shared_data / f"{image}_pds3.lbl" for image in (CTX, KAGUYA)]
-    with pytest.raises(InputError, match="an image of MOON; expected one of MARS"):
-        read_strip(labels, [])
-
-
 # --- damaged kernels
 
-DAMAGES = {
-    "integers of a summary": ("mgs_sc_map2_0_sliced_-94000.bc", 12, b"\x06\x20\x00\x00"),
-    "number of summaries": ("m0402852.ale_1.bsp", 2064, b"\x00\x00\x00\x00\x65\xcd\xcd\x41"),
-}
-"""File, byte and what is written there: of these CSPICE dies by SIGSEGV and SIGABRT."""
 
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_kernel_that_kills_spice_is_an_error(shared_data: Path, tmp_path: Path, damage: str) -> None:
-    name, at, content = DAMAGES[damage]
+@pytest.mark.parametrize(
+    ("name", "at", "content"),
+    [
+        ("mgs_sc_map2_0_sliced_-94000.bc", 12, b"\x06\x20\x00\x00"),  # integers of a summary
+        ("m0402852.ale_1.bsp", 2064, b"\x00\x00\x00\x00\x65\xcd\xcd\x41"),  # number of summaries
+    ],
+)
+def test_a_kernel_that_kills_spice_is_an_error(
+    shared_data: Path, tmp_path: Path, name: str, at: int, content: bytes
+) -> None:
+    """Of these CSPICE dies by SIGSEGV and SIGABRT."""
     given = mgs.kernels(shared_data)
     (place,) = (k for k, path in enumerate(given) if path.name == name)
     whole = given[place].read_bytes()
     given[place] = tmp_path / name
     given[place].write_bytes(whole[:at] + content + whole[at + len(content) :])
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(name)):
         read_labelled_image(shared_data / f"{MOC}_isis.lbl", given)
-    assert name in str(caught.value)
 
 
-@pytest.mark.parametrize("variable", ["BODY499_RADII", "BODY499_RADII +"], ids=["in place", "appended"])
 @pytest.mark.parametrize(
-    "radii", ["3.39619 3.39619 3.3762", "3396190 3396190 3376200", "1737.4 1737.4 1737.4", "3e3 3e3 3e3", "1e9 1e9 1e9"]
-)
-def test_radii_of_another_body_are_refused(shared_data: Path, tmp_path: Path, radii: str, variable: str) -> None:
+    ("variable", "radii"),
+    [("BODY499_RADII", "3.39619 3.39619 3.3762"), ("BODY499_RADII", "1737.4 1737.4 1737.4"),
+     ("BODY499_RADII +", "3396.19 3396.19 3376.2")],
+)  # fmt: skip
+def test_radii_of_another_body_are_refused(shared_data: Path, tmp_path: Path, variable: str, radii: str) -> None:
     other = tmp_path / "other.tpc"
     other.write_text(f"KPL/PCK\n\\begindata\n{variable}= ( {radii} )\n\\begintext\n")
     with pytest.raises(InputError, match=r"radii of MARS|BODY499_RADII"):
         read_labelled_image(shared_data / f"{MOC}_isis.lbl", [*mgs.kernels(shared_data), other])
 
 
-def test_kernels_may_be_named_from_the_working_folder(
-    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """SPICE works elsewhere, and names of files are still those that the user meant."""
-    for path in mgs.kernels(shared_data):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "below").mkdir()
-    lines = "\n".join(f"'{path.name}'" for path in mgs.kernels(shared_data))
-    (tmp_path / "below" / "all.tm").write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( {lines} )\n")
-    monkeypatch.chdir(tmp_path)
-    label = shared_data / f"{MOC}_isis.lbl"
-    image = read_labelled_image(label, [Path("below/all.tm")])
-    want = read_labelled_image(label, mgs.kernels(shared_data))
-    np.testing.assert_array_equal(tables(image).position.positions, tables(want).position.positions)
-
-
-@pytest.mark.parametrize("named", ["itself", "another"])
-def test_meta_kernels_name_no_meta_kernels(shared_data: Path, tmp_path: Path, named: str) -> None:
+def test_meta_kernels_name_no_meta_kernels(shared_data: Path, tmp_path: Path) -> None:
     meta = tmp_path / "itself.tm"
-    meta.write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( '{named}.tm' )\n")
-    (tmp_path / "another.tm").write_text("KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'itself.tm' )\n")
-    with pytest.raises(InputError, match=f"{named}.tm"):
+    meta.write_text("KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'itself.tm' )\n")
+    with pytest.raises(InputError, match=r"itself\.tm"):
         read_labelled_image(shared_data / f"{MOC}_isis.lbl", [meta])

@@ -1,17 +1,155 @@
-"""Control networks as PVL text: laid out as ISIS does it, nothing lost on the way through either form."""
+"""Control networks as PVL text of every version: what ISIS means, laid out as it does, faults with their line."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from control_networks import contents, first_binary, networks, older, pvl_text
 from hypothesis import given, settings
-from isis_networks import contents, networks
+from hypothesis import strategies as st
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.networks.binary import read_network, write_binary_network
+from mgsgraph.files.networks.binary import (
+    binary_network,
+    parse_binary_network,
+    read_control_network,
+    read_network,
+    write_binary_network,
+)
 from mgsgraph.files.networks.pvl import network_text, parse_pvl_network, write_pvl_network
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, MeasureType, PointType
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints, tie_points
 from mgsgraph.files.pvl import Document
+from mgsgraph.geometry.body import from_planetocentric, planetocentric_jacobian
+from mgsgraph.units import DEG
+
+# --- what it means to an adjustment
+
+
+SMALL = """\
+Object = ControlNetwork
+  NetworkId    = two_points
+  TargetName   = Mars
+  Description  = "Two points, of which
+                  one is constrained"
+  Version      = 5
+
+  Object = ControlPoint
+    PointType                = Constrained
+    PointId                  = first
+
+    # AprioriLatitude = 14.1 <degrees>
+    AprioriX                 = 1485514.8 <meters>
+    AprioriY                 = -2937138.2 <meters>
+    AprioriZ                 = 829401.9 <meters>
+    AprioriCovarianceMatrix  = (100.0, 1.0,
+                                2.0, 200.0,
+                                3.0, 300.0)
+
+    Group = ControlMeasure
+      SerialNumber = MGS/561812335:32/MOC-NA
+      MeasureType  = Manual
+      Sample       = 101.5
+      Line         = 2002.25
+      LineSigma    = 0.5 <pixels>
+      SampleSigma  = 0.25 <pixels>
+    End_Group
+  End_Object
+
+  Object = ControlPoint
+    PointType = Free
+    PointId   = second
+
+    Group = ControlMeasure
+      SerialNumber   = MGS/561812335:32/MOC-NA
+      Sample         = 1.0
+      Line           = 1.0
+      JigsawRejected = Yes
+    End_Group
+  End_Object
+End_Object
+End
+"""
+
+MEASURE = SMALL[SMALL.index("    Group") : SMALL.index("    End_Group") + len("    End_Group\n")]
+
+
+def read(folder: Path, text: str) -> TiePoints:
+    path = folder / "network.pvl"
+    path.write_text(text, encoding="utf-8")
+    return read_control_network(path)
+
+
+def test_the_small_network(tmp_path: Path) -> None:
+    got = read(tmp_path, SMALL)
+
+    assert got.kinds.tolist() == [PointKind.CONSTRAINED, PointKind.FREE]
+    np.testing.assert_array_equal(got.places, [[1485514.8, -2937138.2, 829401.9], [np.nan] * 3])
+    np.testing.assert_array_equal(got.covariances[0], [[100, 1, 2], [1, 200, 3], [2, 3, 300]])
+    np.testing.assert_array_equal(got.measures, [[2001.75, 101.0], [0.5, 0.5]])  # rejected by jigsaw, yet kept
+    np.testing.assert_array_equal(got.measure_sigmas, [[0.5, 0.25], [np.nan, np.nan]])
+
+
+def test_planetocentric_place_is_the_one_isis_gives(tmp_path: Path) -> None:
+    """Latitude, longitude and radius that ISIS itself wrote beside X, Y, Z (ControlNetVersioner/smallPvlTest.pvl)."""
+    place = "AprioriLatitude = 14.14339916959 <degrees>\nAprioriLongitude = 296.82889373072\n"
+    place += "AprioriRadius = 3394325.0717817 <m>"
+
+    got = read(tmp_path, re.sub(r"AprioriX.*\n.*\n.*AprioriZ.*", place, SMALL))
+
+    np.testing.assert_allclose(got.places[0], [1485514.8494536, -2937138.2000946, 829401.90409959], rtol=0, atol=1e-4)
+
+
+def test_units_are_heeded(tmp_path: Path) -> None:
+    place = f"AprioriLatitude = {0.5 / DEG!r}\nAprioriLongitude = -0.25 <radians>\nAprioriRadius = 3394.25 <km>"
+
+    got = read(tmp_path, re.sub(r"AprioriX.*\n.*\n.*AprioriZ.*", place, SMALL))
+
+    radius = 3394250.0
+    wanted = [radius * np.cos(0.5) * np.cos(0.25), -radius * np.cos(0.5) * np.sin(0.25), radius * np.sin(0.5)]
+    np.testing.assert_allclose(got.places[0], wanted, rtol=0, atol=1e-6)
+
+
+def test_adjusted_places_are_first_guesses_of_free_points_only(tmp_path: Path) -> None:
+    adjusted = "AdjustedX = 1 <meters>\nAdjustedY = 2\nAdjustedZ = 3\n"
+
+    free = read(tmp_path, SMALL.replace("PointId   = second", f"PointId = second\n{adjusted}"))
+
+    np.testing.assert_array_equal(free.places[1], [1, 2, 3])
+    with pytest.raises(InputError, match="point second: fixed without an a-priori place"):
+        read(tmp_path, SMALL.replace("PointType = Free", f"PointType = Fixed\n{adjusted}"))
+
+
+def test_long_words_and_texts_carried_over_lines(tmp_path: Path) -> None:
+    joined = read(tmp_path, SMALL.replace("= first", "= fi-\n       rst"))
+    quoted = read(tmp_path, SMALL.replace("= first", "= 'fi\n       rst'"))
+
+    assert joined.ids[0] == "first"
+    assert quoted.ids[0] == "fi rst"
+
+
+def test_real_network(shared_data: Path) -> None:
+    path = shared_data / "lro_nac_lola" / "network.pvl"
+    text = path.read_text()
+    got = read_control_network(path)
+
+    assert len(got.ids) == 311
+    assert got.ids == tuple(re.findall(r"PointId\s*= (\S+)", text))
+    assert got.measure_image == tuple(re.findall(r"SerialNumber\s*= (\S+)", text))
+    lines, samples = (
+        np.array(re.findall(rf"^ *{key} *= (\S+)", text, re.MULTILINE), dtype=float) for key in ("Line", "Sample")
+    )
+    np.testing.assert_array_equal(got.measures, np.stack([lines, samples], axis=1) - 0.5)
+    assert np.all(np.isnan(got.measure_sigmas))
+    assert np.all(got.kinds == PointKind.FREE)
+
+
+# --- all that is in it, and how ISIS writes it
+
 
 OF_ISIS = """\
 Object = ControlNetwork
@@ -94,10 +232,6 @@ def parsed(text: str) -> ControlNetwork:
     return parse_pvl_network(Document("a.pvl", text))
 
 
-def one(point: ControlPoint) -> ControlNetwork:
-    return ControlNetwork(network_id="n", target_name="Mars", points=(point,))
-
-
 @settings(deadline=None)
 @given(drawn=networks())
 def test_a_network_survives(drawn: ControlNetwork) -> None:
@@ -142,76 +276,205 @@ def test_old_names_of_figures() -> None:
     assert [kind for kind, _ in parsed(text).points[0].measures[2].log] == [8, 4, 1]
 
 
-def test_the_form_goes_by_the_content(tmp_path: Path) -> None:
-    network = parsed(OF_ISIS)
-    write_pvl_network(network, tmp_path / "text.net")
-    write_binary_network(network, tmp_path / "binary.pvl")
+@settings(deadline=None)
+@given(
+    case=st.sampled_from([str, str.lower, str.upper]),
+    equals=st.sampled_from(["=", "\t=   ", " =\n      ", " = /* why */ "]),
+    before=st.sampled_from(["", "\n", "  # Sample = 7\n", "/* Line = 7\n End_Object */\n"]),
+    comma=st.sampled_from([",", ",\n     ", " , /* on */ "]),
+    unit=st.sampled_from([("<", "<"), (" <meters>", ""), (" <pixels>", " <Pixels>")]),
+    end=st.sampled_from(["", "  ", " # so", " /* so */"]),
+    yes=st.sampled_from(["True", "yes", "TRUE"]),
+)
+def test_other_ways_to_write_it(
+    case: Callable[[str], str], equals: str, before: str, comma: str, unit: tuple[str, str], end: str, yes: str
+) -> None:
+    def dressed(line: re.Match[str]) -> str:
+        return before + case(line[1]) + equals + line[2] + ("" if line[2].rstrip().endswith(",") else end)
 
-    assert contents(read_network(tmp_path / "text.net")) == contents(read_network(tmp_path / "binary.pvl"))
-    assert contents(read_network(tmp_path / "text.net")) == contents(network)
+    text = re.sub(r"(?m)^ *(\w+) *= *(.*)$", dressed, OF_ISIS.replace("= True", f"= {yes}").replace(*unit))
+    assert contents(parsed(re.sub(r",\s+", comma, text))) == contents(parsed(OF_ISIS))
 
 
 FAULTS = {
+    "no PointId": ("    PointId                  = first\n", "", 8, "no PointId"),
+    "odd PointType": ("= Constrained", "= Floating", 9, "point first, PointType: 'Floating'"),
+    "id twice": ("= second", "= first", 32, "point first, PointId: the id twice, first at"),
+    "no Line": ("      Line         = 2002.25\n", "", 20, "point first, image MGS/561812335:32/MOC-NA: no Line"),
+    "NaN": ("= 2002.25", "= NaN", 24, "first, image MGS/561812335:32/MOC-NA, Line: 'NaN'; expected a finite number"),
+    "negative sigma": ("= 0.5 <pixels>", "= -0.5 <pixels>", 25, "LineSigma: -0.5 px; expected a positive sigma"),
+    "unit": ("<meters>\n    AprioriY", "<furlongs>\n    AprioriY", 13, "AprioriX: the unit <furlongs>"),
+    "no covariance": ("AprioriCovarianceMatrix", "AdjustedCovarianceMatrix", 8, "without AprioriCovarianceMatrix"),
+    "short covariance": (", 300.0", "", 16, "AprioriCovarianceMatrix: 5 items; expected a list of 6 numbers"),
+    "image twice": (MEASURE, MEASURE + MEASURE, 28, "image MGS/561812335:32/MOC-NA: a second measure"),
+    "wrong end": ("    End_Group\n  End_Object", "    End_Object\n  End_Object", 27, "the end of group controlmeasure"),
+    "version 6": ("= 5", "= 6", 6, "version 6; expected 1 to 5"),
     "keyword": ("GoodnessOfFit ", "GoodnessOfFat ", 67, "the keyword goodnessoffat; expected ISIS's keywords"),
     "source": ("= Basemap", "= Atlas", 17, "point T0000, AprioriXYZSource: 'Atlas'; expected one of none, user"),
-    "unit of a figure": ("7.8509687345151", "7 <m>", 66, "the unit <m>"),
     "radii": ("(3396190.0, ", "(", 8, "TargetRadii: 2 items; expected a list of 3 numbers"),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_is_found_where_it_is(fault: str) -> None:
+def test_a_fault_is_found_where_it_is(tmp_path: Path, fault: str) -> None:
     old, new, line, said = FAULTS[fault]
+
     with pytest.raises(InputError) as caught:
-        parsed(OF_ISIS.replace(old, new, 1))
+        read(tmp_path, next(text for text in (SMALL, OF_ISIS) if old in text).replace(old, new, 1))
 
-    assert str(caught.value).startswith(f"a.pvl, line {line}"), str(caught.value)
-    assert said in str(caught.value)
-
-
-MEASURE = ControlMeasure(serial_number="A", type=MeasureType.MANUAL)
-POINT = ControlPoint(id="p", type=PointType.FREE, measures=(MEASURE,))
-CANNOT = {
-    "line break": (msgspec.structs.replace(POINT, chooser_name="a\nb"), "point 1 (p): ChooserName: a line break in"),
-    "surrogate": (msgspec.structs.replace(POINT, chooser_name="\ud800"), "ChooserName: half a character in"),
-    "quotes": (msgspec.structs.replace(POINT, id="\"'"), "PointId: both kinds of quotes"),
-    "figure twice": (
-        msgspec.structs.replace(POINT, measures=(msgspec.structs.replace(MEASURE, log=((2, 0.0), (2, 1.0))),)),
-        "number 2 twice",
-    ),
-    "NaN": (msgspec.structs.replace(POINT, apriori=(0.0, float("nan"), 0.0)), "AprioriY: nan"),
-}
-
-
-@pytest.mark.parametrize("fault", CANNOT)
-def test_what_pvl_cannot_hold_is_refused(tmp_path: Path, fault: str) -> None:
-    point, said = CANNOT[fault]
-    with pytest.raises(InputError) as caught:
-        write_pvl_network(one(point), tmp_path / "a.pvl")
-
-    assert str(caught.value).startswith("point 1 (p): ") or "quotes" in said or "null" in fault
-    assert said in str(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-def test_null_is_how_isis_spells_none() -> None:
-    assert "ChooserName" not in network_text(one(msgspec.structs.replace(POINT, chooser_name="Null")))
-
-
-def test_a_network_without_points_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no control point"):
-        write_pvl_network(ControlNetwork(network_id="n", target_name="Mars", points=()), tmp_path / "a.pvl")
+    message = str(caught.value)
+    assert re.match(rf"{re.escape(str(tmp_path))}/network\.pvl, line {line}[,:] ", message), message
+    assert said in message
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "said"),
     [
-        ("\n", "\r\n"), ("Object = ControlPoint\n", "# AprioriLatitude = 1\nObject = ControlPoint\n"),
-        ("    Group", "  /* a comment\n of two lines */  Group"), ("<meters>", ""),
-        ("= True", "= yes"),
+        ("= second", '= "\x1b[2Jx"', "point 2 .* an id with control characters"),
+        ("(100.0, 1.0", "(100.0, -150.0", "point first: an a-priori covariance that is not positive definite"),
     ],
-)  # fmt: skip
-def test_other_ways_to_write_it(tmp_path: Path, old: str, new: str) -> None:
-    assert old in OF_ISIS
-    (tmp_path / "x.pvl").write_bytes(OF_ISIS.replace(old, new).encode())
-    assert contents(read_network(tmp_path / "x.pvl")) == contents(parsed(OF_ISIS))
+)
+def test_a_point_that_can_not_be(tmp_path: Path, old: str, new: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read(tmp_path, SMALL.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"chooser_name": "a\nb"}, r"point 1 \(p\): ChooserName: a line break in"),
+        ({"id": "\"'"}, "PointId: both kinds of quotes"),
+        ({"apriori": (0.0, float("nan"), 0.0)}, "AprioriY: nan"),
+    ],
+)
+def test_what_pvl_cannot_hold_is_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+    point = msgspec.structs.replace(ControlPoint(id="p", type=PointType.FREE), **change)
+    with pytest.raises(InputError, match=said):
+        write_pvl_network(ControlNetwork(network_id="n", target_name="Mars", points=(point,)), tmp_path / "a.pvl")
+    assert not list(tmp_path.iterdir())
+
+
+# --- older versions
+
+
+def as_version_one_has_it(network: ControlNetwork) -> ControlNetwork:
+    """Besides `older`: the adjusted place stands in for the a-priori one, what was not measured is ignored, and
+    coordinates are constrained where there is a covariance.
+    """
+    replace = msgspec.structs.replace
+    points = list[ControlPoint]()
+    for point in older(network, 1).points:
+        measures = tuple(
+            replace(one, ignore=one.ignore or one.line is None or one.sample is None) for one in point.measures
+        )
+        whole = bool(point.apriori_covariance or point.adjusted_covariance)
+        points.append(replace(
+            point, measures=measures, apriori=point.apriori or point.adjusted, latitude_constrained=whole,
+            longitude_constrained=whole, radius_constrained=whole,
+        ))  # fmt: skip
+    return replace(network, points=tuple(points), target_radii=())
+
+
+@settings(deadline=None, max_examples=40)
+@given(drawn=networks())
+def test_versions_one_to_five_in_text(drawn: ControlNetwork) -> None:
+    for version in (2, 3, 4, 5):
+        assert contents(parsed(pvl_text(drawn, version))) == contents(older(drawn, version)), version
+    assert contents(parsed(pvl_text(drawn, 1))) == contents(as_version_one_has_it(drawn))
+
+
+@settings(deadline=None, max_examples=40)
+@given(drawn=networks())
+def test_version_one_in_binary(drawn: ControlNetwork) -> None:
+    assert contents(parse_binary_network(first_binary(older(drawn, 1)), "a.net")) == contents(older(drawn, 1))
+
+
+REALLY_OLD = """\
+Object = ControlNetwork
+  NetworkId    = ""
+  NetworkType  = ImageToGround
+  TargetName   = MRO/CTX
+  UserName     = ""
+  Created      = Null
+
+  Object = ControlPoint
+    PointType             = Tie
+    PointId               = 1001
+    Held                  = True
+    Latitude              = 30.0
+    Longitude             = 120.0
+    Radius                = 3390000.0
+    AprioriSigmaLatitude  = 20.0
+    AprioriSigmaLongitude = -1.0
+
+    Group = ControlMeasure
+      SerialNumber   = "M1"
+      MeasureType    = ValidatedManual
+      Sample         = 893.0
+      Line           = 616.0
+      ErrorLine      = 0.25
+      ErrorSample    = -0.5
+      ErrorMagnitude = 0.56
+      ZScore         = 1.0
+      DateTime       = ""
+      Reference      = False
+    End_Group
+
+    Group = ControlMeasure
+      SerialNumber   = "M2"
+      MeasureType    = Unmeasured
+      Sample         = Null
+      Line           = ""
+      Reference      = True
+    End_Group
+  End_Object
+
+  Object = ControlPoint
+    PointType = Tie
+    PointId   = "2"
+    Held      = True
+
+    Group = ControlMeasure
+      SerialNumber   = "M1"
+      MeasureType    = AutomaticSubPixel
+      Sample         = 1
+      Line           = 1
+      Eccentricity   = 0.5
+    End_Group
+  End_Object
+ End_Object
+End
+"""
+"""In the words of ISIS's own old networks (oldNetwork.net, reallyOldNetwork.net, isis3.2.1)."""
+
+
+def test_the_oldest_words() -> None:
+    network = parsed(REALLY_OLD)
+    first, second = network.points
+    place = from_planetocentric(np.array([120.0 * DEG, 30.0 * DEG, 3.39e6]))
+
+    assert (network.target_name, network.created, network.network_id) == ("Mars", "", "")
+    assert first.measures[0] == ControlMeasure(
+        "M1", MeasureType.REGISTERED_PIXEL, 893.0, 616.0, sample_residual=-0.5, line_residual=0.25
+    )
+    assert first.measures[1] == ControlMeasure("M2", MeasureType.CANDIDATE, ignore=True)
+    assert first.reference == 1
+    assert first.apriori == first.adjusted == pytest.approx(tuple(place.tolist()))
+    assert (first.latitude_constrained, first.longitude_constrained, first.radius_constrained) == (True, True, False)
+    assert (first.type, second.type) == (PointType.CONSTRAINED, PointType.FIXED)
+    assert second.measures[0].type == MeasureType.REGISTERED_SUBPIXEL
+    assert second.measures[0].log == ((1, 0.5),)
+    only = msgspec.structs.replace(network, points=(first,))
+    assert tie_points(only).kinds.tolist() == [PointKind.CONSTRAINED]
+    # by the Jacobian of the coordinates, which knows nothing of axes: 20 m, and 10 km where nothing usable is said
+    backward = np.linalg.inv(planetocentric_jacobian(np.array([120.0 * DEG, 30.0 * DEG, 3.39e6])))
+    lengths = np.diag([3.39e6 * np.cos(30.0 * DEG), 3.39e6, 1.0]) @ backward
+    found = lengths @ tie_points(only).covariances[0] @ lengths.T
+    np.testing.assert_allclose(found, np.diag([1e8, 400.0, 1e8]), atol=1e-3)
+
+
+def test_a_network_of_the_first_version_goes_through_the_last(tmp_path: Path) -> None:
+    (tmp_path / "old.net").write_text(REALLY_OLD.replace("\n", "\r\n"), encoding="utf-8", newline="")
+    read = read_network(tmp_path / "old.net")
+
+    assert contents(parse_binary_network(binary_network(read), "")) == contents(read)

@@ -1,4 +1,4 @@
-"""What support data leave unsaid and their sensor decides, what is put right in them, and what is said of both."""
+"""Support data that are left unsaid, put right by their sensor, or can't be used: one line with file and key."""
 
 import copy
 from pathlib import Path
@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support_data import ISD, edited, read
+from support_data import IDENTITY, ISD, Keys, edited, read
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.cameras.label import CAMERAS
-from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, geometric, spacecraft_of
+from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, geometric
+from mgsgraph.geometry.plausibility import require_plausible
+
+# --- what the sensor decides
+
 
 SILENT = edited(("naif_keywords",), {})
 
@@ -79,16 +82,11 @@ def test_narrow_angle_of_ale_is_put_right(tmp_path: Path) -> None:
     image = read(tmp_path, moc())
     assert image.timing.periods.tolist() == pytest.approx([0.008])
     assert len(image.remarks) == 3
+    for period in (1.0, 0.008):  # milliseconds, and what is right
+        found = read(tmp_path, moc(line_scan_rate=[[0.5, -0.4, period]]))
+        assert found.timing.periods.tolist() == pytest.approx([0.008])
     place, _ = image.interior.focal_plane(np.array([0.5, 255.5]))
     np.testing.assert_allclose(place[:, 1] * 76.9e3, [4.5 - 1024.5, 255.0 * 8.0 + 4.5 - 1024.5], rtol=1e-12)
-
-
-def test_milliseconds_too(tmp_path: Path) -> None:
-    assert read(tmp_path, moc(line_scan_rate=[[0.5, -0.4, 1.0]])).timing.periods.tolist() == pytest.approx([0.008])
-
-
-def test_a_right_line_period_is_left_alone(tmp_path: Path) -> None:
-    assert read(tmp_path, moc(line_scan_rate=[[0.5, -0.4, 0.008]])).timing.periods.tolist() == [0.008]
 
 
 def dense(first: float) -> dict[str, Any]:
@@ -101,17 +99,13 @@ def dense(first: float) -> dict[str, Any]:
     [
         ({"instrument_pointing": dense(100.6)}, "attitudes of the C-kernel at the lines' own times"),
         ({"instrument_pointing": dense(101.75)}, "1.15 s after the first line"),
-        (
-            {"name_sensor": "MGS_MOC_WA_RED", "optical_distortion": {"radial": {"coefficients": [0, -0.007, 0.007]}}},
-            "pixel sizes",
-        ),
-        ({"optical_distortion": {"radial": {"coefficients": [0, "0.013", "0.013"]}}}, "pixel sizes"),
+        ({"name_sensor": "MGS_MOC_WA_RED", "optical_distortion": {"radial": {"coefficients": [0, -0.007, 0.007]}}},
+         "pixel sizes"),
     ],
-)
+)  # fmt: skip
 def test_what_ale_leaves_unknown_of_moc_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=f"{said}.*kernels"):
         read(tmp_path, moc(**changes))
-    assert "kernels" in str(caught.value)
 
 
 def test_times_of_lroc_are_corrected_as_its_labels_are(tmp_path: Path) -> None:
@@ -140,23 +134,11 @@ def test_summed_lines_of_ctx_take_two_line_times(tmp_path: Path) -> None:
         read(tmp_path, isd | {"line_scan_rate": [[0.5, -0.9, 1.877e-3]], "image_lines": 800})
 
 
-METRES = {"positions": [[3796e3, 0.0, 3e3], [3796e3, 0.0, 0.0], [3796e3, 0.0, -3e3]], "velocities": [[0, 0, -3e3]] * 3}
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"instrument_position": ISD["instrument_position"] | METRES}, "a camera that moves at 3000 km/s"),
-        (
-            {"radii": {"semimajor": 3396.19, "semiminor": 3376.2, "unit": "m"},
-             "naif_keywords": ISD["naif_keywords"] | {"BODY499_RADII": [3396.19, 3396.19, 3376.2]}},
-            "radii.semimajor: 3.39619 km, where BODY499_RADII says 3396.19 km",
-        ),
-    ],
-)  # fmt: skip
-def test_metres_for_kilometres_are_named(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        read(tmp_path, ISD | changes)
+def test_metres_for_kilometres_are_named(tmp_path: Path) -> None:
+    table = ISD["instrument_position"]
+    metres = {key: (1e3 * np.array(table[key])).tolist() for key in ("positions", "velocities")}
+    with pytest.raises(InputError, match="a camera that moves at 3000 km/s"):
+        read(tmp_path, ISD | {"instrument_position": table | metres})
 
 
 def test_what_nobody_doubts_goes_unremarked(tmp_path: Path) -> None:
@@ -164,5 +146,136 @@ def test_what_nobody_doubts_goes_unremarked(tmp_path: Path) -> None:
     assert read(tmp_path, geometric_ones).remarks == ()
 
 
-def test_each_camera_of_cubes_is_of_a_spacecraft_that_is_known() -> None:
-    assert all(spacecraft_of(camera.spacecraft) is not None for camera in CAMERAS)
+# --- what is wrong
+
+
+def assert_refused(folder: Path, isd: object) -> str:
+    with pytest.raises(InputError) as caught:
+        read(folder, isd)
+    message = str(caught.value)
+    assert message.startswith(str(folder / "image.isd")), message
+    assert "\n" not in message
+    return message
+
+
+def places(value: object, keys: Keys = ()) -> list[Keys]:
+    """All keys of nested objects; lists count as one."""
+    if not isinstance(value, dict):
+        return [keys]
+    return [keys] * bool(keys) + [place for key, inner in value.items() for place in places(inner, (*keys, key))]
+
+
+OPTIONAL: set[Keys] = {
+    ("radii", "unit"),  # kilometres, as ALE writes
+    ("naif_keywords", "INS-94031_LIGHTTIME_CORRECTION"),  # that of MGS
+    ("naif_keywords", "INS-94031_SWAP_OBSERVER_TARGET"),  # not swapped, as ISIS SpicePosition takes it
+    ("optical_distortion", "radial"),
+    ("sun_position", "positions"),  # only its velocity is needed
+} | {(part, "constant_rotation") for part in ("instrument_pointing", "body_rotation")} | {
+    (part, "reference_frame") for part in ("instrument_position", "instrument_pointing", "body_rotation")
+}
+
+
+def test_the_untouched_file_reads(tmp_path: Path) -> None:
+    image = read(tmp_path, ISD)
+
+    assert (image.lines, image.samples) == (1000, 512)
+    assert image.interior.focal_length == pytest.approx(3.5)
+    assert image.body.equatorial == pytest.approx(3396190.0)
+    assert image.trajectory.epoch == 101.0
+
+
+@pytest.mark.parametrize("keys", [keys for keys in places(ISD) if keys not in OPTIONAL], ids=str)
+def test_what_is_missing_is_named(tmp_path: Path, keys: Keys) -> None:
+    message = assert_refused(tmp_path, edited(keys, ...))
+
+    assert any(str(key) in message for key in keys) or "LIGHTTIME_CORRECTION" in message
+
+
+@pytest.mark.parametrize("keys", [k for k in places(ISD) if k[0] not in ("naif_keywords", "sun_position")], ids=str)
+def test_what_is_of_the_wrong_kind_is_named(tmp_path: Path, keys: Keys) -> None:
+    for value in (None, True, {"a": 1}):
+        assert str(keys[0]) in assert_refused(tmp_path, edited(keys, value))
+    assert_refused(tmp_path, edited(keys, float("nan")))
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "said"),
+    [
+        (("name_model",), "USGS_ASTRO_FRAME_SENSOR_MODEL", "expected USGS_ASTRO_LINE_SCANNER"),
+        (("image_lines",), 0.5, "image_lines: 0.5;"),
+        (("radii", "unit"), "mi", "expected one of 'km', 'm'"),
+        (("line_scan_rate", 0, 2), -0.001, "expected positive line periods"),
+        (("optical_distortion",), {"fisheye": {}}, "the model 'fisheye'"),
+        (("optical_distortion", "lrolrocnac"), {"coefficients": [0]}, "2 models: radial, lrolrocnac; expected one"),
+        (("instrument_position", "ephemeris_times"), [100.0, 102.0, 101.0], "increasing times"),
+        (("instrument_position", "positions"), [[3796.0, 0.0, 3.0]] * 2, "expected shape (3, 3)"),
+        (("instrument_pointing", "quaternions"), [[0.0, 2.0, 0.0, 0.0]] * 3, "unit quaternions"),
+        (("instrument_pointing", "constant_rotation"), [-1.0, *IDENTITY[1:]], "no rotation"),
+        (("instrument_position", "reference_frame"), 17, "reference_frame: 17; expected 1 (J2000)"),
+        (("naif_keywords", "INS-94031_LIGHTTIME_CORRECTION"), "LT", "expected 'NONE' or 'LT+S'"),
+        (("naif_keywords", "INS-1_LIGHTTIME_CORRECTION"), "NONE", "keywords of several instruments that differ"),
+        (("sun_position", "velocities"), ..., "the Sun's velocity"),
+        (("detector_line_suming",), 1, "did you mean 'detector_line_summing'?"),
+        (("radii", "units"), "km", "did you mean 'unit'?"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, keys: Keys, value: object, said: str) -> None:
+    """A default would take the place of a key with a slip in it."""
+    isd = edited(("radii", "unit"), ...) if keys[-1] == "units" else ISD
+    assert said in assert_refused(tmp_path, edited(keys, value, isd))
+
+
+def test_nobody_says_whether_positions_are_geometric(tmp_path: Path) -> None:
+    silent = edited(("naif_keywords",), ...)
+
+    assert "set aberration" in assert_refused(tmp_path, silent)
+    np.testing.assert_array_equal(
+        read(tmp_path, silent, Aberration("NONE")).trajectory.position.positions,
+        1e3 * np.array(ISD["instrument_position"]["positions"]),
+    )
+
+
+def test_the_older_layout_is_named_with_its_remedy(tmp_path: Path) -> None:
+    older = {key: value for key, value in ISD.items() if not key.startswith("instrument_")} | {"sensor_position": {}}
+
+    assert "isd_generate" in assert_refused(tmp_path, older)
+
+
+def test_an_image_that_outlasts_its_tables_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"image M00/00001, first or last line: time 102\.500000 s"):
+        read(tmp_path, edited(("image_lines",), 2000))
+
+
+KEYWORDS = ISD["naif_keywords"] | {
+    "BODY_CODE": 499, "BODY499_RADII": [3396.19, 3396.19, 3376.2], "INS-94031_FOCAL_LENGTH": 3500.0,
+    "INS-94031_PIXEL_SAMPLES": 512,
+}  # fmt: skip
+
+
+def test_a_calibration_may_differ_from_the_keywords(tmp_path: Path) -> None:
+    read(tmp_path, ISD | {"naif_keywords": KEYWORDS})
+    read(tmp_path, ISD | {"naif_keywords": KEYWORDS, "focal_length_model": {"focal_length": 3502.0}})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"radii": {"semimajor": 3390.0, "semiminor": 3376.2}}, "radii.semimajor: 3390 km"),
+        ({"radii": ISD["radii"] | {"unit": "m"}}, "radii: radii of 3.39619 km on the equator"),
+        ({"naif_keywords": KEYWORDS | {"BODY_CODE": 301}}, "those of MOON"),
+        ({"focal_length_model": {"focal_length": 3400.0}}, "focal_length_model: 3400 mm"),
+        ({"detector_sample_summing": 2}, "detector_sample_summing: 512 samples of 2 pixels"),
+    ],
+)
+def test_what_contradicts_the_keywords_is_named(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+    assert said in assert_refused(tmp_path, ISD | {"naif_keywords": KEYWORDS} | changes)
+
+
+def test_radii_of_no_body_are_refused(tmp_path: Path) -> None:
+    """Without a keyword that tells; those too small for it by where the camera is, when the case reads the image."""
+    for major, minor in ((3396190.0, 3376200.0), (3396.19, 3000.0), (3376.2, 3396.19)):
+        assert "radii" in assert_refused(tmp_path, ISD | {"radii": {"semimajor": major, "semiminor": minor}})
+    image = read(tmp_path, ISD | {"radii": {"semimajor": 3.39619, "semiminor": 3.3762}})
+    with pytest.raises(InputError, match="from the body's centre"):
+        require_plausible(image, "image")

@@ -13,26 +13,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, planetocentric
 from mgsgraph.network import ImageRays
 from mgsgraph.registration.dem.gridding import DensePoints, HeightGrid, MapGrid, bilinear, gridded, intersected
-from mgsgraph.registration.dem.ortho import adjusted_scene
 
 MARS = Ellipsoid(3396190.0, 3376200.0)
 RNG_SEED = 7
-
-
-def height_variance(covariances: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """(n,) m^2, variance of the height at a fixed map place: v' C v with v = (-slope east, -slope north, 1).
-
-    A horizontal error of a point on sloping ground is a height error where it is said to be.
-
-    Parameters
-    ----------
-    covariances : (n, 3, 3)
-        m^2, along east, north and up.
-    slopes : (n, 2)
-        m per m, eastward and northward.
-    """
-    v = np.column_stack([-slopes, np.ones(len(slopes))])
-    return np.asarray(np.einsum("ni,nij,nj->n", v, covariances, v))
 
 
 def rms(values: np.ndarray) -> float:
@@ -42,12 +25,16 @@ def rms(values: np.ndarray) -> float:
 # ---- points
 
 
+# above two seconds: adjusts the site, once for all tests of the run
 def test_points_lie_where_the_matches_were_made() -> None:
     matches = dem_site.matched(None)
     points = intersected(dem_site.posterior(), dem_site.scene(), [matches])
     true = dem_site.ground(dem_site.scene().pictures[0], matches.anchors)
     np.testing.assert_allclose(points.positions, true, atol=1e-4)
     assert np.abs(points.misses).max() < 1e-4
+    empty = {name: getattr(matches, name)[:0] for name in ("anchors", "pixels", "covariances")}
+    with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
+        intersected(dem_site.posterior(), dem_site.scene(), [replace(matches, **empty)])
 
 
 def test_errors_of_points_are_along_the_first_ray_and_as_stated() -> None:
@@ -75,68 +62,6 @@ def test_the_orientation_s_covariance_is_the_posterior_s() -> None:
         ratio = np.einsum("ni,nij,nj->n", vectors, points.orientation[some], vectors)
         ratio /= np.einsum("ni,nij,nj->n", vectors, exact, vectors)
         np.testing.assert_allclose(ratio, 1.0, atol=0.03)
-
-
-def test_heights_scatter_with_orientations_drawn_from_the_posterior() -> None:
-    """An authority that knows nothing of derivatives: whole corrections drawn, rays intersected anew."""
-    scene, posterior = dem_site.scene(), dem_site.posterior()
-    matches = dem_site.matched(None)
-    few = replace(matches, **{name: getattr(matches, name)[::3000] for name in ("anchors", "pixels", "covariances")})
-    covariance = dem_site.solution().correction_covariance(0, 1)
-    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(len(covariance)), covariance, 400, method="cholesky")
-    places = []
-    for one in drawn:
-        parts = np.split(one.reshape(-1, 6), 2)
-        moved = tuple(
-            replace(
-                picture, correction=replace(picture.correction, coefficients=picture.correction.coefficients + part)
-            )
-            for picture, part in zip(scene.pictures, parts, strict=True)
-        )
-        places.append(_crossing(replace(scene, pictures=moved), few))
-    stated = intersected(posterior, scene, [few]).orientation
-    up = places[0] / np.linalg.norm(places[0], axis=1, keepdims=True)
-    seen = np.einsum("ni,kni->kn", up, np.array(places)).std(axis=0)
-    np.testing.assert_allclose(seen / np.sqrt(np.einsum("ni,nij,nj->n", up, stated, up)), 1.0, atol=0.12)
-
-
-def _crossing(scene: dem_site.Scene, matches: dem_site.DenseMatches) -> np.ndarray:
-    from mgsgraph.geometry.intersection import intersect_rays
-
-    rays = [
-        picture.image.sightlines(*places.T, picture.correction)
-        for picture, places in zip(scene.pictures, (matches.anchors, matches.pixels), strict=True)
-    ]
-    origins, directions = (np.concatenate([ray[k] for ray in rays]) for k in (0, 1))
-    count = len(matches.anchors)
-    return intersect_rays(origins, directions, np.tile(np.arange(count), 2), count)[0]
-
-
-def test_a_horizontal_error_is_a_height_error_on_a_slope() -> None:
-    covariance = np.diag([4.0, 9.0, 1.0])[None]
-    assert height_variance(covariance, np.zeros((1, 2)))[0] == 1.0
-    assert height_variance(covariance, np.array([[0.5, -1.0]]))[0] == pytest.approx(1.0 + 0.25 * 4.0 + 9.0)
-    along_the_slope = np.outer([1.0, 0.0, 0.5], [1.0, 0.0, 0.5])[None]  # an error that leaves the surface as it is
-    assert height_variance(along_the_slope, np.array([[0.5, 0.3]]))[0] == pytest.approx(0.0)
-
-
-def test_no_matches_and_pictures_that_were_not_adjusted() -> None:
-    scene = dem_site.scene()
-    empty = replace(
-        dem_site.matched(None), anchors=np.zeros((0, 2)), pixels=np.zeros((0, 2)), covariances=np.zeros((0, 2, 2))
-    )
-    with pytest.raises(InputError, match="no matches: nothing to make a terrain model from"):
-        intersected(dem_site.posterior(), scene, [empty])
-    same = replace(dem_site.matched(None), second=0)
-    same = replace(same, pixels=same.anchors)
-    with pytest.raises(InputError, match=r"nothing to make|don't meet"):
-        intersected(dem_site.posterior(), scene, [same])
-    with pytest.raises(InputError, match="solution doesn't have: E02-00665; expected"):
-        adjusted_scene(scene, dem_site.without("E99-00001"))
-    with pytest.raises(InputError, match="the case: no image E1"):
-        adjusted_scene(scene, dem_site.posterior(), ("E1", "E02-00665"))
-    with pytest.raises(InputError, match="two different ones"):
-        adjusted_scene(scene, dem_site.posterior(), ("E02-00665",))
 
 
 # ---- the map

@@ -1,0 +1,268 @@
+"""Effects and vibrations in residuals, against Baarda's tests, changed measures, draws, and planted ones."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from networks import network, pair, with_shift_and_surface
+from scipy.signal import lombscargle
+from sites import plain_site
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.analysis.measures import MeasureKind
+from mgsgraph.analysis.reliability import reliability
+from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows, tail
+from mgsgraph.analysis.residual_spectrum import Series, SeriesSpectrum, residual_series, residual_vibrations
+from mgsgraph.analysis.systematic import EffectKind
+from mgsgraph.analysis.unexplained import unexplained
+from mgsgraph.case.reading import Case, read_case
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.records import Array
+from mgsgraph.kernel.rows import IMAGE, RANGE
+from mgsgraph.network import Network
+from mgsgraph.simulation.ctx import (
+    CONTROL,
+    PIXEL,
+    CtxSettings,
+    JitterSettings,
+    Look,
+    SimulatedCtxPair,
+    simulate_ctx_pair,
+)
+from mgsgraph.simulation.files import write_site
+
+PLAIN = SolverSettings(cost_tolerance=1e-14)
+
+
+def rows_of(net: Network) -> ResidualRows:
+    return residual_rows(at_solution(adjust_network(net, PLAIN)), np.arange(len(net.points)))
+
+
+@cache
+def net() -> Network:
+    return with_shift_and_surface(network(pair()))
+
+
+def test_an_effect_on_one_measure_is_tested_as_a_blunder_is() -> None:
+    rows, found = rows_of(net()), reliability(adjust_network(net(), PLAIN)).measures
+    for kind, measured in ((MeasureKind.RAY, IMAGE), (MeasureKind.RANGE, RANGE)):
+        mine, table = rows.of_kind(measured), found.kind == kind
+        keys = zip(found.row[table].tolist(), found.component[table].tolist(), strict=True)
+        tests = dict(zip(keys, found.test[table].tolist(), strict=True))
+        variance = np.diagonal(rows.variance(mine, np.eye(mine.size)))
+        wanted = [tests[int(rows.measure[k]), int(rows.component[k])] for k in mine]
+        assert np.allclose(rows.residuals[mine] / np.sqrt(variance), wanted, rtol=1e-5, atol=1e-5)
+        assert np.allclose(variance, rows.redundancy[mine], atol=1e-9)
+
+
+def test_what_an_effect_shows_is_what_an_adjustment_of_changed_measures_leaves() -> None:
+    plain = network(pair())
+    rays, rows = plain.rays, rows_of(plain)
+    mine = rows.of_kind(IMAGE)
+    step = 0.01 * np.random.default_rng(1).standard_normal(rays.places.shape)
+    changed = rows_of(replace(plain, rays=replace(rays, places=rays.places + step)))
+    effect = (step / rays.sigmas)[rows.measure[mine], rows.component[mine]]
+    shown = rows.explained(mine, effect[:, None])[:, 0]
+    assert alike(changed.residuals - rows.residuals, shown)
+
+
+def test_residuals_vary_by_what_a_considered_unknown_may_be_off() -> None:
+    held = replace(net(), surface=None, considered=("profile",))
+    rows, points = rows_of(held), held.points
+    assert held.shifts is not None
+    step = 0.01 * held.shifts.sigmas[0]
+    of_profile = np.flatnonzero(held.shifts.profile >= 0)
+    places = points.places.copy()
+    places[of_profile] += step * east_north(places[of_profile])[:, 0]
+    changed = rows_of(replace(held, points=replace(points, places=places)))
+    there = rows.considered[:, 0] != 0.0
+    assert alike(100.0 * (changed.residuals - rows.residuals)[there], rows.considered[there, 0])
+
+
+def alike(found: Array, wanted: Array) -> bool:
+    """Whether two vectors agree but for a hundredth, which is not linear."""
+    return float(np.linalg.norm(found - wanted)) < 0.01 * float(np.linalg.norm(wanted))
+
+
+def test_the_tail_of_a_quadratic_form_is_that_of_draws() -> None:
+    rng = np.random.default_rng(3)
+    weights = np.concatenate([rng.uniform(0.0, 2.0, 12), rng.uniform(-1.0, 0.0, 24)])
+    draws = np.sort(rng.standard_normal((40_000, weights.size)) ** 2 @ weights)
+    for share in (0.1, 0.01, 0.001):
+        assert tail(float(draws[-int(share * draws.size)]), weights) == pytest.approx(share, rel=0.25)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    return read_case(write_site(plain_site(), tmp_path_factory.mktemp("site")))
+
+
+def shaken(case: Case, period: float) -> Network:
+    """With 1.5 px of jitter in the lines of the first image, of a period in s."""
+    rays, image = case.network.rays, case.network.images[0]
+    mine = rays.image == 0
+    times, _ = image.timing.at(rays.places[mine, 0])
+    places = rays.places.copy()
+    places[mine, 0] += 1.5 * np.sin(2.0 * np.pi * times / period)
+    return replace(case.network, rays=replace(rays, places=places))
+
+
+# above two seconds: a whole site adjusted twice, and a search over all periods of jitter
+def test_jitter_is_named_and_good_data_name_nothing(case: Case) -> None:
+    clean = unexplained(adjust_network(case.network, case.settings))
+    assert not clean.effects
+    assert min(one.p_value for one in clean.others) > clean.level
+    first = unexplained(adjust_network(shaken(case, 1.3), case.settings)).effects[0]
+    assert first.kind is EffectKind.JITTER
+    both = f"{first.where} (period {first.period:.2g} s)", *first.alternatives
+    assert f"image {case.network.images[0].name} (period 1.3 s)" in both
+    assert abs(first.amplitude - 1.5) < 4.0 * first.sigma
+    assert "spacing_s" in first.term
+
+
+def test_a_level_that_is_no_probability_is_refused() -> None:
+    with pytest.raises(InputError, match="level"):
+        unexplained(adjust_network(net(), PLAIN), 1.0)
+
+
+# --- vibrations in residuals
+
+
+CALM = JitterSettings(pitch=0.0, roll=0.0)
+
+
+@cache
+def ctx(
+    look: Look = "across", jitter: JitterSettings = CALM, control: bool = False, seed: int = 11
+) -> tuple[SimulatedCtxPair, Solution]:
+    settings = CtxSettings(look=look, ties=1200, jitter=jitter, control=CONTROL if control else None)
+    mine = simulate_ctx_pair(settings, seed)
+    return mine, adjust_network(mine.network, SolverSettings(starts=0))
+
+
+def difference(mine: SimulatedCtxPair, turn: int) -> float:
+    """px, true amplitude of the first image's vibration less the second's."""
+    first, second = mine.truth
+    return float(np.hypot(*(first.phasors[turn] - second.phasors[turn]))) / PIXEL
+
+
+def uneven(count: int, rng: np.random.Generator) -> Array:
+    """Times of 10 s, from the middle of the first and the last."""
+    times = np.sort(rng.uniform(-5.0, 5.0, count))
+    return np.asarray(times - 0.5 * (times[0] + times[-1]))
+
+
+def white(count: int, rng: np.random.Generator, values: Array | None = None) -> tuple[SeriesSpectrum, Array]:
+    """A search in noise of 0.1 px at uneven times over 10 s, half of which residuals show."""
+    times, ones = uneven(count, rng), np.ones(count)
+    one = Series(0, "made", "pitch", np.arange(count), times, ones, 0.5 * ones, 100.0 * ones)
+    residuals = 0.1 * np.sqrt(0.5) * rng.standard_normal(count) if values is None else values
+    return SeriesSpectrum(one), residuals
+
+
+# --- properties
+
+
+def test_spectrum_is_lomb_scargle_where_all_is_even() -> None:
+    """Of noise of one size, and all of a move shown, with a mean, it is the generalised periodogram of Zechmeister."""
+    rng = np.random.default_rng(5)
+    count, ones = 500, np.ones(500)
+    times = uneven(count, rng)
+    search = SeriesSpectrum(Series(0, "made", "pitch", np.arange(count), times, ones, ones, ones))
+    values = rng.standard_normal(count)
+    fits = search.fits(values)
+    high = fits.frequencies > 1.0  # where the polynomial beside it is no other than a mean
+    theirs = lombscargle(times, values, 2.0 * np.pi * fits.frequencies[high], floating_mean=True)
+    ours = (fits.tests * fits.floor)[high] / 2.0
+    np.testing.assert_allclose(ours, theirs, rtol=0.1, atol=0.3)
+    assert np.corrcoef(ours, theirs)[0, 1] > 0.995
+
+
+def test_fast_sums_are_direct_ones() -> None:
+    search, residuals = white(400, np.random.default_rng(2))
+    fits = search.fits(residuals)
+    values, covariance, _ = search._directly(residuals, fits.frequencies)
+    size = np.sqrt(np.trace(covariance, axis1=1, axis2=2))[:, None]
+    assert np.abs((fits.values - values) / size).max() < 0.15
+    np.testing.assert_allclose(fits.covariance, covariance, rtol=0.05, atol=0.03 * covariance.max())
+
+
+# above two seconds on a busy machine: six hundred spectra, else 5 % could not be told from 6
+def test_noise_alone_is_not_named_more_often_than_stated() -> None:
+    """Of 600 spectra of noise, three times as large as stated, 5 % at most are below p = 0.05; and some are."""
+    rng, chances = np.random.default_rng(8), []
+    for _ in range(600):
+        search, residuals = white(160, rng)
+        chances.append(search.fits(3.0 * residuals).probability)
+    assert 0.0 < np.mean(np.array(chances) < 0.05) < 0.06
+    assert 0.15 < np.mean(np.array(chances) < 0.5) < 0.55
+
+
+def test_amplitude_counts_what_the_points_took_up() -> None:
+    """Residuals show half of the wave; the amplitude is that of the camera."""
+    rng = np.random.default_rng(3)
+    search, residuals = white(800, rng)
+    wave = 0.3 * np.cos(2.0 * np.pi * 1.7 * search.series.times + 0.4)
+    found = search.wave(residuals + 0.5 * wave, search.fits(residuals + 0.5 * wave))
+    assert found.peak.amplitude == pytest.approx(0.3, abs=4.0 * found.peak.sigma)
+    assert found.peak.sigma == pytest.approx(0.1 * np.sqrt(2.0 / (800 * 0.5)), rel=0.3)
+    assert found.peak.frequency == pytest.approx(1.7, abs=0.01)
+
+
+def test_what_a_turn_shows_is_what_adjustment_leaves_of_it() -> None:
+    """Rays of one image moved by hand, and adjusted again: residuals change as predicted."""
+    pair, solution = ctx()
+    residuals = residual_series(solution, 60)
+    one = next(each for each in residuals.series if (each.image, each.turn) == (0, "pitch"))
+    moved = 0.5 * np.cos(2.0 * np.pi * 3.0 * one.times)
+    rays = pair.network.rays
+    places = np.array(rays.places)
+    places[residuals.rows.measure[one.own], 0] += moved
+    other = adjust_network(replace(pair.network, rays=replace(rays, places=places)), SolverSettings(starts=0))
+    mine = residuals.rows.of_kind(IMAGE)
+    change = (other.residuals - solution.residuals)[residuals.rows.measure[mine], residuals.rows.component[mine]]
+    shown = residuals.shown(one, moved)[mine]
+    assert np.abs(shown).max() > 0.2
+    assert np.sqrt(np.mean((change - shown) ** 2)) < 0.02
+
+
+# --- planted
+
+
+@pytest.mark.parametrize(("look", "turn", "blind"), [("across", "pitch", "roll"), ("along", "roll", "pitch")])
+def test_what_ties_can_see_is_named_and_what_not_is_said(look: Look, turn: str, blind: str) -> None:
+    mine, solution = ctx(look, JitterSettings())
+    found = residual_vibrations(solution)
+    (one,) = found.vibrations
+    assert one.turn == turn
+    assert one.frequency == pytest.approx(2.0, abs=0.015)
+    true = difference(mine, 0 if turn == "pitch" else 1)
+    assert one.amplitude == pytest.approx(true, abs=4.0 * one.sigma + 0.05 * true)
+    other = {"CTX/A": "CTX/B", "CTX/B": "CTX/A"}[one.image]
+    assert f"{other} ({turn})" in one.alternatives
+    assert f"{blind} of CTX/A, {blind} of CTX/B" in found.sentences[-1]
+    assert f"{one.frequency:.4f} +-" in found.sentences[0]
+    # a project has no record of its solution, and says the same
+    assert residual_vibrations(at_solution(solution)).sentences == found.sentences
+
+
+def test_control_shows_what_ties_cannot() -> None:
+    mine, solution = ctx("across", JitterSettings(pitch=0.0), control=True)
+    found = residual_vibrations(solution)
+    (one,) = found.vibrations
+    assert one.turn == "roll"
+    assert one.frequency == pytest.approx(2.0, abs=0.02)
+    assert one.amplitude == pytest.approx(difference(mine, 1), abs=4.0 * one.sigma + 0.1)
+    assert not any("Not seen" in said for said in found.sentences)
+
+
+# above two seconds: two pairs of 1200 ties, adjusted and searched
+@pytest.mark.parametrize("control", [False, True])
+def test_calm_pairs_show_nothing(control: bool) -> None:
+    for seed in (31, 32):
+        assert not residual_vibrations(ctx(control=control, seed=seed)[1]).vibrations

@@ -1,0 +1,306 @@
+"""Networks as a person uses them: found by `mgsgraph match`, judged by `review`, converted; one line for errors."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import click
+import matched
+import numpy as np
+import pytest
+from click.exceptions import Abort
+from commands import call, refusal, run, run_afresh
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.networks.binary import read_control_network, read_network
+from mgsgraph.files.networks.table import table_text
+from mgsgraph.matching import match as matching
+
+FEW = ("--cells", "40", "--no-figures")
+"""Options, to be quick."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The case of the small pair, whose own ties are gone."""
+    return matched.write_without_ties(tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture(scope="module")
+def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its matches, found in a process of its own."""
+    out = tmp_path_factory.mktemp("found") / "matches"
+    done = run_afresh("match", site, "--out", out, "--cells", 40)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.split(" ...\n")[:-1] == ["coarse grid", "matching", "measuring"]
+    record = json.loads((out / "match.json").read_text(encoding="utf-8"))
+    said = done.stdout.splitlines()
+    assert [line[2:] for line in said[:-1]] == record["statements"]
+    assert said[-1] == f"The network is {out / 'network.pvl'}"
+    return out
+
+
+@pytest.mark.slow
+def test_matches_are_written_and_replaced(site: Path, out: Path) -> None:
+    assert {path.name for path in out.iterdir()} == {
+        "match.json", "matches.csv", "network.net", "network.pvl", "matches.png",
+    }  # fmt: skip
+    before = read_control_network(out / "network.pvl")
+    assert len(before.ids) > 60
+    assert call("match", site, "--out", out, *FEW, "--workers", "1") == 0  # replaces it
+    assert not list(out.glob("*.png"))
+    after = read_control_network(out / "network.pvl")
+    assert after.ids == before.ids
+    np.testing.assert_allclose(after.measures, before.measures, atol=1e-9)
+    np.testing.assert_allclose(after.measure_sigmas, before.measure_sigmas, rtol=1e-9)
+    assert [path.name for path in out.parent.iterdir()] == ["matches"]
+
+
+@pytest.mark.slow
+def test_matches_are_adjusted(
+    site: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a case that has no ties; the network's path is the caller's, not the case's."""
+    monkeypatch.chdir(out.parent)
+    ties = ("--ties", Path("matches") / "network.pvl")
+    points = len(read_control_network(out / "network.pvl").ids)
+    assert call("check", site, *ties) == 0
+    assert f"{points}" in capsys.readouterr().out
+    result = tmp_path / "result"
+    assert call("adjust", site, *ties, "--out", result, "--no-figures") == 0
+    assert "sigma0" in capsys.readouterr().out
+    record = json.loads((result / "solution.json").read_text(encoding="utf-8"))
+    assert record["status"] == "converged"
+    shutil.copy(out / "network.net", tmp_path / "binary.net")
+    assert call("check", site, "--ties", tmp_path / "binary.net") == 0
+    registration = tmp_path / "registration"
+    assert call("register", site, *ties, "--solution", result, "--out", registration, "--no-figures") == 0
+    assert (registration / "registration.json").exists()
+    capsys.readouterr()
+
+
+def test_ties_of_a_case_give_way_to_those_named(case_file: Path, tmp_path: Path) -> None:
+    own = case_file.with_name("network.pvl")
+    other = tmp_path / "other.pvl"
+    shutil.move(own, other)
+    with pytest.raises(InputError, match=r"network\.pvl"):
+        call("check", case_file)
+    assert call("check", case_file, "--ties", other) == 0
+    with pytest.raises(InputError, match=r"none\.pvl: no such file"):
+        call("check", case_file, "--ties", tmp_path / "none.pvl")
+
+
+# ---- going on
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_leaves_nothing(site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> object:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(matching, "_on_tile", interrupted)
+    with pytest.raises((KeyboardInterrupt, Abort)):
+        call("match", site, "--out", tmp_path / "out", *FEW, "--workers", "1", "--step", "7")
+    assert not list(tmp_path.iterdir())
+
+
+# ---- bad input
+
+
+def test_what_cannot_be_matched_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -> None:
+    out, foreign, unknown = tmp_path / "out", tmp_path / "foreign", site.with_name("unknown.toml")
+    foreign.mkdir()
+    (foreign / "mine.txt").write_text("")
+    text = site.read_text(encoding="utf-8").replace("position_sigma_m = 100.0", "position_sigma_m = inf", 1)
+    unknown.write_text(text, encoding="utf-8")
+    for said, arguments in {
+        "no such file": (tmp_path / "none.toml", "--out", out),
+        "no pixels": (case_file, "--out", out),
+        "matching, cells: 0; expected at least 1": (site, "--out", out, "--cells", "0"),
+        "matching, step: -4.0; expected a positive number": (site, "--out", out, "--step", "-4"),
+        "not a result of mgsgraph": (site, "--out", foreign),
+        "an infinite a-priori sigma of its orientation": (unknown, "--out", out),
+        "--method grid is gone": (site, "--out", out, "--method", "grid"),
+        "--out": (site,),
+    }.items():
+        assert said in refusal("match", *arguments)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "foreign"]
+    assert (foreign / "mine.txt").exists()
+
+
+# --- `mgsgraph review` as a person uses it: a page, its verdicts, a network without the rejected points; a
+
+
+def test_from_a_page_to_a_network(pictured_case: Path, tmp_path: Path) -> None:
+    case = pictured_case
+    page, kept = tmp_path / "review.html", tmp_path / "kept.net"
+    done = run("review", case, "--out", page, "--worst", 5)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    assert "- 5 of 20 tie points: in turn the next by lowest correlation, " in done.stdout
+    text = page.read_text(encoding="utf-8")
+    ids = re.findall(r'article tabindex="-1" data-id="(\w+)"', text)
+    (digest,) = re.findall(r'data-network="(\w+)"', text)
+    assert len(ids) == 5
+    verdicts = tmp_path / "verdicts.csv"
+    verdicts.write_text(f"# network {digest}\nid,verdict,note\n{ids[0]},reject,blurred\n{ids[1]},accept,\n")
+    done = run("review", case, "--verdicts", verdicts, "--out", kept)
+    assert done.returncode == 0, done.stderr
+    assert "- 1 of 20 points of" in done.stdout
+    before = read_control_network(case.with_name("network.pvl"))
+    assert read_control_network(kept).ids == tuple(name for name in before.ids if name != ids[0])
+
+    done = run("review", case, "--out", page, "--verdicts", verdicts, "--points", f"{ids[0]}, {ids[1]}")
+    assert done.returncode == 0, done.stderr
+    text = page.read_text(encoding="utf-8")
+    assert "2 of 20 tie points, as asked for" in text
+    assert re.search(rf'data-id="{ids[0]}" data-verdict="reject"', text)
+    assert 'value="blurred"' in text
+
+    other = "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"  # the new network is another one
+    assert "expected points of" in refusal("review", case, *other)
+    verdicts.write_text(f"# network {digest}\nid,verdict\n{ids[1]},reject\n")
+    assert f"about network {digest}" in refusal("review", case, *other)
+    assert not (tmp_path / "k.pvl").exists()
+
+
+def test_a_table_that_a_case_has_becomes_a_network(case_file: Path, tmp_path: Path) -> None:
+    """With the name of the case's body, which ISIS demands."""
+    table = case_file.with_name("points.csv")
+    table.write_text(table_text(read_network(case_file.with_name("network.pvl"))), encoding="utf-8")
+    case_file.write_text(case_file.read_text(encoding="utf-8").replace("network.pvl", "points.csv"), encoding="utf-8")
+    verdicts = tmp_path / "v.csv"
+    verdicts.write_text("id,verdict\n")
+    done = run("review", case_file, "--verdicts", verdicts, "--out", tmp_path / "kept.net")
+    assert done.returncode == 0, done.stderr
+    assert read_network(tmp_path / "kept.net").target_name == "MARS"
+
+
+def test_what_cannot_be_reviewed_writes_nothing(pictured_case: Path, tmp_path: Path) -> None:
+    page, network, verdicts, doubts = (tmp_path / name for name in ("p.html", "k.pvl", "v.csv", "doubts.csv"))
+    verdicts.write_text("id,verdict\nTIE00001,reject\n")
+    doubts.write_text("id,verdict\nTIE00001,perhaps\n")
+    case, own = pictured_case, pictured_case.with_name("network.pvl")
+    text = case.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[ties]")
+    blind, untied = case.with_name("blind.toml"), case.with_name("untied.toml")
+    blind.write_text(text.replace('pixels = "B.tif"\n', ""), encoding="utf-8")
+    untied.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
+    for said, arguments in {
+        "no such file": (tmp_path / "none.toml", "--out", page),
+        "'.txt'; expected a page (.html) or a network": (case, "--out", tmp_path / "page.txt"),
+        "it is written by --verdicts": (case, "--out", network),
+        "--worst is for a page": (case, "--out", network, "--verdicts", verdicts, "--worst", 3),
+        "can't both be given": (case, "--out", page, "--worst", 3, "--points", "TIE00001"),
+        "no point NONE": (case, "--out", page, "--points", "NONE"),
+        "none.csv: no such file": (case, "--out", page, "--verdicts", tmp_path / "none.csv"),
+        "solution.npz": (case, "--out", page, "--solution", tmp_path),
+        "that was reviewed": (case, "--out", own, "--verdicts", verdicts),
+        "doubts.csv, line 2: the verdict": (case, "--out", network, "--verdicts", doubts),
+        "image SIM/B: no file of its pixels": (blind, "--out", page),
+        "no network of tie points; expected one": (untied, "--out", page),
+    }.items():
+        assert said in refusal("review", *arguments)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "doubts.csv", "v.csv"]
+
+
+# --- `mgsgraph convert` as a person uses it: endings, options, what was written and what was lost, one lin
+
+
+def convert(*arguments: str | Path) -> int:
+    """A command in this process; its exit status."""
+    return call("convert", *arguments)
+
+
+@pytest.fixture
+def network(case_file: Path) -> Path:
+    return case_file.parent / "network.pvl"
+
+
+def test_what_was_written_and_lost_is_said(network: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = names(network)
+    renamed = "--rename", f"{first}=a.cub", "--rename", f"{second}=b.cub"
+    assert convert(network, network.parent / "run.match", *renamed) == 0
+
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == f"Wrote {network.parent / 'run-a__b.match'}"
+    assert all(line.startswith("- Not held: ") for line in said[1:])
+    assert len(said) > 1
+
+
+def names(network: Path) -> list[str]:
+    points = read_network(network).points
+    return list(dict.fromkeys(one.serial_number for point in points for one in point.measures))
+
+
+def test_there_and_back_with_the_case(network: Path, case_file: Path) -> None:
+    """A case says the sizes that NVM wants; its own network may be gone by then."""
+    folder = network.parent
+    kept = folder / "kept.pvl"
+    shutil.move(network, kept)
+
+    assert convert(kept, folder / "x.dat", "--case", case_file, "--to", "nvm") == 0
+    assert convert(folder / "x.dat", folder / "back.net", "--target", "MARS", "--from", "nvm") == 0
+
+    first, back = read_network(kept), read_network(folder / "back.net")
+    assert len(first.points) == len(back.points)
+    for one, other in zip(first.points, back.points, strict=True):
+        for before, after in zip(one.measures, other.measures, strict=True):
+            assert before.serial_number == after.serial_number
+            assert before.line == pytest.approx(after.line, abs=1e-9)
+            assert before.sample == pytest.approx(after.sample, abs=1e-9)
+
+
+def test_united_thinned_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One image's measures and the other's make the whole again; what stays of it hangs together."""
+    folder, whole = network.parent, read_network(network)
+    first, second = names(network)
+    for name, image in (("a.csv", first), ("b.csv", second)):
+        assert convert(network, folder / "free.csv") == 0
+        rows = (folder / "free.csv").read_text().splitlines(keepends=True)
+        (folder / name).write_text("".join([rows[0], *(row for row in rows if f",{image}," in row)]))
+    parts = [folder / "a.csv", folder / "b.csv", "--out", folder / "both.net", "--target", "MARS"]
+
+    with pytest.raises(InputError, match=r"an id that .*a\.csv has, too; .*--duplicates"):
+        convert(*parts)
+    assert convert(*parts, "--duplicates", "first") == 0
+    assert "United: 20 points of several files, with 20 more measures" in capsys.readouterr().out
+    before, after = ([(m.serial_number, m.line) for one in each.points for m in one.measures]
+                     for each in (whole, read_network(folder / "both.net")))  # fmt: skip
+    assert after == before
+    assert convert(folder / "both.net", "--out", folder / "thin.net", "--thin", "2", "--split", "--only", "SIM/*") == 0
+    said = capsys.readouterr().out
+    thin = read_network(folder / "thin_1.net")
+    assert f"{len(thin.points)} of 20 points stay" in said
+    assert f"Part 1: {len(thin.points)} points in 2 images" in said
+    assert not (folder / "thin.net").exists()
+    assert not (folder / "thin_2.net").exists()
+    for wrong, found in ((["--only", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
+        with pytest.raises(InputError, match=found):
+            convert(folder / "both.net", "--out", folder / "c.net", *wrong)
+    with pytest.raises(click.UsageError, match="one file alone"):
+        convert(network)
+
+
+def test_strict_is_exit_status_two_and_one_line(network: Path) -> None:
+    """As a program of its own: what is lost is listed, nothing is written."""
+    folder = network.parent
+    assert refusal("convert", network, folder / "x.gcp", "--strict", "--radii", 3396190, 3376200)
+    assert not (folder / "x.gcp").exists()
+    done = run("convert", network, folder / "x.csv", "--strict")
+
+    assert done.returncode == 2
+    assert "- Not held: NetworkId, TargetName, UserName" in done.stdout
+    assert "it can't hold 1 kind of things" in done.stderr
+    assert not (folder / "x.csv").exists()
+
+
+def test_a_file_of_the_format_that_is_read_is_not_taken_for_out(network: Path, tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        assert convert(network, tmp_path / name) == 0
+
+    with pytest.raises(InputError, match="--replace"):
+        convert(tmp_path / "a.csv", tmp_path / "b.csv")
+
+    assert convert("--replace", tmp_path / "a.csv", tmp_path / "b.csv") == 0

@@ -1,0 +1,334 @@
+"""What control networks mean to an adjustment; united, split and thinned: nothing lost or made up, connections kept."""
+
+from collections import Counter
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from control_networks import IMAGES, free_networks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from mgsgraph.errors import InputError
+from mgsgraph.export.exchange import connected_parts
+from mgsgraph.files.networks.binary import read_control_network, read_network, write_binary_network
+from mgsgraph.files.networks.editing import in_images, thinned, united, used_images, with_measures
+from mgsgraph.files.networks.pvl import write_pvl_network
+from mgsgraph.files.networks.record import (
+    ControlMeasure,
+    ControlNetwork,
+    ControlPoint,
+    Duplicates,
+    MeasureType,
+    PointType,
+)
+from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network, tie_points
+from mgsgraph.geometry.body import Ellipsoid
+
+# --- united, split, thinned
+
+
+NETWORKS = free_networks(st.floats(1.0, 5000.0), least=1)
+
+
+def measure(image: str, line: float = 1.0, sample: float = 1.0, **more: object) -> ControlMeasure:
+    return structs.replace(ControlMeasure(image, MeasureType.MANUAL, sample, line), **more)
+
+
+def point(name: str, *measures: ControlMeasure, **more: object) -> ControlPoint:
+    return structs.replace(ControlPoint(name, PointType.FREE, measures), **more)
+
+
+def of(*points: ControlPoint, source: str = "a.net") -> ControlNetwork:
+    return ControlNetwork("n", "Mars", points, source=source)
+
+
+def split_by_measure(network: ControlNetwork, chosen: st.DataObject) -> tuple[ControlNetwork, ControlNetwork]:
+    """Each measure in one of two files; a point in both where it has measures in both."""
+    first, second = list[ControlPoint](), list[ControlPoint]()
+    for one in network.points:
+        mine = chosen.draw(st.sets(st.integers(0, len(one.measures) - 1)))
+        for points, which in ((first, mine), (second, set(range(len(one.measures))) - mine)):
+            if which:
+                points.append(with_measures(one, sorted(which)))
+    return of(*first, source="a.net"), of(*second, source="b.net")
+
+
+@settings(max_examples=30)
+@given(drawn=NETWORKS, chosen=st.data(), rule=st.sampled_from([Duplicates.FIRST, Duplicates.LAST]))
+def test_what_was_taken_apart_is_put_together(drawn: ControlNetwork, chosen: st.DataObject, rule: Duplicates) -> None:
+    points, _ = united(split_by_measure(drawn, chosen), rule)
+
+    assert {one.id: frozenset(one.measures) for one in points} == {
+        one.id: frozenset(one.measures) for one in drawn.points
+    }
+
+
+def test_of_two_files_one_counts() -> None:
+    place = (1.0, 2.0, 3.0)
+    early = point("p", measure("A"), measure("B", 5.0), measure("D", 9.0, edit_lock=True), reference=1)
+    late = point("p", measure("C"), measure("B", 7.5), measure("D", 8.0), reference=0, type=PointType.FIXED,
+                 apriori=place)  # fmt: skip
+    networks = of(early), of(late, point("q"), source="b.net")
+
+    with pytest.raises(InputError, match=r"b\.net, point p: an id that a\.net has, too"):
+        united(networks)
+    (first, q), said = united(networks, Duplicates.FIRST)
+    assert q.id == "q"
+    assert [(one.serial_number, one.line) for one in first.measures] == [("A", 1.0), ("B", 5.0), ("D", 9.0), ("C", 1.0)]
+    assert (first.type, first.apriori, first.reference) == (PointType.FIXED, place, 1)  # which contradicts nothing
+    assert "1 point" in said[0]
+    assert "1 more measure" in said[0]
+    assert "2 measures, 2 of them elsewhere (up to 2.5 px); the first" in said[1]
+    assert len(said) == 2
+    (last, _), said = united(networks, Duplicates.LAST)
+    assert [(one.serial_number, one.line) for one in last.measures] == [("A", 1.0), ("B", 7.5), ("D", 9.0), ("C", 1.0)]
+    assert (last.type, last.reference) == (PointType.FIXED, 3)
+    assert said[-1].startswith("Locked")
+    locked = structs.replace(early, edit_lock=True)
+    for rule in (Duplicates.FIRST, Duplicates.LAST):
+        (kept, _), said = united([of(locked), networks[1]], rule)
+        assert kept == locked
+        assert said[-1].endswith(": 1 points and measures")
+
+
+def test_known_places_that_differ_are_counted() -> None:
+    one, other = (point("p", type=PointType.FIXED, apriori=(x, 2.0, 3.0)) for x in (1.0, 9.0))
+    for rule, x in ((Duplicates.FIRST, 1.0), (Duplicates.LAST, 9.0)):
+        (found,), said = united([of(one), of(other, source="b.net")], rule)
+        assert found.apriori == (x, 2.0, 3.0)
+        assert "1 point" in said[1]
+
+
+def test_images_by_name_and_pattern() -> None:
+    network = of(
+        point("p", measure("MGS/1"), measure("MGS/2"), measure("MRO/1"), reference=2),
+        point("q", measure("MGS/1"), measure("MRO/1")),
+        point("r", measure("MGS/2"), measure("MRO/1"), type=PointType.FIXED),
+        point("s", measure("MGS/1")),
+    )
+    chosen, said = in_images(network, ["MGS/*"])
+
+    assert [(one.id, len(one.measures), one.reference) for one in chosen.points] == [
+        ("p", 2, None), ("r", 1, None), ("s", 1, None),
+    ]  # fmt: skip
+    assert "3 measures in 1 other image, and 1 point" in said[0]
+    assert in_images(network, ["M*"]) == (network, [])
+    with pytest.raises(InputError, match=r"a\.net: no image 'MEX'; expected MGS/1, MGS/2, MRO/1"):
+        in_images(network, ["MGS/1", "MEX"])
+    with pytest.raises(InputError, match="no point in the images"):
+        in_images(of(*network.points[1:2]), ["MRO/1"])
+
+
+@settings(max_examples=30)
+@given(drawn=NETWORKS)
+def test_parts_hang_together_and_are_all(drawn: ControlNetwork) -> None:
+    parts = connected_parts(drawn)
+
+    assert sorted(one.id for part in parts for one in part.points) == sorted(one.id for one in drawn.points)
+    for part, other in combinations(parts, 2):
+        assert not {name for one in part.points for name in used_images(one)}.intersection(
+            name for one in other.points for name in used_images(one)
+        )
+    for part in parts:
+        reached = set(used_images(part.points[0]))
+        for _ in IMAGES:
+            for one in part.points:
+                reached |= set(used_images(one)) if reached.intersection(used_images(one)) else set()
+        assert reached == {name for one in part.points for name in used_images(one)}
+    assert [len(part.points) for part in parts] == sorted((len(part.points) for part in parts), reverse=True)
+
+
+def test_what_is_ignored_connects_nothing() -> None:
+    network = of(
+        point("p", measure("A"), measure("B")), point("q", measure("C"), measure("D")), point("r"),
+        point("s", measure("B"), measure("C", ignore=True)), point("t", measure("C"), measure("A"), ignore=True),
+    )  # fmt: skip
+    assert [[one.id for one in part.points] for part in connected_parts(network)] == [["p", "s", "r"], ["q", "t"]]
+
+
+def block(points: int = 600, images: int = 6, seed: int = 3) -> ControlNetwork:
+    """A strip of images, each of which overlaps the next by half; measures are better in every third point."""
+    rng = np.random.default_rng(seed)
+    made = []
+    for i, (along, across) in enumerate(rng.uniform(0.0, 1.0, (points, 2)) * [images + 1, 1.0]):
+        seen = [j for j in range(images) if j <= along < j + 2]
+        log = ((2, 0.9 if i % 3 == 0 else 0.6),)
+        made.append(point(f"p{i}", *(measure(f"I{j}", 1.0 + 5000.0 * (along - j), 1.0 + 2000.0 * across, log=log)
+                                     for j in seen)))  # fmt: skip
+    return of(*made)
+
+
+def links(network: ControlNetwork) -> Counter[tuple[str, str]]:
+    return Counter(pair for one in network.points for pair in combinations(sorted(used_images(one)), 2))
+
+
+@pytest.mark.parametrize("cells", [1, 12, 40])
+def test_points_are_spread_and_images_stay_connected(cells: int) -> None:
+    network, sizes = block(), {f"I{j}": (10_000, 2000) for j in range(6)}
+    thin, said = thinned(network, cells, sizes)
+    before, after = links(network), links(thin)
+
+    assert set(thin.points) <= set(network.points)
+    assert all(after[pair] >= min(4, before[pair]) for pair in before)
+    counts = Counter(name for one in thin.points for name in used_images(one))
+    assert all(min(cells, 4) <= counts[f"I{j}"] <= 2 * cells + 8 for j in range(6))
+    assert f"{len(thin.points)} of 600 points" in said[0]
+    assert thinned(thin, cells, sizes)[0] == thin  # nothing more to be taken
+    if cells > 1:  # every quarter of an image that has points keeps some
+        for j in range(1, 5):  # the first and the last have no partner at their ends
+            lines = [one.line or 0.0 for p in thin.points for one in p.measures if one.serial_number == f"I{j}"]
+            assert np.histogram(lines, 4, (0.0, 10_000.0))[0].min() > 0
+        good = [one.measures[0].log[0][1] > 0.8 for one in thin.points]
+        assert np.mean(good) > 0.5  # a third of all are good
+
+
+def test_what_always_stays_and_what_never() -> None:
+    """One cell, in which the point of the smallest sigmas is the best; the rejected one is the worst."""
+    pair = (measure("A", 5.0), measure("B", 5.0))
+    fine = tuple(structs.replace(one, line_sigma=0.1, sample_sigma=0.1) for one in pair)
+    network = of(
+        point("rejected", *fine, jigsaw_rejected=True), *(point(f"p{i}", *pair) for i in range(9)),
+        point("best", *fine), point("fixed", pair[0], type=PointType.FIXED), point("locked", *pair, edit_lock=True),
+        point("single", pair[0]), point("ignored", *pair, ignore=True),
+    )  # fmt: skip
+    thin, said = thinned(network, 1)
+
+    assert {"best", "fixed", "locked"} < {one.id for one in thin.points}
+    assert not {"rejected", "single", "ignored"} & {one.id for one in thin.points}
+    assert len(thin.points) == 6  # four connect A and B
+    assert "2 points" in said[-1]
+    for cells, points, found in ((0, network.points, "0 cells"), (3, (point("p", pair[0]),), "no point in two images")):
+        with pytest.raises(InputError, match=found):
+            thinned(of(*points), cells)
+
+
+def test_sizes_divide_images_where_they_are_known() -> None:
+    """All measures in a corner: one cell of the whole image, many of the part that they fill."""
+    network = of(*(point(f"p{i}", measure("A", 1.0 + i, 1.0), measure("B", 1.0 + i, 1.0)) for i in range(64)))
+
+    assert len(thinned(network, 16)[0].points) >= 16
+    assert len(thinned(network, 16, {"A": (5000, 5000), "B": (5000, 5000)})[0].points) == 4
+
+
+@pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "mgs_moc_wa_three/controlnetwork.net"])
+def test_real_networks_thinned_and_split(shared_data: Path, name: str) -> None:
+    network = read_network(shared_data / name)
+    thin, _ = thinned(network, 8)
+
+    assert 4 <= len(thin.points) < len(network.points)
+    assert set(links(thin)) == set(links(network))
+    assert len(connected_parts(network)) == 1
+
+
+# --- tie points of an adjustment, one rule for text, binary form and records
+
+
+def some_ties(seed: int) -> TiePoints:
+    """Points of all kinds, their measures in no order, on a grid of 1/64 px."""
+    rng = np.random.default_rng(seed)
+    points, images = 7, 4
+    kinds = rng.permutation([0, 0, 0, 1, 1, 2, 2])
+    places = rng.normal(0.0, 3e6, (points, 3))
+    places[(kinds == PointKind.FREE) & (rng.random(points) < 0.5)] = np.nan
+    factors = rng.normal(size=(points, 3, 3))
+    covariances = (factors @ factors.transpose(0, 2, 1) + np.eye(3)) * (kinds == PointKind.CONSTRAINED)[:, None, None]
+    seen = rng.permutation([(i, j) for i in range(1, points) for j in range(images) if rng.random() < 0.7])
+    sigmas = rng.uniform(0.1, 2.0, (len(seen), 2))
+    sigmas[rng.random(sigmas.shape) < 0.3] = np.nan
+    return TiePoints(
+        source="drawn",
+        ids=tuple(f"p{i}" for i in range(points)),
+        kinds=kinds,
+        places=places,
+        covariances=(covariances + covariances.transpose(0, 2, 1)) / 2.0,
+        measure_point=seen[:, 0],
+        measure_image=tuple(f"I/{j}" for j in seen[:, 1]),
+        measures=rng.integers(32, 64 * 10_000, (len(seen), 2)) / 64.0,
+        measure_sigmas=sigmas,
+    )
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+def test_tie_points_survive(tmp_path: Path, write: Any) -> None:
+    ties = some_ties(0)
+    write(control_network(ties, "drawn", "MARS", "of a test"), tmp_path / "a.net")
+    back = read_control_network(tmp_path / "a.net")
+
+    order = np.argsort(ties.measure_point, kind="stable")
+    assert back.ids == ties.ids
+    assert back.measure_image == tuple(ties.measure_image[k] for k in order)
+    for name in ("kinds", "places", "covariances", "measure_point", "measures", "measure_sigmas"):
+        wanted = getattr(ties, name)
+        np.testing.assert_array_equal(getattr(back, name), wanted[order] if name.startswith("measure") else wanted)
+
+
+def test_pixels_are_counted_from_one_and_the_first_measure_refers() -> None:
+    ties = some_ties(3)
+    network = control_network(ties, "drawn", "MARS", created="2026-11-22T08:00:00", measure_type=MeasureType.MANUAL)
+
+    k = int(np.flatnonzero(ties.measure_point == 1)[0])
+    point = network.points[1]
+    assert (point.measures[0].line, point.measures[0].sample) == tuple(ties.measures[k] + 0.5)
+    assert point.measures[0].serial_number == ties.measure_image[k]
+    assert point.measures[0].type == MeasureType.MANUAL
+    assert [one.reference for one in network.points] == [None] + [0] * 6  # nobody measured the first
+    assert network.created == network.last_modified == "2026-11-22T08:00:00"
+    assert {one.type for one in network.points} == set(PointType)
+
+
+def test_what_is_ignored_is_left_out() -> None:
+    """Of point b, fixed without a place, it would be a fault."""
+    seen = (measure("A", 1.0, 2.0), measure("A", ignore=True, line=None))
+    first = point("a", *seen, adjusted=(1.0, 2.0, 3.0), jigsaw_rejected=True)
+
+    ties = tie_points(of(point("b", type=PointType.FIXED, ignore=True), first))
+
+    assert ties.ids == ("a",)
+    np.testing.assert_array_equal(ties.measures, [[0.5, 1.5]])
+    np.testing.assert_array_equal(ties.places, [[1.0, 2.0, 3.0]])
+
+
+MARS, PHOBOS, MOON = Ellipsoid(3396.19e3, 3376.2e3), Ellipsoid(13.0e3, 9.1e3), 1737.4e3
+
+
+def on_mars(
+    target: str = "", radii: tuple[float, ...] = (), *, scale: float = 1.0, wild: float = 1.0, **more: object
+) -> ControlNetwork:
+    """Three points on Mars, scaled; the last one once more."""
+    places = [(3396e3 * scale * far, 1e3 * scale * k, 0.0) for k, far in enumerate((1.0, 1.0, wild))]
+    points = tuple(point(f"p{k}", measure("A"), apriori=place, **more) for k, place in enumerate(places))
+    return ControlNetwork("n", target, points, target_radii=radii)
+
+
+@pytest.mark.parametrize("write", [write_pvl_network, write_binary_network])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (on_mars("Moon"), "TargetName: the target body Moon; expected MARS"),
+        (on_mars("", (MOON, MOON, MOON)), "TargetRadii: 1737400 m; expected 3396190 m"),
+        (on_mars("Mars", scale=1e-3), "radii of points of 3.396 km .*kilometres stand where"),
+        (on_mars("Mars", type=PointType.FIXED, wild=0.8), "point p2: 2.7168e[+]06 m from the body's centre"),
+    ],
+)
+def test_a_network_of_another_body(tmp_path: Path, write: Any, given: ControlNetwork, said: str) -> None:
+    """Whatever says so: its name, its radii, or where its points lie, known ones each."""
+    path = tmp_path / "network"
+    write(given, path)
+    assert len(read_control_network(path).ids) == 3
+    with pytest.raises(InputError, match=said):
+        read_control_network(path, MARS)
+
+
+def test_networks_of_this_body(tmp_path: Path) -> None:
+    """A first guess may be wild; of a body of unknown size any other name may be its own."""
+    path = tmp_path / "network.net"
+    for made, body in (
+        (on_mars(" mars ", (3396190.0, 3396190.0, 3376200.0)), MARS), (on_mars(wild=2.0), MARS),
+        (on_mars("Deimos", scale=11.0 / 3396.0), PHOBOS),
+    ):  # fmt: skip
+        write_binary_network(made, path)
+        assert len(read_control_network(path, body).ids) == 3
