@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.files.output.folders import REGISTRATION, fresh_folder
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
-from mgsgraph.results.section import Section, columns_of, write_sections_into
+from mgsgraph.results.section import Section, table_of, write_sections_into
 from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import DEG, ISIS_OFFSET
 
@@ -107,14 +107,13 @@ def _agreement_table(registration: CaseRegistration) -> Table:
     def of(unit: str, figure: str) -> Array:
         return np.array([[row[f"{way}_{unit}"][figure] for way in ways] for row in found]).reshape(-1, 2)
 
-    title = "Images against each other at laser footprints, along and across the flight"
-    return Table("agreement", title, columns_of("agreement", {
+    return table_of("agreement", {
         "orientation": [state for state, _, _ in every], "profile": [profile.name for _, profile, _ in every],
         "image": [row["image"] for row in found], "against": [row["against"] for row in found],
         "footprints": np.array([row["footprints"] for row in found], dtype=np.int64),
         "mean_{}": of("m", "mean"), "rms_{} m": of("m", "rms"), "σ_{}": of("m", "mean_sigma"),
         "rms_{} px": of("px", "rms"),
-    }), "In the image minus transferred from the other; σ: predicted for one footprint.")  # fmt: skip
+    })  # fmt: skip
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
@@ -161,7 +160,6 @@ def registration_table(registration: CaseRegistration) -> Table:
     found = [registration.before[p].found for p, _ in rows]
     sizes = [one.shots.times.size for one in found]
     longitude, latitude, radius = planetocentric(np.concatenate([one.shots.footprints for one in found])).T
-    states = list(registration.states())
 
     def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
         return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
@@ -169,26 +167,20 @@ def registration_table(registration: CaseRegistration) -> Table:
     def repeated(names: list[str]) -> list[str]:
         return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
 
-    places = [
-        Column(f"{state}_isis_{{}}", of_state(profiles, "places") + ISIS_OFFSET, parts=("line", "sample"))
-        for state, profiles in states
-    ]
-    return Table("registration", "Footprints in images", (
-        *columns_of("registration", {
-            "profile": repeated([registration.before[p].name for p, _ in rows]),
-            "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
-            "shot": [shot for one in found for shot in one.shots.ids],
-            "image": repeated([registration.images[j].name for _, j in rows]),
-            "simultaneous": of_state(registration.before, "simultaneous"),
-        }),
-        *(Column(f"{state}_inside", of_state(profiles, "inside")) for state, profiles in states),
-        *columns_of("registration", {
-            "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
-            "lat": latitude, "radius": radius,
-            "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]),
-        }),
-        *places,
-    ))  # fmt: skip
+    places = {
+        f"{state}_isis_{{}}": of_state(profiles, "places") + ISIS_OFFSET for state, profiles in registration.states()
+    }
+    return table_of("registration", {
+        "profile": repeated([registration.before[p].name for p, _ in rows]),
+        "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
+        "shot": [shot for one in found for shot in one.shots.ids],
+        "image": repeated([registration.images[j].name for _, j in rows]),
+        "simultaneous": of_state(registration.before, "simultaneous"),
+        **{f"{state}_inside": of_state(profiles, "inside") for state, profiles in registration.states()},
+        "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
+        "lat": latitude, "radius": radius,
+        "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]), **places,
+    })  # fmt: skip
 
 
 def discrepancy_table(registration: CaseRegistration) -> Table:
@@ -202,7 +194,7 @@ def discrepancy_table(registration: CaseRegistration) -> Table:
         nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
         return np.concatenate([nothing, *(of(one) for _, _, one in found)])
 
-    return Table("discrepancy", "Contradictions of images", columns_of("discrepancy", {
+    return table_of("discrepancy", {
         "orientation": words(lambda state, _, one: state), "profile": words(lambda _, profile, one: profile.name),
         "number": np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64),
         "shot": [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()],
@@ -212,4 +204,4 @@ def discrepancy_table(registration: CaseRegistration) -> Table:
         "sigma_{} m": numbers(lambda one: one.metre_sigmas),
         "{} spacings": numbers(lambda one: one.metres / one.spacing),
         "sigma_{} spacings": numbers(lambda one: one.metre_sigmas / one.spacing),
-    }))  # fmt: skip
+    })  # fmt: skip

@@ -20,7 +20,7 @@ from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, table_of
 from mgsgraph.text import listed, some, some_of
 
 _KEYS = {
@@ -142,13 +142,12 @@ def drivers_table(solution: Solution) -> Table:
     """One row per image or point and quantity, those that stand out and others with the largest shares."""
     every = () if solution.drivers is None else solution.drivers.contributions
     rows = [(one, rank) for one in every for rank in range(one.members.size)]
-    return Table("drivers", "What drives the adjustment", columns_of("drivers", {
+    return table_of("drivers", {
         "quantity": [str(one.quantity) for one, _ in rows], "kind": [str(one.kind) for one, _ in rows],
         "name": list(chain.from_iterable(_names(solution, one) for one in every)),
         "share": np.concatenate([np.zeros(0), *(one.shares for one in every)]),
         "stands_out": ["yes" if rank < one.outstanding else "" for one, rank in rows],
-    }), "Shares of the cost where it stopped; up to 100 images and points of each. ",
-    )  # fmt: skip
+    })  # fmt: skip
 
 
 def _names(solution: Solution, one: Contributions) -> list[str]:
@@ -174,10 +173,10 @@ def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     shown = fits or ()
     numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
     state = {(True, False): "WORSE than stated", (False, True): "better than stated"}
-    return Table("fits", "Fit of each group of observations", columns_of("fits", {
+    return table_of("fits", {
         "redundancy": numbers[:, 0], "sigma0": numbers[:, 1], "by_chance_{}": numbers[:, 2:],
         "state": [state.get((one.worse, one.better), "") if one.judged else "not judged" for one in shown],
-    }, shown), "Squares of whitened residuals over redundancy; 1 where sigmas are as stated.")  # fmt: skip
+    }, shown)  # fmt: skip
 
 
 def weight_unit(solution: Solution) -> list[str]:
