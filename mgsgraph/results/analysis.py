@@ -22,7 +22,7 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
-from mgsgraph.results.section import Section, drawn, table_of, write_sections
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
 from mgsgraph.results.soundness import linearity_section
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
@@ -48,8 +48,7 @@ def reliability_section(found: Reliability, most: int) -> Section:
         + (f": {some(loose, found.uncontrolled.size)}." if loose else "."),
     ]
     record = {
-        "alpha": found.levels.alpha, "power": found.levels.power, "critical": found.critical,
-        "shift_sigmas": found.levels.shift, "measures": len(found), "redundancy": found.degrees_of_freedom,
+        **record_of("reliability", found), "measures": len(found), "redundancy": found.degrees_of_freedom,
         "over": int(found.suspected.size), "uncontrolled": int(found.uncontrolled.size),
         "suspects": [
             {"w": one.test, "over": one.over, "measures": [found.name(int(k)) for k in one.measures]} for one in worst
@@ -188,10 +187,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     residuals = residuals_table(statistics)
 
     record = {
-        "global_test": {
-            "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
-            "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
-        },
+        "global_test": record_of("global_test", test),
         "components": _components_record(components),
         "residuals": residuals.records(),
     }  # fmt: skip
@@ -245,7 +241,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
     found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
     record = [
         {
-            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.sentence, "equals": one.equals,
+            **record_of("weak_direction", one),
             "parts": [
                 {
                     "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
@@ -267,7 +263,7 @@ def _separability(posterior: Posterior) -> Section:
     none = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
     record = [
         {
-            "quantities": [{"name": part.name, "of": part.owner, "unit": part.unit, "sigma": part.sigma,
+            "quantities": [{**record_of("quantity", part),
                             "coefficient": float(c)} for part, c in zip(one.quantities, one.coefficients, strict=True)],
             "correlation": one.correlation, "determined": one.mixture, "sigma": one.sigma,
             "unit": one.quantities[0].unit,

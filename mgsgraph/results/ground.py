@@ -14,7 +14,7 @@ from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage
-from mgsgraph.results.section import Section, table_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import MRAD
 
@@ -79,10 +79,7 @@ def _left_out(solution: Solution) -> list[str]:
 def ranges_section(solution: Solution) -> Section:
     """How laser ranges fit, with the nominal orientation and with the adjusted one."""
     found = range_statistics(solution)
-    record = {
-        "count": found.count, "used": found.used, "mean_residual_m": found.mean, "rms_residual_m": found.rms,
-        "mean_residual_before_m": found.mean_before, "rms_residual_before_m": found.rms_before,
-    }  # fmt: skip
+    record = record_of("ranges", found)  # fmt: skip
     if not found.count:
         return Section("ranges", numbers=record)
     table = table_of("ranges", {

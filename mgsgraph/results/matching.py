@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.section import Section, drawn, table_of
+from mgsgraph.results.section import Section, drawn, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
@@ -100,11 +100,7 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
         "orientations": [
             plain({
                 "images": [names[one.first], names[one.second]],
-                "coarse_matches": one.candidates,
-                "agreed": one.agreed,
-                "moved_m": one.moved,
-                "expected_m": one.expected,
-                "height_sigma_m": one.height_sigma,
+                **record_of("agreed_orientation", one),
             })
             for one in matches.agreements
         ],

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan, Sigmas
-from mgsgraph.results.section import Section, table_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
@@ -76,9 +76,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def _sigmas_json(one: Sigmas) -> dict[str, Any]:
-    return {
-        "sigma_m": one.total, "east_m": one.east, "north_m": one.north, "up_m": one.up, "worst_target": one.worst,
-    }  # fmt: skip
+    return record_of("plan_sigmas", one)  # fmt: skip
 
 
 def _judged_json(one: Evaluation) -> dict[str, Any]:

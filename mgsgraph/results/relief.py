@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, table_of, write_sections_into
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
 
@@ -89,10 +89,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "status": "converged" if registration.solution.converged else "not converged",
         "sigma0_before": registration.before.sigma0,
         "sigma0_after": registration.solution.sigma0,
-        "settings": {
-            "footprint_m": settings.footprint, "reach_m": settings.reach, "spacing_m": settings.spacing,
-            "images": settings.images,
-        },
+        "settings": record_of("relief_settings", settings),
         "pairs": pairs,
         "profiles": [
             row | {
@@ -123,9 +120,7 @@ def _crossovers_json(solution: Solution) -> dict[str, Any]:
 
 def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
     return [
-        {
-            "shift_m": one.shift, "misfit": one.misfit, "covariance_m2": one.covariance, "weight": one.weight,
-        }
+        record_of("relief_minimum", one)
         for one in state.cost.minima[:_MOST_MINIMA]
     ]  # fmt: skip
 

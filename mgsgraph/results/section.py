@@ -56,6 +56,11 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
     return tuple(found)
 
 
+def record_of(name: str, found: Any) -> dict[str, Any]:
+    """Members of a record for JSON, from attributes that `templates/tables.toml` names."""
+    return {key: attrgetter(attribute)(found) for key, attribute in _layouts()["records"][name].items()}
+
+
 def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **more: Any) -> Table:
     """The table of a layout in `templates/tables.toml`, with `columns_of`; name, title or note may be given here."""
     known = {"name": layout} | _layouts()[layout] | more

@@ -20,7 +20,7 @@ from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.results.section import Section, table_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, some, some_of
 
 _KEYS = {
@@ -105,10 +105,7 @@ def linearity_section(found: Linearity | None) -> Section:
         f"NOT LINEAR {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
         "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
     )
-    return Section("linearity", sentences=[said], numbers={
-        "linear": found.linear, "ratio_of_squares": found.ratio, "scatter": found.scatter,
-        "unknowns": found.unknowns, "draws": found.draws,
-    })  # fmt: skip
+    return Section("linearity", sentences=[said], numbers=record_of("linearity", found))  # fmt: skip
 
 
 # --- what drives it
@@ -124,10 +121,7 @@ def drivers_section(solution: Solution) -> Section:
         said += " With the loss tukey the end depends on the start: begin with huber, or give better orientations."
     table = drivers_table(solution)
     return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
-        "cost": found.cost,
-        "points_behind": found.behind,
-        "points_parting": found.parting,
-        "points_weak": found.weak,
+        **record_of("drivers", found),
         "outstanding": [
             {
                 "quantity": str(one.quantity), "kind": str(one.kind), "count": one.outstanding, "of": one.of,

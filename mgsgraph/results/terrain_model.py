@@ -28,7 +28,7 @@ from mgsgraph.registration.dem.ortho import (
     ortho_tiles,
 )
 from mgsgraph.results.catalog import BANDS, stac_item
-from mgsgraph.results.section import Section, table_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
 from mgsgraph.workers import Progress, no_progress
@@ -183,8 +183,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "images": list(dem.images),
         "ortho_image": dem.images[dem.ortho],
         "settings": {
-            "post_m": settings.post, "spacing_m": settings.spacing, "heights": settings.heights,
-            "ortho_pixel_m": settings.ortho_pixel, "images": list(settings.images),
+            **record_of("dem_settings", settings), "images": list(settings.images),
             "mola": [str(path) for path in settings.mola],
         },
         "pairs": _pairs_table(dem).records(),
@@ -202,8 +201,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "quantiles_5_50_95_m": quantiles,
         "checks": [
             {
-                "profile": one.name, "offered": one.shots.times.size, "ground_sigma_m": one.sigma,
-                "shift_adjusted": one.adjusted, "shift_m": one.shift,
+                **record_of("dem_check", one),
                 "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
                 **(check_figures(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
             }

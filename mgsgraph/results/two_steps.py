@@ -18,7 +18,7 @@ from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, table_of, write_sections_into
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
 
@@ -131,17 +131,12 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
         "stages": STAGES,
         "steps": [
             {
-                "name": solution.name,
-                "converged": solution.converged,
-                "message": solution.message,
-                "sigma0": solution.sigma0,
-                "observations": solution.fit.observations,
-                "unknowns": solution.fit.unknowns,
+                **record_of("step", solution),
                 "rays_used": int(solution.rays_used.sum()),
                 "ranges_used": int(solution.ranges_used.sum()),
                 "cost": [solution.cost_initial, solution.cost_final],
                 "iterations": [
-                    {"cost": one.cost, "step": one.step, "damping": one.damping, "accepted": one.accepted}
+                    record_of("iteration", one)
                     for one in history
                 ],
                 "seconds": seconds,
