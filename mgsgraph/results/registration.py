@@ -5,7 +5,6 @@ Lines and samples in the files are counted as ISIS does, the first pixel's centr
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -186,22 +185,22 @@ def registration_table(registration: CaseRegistration) -> Table:
 def discrepancy_table(registration: CaseRegistration) -> Table:
     """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
     found = _discrepancies(registration)
+    each = [one for _, _, one in found]
+    rows = [
+        (state, profile.name, k + 1, profile.found.shots.ids[k], one.image, one.against)
+        for state, profile, one in found for k in one.shots.tolist()
+    ]  # fmt: skip
+    keys = ("orientation", "profile", "number", "shot", "image", "against")
+    words = {key: [row[k] for row in rows] for k, key in enumerate(keys)}
 
-    def words(of: Callable[[str, ProfileRegistration, Misregistration], str]) -> list[str]:
-        return [of(*row) for row in found for _ in range(row[2].shots.size)]
+    def joined(name: str) -> Array:
+        return np.concatenate([np.zeros((0, 2)), *(getattr(one, name) for one in each)])
 
-    def numbers(of: Callable[[Misregistration], Array], width: int = 2) -> Array:
-        nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
-        return np.concatenate([nothing, *(of(one) for _, _, one in found)])
-
-    return table_of("discrepancy", {
-        "orientation": words(lambda state, _, one: state), "profile": words(lambda _, profile, one: profile.name),
-        "number": np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64),
-        "shot": [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()],
-        "image": words(lambda _, profile, one: one.image), "against": words(lambda _, profile, one: one.against),
-        "isis_line": numbers(lambda one: one.lines, 1) + ISIS_OFFSET, "{} px": numbers(lambda one: one.pixels),
-        "sigma_{} px": numbers(lambda one: one.pixel_sigmas), "{} m": numbers(lambda one: one.metres),
-        "sigma_{} m": numbers(lambda one: one.metre_sigmas),
-        "{} spacings": numbers(lambda one: one.metres / one.spacing),
-        "sigma_{} spacings": numbers(lambda one: one.metre_sigmas / one.spacing),
+    metres, sigmas = joined("metres"), joined("metre_sigmas")
+    spacing = np.concatenate([np.zeros((0, 1)), *(np.full((one.shots.size, 1), one.spacing) for one in each)])
+    return table_of("discrepancy", words | {
+        "number": np.array(words["number"], dtype=np.int64),
+        "isis_line": np.concatenate([np.zeros(0), *(one.lines for one in each)]) + ISIS_OFFSET,
+        "{} px": joined("pixels"), "sigma_{} px": joined("pixel_sigmas"), "{} m": metres, "sigma_{} m": sigmas,
+        "{} spacings": metres / spacing, "sigma_{} spacings": sigmas / spacing,
     })  # fmt: skip
