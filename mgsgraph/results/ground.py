@@ -10,7 +10,7 @@ from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.table import Table
+from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage
@@ -34,14 +34,9 @@ def points_section(solution: Solution) -> Section:
 def classes_table(solution: Solution) -> Table:
     """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
     found = [point_statistics(solution, c) for c in solution.network.classes]
-    sigma, median, high, mean, rms = (
-        np.array([getattr(one, name) for one in found])
-        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
-    )
     return table_of("classes", {
-        "kind": [c.name.lower() for c in solution.network.classes], "median_sigma_{}": median, "high_sigma_{}": high,
-        "mean_sigma_{}": sigma, "scaled_sigma_{}": median * solution.sigma0, "mean_correction_{}": mean,
-        "rms_correction_{}": rms,
+        "kind": [c.name.lower() for c in solution.network.classes],
+        "scaled_sigma_{}": numbers(found, "median_sigma") * solution.sigma0,
     }, found)  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network.footprints import Crossing, Registration
-from mgsgraph.results.section import Section, table_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
@@ -166,8 +166,7 @@ def selection_table(over: Registration) -> Table:
         "images": names(over.inside), "simultaneous": names(over.inside & over.simultaneous), "orbit": shots.orbits,
         "frame": shots.frames, "shot": shots.shots, "ground": shots.ground.astype(np.int64), "channel": shots.channels,
         "time": shots.times, "longitude": longitude / DEG % 360.0, "latitude": latitude, "radius": radius,
-        "range": shots.ranges, "range_correction": shots.range_corrections, "areoid_radius": shots.areoid_radii,
-        "spacecraft_{}": shots.spacecraft, "off_nadir": shots.off_nadir, "clock": shots.clocks, "pulse": shots.pulses,
+        **record_of("shots", shots),
     })  # fmt: skip
 
 

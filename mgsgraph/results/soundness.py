@@ -165,10 +165,10 @@ def fits_section(solution: Solution) -> Section:
 def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     """One row per group of observations: how it fits its stated sigmas; none where nobody has looked."""
     shown = fits or ()
-    numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
+    expected = np.array([(one.low, one.high) for one in shown]).reshape(-1, 2)
     state = {(True, False): "WORSE than stated", (False, True): "better than stated"}
     return table_of("fits", {
-        "redundancy": numbers[:, 0], "sigma0": numbers[:, 1], "by_chance_{}": numbers[:, 2:],
+        "by_chance_{}": expected,
         "state": [state.get((one.worse, one.better), "") if one.judged else "not judged" for one in shown],
     }, shown)  # fmt: skip
 

@@ -26,10 +26,10 @@ def candidates_table(choice: Choice) -> Table:
     """One row per candidate spacing."""
     several = choice.candidates
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
-    nodes, refused = [one.nodes for one in several], [one.refused for one in several]
+    refused = [one.refused for one in several]
     return table_of("spacings", {
         "standing": ["refused" if why else state for why, state in zip(refused, state, strict=True)],
-        "reason": refused, "nodes": np.array(nodes, dtype=np.float64), "rms_error": np.asarray(choice.rms_errors),
+        "reason": refused, "rms_error": np.asarray(choice.rms_errors),
         "worse": np.asarray(choice.worse), "worse_error": np.asarray(choice.worse_errors), "mark": state,
     }, several, instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
 

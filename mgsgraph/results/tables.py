@@ -28,7 +28,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.results.section import table_of
+from mgsgraph.results.section import record_of, table_of
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 _REMARKS = ("bridge", "overlap without common points", "common points without overlap")
@@ -69,10 +69,7 @@ def orientation_table(solution: Solution) -> Table:
     before, after = of("position_before"), of("position_after")
     return table_of("orientation", {
         "image": names, "isis_line": of("lines") + ISIS_OFFSET, "time_et": of("times"), "{}_before m": before,
-        "{}_after m": after, "{}_difference m": after - before, "{}_sigma m": of("position_sigma"),
-        "{}_before deg": of("angles_before"), "{}_after deg": of("angles_after"),
-        "{}_difference arcsec": of("angle_differences"), "{}_sigma arcsec": of("angles_sigma"),
-        "rotation_{}": of("rotation"), "rotation_{}_sigma": of("rotation_sigma"),
+        "{}_after m": after, "{}_difference m": after - before, **record_of("orientation", profiles),
     })  # fmt: skip
 
 
