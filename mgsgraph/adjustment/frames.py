@@ -66,16 +66,16 @@ class FlightFrame:
 
 def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFrame:
     """Axes of one image from its nominal orientation."""
-    middle = np.array([0.5 * image.lines])
-    pose = image.pose(middle)
+    line, sample = image.middle
+    pose = image.pose(line)
     level = flight_axes(pose.position[0], pose.velocity[0])
     matrix = pose.matrix[0]
     correction = OrientationCorrection(np.zeros((1, 6)), angles)
     turn = np.zeros((6, 6))
     turn[:3, :3] = np.eye(3) if (long := _is_long(image)) else level
     about = camera_axes(matrix @ level[0])
-    turn[3:, 3:] = about @ correction.axes(pose, image.moments(middle))[0]
-    origin, look = image.sightlines(middle, np.array([0.5 * image.samples]))
+    turn[3:, 3:] = about @ correction.axes(pose, image.moments(line))[0]
+    origin, look = image.sightlines(line, sample)
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
     moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)

@@ -455,7 +455,7 @@ def _report(solution: Solution, strip: int) -> StripReport:
     start, stop = seconds(image)
     spacing = one.nodes.spacing
     lines = spacing * image.lines / (stop - start)
-    _, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    _, derivative = image.image_to_ground(*image.middle)
     return StripReport(
         one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
         len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,

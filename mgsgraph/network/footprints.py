@@ -260,7 +260,7 @@ def _visible(image: PushbroomImage, points: Array, correction: OrientationCorrec
     edge = np.array([0.0, 0.5, 1.0])
     lines, samples = (one.ravel() for one in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
-    eye = image.pose(np.array([0.5 * image.lines]), correction).position[0]
+    eye = image.pose(image.middle[0], correction).position[0]
     facing = np.einsum("ni,ni->n", points, eye - points) > 0.0
     if not np.all(np.isfinite(ground)):
         return np.flatnonzero(facing)
@@ -410,7 +410,7 @@ def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: A
     """
     down, across = (places[:, None, k] - ties[None, :, k] for k in (0, 1))
     middle = np.array([[0.5 * image.lines, 0.5 * image.samples]])
-    _, by_pixel = image.image_to_ground(middle[:, 0], middle[:, 1])
+    _, by_pixel = image.image_to_ground(*image.middle)
     size = np.linalg.norm(by_pixel[0], axis=0)  # m per line and per sample
     distance = np.hypot(down * size[0], across * size[1])
     count = min(_NEAREST, ties.shape[0])

@@ -51,7 +51,7 @@ def straightest(images: Sequence[PushbroomImage]) -> int:
     """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
     off = []
     for image in images:
-        place, _ = image.interior.focal_plane(np.array([0.5 * image.samples]))
+        place, _ = image.interior.focal_plane(image.middle[1])
         off.append(round(float(np.linalg.norm(place)) / image.interior.focal_length, 6))
     return int(np.argmin(off))
 
