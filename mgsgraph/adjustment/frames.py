@@ -18,7 +18,7 @@ from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.rotation import skew
+from mgsgraph.geometry.rotation import skew, unit_vectors
 from mgsgraph.units import DEG
 
 FLIGHT = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
@@ -60,7 +60,7 @@ class FlightFrame:
         the turn in those units, so that shares still sum up to one.
         """
         scaled = self.turn * sigmas
-        left, _, right = np.linalg.svd(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+        left, _, right = np.linalg.svd(unit_vectors(scaled))
         return np.asarray(left @ right)
 
 
@@ -81,7 +81,7 @@ def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFram
     moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)
     if not np.isfinite(distance):  # what looks past the body sees it about as far as the ground lies below
         distance = float(np.linalg.norm(pose.position[0])) - image.body.polar
-    end = image.sightlines(middle, np.zeros(1))[1]
+    end = image.sightlines(line, np.zeros(1))[1]
     width = distance * float(np.linalg.norm(end - look) / np.linalg.norm(look))
     return FlightFrame(
         BODY if long else FLIGHT,
@@ -113,7 +113,7 @@ def camera_axes(forward: Array) -> Array:
 def _is_long(image: PushbroomImage) -> bool:
     lines = np.linspace(0.0, float(image.lines), 9)
     positions = image.pose(lines).position
-    units = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    units = unit_vectors(positions)
     return bool(np.min(units @ units[4]) < np.cos(_LONG))
 
 

@@ -323,7 +323,7 @@ def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
             ideal = ideal + step
             if not np.any(np.abs(step) > _AT_REST):  # NaN has converged, too
                 break
-        settled = (np.abs(step) <= _AT_REST).all(axis=1)
+        settled = np.all(np.abs(step) <= _AT_REST, axis=1)
         jacobian = solved(distort(ideal)[1], np.eye(2))
     return np.where(settled[:, None], ideal, np.nan), np.where(settled[:, None, None], jacobian, np.nan)
 

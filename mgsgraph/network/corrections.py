@@ -374,15 +374,6 @@ def supported_spacing(nodes: OrientationImages, rays: PassRays, least: int = LEA
         intervals = max(min(int(intervals * _COARSER), intervals - 1), SUPPORT - 1)
 
 
-def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
-    """Raise InputError unless every node of every pass has some rays near it: the least that an adjustment needs.
-
-    Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
-    the first rays and after the last ones need none: there a pass follows its prior. `taken` as there, below.
-    """
-    require_supported(network, taken=taken, between=True)
-
-
 def require_supported(
     network: Network, least: int = LEAST, taken: Mask | None = None, between: bool = False
 ) -> None:
@@ -396,7 +387,9 @@ def require_supported(
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     between : bool
-        Whether nodes between others alone count, with rays of however many lines (`Support.gaps`).
+        Whether nodes between others alone count, with rays of however many lines (`Support.gaps`): the least that an
+        adjustment needs, for what is known of nodes beforehand tells position from pointing, and before the first
+        rays and after the last ones a pass follows its prior.
     """
     for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)

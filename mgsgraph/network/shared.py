@@ -20,6 +20,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD, PPM
@@ -254,7 +255,7 @@ def _flight_axes(positions: Array, velocities: Array) -> Array:
     """
     outward, normal = positions, np.cross(positions, velocities)
     axes = np.stack([outward, np.cross(normal, outward), normal])
-    return np.asarray(axes / np.linalg.norm(axes, axis=2, keepdims=True))
+    return unit_vectors(axes)
 
 
 def _spin(image: PushbroomImage) -> Array:
