@@ -103,9 +103,9 @@ class Reliability(Record):
         return self.critical**2 if dimensions == 1 else self.levels.critical_squares(dimensions)
 
     def order(self, most: int) -> Index:
-        """The `most` measures of the largest |w|, largest first."""
+        """The `most` measures of the largest |w|, largest first; equal ones, as of a ray, in their own order."""
         size = np.nan_to_num(np.abs(self.measures.test), nan=-1.0)
-        return np.argsort(-size, kind="stable")[:most]
+        return np.argsort(-size.round(6), kind="stable")[:most]
 
     def unit(self, measure: int) -> str:
         """Unit of a measure: px, m, rad or s."""

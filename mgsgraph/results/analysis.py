@@ -22,7 +22,7 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
-from mgsgraph.results.section import Section, drawn, write_sections
+from mgsgraph.results.section import Section, columns_of, drawn, write_sections
 from mgsgraph.results.soundness import linearity_section
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
@@ -81,24 +81,15 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
     def known(values: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(values), values, np.nan)[order]
 
-    return Table("reliability", "Measures by suspicion", (
-        Column("measure", found.names(order), meaning="its name"),
-        Column("kind", picked(_KINDS, table.kind[order]), meaning=", ".join(_KINDS)),
-        Column("point", picked(points, table.point[order]), meaning="that it is of"),
-        Column("image", picked(images, table.image[order]), meaning="that it is of"),
-        Column("unit", found.units(order), meaning="of residual, sigma and blunder", text="<4"),
-        Column("w", known(table.test), meaning="normalised residual", text=">8.2f"),
-        Column("residual", known(table.residual), meaning="measured minus predicted, in `unit`", text=">10.3g"),
-        Column("sigma", known(table.sigma), meaning="a priori, in `unit`"),
-        Column("redundancy", known(table.redundancy), meaning="0 .. 1", label="redund.", text=">7.3f"),
-        Column("minimal_detectable_blunder", known(table.detectable), meaning="found by the tests, in `unit`",
-               label="detectable", text=">10.3g"),
-        Column("effect", known(table.effect), "m", "of one that goes unnoticed, on the point", label="moves (m)",
-               text=">10.3g"),
-        Column("external", known(table.external), meaning="the most that it shifts any result, in sigmas of it"),
-        Column("joint_test", known(table.joint), meaning="of the whole ray or a-priori place, chi-square"),
-        Column("joint_dimensions", known(table.dimensions), meaning="those that something controls"),
-    ))  # fmt: skip
+    return Table("reliability", "Measures by suspicion", columns_of("reliability", {
+        "measure": found.names(order), "kind": picked(_KINDS, table.kind[order]),
+        "point": picked(points, table.point[order]), "image": picked(images, table.image[order]),
+        "unit": found.units(order), "w": known(table.test), "residual": known(table.residual),
+        "sigma": known(table.sigma), "redundancy": known(table.redundancy),
+        "minimal_detectable_blunder": known(table.detectable), "effect": known(table.effect),
+        "external": known(table.external), "joint_test": known(table.joint),
+        "joint_dimensions": known(table.dimensions),
+    }))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,19 +206,10 @@ def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
     beyond, p = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
     odd = ["" if one.as_promised is not False else " inconsistent" for one in statistics]
-    return Table("residuals", "Normalised residuals (of a normal law: mean 0, rms 1, skew 0, kurtosis 0)", (
-        Column("group", [one.name for one in statistics], text="<28"),
-        Column("residuals", np.array([one.values.size for one in statistics]), label="number", text=">9"),
-        Column("independent", numbers(statistics, "effective"), meaning="residuals that they are worth", text=">11.4g"),
-        Column("mean", numbers(statistics, "mean"), text=">6.2f"),
-        Column("rms", numbers(statistics, "rms"), text=">6.2f"),
-        Column("skewness", numbers(statistics, "skewness"), label="skew", text=">6.2f"),
-        Column("excess_kurtosis", numbers(statistics, "kurtosis"), label="kurt.", text=">6.2f"),
-        Column("beyond_1_2_3_sigma", beyond, label=f"beyond 1, 2, 3 sigmas ({_EXPECTED} %)",
-               parts=("1", "2", "3"), text=">10.3f"),
-        Column("p", p, meaning="chance of no less odd ones", text=">8.2g"),
-        Column("odd", odd, label="", text="<", files=False),
-    ))  # fmt: skip
+    title = "Normalised residuals (of a normal law: mean 0, rms 1, skew 0, kurtosis 0)"
+    return Table("residuals", title, columns_of("residuals", {
+        "beyond_1_2_3_sigma": beyond, "p": p, "odd": odd,
+    }, statistics))  # fmt: skip
 
 
 def _components_record(found: Components) -> dict[str, Any]:
@@ -240,20 +222,10 @@ def _components_record(found: Components) -> dict[str, Any]:
 def components_table(found: Components, name: str = "components") -> Table:
     """One row per group of measures: by what factor its sigmas are wrong."""
     groups, interval = found.groups, np.array([one.interval() for one in found.groups]).reshape(-1, 2)
-    return Table(name, "Variance components", (
-        Column("group", [one.name for one in groups], meaning="of measures with a sigma of their own"),
-        Column("judgement", [str(one.judgement) for one in groups], meaning="whether the data can tell"),
-        Column("rows", numbers(groups, "rows"), meaning="how many measures"),
-        Column("redundancy", numbers(groups, "redundancy"), meaning="sum of their redundancy numbers"),
-        Column("squares", numbers(groups, "squares"), meaning="sum of squares of the normalised residuals"),
-        Column("factor", numbers(groups, "factor"), meaning="of the stated sigmas"),
-        Column("sigma", numbers(groups, "sigma"), meaning="of the factor", json="sigma_of_factor"),
-        Column("estimator", ["foerstner" if one.negative else "helmert" for one in groups],
-               meaning="of the factor: foerstner where Helmert's equations give a negative square"),
-        Column("foerstner", numbers(groups, "foerstner"), meaning="the factor, if all other groups' sigmas are right"),
-        Column("factor_{}_99", interval, meaning="ends of the 99 % interval", parts=("low", "high"),
-               json="interval_99"),
-    ))  # fmt: skip
+    return Table(name, "Variance components", columns_of("components", {
+        "judgement": [str(one.judgement) for one in groups],
+        "estimator": ["foerstner" if one.negative else "helmert" for one in groups], "factor_{}_99": interval,
+    }, groups))  # fmt: skip
 
 
 def _iterated(posterior: Posterior) -> Section:
@@ -328,14 +300,12 @@ def likelihood_table(profiles: Sequence[Profile]) -> Table:
         for k, level in enumerate(LEVELS) for side, end in enumerate(("low", "high"))
     ]  # fmt: skip
     return Table("likelihood", "Intervals by the likelihood (68, 95 and 99 %)", (
-        Column("of", [one.owner for one in profiles], meaning="image, shift or shared unknown", text="<20"),
-        Column("axis", [one.axis for one in profiles], meaning="which of its unknowns", text="<31"),
-        Column("unit", units, meaning="of all numbers of the row", text="<5"),
-        Column("value", np.array([one.value for one in profiles]) * scale, meaning="estimate", text=">10.4g"),
-        Column("sigma", np.array([one.sigma for one in profiles]) * scale, meaning="by the covariance", text=">9.4g"),
+        *columns_of("likelihood", {
+            "of": [one.owner for one in profiles], "axis": [one.axis for one in profiles], "unit": units,
+            "value": numbers(profiles, "value") * scale, "sigma": numbers(profiles, "sigma") * scale,
+        }),
         *ends,
-        Column("ratio", np.array([one.ratio for one in profiles]), label="ratio", text=">6.3f",
-               meaning="width of the 95 % interval over that by the covariance"),
+        *columns_of("likelihood", {"ratio": numbers(profiles, "ratio")}),
     ))  # fmt: skip
 
 
@@ -356,23 +326,10 @@ def unexplained_table(found: Unexplained) -> Table:
     """One row per named effect, then one for the clearest test of each place and kind of rows."""
     every = [*found.effects, *found.others]
     named = len(found.effects)
-    return Table("unexplained", "What the adjustment cannot explain", (
-        Column("kind", [str(one.kind) for one in every], meaning="what it is"),
-        Column("where", [one.where for one in every], meaning="image, profile, model, kind of rows"),
-        Column("named", ["yes" if k < named else "" for k in range(len(every))], meaning="yes: p below the level"),
-        Column("p", numbers(every, "p_value"), meaning="chance of anything as clear in a whole run on good data"),
-        Column("quantity", [one.quantity for one in every], meaning="what varies: line, sample; up, east and north"),
-        Column("amplitude", numbers(every, "amplitude"),
-               meaning="in `unit`; of a correlation the coefficient, whose `unit` is that of the length"),
-        Column("sigma", numbers(every, "sigma"), meaning="of the amplitude"),
-        Column("unit", [one.unit for one in every], meaning="of amplitude and sigma"),
-        Column("period_or_length", numbers(every, "period"), meaning="s, of jitter; correlation length, in `unit`"),
-        Column("statistic", numbers(every, "statistic"),
-               meaning="chi-square; of a correlation its standardised score"),
-        Column("degrees_of_freedom", numbers(every, "degrees").astype(int), meaning="of the statistic"),
-        Column("or", ["; ".join(one.alternatives) for one in every], meaning="where else it would explain as much"),
-        Column("term", [one.term for one in every], meaning="what to add to the case file"),
-    ))  # fmt: skip
+    return Table("unexplained", "What the adjustment cannot explain", columns_of("unexplained", {
+        "kind": [str(one.kind) for one in every], "named": ["yes" if k < named else "" for k in range(len(every))],
+        "or": ["; ".join(one.alternatives) for one in every],
+    }, every))  # fmt: skip
 
 
 def vibrations_section(posterior: Posterior, name: str) -> Section:
@@ -399,16 +356,6 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
 def vibrations_table(found: ResidualVibrations) -> Table:
     """One row per vibration, clearest first."""
     every = found.vibrations
-    return Table("vibrations", "Vibrations in residuals", (
-        Column("image", [one.image for one in every], meaning="whose residuals show it best"),
-        Column("turn", [one.turn for one in every],
-               meaning="pitch: along lines; roll: along samples; yaw: along lines, by the sample"),
-        Column("frequency", numbers(every, "frequency"), "hz"),
-        Column("frequency_sigma", numbers(every, "frequency_sigma"), "hz"),
-        Column("amplitude", numbers(every, "amplitude"), "px", meaning="were it of this image alone"),
-        Column("sigma", numbers(every, "sigma"), "px", meaning="of the amplitude"),
-        Column("p", numbers(every, "probability"),
-               meaning="chance of one as clear in noise, at any frequency of this image and turn"),
-        Column("or", ["; ".join(one.alternatives) for one in every],
-               meaning="images of which it may be as well, or in part"),
-    ))  # fmt: skip
+    return Table("vibrations", "Vibrations in residuals", columns_of("vibrations", {
+        "or": ["; ".join(one.alternatives) for one in every],
+    }, every))  # fmt: skip

@@ -27,7 +27,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section, columns_of, drawn
 from mgsgraph.units import DEG, MRAD
 
 _MOST_SHOWN = 12
@@ -196,7 +196,8 @@ def curve_section(posterior: Posterior, image: str) -> Section:
     ]  # fmt: skip
     file = _file_of(posterior, image)
     table = Table(file, f"Sigmas along image {image}", (
-        Column("image", [image] * lines.size), Column("line", lines, text=">9.0f"), *parts,
+        *columns_of("curves", {"image": [image] * lines.size, "line": lines}),
+        *parts,
     ))  # fmt: skip
 
     record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}

@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.results import figures_of_merit
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section, columns_of, drawn
 from mgsgraph.results.soundness import state_of
 from mgsgraph.text import many, root_mean_square, some
 
@@ -152,17 +152,10 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
         f"({names[worst]})."
     )
     note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
-    axes, turns = ("X", "Y", "Z"), ("x", "y", "z")
-    table = Table("images_compared", "Orientation of the images", (
-        Column("image", names, page="s", text="<28"),
-        Column("rms_{}", rms[:, :3], "m", parts=axes, head="rms {}", page=".2f", label="rms (m)", text=">8"),
-        Column("rms_turn_{}", rms[:, 3:], "arcsec", parts=turns, head="rms turn {}", page=".2f",
-               label="rms turn (arcsec)", text=">8"),
-        Column("largest_{}_sigmas", most[:, :3], parts=axes, head="largest {} (σ)", page=".2f",
-               label="largest (sigmas)", text=">7"),
-        Column("largest_turn_{}_sigmas", most[:, 3:], parts=turns, head="largest turn {} (σ)", page=".2f",
-               label="largest turn (sigmas)", text=">7"),
-    ), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
+    table = Table("images_compared", "Orientation of the images", columns_of("images_compared", {
+        "image": names, "rms_{}": rms[:, :3], "rms_turn_{}": rms[:, 3:], "largest_{}_sigmas": most[:, :3],
+        "largest_turn_{}_sigmas": most[:, 3:],
+    }), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
     return Section("images", sentences=[said], tables=[table])
 
 
@@ -189,18 +182,11 @@ def moved_points(points: CommonPoints) -> Table:
     earlier, later = points.sigmas
     classes = points.solution.network.points.classes[here]
     ids = Names.of(points.solution.network.points.ids)[here]
-    return Table(_POINTS, _TITLE, (
-        Column("point", ids, page="s", text="<28"),
-        Column("class", picked(_CLASSES, classes), text="<8"),
-        Column("{}", points.moved, "m", "later minus earlier", parts=("east", "north", "up"), head="{}", page=".2f",
-               label="moved (m)", text=">9"),
-        Column("distance", np.linalg.norm(points.moved, axis=1), "m", page=".2f", text=">9"),
-        Column("distance_sigmas", points.in_sigmas, meaning="over the larger of both 3-D sigmas", head="over σ",
-               page=".2f", label="sigmas", text=">8"),
-        Column("sigma_earlier", earlier, "m", "3-D, earlier", head="σ earlier", page=".2f", label="σ earlier",
-               text=">10"),
-        Column("sigma_later", later, "m", "3-D, later", head="σ later", page=".2f", label="σ later", text=">9"),
-    ), "Sigmas are 3-D, the root of the covariance's trace. ")  # fmt: skip
+    return Table(_POINTS, _TITLE, columns_of("moved_points", {
+        "point": ids, "class": picked(_CLASSES, classes), "{}": points.moved,
+        "distance": np.linalg.norm(points.moved, axis=1), "distance_sigmas": points.in_sigmas,
+        "sigma_earlier": earlier, "sigma_later": later,
+    }), "Sigmas are 3-D, the root of the covariance's trace. ")  # fmt: skip
 
 
 def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
@@ -211,13 +197,17 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
     rows = [(kind, mine) for kind, mine in members if mine.size]
     medians = np.array([[np.median(one[mine]) for one in (earlier, later)] for _, mine in rows]).reshape(-1, 2)
     spread = np.array([np.quantile(ratio[mine], _QUANTILES) for _, mine in rows]).reshape(-1, 3)
-    table = Table("sigmas_compared", "3-D sigmas of the common points", (
-        Column("class", [_CLASSES[kind] for kind, _ in rows], page="s", text="<8"),
-        Column("points", np.array([mine.size for _, mine in rows], dtype=np.int64), page="s", text=">9"),
-        Column("median_{}", medians, "m", parts=labels, head="median, {}", page=".3f", label="median (m)", text=">10"),
-        Column("ratio_{}", spread, parts=("low", "median", "high"), head=("ratio, 2 %", "ratio, median", "ratio, 98 %"),
-               page=".3f", label="ratio: 2 %, median, 98 %", text=">8.3f"),
-    ), f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
+    table = Table("sigmas_compared", "3-D sigmas of the common points", columns_of("sigmas_compared", {
+        "class": [_CLASSES[kind] for kind, _ in rows],
+        "points": np.array([mine.size for _, mine in rows], dtype=np.int64),
+        "median_{}": Column(
+            "median_{}", medians, "m",
+            parts=labels,
+            head="median, {}",
+            page=".3f", label="median (m)", text=">10"
+        ),
+        "ratio_{}": spread,
+    }), f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
     known = ratio[np.isfinite(ratio)]
     if not known.size:
         return Section("sigmas", tables=[table])
@@ -264,16 +254,13 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
     placed, sized = (np.bincount(of_image[one], minlength=len(both[1].images))[after] for one in (moved, weighted))
     listed = np.flatnonzero((counts[0] != counts[1]) | (placed > 0) | (sized > 0) | priors)
     table = Table("input_compared", "Images of other measures or a-priori sigmas", (
-        Column("image", [both[1].images[j].name for j in after[listed].tolist()], page="s", text="<28"),
-        *(
-            Column(f"measures_{label.replace(' ', '_')}", count[listed], head=f"measures, {label}", page="s",
-                   text=">18")
-            for label, count in zip(labels, counts, strict=True)
-        ),
-        Column("moved", placed[listed], head="at another place", page="s", text=">17"),
-        Column("weighted", sized[listed], head="of another sigma", page="s", text=">17"),
-        Column("priors", ["other" if one else "same" for one in priors[listed].tolist()], head="a-priori sigmas",
-               page="s", text=">16"),
+        *columns_of("input_compared", {"image": [both[1].images[j].name for j in after[listed].tolist()]}),
+        *(Column(f"measures_{label.replace(' ', '_')}", count[listed], head=f"measures, {label}", page="s", text=">18")
+          for label, count in zip(labels, counts, strict=True)),
+        *columns_of("input_compared", {
+            "moved": placed[listed], "weighted": sized[listed],
+            "priors": ["other" if one else "same" for one in priors[listed].tolist()],
+        }),
     ))  # fmt: skip
     said = [
         f"Image measures: {later.size} of both, {only_earlier} of {labels[0]} alone, {only_later} of {labels[1]} "

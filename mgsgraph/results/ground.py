@@ -10,11 +10,11 @@ from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import MRAD
 
@@ -38,25 +38,11 @@ def classes_table(solution: Solution) -> Table:
         np.array([getattr(one, name) for one in found])
         for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
     )
-    axes, capital = ("x", "y", "z"), "XYZ"
-    return Table("classes", "Ground points by kind (sigmas for sigma0 = 1)", (
-        Column("kind", [c.name.lower() for c in solution.network.classes], page="s", text="<10"),
-        Column("count", np.array([one.count for one in found]), head="points", page="s", label="count", text=">8"),
-        Column("rejected", np.array([one.rejected for one in found]), page="s", text=">9"),
-        Column("weak", np.array([one.weak for one in found]), meaning="sigma over ten times the median: parallel rays",
-               page="s", text=">5"),
-        Column("median_sigma_{}", median, "m", "for sigma0 = 1, body-fixed", axes,
-               tuple(f"median σ {a}" for a in capital), ".2f", "median sigma [m]", ">9", gap=2),
-        Column("high_sigma_{}", high, "m", "95 % of the points have this at most", axes,
-               tuple(f"95 % σ {a}" for a in capital), ".2f"),
-        Column("mean_sigma_{}", sigma, "m", "the mean, which weak points dominate", axes,
-               tuple(f"mean σ {a}" for a in capital), ".2f"),
-        Column("scaled_sigma_{}", median * solution.sigma0, "m", "median, times sigma0", axes,
-               tuple(f"σ {a} × σ₀" for a in capital), ".2f", files=False),
-        Column("mean_correction_{}", mean, "m", "adjusted minus before", axes),
-        Column("rms_correction_{}", rms, "m", "the same", axes, tuple(f"rms Δ{a}" for a in capital), ".2f",
-               "rms correction [m]", ">9", gap=2),
-    ), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
+    return Table("classes", "Ground points by kind (sigmas for sigma0 = 1)", columns_of("classes", {
+        "kind": [c.name.lower() for c in solution.network.classes], "median_sigma_{}": median, "high_sigma_{}": high,
+        "mean_sigma_{}": sigma, "scaled_sigma_{}": median * solution.sigma0, "mean_correction_{}": mean,
+        "rms_correction_{}": rms,
+    }, found), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
        "Corrections are adjusted minus before.",
     )  # fmt: skip
 
@@ -101,13 +87,11 @@ def ranges_section(solution: Solution) -> Section:
     }  # fmt: skip
     if not found.count:
         return Section("ranges", numbers=record)
-    table = Table("ranges", "Laser ranges", (
-        Column("orientation", ["before", "after"], page="s", text="<26"),
-        Column("ranges", np.full(2, found.count), page="s", text=">6"),
-        Column("used", np.full(2, found.used), page="s", text=">6"),
-        Column("mean residual", np.array([found.mean_before, found.mean]), "m", page=".2f", text=">15.3g"),
-        Column("rms residual", np.array([found.rms_before, found.rms]), "m", page=".2f", text=">15.3g"),
-    ), "Measured minus predicted.")  # fmt: skip
+    table = Table("ranges", "Laser ranges", columns_of("ranges", {
+        "orientation": ["before", "after"], "ranges": np.full(2, found.count), "used": np.full(2, found.used),
+        "mean residual": np.array([found.mean_before, found.mean]),
+        "rms residual": np.array([found.rms_before, found.rms]),
+    }), "Measured minus predicted.")  # fmt: skip
     return Section("ranges", tables=[table], numbers=record)
 
 
@@ -226,15 +210,12 @@ def control_section(solution: Solution) -> Section:
 
 
 def _shifts_table(solution: Solution) -> Table:
-    names, ways = solution.network.shift_names, ("east", "north")
+    names = solution.network.shift_names
     sigmas = [np.sqrt(np.diag(solution.shift_covariance(p))) for p in range(len(names))]
-    return Table("shifts", "Horizontal shifts of profiles and terrain model", (
-        Column("name", names, page="s"),
-        Column("east_north", np.array([solution.shifts[p] for p in range(len(names))]).reshape(-1, 2), "m", parts=ways,
-               head="{}", page=".1f"),
-        Column("sigma_east_north", np.array(sigmas).reshape(-1, 2), "m", parts=ways, head="σ {}", page=".1f"),
-        Column("considered", np.isin(names, solution.network.considered)),
-    ))  # fmt: skip
+    return Table("shifts", "Horizontal shifts of profiles and terrain model", columns_of("shifts", {
+        "name": names, "east_north": np.array([solution.shifts[p] for p in range(len(names))]).reshape(-1, 2),
+        "sigma_east_north": np.array(sigmas).reshape(-1, 2), "considered": np.isin(names, solution.network.considered),
+    }))  # fmt: skip
 
 
 def _shift_sentence(solution: Solution, shift: int) -> str:
@@ -297,13 +278,8 @@ def _sigmas(covariance: Array) -> Array:
 
 def _minima_table(found: Minima) -> Table:
     """One row per minimum."""
-    each, ways = found.each, ("east", "north")
-    return Table("minima", "Places at which the terrain model fits", (
-        Column("weight", numbers(each, "weight"), page=".3f", text=">8.3f"),
-        Column("cost", numbers(each, "cost"), page=".2f", text=">10.4g"),
-        Column("starts", np.array([one.starts for one in each]), head="starts that ended here", page="s"),
-        Column("shift_east_north", np.array([one.shift[:2] for one in each]), "m", parts=ways, head="{}", page=".1f",
-               label="shift (m)", text=">+9.1f"),
-        Column("sigma_east_north", np.array([_sigmas(one.spread) for one in each]), "m", parts=ways, head="σ {}",
-               page=".1f"),
-    ), "Local minima of the cost over the model's shift; the first is the solution.")  # fmt: skip
+    each = found.each
+    return Table("minima", "Places at which the terrain model fits", columns_of("minima", {
+        "shift_east_north": np.array([one.shift[:2] for one in each]),
+        "sigma_east_north": np.array([_sigmas(one.spread) for one in each]),
+    }, each), "Local minima of the cost over the model's shift; the first is the solution.")  # fmt: skip

@@ -13,7 +13,7 @@ from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import Unmeasured, WeakNetwork
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import footprint, overlaps
@@ -35,7 +35,7 @@ from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
-from mgsgraph.results.section import ROWS, Section
+from mgsgraph.results.section import ROWS, Section, columns_of
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.text import many, root_mean_square, some, some_of, span
@@ -188,10 +188,9 @@ def _unknowns_table(network: Network) -> Table:
         size = f"{term.sigma / MRAD:.3g} mrad" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
         rows.append((term.name, "terrain model", size))
     what, of, known = ([row[k] for row in rows] for k in range(3))
-    return Table("unknowns", "Further unknowns", (
-        Column("unknown", what, text="<70"), Column("of", of, text="<28", gap=2),
-        Column("known", known, label="a-priori sigma", text="<", gap=2),
-    ))  # fmt: skip
+    return Table("unknowns", "Further unknowns", columns_of("unknowns", {
+        "unknown": what, "of": of, "known": known,
+    }))  # fmt: skip
 
 
 def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
@@ -211,20 +210,10 @@ def _images_table(images: Sequence[PushbroomImage], network: Network | None = No
                for image in images]  # fmt: skip
     spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
     corners = np.array([_corners(image) for image in images])
-    adjusted = [] if network is None else [
-        Column("orientation", [_orientation(network, j) for j in range(len(images))], text="<", gap=2)
-    ]  # fmt: skip
-    return Table("images", "Images", (
-        Column("image", [image.name for image in images], text="<20"),
-        Column("lines", np.array([image.lines for image in images]), text=">7"),
-        Column("samples", np.array([image.samples for image in images]), text=">7"),
-        Column("spacing_{}", spacing, "m", "on the ground", ("line", "sample"), label="pixel (m)", text=">6.2f"),
-        Column("longitude_{}", corners[:, :, 0], "deg", "east", ("from", "to"), label="longitude (deg E)",
-               text=">9.4f", scale=1.0),
-        Column("latitude_{}", corners[:, :, 1], "deg", "planetocentric", ("from", "to"), label="latitude (deg N)",
-               text=">+8.4f", scale=1.0),
-        *adjusted,
-    ))  # fmt: skip
+    return Table("images", "Images", columns_of("inventory_images", {
+        "spacing_{}": spacing, "longitude_{}": corners[:, :, 0], "latitude_{}": corners[:, :, 1],
+        "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
+    }, images))  # fmt: skip
 
 
 def _orientation(network: Network, j: int) -> str:
@@ -256,15 +245,11 @@ def _points(network: Network, prediction: Prediction) -> Section:
         rows.append((mine.size, np.count_nonzero(network.points.kinds[mine] == PointKind.FREE),
                      counts[mine].min(), counts[mine].max(), *expected, *rms))  # fmt: skip
     values = np.array(rows, dtype=np.float64).reshape(-1, 9)
-    table = Table("points", "Points", (
-        Column("class", [point_class.name.lower() for point_class, _ in network.of_class()], text="<10"),
-        Column("count", values[:, 0].astype(np.int64), text=">8"),
-        Column("free", values[:, 1].astype(np.int64), text=">8"),
-        Column("rays_{}", values[:, 2:4], parts=("from", "to"), label="rays", text=">5.0f"),
-        Column("sigma_{}", values[:, 4:7], "m", parts=("x", "y", "z"), label="expected mean sigma (m)", text=">8.2f"),
-        Column("residual_{}", values[:, 7:], "px", parts=("lines", "samples"), label="nominal residuals (px)",
-               text=">10.2f"),
-    ))  # fmt: skip
+    table = Table("points", "Points", columns_of("inventory_points", {
+        "class": [point_class.name.lower() for point_class, _ in network.of_class()],
+        "count": values[:, 0].astype(np.int64), "free": values[:, 1].astype(np.int64), "rays_{}": values[:, 2:4],
+        "sigma_{}": values[:, 4:7], "residual_{}": values[:, 7:],
+    }))  # fmt: skip
     if network.ranges.point.size:
         misfit, ranges = prediction.range_residuals, network.ranges.values / KM
         said.append(

@@ -10,13 +10,13 @@ from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import MATCH, PROGRAM, fresh_folder
-from mgsgraph.files.output.table import Column, Table, picked, plain, write_json
+from mgsgraph.files.output.table import Table, picked, plain, write_json
 from mgsgraph.files.writing import FILES
 from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.section import Section, drawn
+from mgsgraph.results.section import Section, columns_of, drawn
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
@@ -74,18 +74,12 @@ def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSett
 def matches_table(matches: Matches) -> Table:
     """One row per measure."""
     ties, covariances = matches.ties, matches.covariances
-    ways = ("line", "sample")
-    return Table("matches", "Measures", (
-        Column("id", picked(ties.ids, ties.measure_point)),
-        Column("image", ties.measure_image),
-        Column("reference", matches.reference, meaning="the measure that the others are compared with"),
-        Column("isis_{}", ties.measures + ISIS_OFFSET, meaning="the first pixel's centre is (1, 1)", parts=ways),
-        Column("sigma_{}", ties.measure_sigmas, "px", parts=ways),
-        Column("against_reference_{}", covariances[:, [0, 0, 1], [0, 1, 1]], "px2", "covariance of the difference",
-               ("line_line", "line_sample", "sample_sample")),
-        Column("correlation", matches.correlation),
-        Column("coplanarity", matches.misfit, "m", "by which the rays miss each other"),
-    ))  # fmt: skip
+    return Table("matches", "Measures", columns_of("matches", {
+        "id": picked(ties.ids, ties.measure_point), "image": ties.measure_image, "reference": matches.reference,
+        "isis_{}": ties.measures + ISIS_OFFSET, "sigma_{}": ties.measure_sigmas,
+        "against_reference_{}": covariances[:, [0, 0, 1], [0, 1, 1]], "correlation": matches.correlation,
+        "coplanarity": matches.misfit,
+    }))  # fmt: skip
 
 
 def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> dict[str, Any]:

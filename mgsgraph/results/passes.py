@@ -13,10 +13,10 @@ from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.separability import separations
 from mgsgraph.analysis.statistics import strip_reports
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.units import MGON
 
 POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
@@ -31,26 +31,12 @@ def passes_table(solution: Solution) -> Table:
     """One row per pass."""
     found = strip_reports(solution)
     largest, sigmas = numbers(found, "largest").reshape(-1, 6), numbers(found, "mean_sigmas").reshape(-1, 6)
-    (m, mgon), heads = ((("along", "acr.", "rad."), ROTATION), (POSITION, ROTATION))
-    of_largest, of_sigmas = (
-        [tuple(f"{what} {name}" for name in some) for some in heads] for what in ("largest Δ", "σ")
-    )
-    return Table("passes", "Passes (sigmas for sigma0 = 1)", (
-        Column("name", [one.name for one in found], head="pass", page="s", text="<22"),
-        Column("basis", [one.basis for one in found], page="s"),
-        Column("images", [one.images for one in found]),
-        Column("number", np.array([len(one.images) for one in found]), head="images", page="s", files=False),
-        Column("nodes", np.array([one.nodes for one in found]), page="s", text=">5"),
-        Column("spacing", numbers(found, "spacing"), "s", "on the average", page=".3f", label="every", text=">8.2f"),
-        Column("spacing_lines", numbers(found, "lines"), label="lines", text=">7.0f"),
-        Column("spacing", numbers(found, "ground"), "km", "over ground", label="", text=">6.1f"),
-        Column("largest_correction", largest[:, :3], "m", "at a node", m, of_largest[0], ".2f"),
-        Column("largest_roll_pitch_yaw", largest[:, 3:], "mgon", "at a node", mgon, of_largest[1], ".2f"),
-        Column("mean_sigma", sigmas[:, :3], "m", "of the nodes", m, of_sigmas[0], ".2f", "mean sigma [m]", ">5", 3),
-        Column("mean_sigma_roll_pitch_yaw", sigmas[:, 3:], "mgon", "of the nodes", mgon, of_sigmas[1], ".2f",
-               "mean sigma [mgon]", ">7", 2),
-        Column("trend", [[_trend_json(*part) for part in one.trend] for one in found]),
-    ), "Corrections at the orientation images: the largest, and the mean sigma.")  # fmt: skip
+    return Table("passes", "Passes (sigmas for sigma0 = 1)", columns_of("passes", {
+        "number": np.array([len(one.images) for one in found]), "largest_correction": largest[:, :3],
+        "largest_roll_pitch_yaw": largest[:, 3:], "mean_sigma": sigmas[:, :3],
+        "mean_sigma_roll_pitch_yaw": sigmas[:, 3:],
+        "trend": [[_trend_json(*part) for part in one.trend] for one in found],
+    }, found), "Corrections at the orientation images: the largest, and the mean sigma.")  # fmt: skip
 
 
 def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
@@ -63,21 +49,17 @@ def nodes_table(solution: Solution) -> Table:
     found = [(one.name, one.corrections) for one in strip_reports(solution)]
     times = np.concatenate([series.times for _, series in found])
 
-    def amounts(part: str, of: Array) -> list[Column]:
-        what = "of the nominal trajectory, in terms of the flight" if part == "correction" else "for sigma0 = 1"
-        turns = [Column(f"{part}_{{}}", of[:, 3:], unit, what, ROTATION) for unit in ("mgon", "arcsec")]
-        return [Column(f"{part}_{{}}", of[:, :3], "m", what, POSITION), *turns]
+    def amounts(part: str) -> dict[str, Array]:
+        of = np.concatenate([getattr(series, "values" if part == "correction" else "sigmas") for _, series in found])
+        return {f"{part}_{{}} m": of[:, :3], f"{part}_{{}} mgon": of[:, 3:], f"{part}_{{}} arcsec": of[:, 3:]}
 
-    return Table("passes", "Orientation images", (
-        Column("pass", [name for name, series in found for _ in range(series.times.size)], meaning="its name"),
-        Column("node", np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]), meaning="from 1"),
-        Column("time_tdb", [calendar(time) for time in times.tolist()], meaning="calendar date"),
-        Column("time_et", times, "s", "TDB past J2000"),
-        Column("time_in_pass", np.concatenate([series.times - series.times[0] for _, series in found]), "s",
-               "since the first node"),
-        *amounts("correction", np.concatenate([series.values for _, series in found])),
-        *amounts("sigma", np.concatenate([series.sigmas for _, series in found])),
-    ))  # fmt: skip
+    return Table("passes", "Orientation images", columns_of("nodes", {
+        "pass": [name for name, series in found for _ in range(series.times.size)],
+        "node": np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]),
+        "time_tdb": [calendar(time) for time in times.tolist()], "time_et": times,
+        "time_in_pass": np.concatenate([series.times - series.times[0] for _, series in found]),
+        **amounts("correction"), **amounts("sigma"),
+    }))  # fmt: skip
 
 
 def calendar(time: float) -> str:
@@ -102,28 +84,9 @@ def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
     found = separations(solution)
     units = [one.unit for one in found]
-    return Table("shared", "Unknowns that images share", (
-        Column("text", [f"{one.unknown.name[:34]} {one.axis}".strip() for one in found], label="", text="<38",
-               files=False),
-        Column("name", [one.unknown.name for one in found], meaning="of the unknown", page="s"),
-        Column("kind", [one.unknown.kind.value for one in found], meaning="as the case file names it", page="s"),
-        Column("axis", [one.axis for one in found], meaning="of the camera, of a boresight or lever arm", page="s"),
-        Column("unit", units, meaning="s, mrad, m or ppm", page="s", text="<5"),
-        Column("value", numbers(found, "value"), units, "adjusted", page=".4g", text=">+10.4g"),
-        Column("sigma", numbers(found, "sigma"), units, "for sigma0 = 1", head="σ", page=".4g", label="sigma",
-               text=">9.3g"),
-        Column("prior_sigma", numbers(found, "prior_sigma"), units, "the same beforehand", head="a-priori σ",
-               page=".4g", label="before", text=">9.3g"),
-        Column("ground_m_per_{unit}", numbers(found, "ground"), units, "m on the ground, middle of its first image"),
-        Column("gain", numbers(found, "gain"), meaning="sigma over a-priori sigma"),
-        Column("most_correlated_with", [one.other for one in found], meaning="of all other unknowns", page="s",
-               head="most correlated with"),
-        Column("largest_correlation", numbers(found, "correlation"), meaning="with that one, of the posterior",
-               head="correlation", page=".3f", label="largest corr.", text=">14.2f"),
-        Column("multiple_correlation", numbers(found, "together"), meaning="with all other unknowns together",
-               head="with all others", page=".3f", label="multiple", text=">9.2f"),
-        Column("verdict", [one.verdict.value for one in found], meaning="whether it is separable"),
-    ))  # fmt: skip
+    return Table("shared", "Unknowns that images share", columns_of("shared", {
+        "text": [f"{one.unknown.name[:34]} {one.axis}".strip() for one in found], "unit": units,
+    }, found))  # fmt: skip
 
 
 def shared_section(solution: Solution) -> Section:

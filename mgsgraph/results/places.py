@@ -19,7 +19,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network.footprints import Crossing, Registration
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import many
 from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
@@ -140,25 +140,10 @@ def _statement(found: Places, noun: str, where: str) -> str:
 
 def crossings_table(found: tuple[Crossing, ...]) -> Table:
     """One row for each image and profile that crosses it or was taken along."""
-    return Table("crossings", "Laser profiles over images", (
-        Column("image", [one.image for one in found], meaning="its name", text="<24"),
-        Column("profile", [one.profile for one in found], meaning="orbit, or the minute it began", text="<17", gap=2),
-        Column(
-            "utc", [f"{utc_of_tdb(one.start):{_MINUTES}}" for one in found], text="<16", gap=2,
-            meaning="of its first shot inside",
-        ),
-        Column("shots", numbers(found, "shots").astype(np.int64), meaning="of the profile", text=">7"),
-        Column("inside", numbers(found, "inside").astype(np.int64), meaning="of them in the image", text=">7"),
-        Column(
-            "simultaneous", numbers(found, "simultaneous").astype(np.int64), text=">7", label="along",
-            meaning="of them fired while the image was taken",
-        ),
-        Column("off_nadir", numbers(found, "off_nadir"), "deg", "median of those inside", text=">9.2f"),
-        Column(
-            "from_image", numbers(found, "seconds") / _DAY, "d", "from the image's nearest line, negative before it",
-            text=">12.3f", label="from image",
-        ),
-    ))  # fmt: skip
+    return Table("crossings", "Laser profiles over images", columns_of("crossings", {
+        "utc": [f"{utc_of_tdb(one.start):{_MINUTES}}" for one in found],
+        "from_image": numbers(found, "seconds") / _DAY,
+    }, found))  # fmt: skip
 
 
 SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,images,simultaneous,orbit,")
@@ -175,27 +160,15 @@ def selection_table(over: Registration) -> Table:
         texts = RepeatedNames.of([";".join(over.images[j].name for j in np.flatnonzero(one)) for one in seen.T])
         return texts[numbers.ravel()]
 
-    return Table("shots", "Laser shots over images", (
-        Column("altimeter", RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64))),
-        Column("profile", shots.profile_names(), meaning="orbit, or the minute (UTC) in which a crossing began"),
-        Column("utc", utc_texts(shots.times + 0.5 * MILLISECOND)),
-        Column("images", names(over.inside), meaning="in which the footprint falls"),
-        Column("simultaneous", names(over.inside & over.simultaneous), meaning="those taken while it was fired"),
-        Column("orbit", shots.orbits), Column("frame", shots.frames), Column("shot", shots.shots),
-        Column("ground", shots.ground.astype(np.int64), meaning="1 for a return from the ground, 0 for noise"),
-        Column("channel", shots.channels, meaning="that triggered; 0 where unknown"),
-        Column("time", shots.times, "s", "TDB past J2000"),
-        Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
-        Column("latitude", latitude, "deg", "planetocentric"),
-        Column("radius", radius, "m"),
-        Column("range", shots.ranges, "m", "one-way"),
-        Column("range_correction", shots.range_corrections, "m", "as archived, not applied"),
-        Column("areoid_radius", shots.areoid_radii, "m"),
-        Column("spacecraft_{}", shots.spacecraft, "m", "body-fixed", parts=("x", "y", "z")),
-        Column("off_nadir", shots.off_nadir, "deg"),
-        Column("clock", shots.clocks, "Hz", "the altimeter's"),
-        Column("pulse", shots.pulses, "s", "standard deviation of the echo"),
-    ))  # fmt: skip
+    return Table("shots", "Laser shots over images", columns_of("places_shots", {
+        "altimeter": RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64)),
+        "profile": shots.profile_names(), "utc": utc_texts(shots.times + 0.5 * MILLISECOND),
+        "images": names(over.inside), "simultaneous": names(over.inside & over.simultaneous), "orbit": shots.orbits,
+        "frame": shots.frames, "shot": shots.shots, "ground": shots.ground.astype(np.int64), "channel": shots.channels,
+        "time": shots.times, "longitude": longitude / DEG % 360.0, "latitude": latitude, "radius": radius,
+        "range": shots.ranges, "range_correction": shots.range_corrections, "areoid_radius": shots.areoid_radii,
+        "spacecraft_{}": shots.spacecraft, "off_nadir": shots.off_nadir, "clock": shots.clocks, "pulse": shots.pulses,
+    }))  # fmt: skip
 
 
 def crossings_section(over: Registration, found: tuple[Crossing, ...]) -> Section:

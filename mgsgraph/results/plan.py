@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan, Sigmas
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
@@ -29,34 +29,14 @@ def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
     """One row per candidate and list that it is of, in their order: what it would do to the sigmas of the targets."""
     judged = [one for some in lists.values() for one in some]
     ranks = [k + 1 for some in lists.values() for k in range(len(some))]
-    sigmas = {"before": [one.before for one in judged], "after": [one.after for one in judged]}
-    ways = ("total", "east", "north", "up")
-    pairs = [
-        Column(f"{'sigma' if way == 'total' else way}_{when}", numbers(sigmas[when], way), "m", "of the targets",
-               label=label, text=text)
-        for way in ways
-        for when, label, text in (
-            ("before", "before", ">8.4g" if way == "total" else ""),
-            ("after", "after" if way == "total" else way, ">8.4g"),
-        )
-    ]  # fmt: skip
-    return Table("plan", "Candidates", (
-        Column("list", [name for name, some in lists.items() for _ in some],
-               meaning="ranking, or chosen"),
-        Column("rank", np.array(ranks, dtype=np.int64), meaning="in its list", label="", text=">4"),
-        Column("candidate", [one.name for one in judged], text="<28"),
-        Column("kind", [one.kind for one in judged], text="<13"),
-        Column("reason", [one.reason for one in judged], meaning="why it is worth nothing"),
-        *pairs,
-        Column("drop", numbers(judged, "drop"), "percent", "of the sigma", text=">7.3g"),
-        Column("bits", numbers(judged, "bits"), "bits", "of information gained", label="gain",
-               text=">9.3f"),
-        Column("measures", np.array([one.measures for one in judged]), text=">8", files=False),
-        Column("image_measures", numbers(judged, "rays")),
-        Column("ranges", numbers(judged, "ranges")),
-        Column("images", np.array([float(len(one.images)) for one in judged]), text=">6.0f"),
-        Column("overlap", numbers(judged, "overlap"), "km2"),
-    ), instead={
+    before, after = [one.before for one in judged], [one.after for one in judged]
+    return Table("plan", "Candidates", columns_of("plan", {
+        "list": [name for name, some in lists.items() for _ in some], "rank": np.array(ranks, dtype=np.int64),
+        "sigma_before": numbers(before, "total"), "sigma_after": numbers(after, "total"),
+        **{f"{way}_{when}": numbers(sigmas, way)
+           for way in ("east", "north", "up") for when, sigmas in (("before", before), ("after", after))},
+        "images": np.array([float(len(one.images)) for one in judged]),
+    }, judged), instead={
         k: ("sigma_before", f"worthless: {one.reason}") for k, one in enumerate(judged) if one.reason
     })  # fmt: skip
 

@@ -17,7 +17,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
-from mgsgraph.results.section import Section, write_sections_into
+from mgsgraph.results.section import Section, columns_of, write_sections_into
 from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import DEG, ISIS_OFFSET
 
@@ -107,19 +107,14 @@ def _agreement_table(registration: CaseRegistration) -> Table:
     def of(unit: str, figure: str) -> Array:
         return np.array([[row[f"{way}_{unit}"][figure] for way in ways] for row in found]).reshape(-1, 2)
 
-    return Table("agreement", "Images against each other at laser footprints, along and across the flight", (
-        Column("orientation", [state for state, _, _ in every], page="s", text="<11"),
-        Column("profile", [profile.name for _, profile, _ in every], page="s", text="<16"),
-        Column("image", [row["image"] for row in found], page="s", text="<16"),
-        Column("against", [row["against"] for row in found], page="s", text="<16"),
-        Column("footprints", np.array([row["footprints"] for row in found], dtype=np.int64), page="s", text=">10"),
-        *(
-            Column(f"{key}_{{}}", of(unit, figure), unit, parts=ways, head=f"{key} {{}}", page=".2f",
-                   label=f"{key} ({unit})", text=">8.3g")
-            for key, unit, figure in
-            (("mean", "m", "mean"), ("rms", "m", "rms"), ("σ", "m", "mean_sigma"), ("rms", "px", "rms"))
-        ),
-    ), "In the image minus transferred from the other; σ: predicted for one footprint.")  # fmt: skip
+    title = "Images against each other at laser footprints, along and across the flight"
+    return Table("agreement", title, columns_of("agreement", {
+        "orientation": [state for state, _, _ in every], "profile": [profile.name for _, profile, _ in every],
+        "image": [row["image"] for row in found], "against": [row["against"] for row in found],
+        "footprints": np.array([row["footprints"] for row in found], dtype=np.int64),
+        "mean_{}": of("m", "mean"), "rms_{} m": of("m", "rms"), "σ_{}": of("m", "mean_sigma"),
+        "rms_{} px": of("px", "rms"),
+    }), "In the image minus transferred from the other; σ: predicted for one footprint.")  # fmt: skip
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
@@ -179,17 +174,19 @@ def registration_table(registration: CaseRegistration) -> Table:
         for state, profiles in states
     ]
     return Table("registration", "Footprints in images", (
-        Column("profile", repeated([registration.before[p].name for p, _ in rows])),
-        Column("number", np.concatenate([np.arange(1, n + 1) for n in sizes])),
-        Column("shot", [shot for one in found for shot in one.shots.ids]),
-        Column("image", repeated([registration.images[j].name for _, j in rows])),
-        Column("simultaneous", of_state(registration.before, "simultaneous")),
+        *columns_of("registration", {
+            "profile": repeated([registration.before[p].name for p, _ in rows]),
+            "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
+            "shot": [shot for one in found for shot in one.shots.ids],
+            "image": repeated([registration.images[j].name for _, j in rows]),
+            "simultaneous": of_state(registration.before, "simultaneous"),
+        }),
         *(Column(f"{state}_inside", of_state(profiles, "inside")) for state, profiles in states),
-        Column("time_et", np.concatenate([one.shots.times for one in found]), "s", "TDB past J2000"),
-        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, east, as archived", scale=1.0),
-        Column("lat", latitude, "deg", "planetocentric"),
-        Column("radius", radius, "m"),
-        Column("height_above_areoid", radius - np.concatenate([one.shots.areoid_radii for one in found]), "m"),
+        *columns_of("registration", {
+            "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
+            "lat": latitude, "radius": radius,
+            "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]),
+        }),
         *places,
     ))  # fmt: skip
 
@@ -205,19 +202,14 @@ def discrepancy_table(registration: CaseRegistration) -> Table:
         nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
         return np.concatenate([nothing, *(of(one) for _, _, one in found)])
 
-    ways = ("along", "across")
-    return Table("discrepancy", "Contradictions of images", (
-        Column("orientation", words(lambda state, _, one: state)),
-        Column("profile", words(lambda _, profile, one: profile.name)),
-        Column("number", np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64)),
-        Column("shot", [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()]),
-        Column("image", words(lambda _, profile, one: one.image)),
-        Column("against", words(lambda _, profile, one: one.against)),
-        Column("isis_line", numbers(lambda one: one.lines, 1) + ISIS_OFFSET),
-        Column("{}", numbers(lambda one: one.pixels), "px", "of the flight, in the image minus transferred", ways),
-        Column("sigma_{}", numbers(lambda one: one.pixel_sigmas), "px", "predicted", ways),
-        Column("{}", numbers(lambda one: one.metres), "m", "the same on the ground", ways),
-        Column("sigma_{}", numbers(lambda one: one.metre_sigmas), "m", "predicted", ways),
-        Column("{}", numbers(lambda one: one.metres / one.spacing), "spacings", "the same in shots", ways),
-        Column("sigma_{}", numbers(lambda one: one.metre_sigmas / one.spacing), "spacings", "predicted", ways),
-    ))  # fmt: skip
+    return Table("discrepancy", "Contradictions of images", columns_of("discrepancy", {
+        "orientation": words(lambda state, _, one: state), "profile": words(lambda _, profile, one: profile.name),
+        "number": np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64),
+        "shot": [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()],
+        "image": words(lambda _, profile, one: one.image), "against": words(lambda _, profile, one: one.against),
+        "isis_line": numbers(lambda one: one.lines, 1) + ISIS_OFFSET, "{} px": numbers(lambda one: one.pixels),
+        "sigma_{} px": numbers(lambda one: one.pixel_sigmas), "{} m": numbers(lambda one: one.metres),
+        "sigma_{} m": numbers(lambda one: one.metre_sigmas),
+        "{} spacings": numbers(lambda one: one.metres / one.spacing),
+        "sigma_{} spacings": numbers(lambda one: one.metre_sigmas / one.spacing),
+    }))  # fmt: skip

@@ -11,12 +11,12 @@ import numpy as np
 from mgsgraph.adjustment.graph.variables import crossover_differences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.files.output.folders import COREGISTRATION, fresh_folder
-from mgsgraph.files.output.table import Column, Table, numbers
+from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, write_sections_into
+from mgsgraph.results.section import Section, columns_of, drawn, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
 
@@ -142,46 +142,24 @@ def profiles_table(registration: ReliefRegistration) -> Table:
     def of(value: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
         return np.array([value(one) for one in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
 
-    def misplacement(when: str, meaning: str) -> list[Column]:
+    def misplacement(when: str) -> dict[str, Array]:
         states = [getattr(one, when) for one in profiles]
-        moved = np.array([state.misplacement for state in states]).reshape(-1, 2)
         sigma = [np.sqrt(np.diag(state.misplacement_covariance)) for state in states]
         key = f"misplacement_{when}_{{}}"
-        return [
-            Column(key, moved, "m", meaning, _WAYS, label=f"{when} (m)", text=">+8.1f", gap=2),
-            Column(f"sigma_{key}", np.array(sigma).reshape(-1, 2), "m", "for sigma0 = 1", _WAYS, label="sigma",
-                   text=">6.1f"),
-        ]  # fmt: skip
+        return {key: numbers(states, "misplacement").reshape(-1, 2), f"sigma_{key}": np.array(sigma).reshape(-1, 2)}
 
     def minimum(k: int, name: str) -> Array:  # of the k-th best minimum after; NaN where there is none
         return of(lambda one: getattr(one.after.cost.minima[k], name) if len(one.after.cost.minima) > k else np.nan)
 
-    return Table("profiles", "Laser profiles, terrain models and the stereo surface", (
-        Column("profile", [one.name for one in profiles], text="<16"),
-        Column("kind", [one.unit for one in profiles], meaning="laser shots, or posts of a terrain model", text="<5"),
-        Column(
-            "shots", np.array([one.mine.size for one in profiles]), meaning="or posts, in the adjustment", text=">6d"
-        ),
-        Column(
-            "on_surface", np.array([int(one.taken.sum()) for one in profiles]), meaning="of them", label="on it",
-            text=">6d",
-        ),
-        Column("tied", np.array([one.after.cost.tied for one in profiles]), meaning="relief ties the profile at all"),
-        Column("clear", np.array([one.after.cost.clear for one in profiles]), meaning="and at one place only"),
-        *misplacement(
-            "before", "by which the profile had to move onto the surface; unknown where relief does not tie it"
-        ),
-        *misplacement("after", "the same after the adjustment with stereo rows"),
-        Column("misfit", minimum(0, "misfit"), meaning="of the likeliest shift, after"),
-        Column("runner_up_misfit", minimum(1, "misfit"), meaning="of the second-likeliest, after"),
-        Column("runner_up_weight", minimum(1, "weight"), meaning="its probability, all shifts being alike beforehand"),
-        Column("rms_before", numbers(profiles, "rms_before"), "m", "of shot minus surface", label="rms (m)",
-               text=">8.2f", gap=2),
-        Column("rms_after", numbers(profiles, "rms_after"), "m", "of shot minus surface", label="after", text=">6.2f"),
-        Column("shift_{}", of(lambda one: one.shift, 2), "m", "adjusted, to be added to the footprints", _WAYS),
-        Column("sigma_shift_{}", of(lambda one: np.sqrt(np.diag(one.covariance)), 2), "m", "for sigma0 = 1", _WAYS),
-        Column("apriori_sigma_shift", shifts.sigmas, "m", "eastward and northward alike"),
-    ))  # fmt: skip
+    return Table("profiles", "Laser profiles, terrain models and the stereo surface", columns_of("profiles", {
+        "on_surface": np.array([int(one.taken.sum()) for one in profiles]),
+        "tied": np.array([one.after.cost.tied for one in profiles]),
+        "clear": np.array([one.after.cost.clear for one in profiles]),
+        **misplacement("before"), **misplacement("after"), "misfit": minimum(0, "misfit"),
+        "runner_up_misfit": minimum(1, "misfit"), "runner_up_weight": minimum(1, "weight"),
+        "shift_{}": of(lambda one: one.shift, 2),
+        "sigma_shift_{}": of(lambda one: np.sqrt(np.diag(one.covariance)), 2), "apriori_sigma_shift": shifts.sigmas,
+    }, profiles))  # fmt: skip
 
 
 def relief_shots_table(registration: ReliefRegistration) -> Table:
@@ -191,26 +169,16 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
     longitude, latitude, _ = planetocentric(points).T
     taken = np.concatenate([one.taken for one in profiles])
     slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
-    return Table("shots", "Laser shots and posts above the stereo surface", (
-        Column("profile", [one.name for one in profiles for _ in one.mine]),
-        Column("shot", [network.points.ids[i] for one in profiles for i in one.mine.tolist()]),
-        Column("on_surface", taken, meaning="the shot takes part"),
-        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric, as archived", scale=1.0),
-        Column("planetocentric_latitude", latitude, "deg", "as archived"),
-        Column("height", geodetic(points, network.images[0].body)[:, 2], "m", "above the ellipsoid, as archived"),
-        *(
-            Column(f"above_surface_{state}", np.concatenate([_known(one) for one in states]), "m", meaning)
-            for state, states, meaning in (
-                ("before", [one.before for one in profiles], "along the surface's normal; unknown beside the surface"),
-                ("after", [one.after for one in profiles], "the same by the adjustment with stereo rows"),
-            )
-        ),
-        Column(
-            "sigma", np.where(taken, np.concatenate([one.sigmas for one in profiles]), np.nan), "m",
-            "a-priori, of the height above the surface: matching and roughness",
-        ),
-        Column("slope_{}", np.concatenate(slopes), "", "of the surface that carried the shot, after", _WAYS),
-    ))  # fmt: skip
+    return Table("shots", "Laser shots and posts above the stereo surface", columns_of("relief_shots", {
+        "profile": [one.name for one in profiles for _ in one.mine],
+        "shot": [network.points.ids[i] for one in profiles for i in one.mine.tolist()], "on_surface": taken,
+        "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
+        "height": geodetic(points, network.images[0].body)[:, 2],
+        "above_surface_before": np.concatenate([_known(one.before) for one in profiles]),
+        "above_surface_after": np.concatenate([_known(one.after) for one in profiles]),
+        "sigma": np.where(taken, np.concatenate([one.sigmas for one in profiles]), np.nan),
+        "slope_{}": np.concatenate(slopes),
+    }))  # fmt: skip
 
 
 def _known(state: ProfileState) -> Array:

@@ -26,14 +26,14 @@ from mgsgraph.analysis.statistics import (
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import sha256_of
 from mgsgraph.files.output.folders import PROGRAM, RECORD, fresh_folder
-from mgsgraph.files.output.table import Column, Table, plain, write_json
+from mgsgraph.files.output.table import Table, plain, write_json
 from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity_json, connectivity_statements
 from mgsgraph.results.archive import ARCHIVE, write_archive
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.passes import passes_section, shared_section
-from mgsgraph.results.section import ROWS, Section
+from mgsgraph.results.section import ROWS, Section, columns_of
 from mgsgraph.results.soundness import (
     drivers_section,
     fits_section,
@@ -80,24 +80,13 @@ def images_table(solution: Solution) -> Table:
     mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
     sigma = np.where(network.held[:, None], np.nan, sigma)
     passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
-    table = Table("images", "Images", (
-        Column("image", [image.name for image in network.images], page="s", text="<26"),
-        Column("pass", passes, page="s"),
-        Column("lines", np.array([image.lines for image in network.images]), "px", page="s"),
-        Column("samples", np.array([image.samples for image in network.images]), "px", page="s"),
-        Column("measures", rays.total, page="s", label="rays", text=">6"),
-        Column("used", rays.count.sum(axis=1), page="s", text=">6"),
-        Column("residual_{}", rays.rms_of_images, "px", "rms of the measures used, measured minus predicted",
-               ("line", "sample"), "residual {}", ".2f", "residuals [px]", ">7", gap=2),
-        Column("correction_{}", mean[:, :3], "m", "adjusted minus nominal, body-fixed, mean over the lines",
-               ("X", "Y", "Z"), "Δ{}", ".1f", "mean correction [m]", ">7", gap=2),
-        Column("sigma_{}", sigma[:, :3], "m", "of the adjusted position; none of a held image",
-               ("X", "Y", "Z"), "σ {}", ".1f"),
-        Column("turn_{}", mean[:, 6:], "arcsec", "the same about the camera's own axes", ("x", "y", "z"), "turn {}",
-               ".1f", "camera axes [arcsec]", ">7", gap=2),
-        Column("sigma_turn_{}", sigma[:, 6:], "arcsec", "of the adjusted attitude", ("x", "y", "z"), "σ turn {}",
-               ".1f"),
-    ), _NOTE, dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
+    table = Table("images", "Images", columns_of("results_images", {
+        "image": [image.name for image in network.images], "pass": passes,
+        "lines": np.array([image.lines for image in network.images]),
+        "samples": np.array([image.samples for image in network.images]), "measures": rays.total,
+        "used": rays.count.sum(axis=1), "residual_{}": rays.rms_of_images, "correction_{}": mean[:, :3],
+        "sigma_{}": sigma[:, :3], "turn_{}": mean[:, 6:], "sigma_turn_{}": sigma[:, 6:],
+    }), _NOTE, dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
     return table if count <= ROWS else table.take(worst_first(solution))
 
 

@@ -2,20 +2,58 @@
 and the files of a folder. The page takes sentences and tables as they are.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mgsgraph.files.output.folders import PROGRAM, fresh_folder
-from mgsgraph.files.output.table import Table, write_json
+from mgsgraph.files.output.table import Column, Table, write_json
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
 
 ROWS = 24
 """Rows of a table that are printed; the files have all."""
+
+
+_TAKEN: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
+    "items": ("values", list),
+    "counts": ("values", lambda found: np.array(list(found), dtype=np.int64)),
+    "numbers": ("values", lambda found: np.array(list(found), dtype=np.float64)),
+    "units": ("unit", list),
+}
+"""What the file of tables takes from an attribute of records: the field of a column, and how."""
+
+
+@cache
+def _layouts() -> dict[str, dict[str, dict[str, Any]]]:
+    """Units, meanings and formats of columns, by table and column."""
+    return tomllib.loads((Path(__file__).parent / "templates" / "tables.toml").read_text(encoding="utf-8"))
+
+
+def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | None = None) -> tuple[Column, ...]:
+    """Columns of a table in `templates/tables.toml`, in the order of the values; None leaves one out.
+
+    With records, all columns of the file in its order: it names the attribute of those that have no values here.
+    """
+    known, found = _layouts()[table], list[Column]()
+    for name in values if records is None else known:
+        value = values.get(name)
+        if not isinstance(value, Column):
+            layout = {"key": name, "values": value} | known[name]
+            for kind in _TAKEN.keys() & layout:
+                part, take = _TAKEN[kind]
+                layout[part] = take(map(attrgetter(layout.pop(kind)), records or ()))
+            value = Column(**layout) if layout["values"] is not None else None
+        found += [] if value is None else [value]
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,11 +16,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.residual_tests import ODDS, GroupFit, group_fits
 from mgsgraph.analysis.soundness import MOST, Loss, soundness, unexplained_ranges, unexplained_residuals
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import listed, some, some_of
 
 _KEYS = {
@@ -142,17 +142,12 @@ def drivers_table(solution: Solution) -> Table:
     """One row per image or point and quantity, those that stand out and others with the largest shares."""
     every = () if solution.drivers is None else solution.drivers.contributions
     rows = [(one, rank) for one in every for rank in range(one.members.size)]
-    return Table("drivers", "What drives the adjustment", (
-        Column("quantity", [str(one.quantity) for one, _ in rows], page="s",
-               meaning="cost; lost points: without a place where it stopped"),
-        Column("kind", [str(one.kind) for one, _ in rows], page="s", meaning="image or point"),
-        Column("name", list(chain.from_iterable(_names(solution, one) for one in every)), page="s",
-               meaning="of the image, or id of the point"),
-        Column("share", np.concatenate([np.zeros(0), *(one.shares for one in every)]), page=".3f",
-               meaning="of the quantity; of points without a place the share that the image has measured"),
-        Column("stands_out", ["yes" if rank < one.outstanding else "" for one, rank in rows], head="stands out",
-               page="s", meaning="yes: far beyond the median of all others"),
-    ), "Shares of the cost where it stopped; up to 100 images and points of each. ",
+    return Table("drivers", "What drives the adjustment", columns_of("drivers", {
+        "quantity": [str(one.quantity) for one, _ in rows], "kind": [str(one.kind) for one, _ in rows],
+        "name": list(chain.from_iterable(_names(solution, one) for one in every)),
+        "share": np.concatenate([np.zeros(0), *(one.shares for one in every)]),
+        "stands_out": ["yes" if rank < one.outstanding else "" for one, rank in rows],
+    }), "Shares of the cost where it stopped; up to 100 images and points of each. ",
     )  # fmt: skip
 
 
@@ -179,16 +174,10 @@ def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     shown = fits or ()
     numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
     state = {(True, False): "WORSE than stated", (False, True): "better than stated"}
-    return Table("fits", "Fit of each group of observations", (
-        Column("group", [one.name for one in shown], page="s", text="<38"),
-        Column("rows", np.array([one.rows for one in shown], dtype=np.int64), page="s", text=">7"),
-        Column("redundancy", numbers[:, 0], meaning="sum of the rows' redundancy numbers", page=".1f", text=">10.1f"),
-        Column("sigma0", numbers[:, 1], meaning="root of squares over redundancy", page=".3f", text=">8.3f"),
-        Column("by_chance_{}", numbers[:, 2:], meaning="within which it is expected; none of groups that little checks",
-               parts=("low", "high"), head="by chance, {}", page=".3f", label="by chance", text=">7.3f", gap=2),
-        Column("state", [state.get((one.worse, one.better), "") if one.judged else "not judged" for one in shown],
-               page="s", label="", text="<", gap=2),
-    ), "Squares of whitened residuals over redundancy; 1 where sigmas are as stated.")  # fmt: skip
+    return Table("fits", "Fit of each group of observations", columns_of("fits", {
+        "redundancy": numbers[:, 0], "sigma0": numbers[:, 1], "by_chance_{}": numbers[:, 2:],
+        "state": [state.get((one.worse, one.better), "") if one.judged else "not judged" for one in shown],
+    }, shown), "Squares of whitened residuals over redundancy; 1 where sigmas are as stated.")  # fmt: skip
 
 
 def weight_unit(solution: Solution) -> list[str]:

@@ -6,8 +6,8 @@ import numpy as np
 
 from mgsgraph.analysis.spacing import Choice
 from mgsgraph.errors import InputError
-from mgsgraph.files.output.table import Column, Table, numbers
-from mgsgraph.results.section import Section
+from mgsgraph.files.output.table import Table
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import many
 
 
@@ -27,20 +27,12 @@ def candidates_table(choice: Choice) -> Table:
     several = choice.candidates
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
     nodes, refused = [one.nodes for one in several], [one.refused for one in several]
-    return Table("spacings", "Misfits of rays held out, in their sigmas for known orientation (worse: than the best)", (
-        Column("standing", ["refused" if why else state for why, state in zip(refused, state, strict=True)]),
-        Column("reason", refused, json="refused"),
-        Column("spacing", numbers(several, "spacing"), "s", text=">9g"),
-        Column("nodes", np.array(nodes, dtype=np.float64), text=">6.0f"),
-        Column("longest", numbers(several, "longest"), "s", "largest interval", text=">8.4g",
-               json="longest_interval_s"),
-        Column("rms", numbers(several, "rms"), text=">8.4f"),
-        Column("rms_error", np.asarray(choice.rms_errors), label="+-", text=">7.4f"),
-        Column("worse", np.asarray(choice.worse), text=">9.4f", json="worse_than_best"),
-        Column("worse_error", np.asarray(choice.worse_errors), label="+-", text=">8.4f"),
-        Column("sigma0", numbers(several, "sigma0"), text=">8.4f"),
-        Column("mark", state, label="", text="<", files=False),
-    ), instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
+    title = "Misfits of rays held out, in their sigmas for known orientation (worse: than the best)"
+    return Table("spacings", title, columns_of("spacings", {
+        "standing": ["refused" if why else state for why, state in zip(refused, state, strict=True)],
+        "reason": refused, "nodes": np.array(nodes, dtype=np.float64), "rms_error": np.asarray(choice.rms_errors),
+        "worse": np.asarray(choice.worse), "worse_error": np.asarray(choice.worse_errors), "mark": state,
+    }, several), instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
 
 
 def node_statements(choice: Choice) -> list[str]:

@@ -28,6 +28,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
+from mgsgraph.results.section import columns_of
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 _REMARKS = ("bridge", "overlap without common points", "common points without overlap")
@@ -41,39 +42,19 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
     longitude, latitude, radius = planetocentric(places).T
-    xyz, local = ("x", "y", "z"), ("east", "north", "up")
     a, b = np.triu_indices(3)
-    areoid = [] if network.areoid is None else [
-        Column("height_above_areoid", radius - network.areoid.at(places), "m", "where the case has topography")
-    ]  # fmt: skip
-    return Table("points", "Ground points", (
-        Column("id", network.points.ids[rows], meaning="of the point", head="point", page="s"),
-        Column("class", _names(PointClass, network.points.classes[rows]), meaning="tie, laser or control", head="kind",
-               page="s"),
-        Column("kind", _names(PointKind, network.points.kinds[rows]), meaning="what is known beforehand", head="known",
-               page="s"),
-        Column("rejected", rejected, meaning="all its rays, as blunders"),
-        Column("rays", network.ray_counts[rows], meaning="images in which it is measured"),
-        Column("rays_used", used_ray_counts(solution)[rows], meaning="those that took part", head="rays used",
-               page="s"),
-        Column("{}", places, "m", "body-fixed", xyz),
-        Column("lon", longitude / DEG % 360.0, "deg", "planetocentric, 0 .. 360 east", head="east longitude",
-               page=".5f", scale=1.0),
-        Column("lat", latitude, "deg", "planetocentric", head="latitude", page=".5f"),
-        Column("radius", radius, "m", "from the body's centre"),
-        Column("height", geodetic(places, network.images[0].body)[:, 2], "m", "above the ellipsoid", page=".2f"),
-        *areoid,
-        Column("sigma_{}", sigmas, "m", "for sigma0 = 1, body-fixed", xyz),
-        Column("sigma_{}", local_sigmas(covariances, places), "m", "for sigma0 = 1", local, "σ {}",
-               ".2f"),
-        Column("scaled_sigma_{}", sigmas * solution.sigma0, "m", "times sigma0", xyz),
-        Column("cov_{}", covariances[:, a, b], "m2", "for sigma0 = 1, body-fixed",
-               tuple(f"{xyz[i]}{xyz[j]}" for i, j in zip(a, b, strict=True))),
-        Column("correction_{}", moved, "m", "adjusted minus before, body-fixed", xyz),
-        Column("moved_{}", np.einsum("nij,nj->ni", east_north_up(places), moved), "m", "adjusted minus before", local,
-               "Δ {}", ".2f", files=False),
-        Column("state", picked(("used", "rejected"), rejected.astype(np.int64)), page="s", files=False),
-    ), "Planetocentric latitudes, heights above the ellipsoid; sigmas for sigma0 = 1, corrections are adjusted minus "
+    return Table("points", "Ground points", columns_of("points", {
+        "id": network.points.ids[rows], "class": _names(PointClass, network.points.classes[rows]),
+        "kind": _names(PointKind, network.points.kinds[rows]), "rejected": rejected,
+        "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
+        "lon": longitude / DEG % 360.0, "lat": latitude, "radius": radius,
+        "height": geodetic(places, network.images[0].body)[:, 2],
+        "height_above_areoid": None if network.areoid is None else radius - network.areoid.at(places),
+        "sigma_{} m": sigmas, "sigma_{} east/north/up": local_sigmas(covariances, places),
+        "scaled_sigma_{}": sigmas * solution.sigma0, "cov_{}": covariances[:, a, b], "correction_{}": moved,
+        "moved_{}": np.einsum("nij,nj->ni", east_north_up(places), moved),
+        "state": picked(("used", "rejected"), rejected.astype(np.int64)),
+    }), "Planetocentric latitudes, heights above the ellipsoid; sigmas for sigma0 = 1, corrections are adjusted minus "
        "before. ")  # fmt: skip
 
 
@@ -86,22 +67,14 @@ def orientation_table(solution: Solution) -> Table:
         return np.asarray(getattr(profiles, name))
 
     names = RepeatedNames(tuple(image.name for image in images), np.repeat(np.arange(len(images)), PLACES))
-    before, after, xyz, angles = of("position_before"), of("position_after"), ("x", "y", "z"), ("omega", "phi", "kappa")
-    return Table("orientation", "Exterior orientation along the images", (
-        Column("image", names, meaning="31 lines of each"),
-        Column("isis_line", of("lines") + ISIS_OFFSET, meaning="the first line's middle is 1"),
-        Column("time_et", of("times"), "s", "TDB past J2000"),
-        Column("{}_before", before, "m", "position, body-fixed", xyz),
-        Column("{}_after", after, "m", "the same, adjusted", xyz),
-        Column("{}_difference", after - before, "m", "adjusted minus before", xyz),
-        Column("{}_sigma", of("position_sigma"), "m", "for sigma0 = 1", xyz),
-        Column("{}_before", of("angles_before"), "deg", "camera to body = R3(kappa) R2(phi) R1(omega)", angles),
-        Column("{}_after", of("angles_after"), "deg", "the same, adjusted", angles),
-        Column("{}_difference", of("angle_differences"), "arcsec", "adjusted minus before", angles),
-        Column("{}_sigma", of("angles_sigma"), "arcsec", "for sigma0 = 1", angles),
-        Column("rotation_{}", of("rotation"), "arcsec", "correction about the camera's own axes", xyz),
-        Column("rotation_{}_sigma", of("rotation_sigma"), "arcsec", "for sigma0 = 1", xyz),
-    ))  # fmt: skip
+    before, after = of("position_before"), of("position_after")
+    return Table("orientation", "Exterior orientation along the images", columns_of("orientation", {
+        "image": names, "isis_line": of("lines") + ISIS_OFFSET, "time_et": of("times"), "{}_before m": before,
+        "{}_after m": after, "{}_difference m": after - before, "{}_sigma m": of("position_sigma"),
+        "{}_before deg": of("angles_before"), "{}_after deg": of("angles_after"),
+        "{}_difference arcsec": of("angle_differences"), "{}_sigma arcsec": of("angles_sigma"),
+        "rotation_{}": of("rotation"), "rotation_{}_sigma": of("rotation_sigma"),
+    }))  # fmt: skip
 
 
 def residuals_table(solution: Solution) -> Table:
@@ -117,51 +90,28 @@ def residuals_table(solution: Solution) -> Table:
     point = np.concatenate([rays.point, ranges.point, on])
     image = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
     used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
-    before, after, sigmas, tested = solution.residuals_before, solution.residuals, rays.sigmas, list[Column]()
-    if solution.test_dimensions is not None:
-        of_measures, of_points = np.split(solution.test_dimensions, [k + r])
-        tested.append(Column(
-            "tested", np.concatenate([of_measures, of_points[on]]),
-            meaning="where blunders were sought: in how many directions others check the measure, 0 for none",
-        ))  # fmt: skip
-
-    def of_ray(c: int, way: str) -> list[Column]:
-        return [
-            Column(f"residual_before_{way}", padded(before[:, c], 0, r + h), "px", "nominal orientation",
-                   head=f"{way} before", page=".2f"),
-            Column(f"residual_{way}", padded(after[:, c], 0, r + h), "px", "adjusted", head=f"{way} after",
-                   page=".2f"),
-            Column(f"sigma_{way}", padded(sigmas[:, c], 0, r + h), "px", "a priori", head=f"σ {way}", page=".2f"),
-            Column(f"normalised_{way}", padded(after[:, c] / sigmas[:, c], 0, r + h),
-                   meaning="residual over its sigma"),
-        ]
-
-    return Table("measures", "Residuals", (
-        Column("kind", picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
-               meaning="an image measure, a range, or a height above a stereo surface"),
-        Column("point", picked(network.points.ids, point), meaning="its id", page="s"),
-        Column("class", _names(PointClass, network.points.classes[point]), meaning="of the point", head="kind",
-               page="s"),
-        Column("image", picked(["", *(one.name for one in network.images)], image + 1),
-               meaning="of a range: that carries it", page="s"),
-        Column("used", used, meaning="false for blunders that were rejected"),
-        *tested,
-        Column("isis_line", padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
-               meaning="measured, from 1; of a range: when the shot was taken", head="line", page=".2f"),
-        Column("isis_sample", padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, meaning="measured, from 1",
-               head="sample", page=".2f"),
-        *of_ray(0, "line"), *of_ray(1, "sample"),
-        Column("range", padded(ranges.values, k, h), "m", "measured"),
-        Column("residual_before_range", padded(solution.range_residuals_before, k, h), "m",
-               "nominal orientation"),
-        Column("residual_range", padded(solution.range_residuals, k, h), "m", "adjusted"),
-        Column("sigma_range", padded(ranges.sigmas, k, h), "m", "a priori"),
-        Column("normalised_range", padded(solution.range_residuals / ranges.sigmas, k, h),
-               meaning="residual over its sigma"),
-        Column("residual_height", padded(-heights, k + r, 0), "m", "adjusted, along the stereo surface's normal"),
-        Column("sigma_height", padded(height_sigmas, k + r, 0), "m", "a priori"),
-        Column("normalised_height", padded(-heights / height_sigmas, k + r, 0), meaning="residual over its sigma"),
-    ))  # fmt: skip
+    before, after, sigmas, tested = solution.residuals_before, solution.residuals, rays.sigmas, solution.test_dimensions
+    if tested is not None:
+        of_measures, of_points = np.split(tested, [k + r])
+        tested = np.concatenate([of_measures, of_points[on]])
+    of_rays = {
+        f"{name}_{way}": padded(values[:, c], 0, r + h)
+        for c, way in enumerate(("line", "sample"))
+        for name, values in (("residual_before", before), ("residual", after), ("sigma", sigmas),
+                             ("normalised", after / sigmas))
+    }  # fmt: skip
+    return Table("measures", "Residuals", columns_of("measures", {
+        "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
+        "point": picked(network.points.ids, point), "class": _names(PointClass, network.points.classes[point]),
+        "image": picked(["", *(one.name for one in network.images)], image + 1), "used": used, "tested": tested,
+        "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
+        "isis_sample": padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, **of_rays,
+        "range": padded(ranges.values, k, h), "residual_before_range": padded(solution.range_residuals_before, k, h),
+        "residual_range": padded(solution.range_residuals, k, h), "sigma_range": padded(ranges.sigmas, k, h),
+        "normalised_range": padded(solution.range_residuals / ranges.sigmas, k, h),
+        "residual_height": padded(-heights, k + r, 0), "sigma_height": padded(height_sigmas, k + r, 0),
+        "normalised_height": padded(-heights / height_sigmas, k + r, 0),
+    }))  # fmt: skip
 
 
 def residual_points(solution: Solution) -> Index:
@@ -186,19 +136,12 @@ def connectivity_table(connected: Connectivity) -> Table:
     remarks = [
         ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
     ]
-    return Table("connectivity", "Pairs of images", (
-        Column("image_a", picked(names, connected.pairs[:, 0]), meaning="one of the two", text="<24"),
-        Column("image_b", picked(names, connected.pairs[:, 1]), meaning="the other", text="<24"),
-        Column("common_points", points, meaning="seen in both", label="points", text=">7"),
-        *(
-            Column(f"{c.name.lower()}_points", connected.common[:, c], meaning="of these")
-            for c in PointClass if c.measured
-        ),
-        Column("remark", remarks, meaning="bridge: the only link between two parts of the block", text="<30", gap=2),
-        Column("overlap", connected.areas, "km2", "of the footprints", text=">10.4g"),
-        Column("overlap_share", connected.shares, meaning="of the smaller footprint"),
-        Column("gap", connected.gaps, "km", "between the footprints"),
-    ))  # fmt: skip
+    return Table("connectivity", "Pairs of images", columns_of("connectivity", {
+        "image_a": picked(names, connected.pairs[:, 0]), "image_b": picked(names, connected.pairs[:, 1]),
+        "common_points": points,
+        **{f"{c.name.lower()}_points": connected.common[:, c] for c in PointClass if c.measured},
+        "remark": remarks, "overlap": connected.areas, "overlap_share": connected.shares, "gap": connected.gaps,
+    }))  # fmt: skip
 
 
 def _shot_lines(solution: Solution) -> Array:

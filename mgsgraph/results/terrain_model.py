@@ -12,7 +12,7 @@ from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.scene import read_scene
 from mgsgraph.files.output.folders import DEM, PROGRAM, STAC_ITEM, fresh_folder, require_replaceable
-from mgsgraph.files.output.table import Column, Table, numbers, picked, write_json
+from mgsgraph.files.output.table import Table, picked, write_json
 from mgsgraph.files.rasters.raster_file import geotiff
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
@@ -28,7 +28,7 @@ from mgsgraph.registration.dem.ortho import (
     ortho_tiles,
 )
 from mgsgraph.results.catalog import BANDS, stac_item
-from mgsgraph.results.section import Section
+from mgsgraph.results.section import Section, columns_of
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
 from mgsgraph.workers import Progress, no_progress
@@ -150,14 +150,9 @@ def dem_section(dem: Dem) -> Section:
 def _pairs_table(dem: Dem) -> Table:
     """One row per pair of images."""
     pairs = dem.pairs
-    return Table("pairs", "Dense matches, and by how much their rays miss each other (rms)", (
-        Column("pair", [" and ".join(one.images) for one in pairs], text="<40", files=False),
-        Column("images", [list(one.images) for one in pairs]),
-        Column("matches", np.array([one.matched for one in pairs]), text=">9"),
-        Column("posts", np.array([one.posts for one in pairs]), text=">9"),
-        Column("rays_miss", numbers(pairs, "miss"), "m", label="miss", text=">8.2g"),
-        Column("rays_miss_by_matching", numbers(pairs, "miss_sigma"), "m", label="by matching", text=">11.2g"),
-    ))  # fmt: skip
+    return Table("pairs", "Dense matches, and by how much their rays miss each other (rms)", columns_of("pairs", {
+        "pair": [" and ".join(one.images) for one in pairs], "images": [list(one.images) for one in pairs],
+    }, pairs))  # fmt: skip
 
 
 def _checks_table(dem: Dem) -> Table:
@@ -169,14 +164,10 @@ def _checks_table(dem: Dem) -> Table:
     def of(key: str) -> Array:
         return np.array([figures[key] for _, figures in rows], dtype=np.float64)
 
-    return Table("checks", "Model minus laser shots that took no part in the adjustment", (
-        Column("profile", [name for name, _ in rows], text="<16"),
-        Column("shots", of("shots"), text=">7.0f"),
-        Column("mean", of("mean_m"), "m", text=">+8.2g"),
-        Column("rms", of("rms_m"), "m", text=">8.3g"),
-        Column("rms_by_sigma", of("rms_by_sigma"), label="over sigma", text=">10.2f"),
-        Column("beyond", of("beyond_3_sigma"), label="beyond 3 sigmas", text=">15.3f"),
-    ))  # fmt: skip
+    return Table("checks", "Model minus laser shots that took no part in the adjustment", columns_of("checks", {
+        "profile": [name for name, _ in rows], "shots": of("shots"), "mean": of("mean_m"), "rms": of("rms_m"),
+        "rms_by_sigma": of("rms_by_sigma"), "beyond": of("beyond_3_sigma"),
+    }))  # fmt: skip
 
 
 def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
@@ -227,18 +218,13 @@ def shots_table(dem: Dem) -> Table:
     """One row per check shot."""
     checks = dem.checks
     longitude, latitude, radius = planetocentric(checks.positions).T
-    return Table("shots", "Check shots", (
-        Column("profile", picked(checks.profiles, checks.profile)),
-        Column("shot", checks.ids),
-        Column("east_longitude", np.mod(longitude / DEG, 360.0), "deg", "planetocentric", scale=1.0),
-        Column("planetocentric_latitude", latitude, "deg"),
-        Column("{}", checks.plane, "m", "on the map", ("x", "y")),
-        Column("shot_above_sphere", radius - dem.model.map.radius, "m"),
-        Column("model_above_sphere", checks.heights, "m"),
-        Column("model_minus_shot", checks.differences, "m"),
-        Column("sigma", checks.sigmas, "m", "of the difference, for sigma0 = 1"),
-        Column("sigma_without_orientation", checks.independent, "m", "its part that neighbours don't share"),
-    ))  # fmt: skip
+    return Table("shots", "Check shots", columns_of("terrain_model_shots", {
+        "profile": picked(checks.profiles, checks.profile), "shot": checks.ids,
+        "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude, "{}": checks.plane,
+        "shot_above_sphere": radius - dem.model.map.radius, "model_above_sphere": checks.heights,
+        "model_minus_shot": checks.differences, "sigma": checks.sigmas,
+        "sigma_without_orientation": checks.independent,
+    }))  # fmt: skip
 
 
 # --- rasters

@@ -14,11 +14,11 @@ from mgsgraph.analysis.two_step_statistics import (
     TwoStepStatistics,
 )
 from mgsgraph.files.output.folders import fresh_folder
-from mgsgraph.files.output.table import Column, Table, picked
+from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, write_sections_into
+from mgsgraph.results.section import Section, columns_of, drawn, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
 
@@ -72,20 +72,14 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
                     for step in both])  # fmt: skip
     rows = np.isfinite(surface.sigmas) & steps.fitted.determined
-    return Table("steps", "Both steps", (
-        Column("step", ["step 1, no terrain", "step 2, terrain"], label="", text="<18"),
-        Column("sigma0", np.array([step.sigma0 for step in both]), text=">8"),
-        Column("freedom", np.array([step.fit.degrees_of_freedom for step in both]), text=">9"),
-        Column("rays", np.array([int(step.rays_used.sum()) for step in both]), text=">8"),
-        Column("rays_rejected", out[:, 0], label="rejected", text=">8"),
-        Column("ranges", np.array([int(step.ranges_used.sum()) for step in both]), text=">7"),
-        Column("ranges_rejected", out[:, 1], label="rejected", text=">8"),
-        Column("heights", ["-", str(int(np.count_nonzero(rows)))], text=">8"),
-        Column("off", ["-", str(int(np.count_nonzero(steps.off)))], text=">5"),
-        Column("iterations", np.array([len(history) for history in steps.history]), text=">10"),
-        Column("seconds", np.array(steps.seconds), text=">7.1f"),
-        Column("state", ["" if step.converged else "NOT CONVERGED" for step in both], label="", text="<", gap=2),
-    ))  # fmt: skip
+    return Table("steps", "Both steps", columns_of("steps", {
+        "step": ["step 1, no terrain", "step 2, terrain"],
+        "rays": np.array([int(step.rays_used.sum()) for step in both]), "rays_rejected": out[:, 0],
+        "ranges": np.array([int(step.ranges_used.sum()) for step in both]), "ranges_rejected": out[:, 1],
+        "heights": ["-", str(int(np.count_nonzero(rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
+        "iterations": np.array([len(history) for history in steps.history]), "seconds": np.array(steps.seconds),
+        "state": ["" if step.converged else "NOT CONVERGED" for step in both],
+    }, both))  # fmt: skip
 
 
 # --- in words
@@ -173,12 +167,10 @@ def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
-    return Table("two_steps", "Figures of merit: sigmas of points and orientation, heights above the terrain", (
-        Column("strip", names, text="<18"), Column("quantity", quantities, text="<20"),
-        Column("unit", units, text="<5"),
-        Column("{}", stages, parts=STAGES, label="", text=">9.3g", json="values"),
-        Column("factor_{}", factors, parts=("step_1", "step_2"), label="smaller by", text=">8.3g"),
-    ))  # fmt: skip
+    title = "Figures of merit: sigmas of points and orientation, heights above the terrain"
+    return Table("two_steps", title, columns_of("two_steps", {
+        "strip": names, "quantity": quantities, "unit": units, "{}": stages, "factor_{}": factors,
+    }))  # fmt: skip
 
 
 def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
@@ -194,10 +186,7 @@ def _heights_table(statistics: TwoStepStatistics) -> Table:
     """One row per point with a height row."""
     network, points = statistics.steps.network, statistics.points
     longitude, latitude, _ = planetocentric(statistics.steps.fitted.places[points]).T
-    return Table("heights", "Heights above the terrain", (
-        Column("point", picked(network.points.ids, points)),
-        Column("used", statistics.used),
-        Column("longitude", longitude / DEG % 360.0, "deg", "planetocentric, east", scale=1.0),
-        Column("latitude", latitude, "deg", "planetocentric"),
-        Column("height_{}", statistics.heights.T, "m", "above the terrain model", STAGES),
-    ))  # fmt: skip
+    return Table("heights", "Heights above the terrain", columns_of("heights", {
+        "point": picked(network.points.ids, points), "used": statistics.used, "longitude": longitude / DEG % 360.0,
+        "latitude": latitude, "height_{}": statistics.heights.T,
+    }))  # fmt: skip

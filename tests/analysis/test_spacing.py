@@ -160,6 +160,23 @@ def test_rule_of_one_standard_error() -> None:
         assert k <= choice.chosen or difference.mean() > error
 
 
+def test_points_off_the_model_are_judged() -> None:
+    """Half of the posts are missing: rays of points there are judged by their other rays alone."""
+    made = simulate_hrsc_block(BlockSettings(strips=1, length=150e3, points=400), 1)
+    surface = made.network.surface
+    assert surface is not None
+    radii = surface.grid.radii.copy()
+    radii[: radii.shape[0] // 2] = np.nan
+    grid = replace(surface.grid, radii=radii)
+    there = np.isfinite(grid.at(made.true_points))
+    assert 0.2 < there.mean() < 0.8
+    net = replace(made.network, surface=replace(surface, grid=grid, sigmas=np.where(there, surface.sigmas, np.inf)))
+    choice = choose_spacing(net, SolverSettings(), [5.0, 20.0], 0.5)
+    assert choice.unjudged == 0
+    assert choice.candidates[0].squares.size + choice.blunders == 200
+    assert choice.candidates[0].rms == pytest.approx(1.0, abs=0.15)
+
+
 def test_blunders_do_not_choose() -> None:
     """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
     settings = BlockSettings(

@@ -59,6 +59,16 @@ def test_numbers_in_our_units(images: dict[str, PushbroomImage]) -> None:
     np.testing.assert_array_equal(image.interior.focal_plane(np.array([2548.0 - 0.5]))[0], 0.0)
 
 
+def test_the_boresight_is_that_of_isis(folder: Path, images: dict[str, PushbroomImage]) -> None:
+    """ISIS's sample of the boresight, 1-based, is 2548: its own keyword, which nothing of ours reads."""
+    keywords = json.loads((folder / "lidarObservationImage1.isd").read_text())["naif_keywords"]
+    sample = keywords["INS-85600_BORESIGHT_SAMPLE"] - 0.5
+    place, _ = images[NAMES[0]].interior.focal_plane(np.array([sample]))
+
+    assert keywords["INS-85600_BORESIGHT_SAMPLE"] == 2548.0
+    np.testing.assert_array_equal(place, 0.0)
+
+
 def test_the_first_line_begins_when_the_file_says(images: dict[str, PushbroomImage]) -> None:
     """ISIS line 0.5 is our 0.0: start of exposure 9.5265 s before the middle; the last line ends as long after."""
     image = images[NAMES[0]]
