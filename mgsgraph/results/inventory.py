@@ -30,7 +30,7 @@ from mgsgraph.network.connectivity import (
     link_statement,
     network_footprints,
 )
-from mgsgraph.network.corrections import support
+from mgsgraph.network.corrections import support_of, useful_rays
 from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
@@ -206,7 +206,7 @@ def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
 
 def _images_table(images: Sequence[PushbroomImage], network: Network | None = None) -> Table:
     """Size, place, and how the orientation is adjusted."""
-    grounds = [image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    grounds = [image.image_to_ground(*image.middle)
                for image in images]  # fmt: skip
     spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
     corners = np.array([_corners(image) for image in images])
@@ -355,7 +355,7 @@ def bare_nodes(network: Network) -> list[str]:
     """Sentences about passes with nodes near which hardly anything was measured."""
     found = []
     for k, one in enumerate(network.passes):
-        near = support(network, k)
+        near = support_of(network.passes[k].nodes, useful_rays(network, k))
         if near.gaps.size:
             found.append(
                 f"pass {one.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(one.nodes)} "

@@ -25,6 +25,7 @@ from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
@@ -141,7 +142,7 @@ class Block:
         for j, points in enumerate(self.grounds):
             if not np.all(np.isfinite(points)):
                 continue  # it looks past the body in part: never left out
-            ways = points / np.linalg.norm(points, axis=1, keepdims=True)
+            ways = unit_vectors(points)
             middle = ways.mean(axis=0)
             middles[j] = middle / np.linalg.norm(middle)
             reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())

@@ -13,6 +13,7 @@ import numpy as np
 
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import HELD, Network
 
@@ -411,7 +412,7 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
         places = network.points.places[points]
         if shared.kind is SharedKind.PROFILE_DRIFT:
             return points, along_track(places)[:, None, None] * east_north(places)
-        up = places / np.linalg.norm(places, axis=1, keepdims=True)
+        up = unit_vectors(places)
         return points, np.stack([up, along_track(places)[:, None] * up], axis=1)
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
