@@ -80,7 +80,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(terrain_model, "densely_matched", lambda *given: ((matches,), 1e-3))
 
 
-# above two seconds: a dense model is gridded, checked and written for each of three sets of options
+# above two seconds: a dense model is gridded, checked and written
 def test_options_reach_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
