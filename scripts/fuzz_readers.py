@@ -398,7 +398,7 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "analyze": ("result --weak 2 --components --out out", _RESULT),
     "campaign": ("case.toml --out out --no-figures", ()),
     "check": ("case.toml", ()),
-    "convert": ("network.pvl out.net --to net --thin 5 --case case.toml", ()),
+    "convert": ("network.pvl out.net --to net --case case.toml", ()),
     "export": ("result --to isis --out out --scaled", _RESULT),
     "help": ("case images", ()),
     "init": ("out --case case.toml --name x", ()),

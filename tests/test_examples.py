@@ -123,6 +123,7 @@ def names_for(code: str, request: pytest.FixtureRequest) -> dict[str, Any]:
 # --- the API page
 
 
+# above two seconds: a dozen of the examples solve, match or serve an archive
 @pytest.mark.parametrize("name", PUBLIC)
 @pytest.mark.usefixtures("light_figures")
 def test_every_public_name_has_an_example_that_runs(name: str, request: pytest.FixtureRequest) -> None:
@@ -152,6 +153,7 @@ def cooked(request: pytest.FixtureRequest) -> list[tuple[str, str, str]]:
     return found
 
 
+# above two seconds: all snippets of the cookbook run, a registration among them
 def test_the_cookbook_prints_what_stands_below_each_snippet(cooked: list[tuple[str, str, str]]) -> None:
     assert len(cooked) >= 20
     for text, want, got in cooked:

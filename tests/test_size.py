@@ -14,27 +14,27 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
-    "cli": (1400, 14243, 11),
-    "studio": (1969, 29801, 13),
-    "fetch": (1370, 16373, 9),
+    "cli": (1379, 14032, 11),
+    "studio": (1895, 28277, 13),
+    "fetch": (1366, 16353, 9),
     "project": (2425, 32247, 14),
-    "export": (2662, 38237, 17),
-    "simulation": (3830, 57644, 26),
-    "results": (4876, 71694, 36),
-    "registration": (1683, 25719, 12),
-    "planning": (927, 14751, 6),
-    "case": (2102, 31002, 11),
-    "analysis": (4320, 67207, 22),
-    "adjustment": (7080, 108090, 39),
-    "matching": (2094, 34471, 13),
-    "network": (2640, 41854, 12),
-    "files": (7790, 108160, 46),
+    "export": (2651, 38087, 17),
+    "simulation": (3683, 55687, 26),
+    "results": (4214, 62982, 35),
+    "registration": (1683, 25687, 12),
+    "planning": (880, 13848, 6),
+    "case": (2094, 30826, 11),
+    "analysis": (4258, 66249, 22),
+    "adjustment": (7071, 107760, 39),
+    "matching": (2094, 34449, 13),
+    "network": (2620, 41375, 12),
+    "files": (7707, 106657, 46),
     "kernel": (2683, 46153, 15),
-    "geometry": (2586, 42152, 16),
+    "geometry": (2582, 41965, 16),
     "factors": (449, 7855, 14),
-    "single files": (839, 10027, 10),
-    "scripts": (5276, 83794, 38),
-    "tests": (40092, 597500, 351),
+    "single files": (773, 9270, 10),
+    "scripts": (5275, 83773, 38),
+    "tests": (33787, 507539, 185),
     "docs": (293, 3783, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
@@ -88,6 +88,7 @@ def test_every_room_has_a_ceiling(measured: dict[str, Counter[str]]) -> None:
     assert set(measured) == set(CEILINGS)
 
 
+# above two seconds: every file of the project is parsed, once in each process of the run
 @pytest.mark.parametrize("room", CEILINGS)
 def test_no_room_is_above_its_ceiling(room: str, measured: dict[str, Counter[str]]) -> None:
     found = measured[room]

@@ -54,7 +54,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.corrections import require_observed_nodes
+from mgsgraph.network.corrections import require_supported
 from mgsgraph.workers import no_progress
 
 _CONVERGED = 0.01
@@ -390,7 +390,7 @@ def adjust_network(
         raise InputError(cluster.where, "solver, device 'cuda'", "'cpu' on a cluster", "take one of both")
     require_usable(settings)
     network.require_observed()
-    require_observed_nodes(network, None if left_in is None else left_in.rays)
+    require_supported(network, taken=None if left_in is None else left_in.rays, between=True)
     layout = lay_out(network, settings)
     clock.stop("set up")
     with _sweeper(layout, settings, cluster) as sweeper:

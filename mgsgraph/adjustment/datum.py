@@ -164,7 +164,7 @@ def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
         if part.axis.polynomial:
             of_image.setdefault((part.axis.variable, part.axis.order), []).append(part)
         else:
-            terms.append(_Term(str(part.axis), part.axis.owner, part.share, np.sign(part.amount), (part,)))
+            terms.append(_alone(part))
     for (image, _), mine in of_image.items():
         terms += _against(frames.of(image), mine)
     return terms
@@ -189,9 +189,11 @@ def _against(frame: FlightFrame, parts: Sequence[Part]) -> list[_Term]:
         what = f"{main[0].axis} against {main[1].axis.name}"
         terms.append(_Term(what, main[0].axis.owner, share, np.sign(main[0].amount), main))
         rest = [part for part in rest if part not in main]
-    for part in rest:
-        terms.append(_Term(str(part.axis), part.axis.owner, part.share, np.sign(part.amount), (part,)))
-    return terms
+    return terms + [_alone(part) for part in rest]
+
+
+def _alone(part: Part) -> _Term:
+    return _Term(str(part.axis), part.axis.owner, part.share, np.sign(part.amount), (part,))
 
 
 UNDETERMINED = 1e-13
@@ -352,7 +354,7 @@ def _middle(layout: Layout) -> Array:
     """(3,) m, of what the images see: about it rotations and scale leave translations alone as far as can be."""
     seen = []
     for image in layout.network.images:
-        pose = image.pose(np.array([0.5 * image.lines]))
+        pose = image.pose(image.middle[0])
         seen.append(pose.position[0] / np.linalg.norm(pose.position[0]) * image.body.equatorial)
     return np.asarray(np.mean(seen, axis=0))
 

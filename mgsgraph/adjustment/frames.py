@@ -18,7 +18,7 @@ from mgsgraph.geometry.body import intersect_ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import COMPONENTS, Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.rotation import skew
+from mgsgraph.geometry.rotation import skew, unit_vectors
 from mgsgraph.units import DEG
 
 FLIGHT = ("along-track position", "across-track position", "radial position", "roll", "pitch", "yaw")
@@ -60,28 +60,28 @@ class FlightFrame:
         the turn in those units, so that shares still sum up to one.
         """
         scaled = self.turn * sigmas
-        left, _, right = np.linalg.svd(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+        left, _, right = np.linalg.svd(unit_vectors(scaled))
         return np.asarray(left @ right)
 
 
 def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFrame:
     """Axes of one image from its nominal orientation."""
-    middle = np.array([0.5 * image.lines])
-    pose = image.pose(middle)
+    line, sample = image.middle
+    pose = image.pose(line)
     level = flight_axes(pose.position[0], pose.velocity[0])
     matrix = pose.matrix[0]
     correction = OrientationCorrection(np.zeros((1, 6)), angles)
     turn = np.zeros((6, 6))
     turn[:3, :3] = np.eye(3) if (long := _is_long(image)) else level
     about = camera_axes(matrix @ level[0])
-    turn[3:, 3:] = about @ correction.axes(pose, image.moments(middle))[0]
-    origin, look = image.sightlines(middle, np.array([0.5 * image.samples]))
+    turn[3:, 3:] = about @ correction.axes(pose, image.moments(line))[0]
+    origin, look = image.sightlines(line, sample)
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
     moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)
     if not np.isfinite(distance):  # what looks past the body sees it about as far as the ground lies below
         distance = float(np.linalg.norm(pose.position[0])) - image.body.polar
-    end = image.sightlines(middle, np.zeros(1))[1]
+    end = image.sightlines(line, np.zeros(1))[1]
     width = distance * float(np.linalg.norm(end - look) / np.linalg.norm(look))
     return FlightFrame(
         BODY if long else FLIGHT,
@@ -113,7 +113,7 @@ def camera_axes(forward: Array) -> Array:
 def _is_long(image: PushbroomImage) -> bool:
     lines = np.linspace(0.0, float(image.lines), 9)
     positions = image.pose(lines).position
-    units = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+    units = unit_vectors(positions)
     return bool(np.min(units @ units[4]) < np.cos(_LONG))
 
 

@@ -125,12 +125,11 @@ class SparseCholesky:
             return self._solve(rows, right.copy())
 
     def _solve(self, rows: list[tuple[Array, Array]], work: Array) -> Array:
-        for front, (upper, across) in zip(self._fronts, rows, strict=True):
-            own, rest = front.columns[: front.width], front.columns[front.width :]
+        ends = [np.split(front.columns, [front.width]) for front in self._fronts]
+        for (own, rest), (upper, across) in zip(ends, rows, strict=True):
             work[own] = blas.dtrsv(upper, work[own], trans=1)
             work[rest] -= across.T @ work[own]
-        for front, (upper, across) in zip(self._fronts[::-1], rows[::-1], strict=True):
-            own, rest = front.columns[: front.width], front.columns[front.width :]
+        for (own, rest), (upper, across) in zip(ends[::-1], rows[::-1], strict=True):
             work[own] = blas.dtrsv(upper, work[own] - across @ work[rest])
         return work
 

@@ -195,9 +195,9 @@ class Posterior(Record):
             by_shared[variable] = by_shared[variable] + block if variable in by_shared else block
         return replace(moved, by_shared=by_shared)
 
-    def of_intersection(self, pixels: Sequence[Pixel], name: str = "intersection") -> Quantity:
+    def of_intersection(self, pixels: Sequence[Pixel]) -> Quantity:
         """X, Y, Z of the place where the rays of new measures meet."""
-        return self._of_crossing(*self._crossing(pixels, name), name)
+        return self._of_crossing(*self._crossing(pixels, "intersection"), "intersection")
 
     def intersections(self, rays: ImageRays) -> tuple[Array, Array]:
         """Positions (m, 3) in m and covariances (m, 3, 3) in m^2 of many new points; NaN where their rays don't meet.

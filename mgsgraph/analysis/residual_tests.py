@@ -196,13 +196,13 @@ class ResidualStatistics(Record):
             return None
         return self.p_value >= 0.01 and abs(self.rms - 1.0) <= 2.576 * self.sigmas[1]
 
-    def quantiles(self, most: int = _MARKS) -> QuantilePlot:
-        """Quantile plot of at most that many places."""
+    def quantiles(self) -> QuantilePlot:
+        """Quantile plot of at most `_MARKS` places."""
         from scipy.special import ndtri  # slow to import
         from scipy.stats import beta
 
         n = self.values.size
-        ranks = np.unique(np.round(np.linspace(0, max(n - 1, 0), min(n, most))).astype(np.int64))
+        ranks = np.unique(np.round(np.linspace(0, max(n - 1, 0), min(n, _MARKS))).astype(np.int64))
         share = (ranks + 0.5) / max(n, 1)
         worth = max(self.effective, 1.0)
         # an order statistic of `worth` independent uniform numbers

@@ -229,7 +229,7 @@ def _components(network: Network, unknown: SharedUnknown) -> list[tuple[str, Arr
 
 def _flight(image: PushbroomImage, turned: bool) -> Array:
     """(3, 3) from a camera's own axes to roll, pitch and yaw, or to along, across and up."""
-    pose = image.pose(np.array([0.5 * image.lines]))
+    pose = image.pose(image.middle[0])
     level = flight_axes(pose.position[0], pose.velocity[0])
     if turned:
         return camera_axes(pose.matrix[0] @ level[0])

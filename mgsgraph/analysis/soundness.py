@@ -235,7 +235,7 @@ def _shared_pixels(network: Network, image: int, one: SharedUnknown, spacing: fl
 def _scale(network: Network, image: int) -> tuple[float, float]:
     """In an image's middle: m per line or sample on the ground, the smaller one, and m from the camera to there."""
     one = network.images[image]
-    line, sample = np.array([0.5 * one.lines]), np.array([0.5 * one.samples])
+    line, sample = one.middle
     point, derivative = one.image_to_ground(line, sample)
     away = np.linalg.norm(point[0] - one.pose(line).position[0])
     return float(np.linalg.norm(derivative[0], axis=0).min()), float(away)

@@ -23,6 +23,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior, Pass, PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
@@ -365,7 +366,7 @@ def _turns(pose: Pose, axes: Array) -> Array:
 
 def flight_axes_at(places: Array, velocities: Array) -> Array:
     """(n, 3, 3) rows: unit vectors along, across (left) and up at many places (n, 3), as `frames.flight_axes`."""
-    up = places / np.linalg.norm(places, axis=1, keepdims=True)
+    up = unit_vectors(places)
     along = velocities - up * np.einsum("ni,ni->n", up, velocities)[:, None]
     size = np.linalg.norm(along, axis=1, keepdims=True)
     some = size > _LEVEL * np.linalg.norm(velocities, axis=1, keepdims=True)
@@ -455,7 +456,7 @@ def _report(solution: Solution, strip: int) -> StripReport:
     start, stop = seconds(image)
     spacing = one.nodes.spacing
     lines = spacing * image.lines / (stop - start)
-    _, derivative = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    _, derivative = image.image_to_ground(*image.middle)
     return StripReport(
         one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
         len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,

@@ -123,7 +123,7 @@ def _ground(
 
 def _chart(images: Sequence[PushbroomImage], height: float) -> GroundChart:
     first = images[0]
-    flight = first.pose(np.array([0.5 * first.lines])).velocity[0]
+    flight = first.pose(first.middle[0]).velocity[0]
     return GroundChart.about(_places(images, height), flight)
 
 

@@ -35,7 +35,6 @@ _FORMATS = click.Choice([one.value for one in Format])
     help="Points of one id in several IN: refuse, or unite them; where they differ the first or the last file counts."
 )  # fmt: skip
 @click.option("--only", multiple=True, metavar="IMAGE", help="Image to keep, or a pattern as MGS/*; may be repeated.")
-@click.option("--thin", type=click.IntRange(1), metavar="N", help="Keep about N points in an image, well spread.")
 @click.option("--split", is_flag=True, help="A file for each part that hangs together: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
@@ -46,9 +45,7 @@ def convert(
     and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
     names begin with, and there is one for each pair of images), .gcp and .nvm.
 
-    --only, --thin and --split, in this order, take parts of it. --thin keeps the best points of N cells of each image
-    (in many images, of small sigma, of high GoodnessOfFit), constrained and fixed ones, and the connection of all
-    images.
+    --only and --split, in this order, take parts of it.
 
     Says what was written and, one line each, what the format can't hold. Pixels are counted as each format counts them:
     see docs/exchange.md.
@@ -64,7 +61,7 @@ def convert(
     inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
     setting = setting_of(**{name: given.pop(name) for name in names}, shifted=not nvm_no_shift)
-    selection = Selection(Duplicates(duplicates), *map(given.pop, ("only", "thin", "split")))
+    selection = Selection(Duplicates(duplicates), *map(given.pop, ("only", "split")))
     try:
         made = make(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **given

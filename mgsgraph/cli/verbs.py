@@ -42,6 +42,7 @@ REMOVED = {
     "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",
     "remove --check": "mgsgraph solve PROJECT ends with the closing check",
+    "convert --thin": "ISIS's cnetthinner keeps few points, well spread; --only keeps some images",
     "fetch --mirrors": "--mirror takes a file of addresses, too",
     "fetch --update": "to have what the archives have now, fetch into another folder",
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",

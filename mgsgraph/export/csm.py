@@ -37,6 +37,7 @@ from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
@@ -205,7 +206,7 @@ def _parameter_design(places: Array, times: Array, tables: RefinedTables, scales
     calculateAttitudeCorrection) at places (n, 3) and times (n,).
     """
     motion = np.column_stack([np.interp(times, tables.position_times, axis) for axis in tables.velocities.T])
-    radial = places / np.linalg.norm(places, axis=1)[:, None]
+    radial = unit_vectors(places)
     across = np.cross(places, motion)
     across /= np.linalg.norm(across, axis=1)[:, None]
     axes = np.stack([np.cross(across, radial), across, radial], axis=2)

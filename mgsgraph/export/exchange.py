@@ -1,4 +1,4 @@
-"""Networks from one program to another: read in any format, united, split and thinned, written in any, and what gets
+"""Networks from one program to another: read in any format, united and split, written in any, and what gets
 lost on the way said. Of files of a network's name those alone are replaced that are networks by their content.
 """
 
@@ -37,7 +37,7 @@ from mgsgraph.files.networks.asp_text import (
     read_offsets,
 )
 from mgsgraph.files.networks.binary import binary_network, read_network
-from mgsgraph.files.networks.editing import images_of, in_images, thinned, united, used_images
+from mgsgraph.files.networks.editing import images_of, in_images, united, used_images
 from mgsgraph.files.networks.pvl import network_text
 from mgsgraph.files.networks.record import (
     ControlNetwork,
@@ -81,8 +81,6 @@ class Selection:
     """What becomes of points that several files have."""
     images: tuple[str, ...] = ()
     """Names or patterns of images to keep; all when empty."""
-    cells: int | None = None
-    """In every image, by which points are thinned; None leaves all."""
     split: bool = False
     """Whether parts that are connected get files of their own."""
 
@@ -322,7 +320,7 @@ def convert(
         remedy = "name what is written last; or say --replace"
         raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
     network, notes = read_networks(paths, setting, read_as, selection.duplicates)
-    network, said = _chosen(network, selection, setting)
+    network, said = in_images(network, selection.images) if selection.images else (network, [])
     files, more = _files(network, output, form, setting, selection.split)
     lost = losses(network, form)
     _require_others(paths, files)
@@ -332,19 +330,6 @@ def convert(
         raise Lossy(output, lost)
     _write(files)
     return Conversion(network, tuple(files), (*notes, *said, *more), tuple(lost))
-
-
-def _chosen(
-    network: ControlNetwork, selection: Selection, setting: ExchangeSetting
-) -> tuple[ControlNetwork, list[str]]:
-    """What is to be written of a network, and sentences about the rest."""
-    said = list[str]()
-    if selection.images:
-        network, said = in_images(network, selection.images)
-    if selection.cells is not None:
-        network, more = thinned(network, selection.cells, setting.sizes)
-        said += more
-    return network, said
 
 
 def _files(

@@ -128,7 +128,7 @@ def body_table(tables: RefinedTables, angular_rate: Turning) -> AttitudeTable:
 
 def _middle_pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[float, float]:
     """The smaller side in m on the ground of the pixel in the image's middle, and the camera's distance from there."""
-    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    line, sample = image.middle
     ground, by_place = image.image_to_ground(line, sample, 0.0, correction)
     if not np.isfinite(ground).all():
         found, expected = "a middle that looks past the body", "one that sees the ellipsoid"

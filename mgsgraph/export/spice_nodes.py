@@ -23,6 +23,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 
 TOLERANCE = 1e-3
@@ -149,7 +150,7 @@ def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[fl
     if not seen.any():  # an image of the sky
         distance = float(np.linalg.norm(origins, axis=1).max())
         return distance * image.pixel_angle, distance
-    along = (directions / np.linalg.norm(directions, axis=1, keepdims=True))[seen]
+    along = unit_vectors(directions)[seen]
     size = by_place[seen]
     across = size - along[:, :, None] * np.einsum("ni,nik->nk", along, size)[:, None, :]
     distance = np.linalg.norm(ground[seen] - origins[seen], axis=1)

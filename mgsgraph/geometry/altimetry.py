@@ -25,6 +25,7 @@ from mgsgraph.geometry.records import (
     require_covariances,
     require_names,
 )
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import J2000, YEARS
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.record import Record
@@ -159,7 +160,7 @@ def _minute(number: int) -> str:
 
 def footprint_covariances(footprints: Array, horizontal: float, vertical: float | Array) -> Array:
     """(n, 3, 3) m^2 of footprints (n, 3) with one sigma (m) east and north and another one, or others (n,), upward."""
-    outward = footprints / np.linalg.norm(footprints, axis=1, keepdims=True)
+    outward = unit_vectors(footprints)
     more = (np.asarray(vertical)[..., None, None] ** 2 - horizontal**2) * outward[:, :, None] * outward[:, None]
     return np.asarray(horizontal**2 * np.eye(3) + more)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.record import Record
 from mgsgraph.units import KM
 
@@ -184,7 +185,7 @@ def east_north(points: Array) -> Array:
 
 def east_north_up(points: Array) -> Array:
     """(n, 3, 3) unit vectors eastward, northward and upward, the same."""
-    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    up = unit_vectors(points)
     return np.concatenate([east_north(points), up[:, None]], axis=1)
 
 

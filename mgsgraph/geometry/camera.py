@@ -89,8 +89,7 @@ class RadialDistortion:
         square = np.einsum("ni,ni->n", place, place)
         scale = 1.0 - self.k0 - square * (self.k1 + square * self.k2)
         slope = -2.0 * (self.k1 + 2.0 * square * self.k2)
-        jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * place[:, :, None] * place[:, None, :]
-        return place * scale[:, None], jacobian
+        return _outward(place, scale, slope)
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,8 +280,14 @@ class CorrectedDistortion:
         square, (c1, c2, c3) = np.einsum("ni,ni->n", ideal, ideal), self.radial
         scale = 1.0 + square * (c1 + square * (c2 + square * c3))
         slope = 2.0 * (c1 + square * (2.0 * c2 + square * 3.0 * c3))
-        outward = scale[:, None, None] * np.eye(2) + slope[:, None, None] * ideal[:, :, None] * ideal[:, None, :]
-        return ideal * scale[:, None] - np.array(self.point), outward @ jacobian
+        scaled, outward = _outward(ideal, scale, slope)
+        return scaled - np.array(self.point), outward @ jacobian
+
+
+def _outward(place: Array, scale: Array, slope: Array) -> Bent:
+    """Places times scales (n,), with their Jacobians: a scale changes by the slope (n,) times its place."""
+    jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * place[:, :, None] * place[:, None, :]
+    return place * scale[:, None], jacobian
 
 
 def _along_y(place: Array, y: Array, slope: Array) -> Bent:
@@ -314,21 +319,21 @@ def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_STEPS):
             distorted, forward = distort(ideal)
-            step = np.einsum("nij,nj->ni", _inverse(forward), place - distorted)
+            step = solved(forward, (place - distorted)[:, :, None])[:, :, 0]
             ideal = ideal + step
             if not np.any(np.abs(step) > _AT_REST):  # NaN has converged, too
                 break
-        settled = (np.abs(step) <= _AT_REST).all(axis=1)
-        jacobian = _inverse(distort(ideal)[1])
+        settled = np.all(np.abs(step) <= _AT_REST, axis=1)
+        jacobian = solved(distort(ideal)[1], np.eye(2))
     return np.where(settled[:, None], ideal, np.nan), np.where(settled[:, None, None], jacobian, np.nan)
 
 
-def _inverse(matrices: Array) -> Array:
-    """Of matrices (n, 2, 2); NaN where singular."""
+def solved(matrices: Array, right: Array) -> Array:
+    """Solutions (n, 2, k) of equations with matrices (n, 2, 2) and right sides (n, 2, k); NaN where singular."""
     (a, b), (c, d) = np.moveaxis(matrices, 0, -1)
     determinant = a * d - b * c
     adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
-    return np.asarray(adjugate / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])
+    return np.asarray(adjugate @ right / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])
 
 
 MODELS: tuple[type[Distortion], ...] = (

@@ -24,6 +24,7 @@ from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.units import DEG
 
 Shapes = NDArray[Any]
@@ -258,7 +259,7 @@ def footprint(
 
 def _goes_round(edge: Array) -> bool:
     """Whether places along an edge go more than a quarter of the way around the body: outlines lie in one plane."""
-    direction = edge / np.linalg.norm(edge, axis=1)[:, None]
+    direction = unit_vectors(edge)
     chords = np.linalg.norm(np.diff(direction, axis=0), axis=1)
     return bool(2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)).sum() > 0.5 * np.pi)
 
@@ -364,7 +365,7 @@ def _authalic(points: Array, body: Ellipsoid) -> tuple[Array, float]:
 def _middles(outlines: Array) -> Array:
     """Mean directions (m, 3) of outlines (m, k, 3)."""
     middles = outlines.mean(axis=1)
-    return np.asarray(middles / np.linalg.norm(middles, axis=1)[:, None])
+    return unit_vectors(middles)
 
 
 def _tangents(centres: Array) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ from mgsgraph.factors.collinearity import (
 )
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.camera import InteriorOrientation, solved
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory, require_covered
@@ -147,6 +147,11 @@ class PushbroomImage(Record):
     remarks: tuple[str, ...] = ()
     """What its reader decided or put right, in phrases."""
 
+    @property
+    def middle(self) -> tuple[Array, Array]:
+        """Line (1,) and sample (1,) of its middle."""
+        return np.array([0.5 * self.lines]), np.array([0.5 * self.samples])
+
     def __post_init__(self) -> None:
         if not self.name:
             raise InputError("image", "an empty name", "the name by which networks refer to it")
@@ -172,7 +177,7 @@ class PushbroomImage(Record):
     @property
     def pixel_angle(self) -> float:
         """Angle across a detector pixel in the middle of the image, rad."""
-        _, slope = self.interior.focal_plane(np.array([0.5 * self.samples]))
+        _, slope = self.interior.focal_plane(self.middle[1])
         return float(np.linalg.norm(slope[0])) / self.interior.focal_length
 
     def pose(self, lines: Array, correction: OrientationCorrection | None = None) -> Pose:
@@ -269,11 +274,11 @@ class PushbroomImage(Record):
         size = np.array([self.lines, self.samples])
         for _ in range(_NEWTON_STEPS):
             error, jacobian, by_point = self._misplacement(points, place, self.pose(place[:, 0], correction))
-            step = -_solve(jacobian, error[:, :, None])[:, :, 0]
+            step = -solved(jacobian, error[:, :, None])[:, :, 0]
             before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
             if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
                 break
-        derivative = -_solve(jacobian, by_point)
+        derivative = -solved(jacobian, by_point)
         unseen = ~(np.abs(step).max(axis=1) < 1e3 * _PIXEL_TOLERANCE)
         place[unseen], derivative[unseen] = np.nan, np.nan
         return place, derivative
@@ -292,7 +297,7 @@ class PushbroomImage(Record):
         turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
         of_interior = [np.broadcast_arrays(*by_interior(row, ray)) for row in ((1.0, 0.0), (0.0, 1.0))]
         looks = np.stack([np.stack(row, axis=1) for row in of_interior], axis=1)
-        return -_solve(jacobian, np.concatenate([-in_plane, turned, looks], axis=2))
+        return -solved(jacobian, np.concatenate([-in_plane, turned, looks], axis=2))
 
     def _misplacement(self, points: Array, place: Array, pose: Pose) -> tuple[Array, Array, Array]:
         """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being
@@ -307,14 +312,6 @@ class PushbroomImage(Record):
         points_rows = [rotation.stacked(by_point(row, attitude)) for row in image_by_ray(ray, focal)]
         error = rotation.stacked(focal_plane(ray, focal)) - detector
         return error, np.stack([by_line, -slope], axis=2), np.stack(points_rows, axis=1)
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Solutions (n, 2, k) of equations with matrices (n, 2, 2) and right sides (n, 2, k); NaN where singular."""
-    (a, b), (c, d) = np.moveaxis(matrix, 0, -1)
-    determinant = a * d - b * c
-    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
-    return np.asarray(adjugate @ right / np.where(determinant == 0.0, np.nan, determinant)[:, None, None])
 
 
 # --- images that are one and the same

@@ -18,6 +18,7 @@ from mgsgraph.factors.algebra import dot, scale, subtract
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 
 
@@ -43,7 +44,7 @@ def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, point
         rad between the outermost rays, about (of two rays less than 90 deg apart exactly): twice the arc sine of the
         spread of unit directions; zero where the place is NaN.
     """
-    unit = tuple((directions / np.linalg.norm(directions, axis=1, keepdims=True)).T)
+    unit = tuple(unit_vectors(directions).T)
     count = np.bincount(point_of_ray, minlength=points)
     reference = np.zeros((points, 3))  # body-fixed numbers would cost six digits
     reference[point_of_ray[::-1]] = origins[::-1]
@@ -99,7 +100,7 @@ def meet_terrain(origins: Array, directions: Array, terrain: TerrainGrid) -> Arr
 
 
 def _meet(origins: Array, directions: Array, terrain: TerrainGrid) -> Array:
-    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    unit = unit_vectors(directions)
     low, high = float(np.nanmin(terrain.radii)) - 1.0, float(np.nanmax(terrain.radii)) + 1.0
     begin, end = _to_sphere(origins, unit, high), _to_sphere(origins, unit, low)
     nearest = -np.einsum("ni,ni->n", origins, unit)  # a ray that stays above the lowest post is followed to its middle

@@ -34,13 +34,13 @@ def require_plausible(image: PushbroomImage, where: str) -> None:
     if isinstance(table, PositionTable):  # a body-fixed path may have corners, where its velocities are nobody's
         require_flight(table, where, 1.0 if isinstance(image.trajectory, Trajectory) else 0.5)
     require_possible(body, "", where)
-    middle = np.array([0.5 * image.lines])
-    distance = float(np.linalg.norm(image.pose(middle).position))
+    middle = image.middle
+    distance = float(np.linalg.norm(image.pose(middle[0]).position))
     if not body.polar < distance < _FARTHEST * body.equatorial:
         found = f"a camera {distance / KM:.6g} km from the body's centre, whose radius is {body.equatorial / KM:.6g} km"
         raise InputError(where, found, f"one outside the body and not {_FARTHEST} radii away", unit)
     with np.errstate(all="ignore"):
-        ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]), 0.0)
+        ground, _ = image.image_to_ground(*middle, 0.0)
     if not np.isfinite(ground).all():
         remedy = f"check attitudes, focal length and units; {unit}"
         raise InputError(where, "a middle that looks past the body", "one that sees the ellipsoid", remedy)

@@ -128,3 +128,8 @@ def angle_axes(angles: Array, camera_to_body: bool) -> Array:
     """
     parts = components(angles)
     return matrices(equations.opk_paper_axes(parts) if camera_to_body else equations.opk_peer_axes(parts))
+
+
+def unit_vectors(vectors: Array) -> Array:
+    """Vectors (..., 3) in any unit, each by its length."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float64)

@@ -185,12 +185,6 @@ def _next(shots: Mask, way: tuple[int, int]) -> NDArray[np.float64]:
     rows, along = (shots, way[1]) if way[0] else (shots.T, 0)
     found = np.where(rows, 0.0, np.inf)
     for i in range(1, len(found)):
-        before = np.full(found.shape[1], np.inf)
-        if along > 0:
-            before[1:] = found[i - 1, :-1]
-        elif along < 0:
-            before[:-1] = found[i - 1, 1:]
-        else:
-            before = found[i - 1]
+        before = np.pad(found[i - 1], 1, constant_values=np.inf)[1 - along :][: found.shape[1]]
         found[i] = np.minimum(found[i], before + 1.0)
     return found if way[0] else found.T

@@ -26,6 +26,7 @@ from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, assign, frozen
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.record import Record
 
@@ -77,7 +78,7 @@ class GroundChart(Record):
 
     def plane(self, points: Array) -> Array:
         """(n, 2) m, positions in the plane under points (n, 3) in m, body-fixed."""
-        local = (points / np.linalg.norm(points, axis=1, keepdims=True)) @ self.axes.T
+        local = unit_vectors(points) @ self.axes.T
         return np.asarray(local[:, :2] * (self.radius * np.sqrt(2.0 / (1.0 + local[:, 2:]))))
 
 
@@ -163,7 +164,7 @@ class Picture(Record):
         """(n, 2) m per m of height, by which the rays of lines and samples (n, 2) move over the chart."""
         origins, directions = self.image.sightlines(pixels[:, 0], pixels[:, 1], self.correction)
         points = ground.meet(origins, directions)
-        up = points / np.linalg.norm(points, axis=1, keepdims=True)
+        up = unit_vectors(points)
         higher = points + directions / np.einsum("ni,ni->n", directions, up)[:, None]
         return ground.chart.plane(higher) - ground.chart.plane(points)
 

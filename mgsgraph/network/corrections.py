@@ -337,22 +337,6 @@ class Support:
         return weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
 
 
-def support(network: Network, number: int, least: int = LEAST, taken: Mask | None = None) -> Support:
-    """How many rays observe each node of a pass.
-
-    Parameters
-    ----------
-    network : Network
-    number : int
-        Of the pass.
-    least : int
-        Rays that each node should have near it.
-    taken : (rays,), optional
-        Those that take part; when absent all that are not marked as blunders.
-    """
-    return support_of(network.passes[number].nodes, useful_rays(network, number, taken), least)
-
-
 def useful_rays(network: Network, number: int, taken: Mask | None = None) -> PassRays:
     """Rays of a pass whose points something else places, too."""
     used = ~network.rays.rejected if taken is None and network.rays.rejected is not None else taken
@@ -364,7 +348,7 @@ def useful_rays(network: Network, number: int, taken: Mask | None = None) -> Pas
 
 
 def support_of(nodes: OrientationImages, rays: PassRays, least: int = LEAST) -> Support:
-    """The same for any nodes over rays of a pass."""
+    """How many rays of a pass observe each node; `least` (of any) should be near each."""
     number, last = np.arange(len(nodes)), len(nodes) - 1
     start, stop = nodes.times[np.maximum(number - 1, 0)], nodes.times[np.minimum(number + 1, last)]
     counts, looking = np.zeros((rays.looks.shape[0], len(nodes)), dtype=np.int64), np.zeros(len(nodes), dtype=np.int64)
@@ -390,15 +374,6 @@ def supported_spacing(nodes: OrientationImages, rays: PassRays, least: int = LEA
         intervals = max(min(int(intervals * _COARSER), intervals - 1), SUPPORT - 1)
 
 
-def require_observed_nodes(network: Network, taken: Mask | None = None) -> None:
-    """Raise InputError unless every node of every pass has some rays near it: the least that an adjustment needs.
-
-    Rays of one line alone will do: what is known of the nodes beforehand tells position from pointing. And nodes before
-    the first rays and after the last ones need none: there a pass follows its prior. `taken` as there, below.
-    """
-    require_supported(network, taken=taken, between=True)
-
-
 def require_supported(
     network: Network, least: int = LEAST, taken: Mask | None = None, between: bool = False
 ) -> None:
@@ -412,7 +387,9 @@ def require_supported(
     taken : (rays,), optional
         Those that take part; when absent all that are not marked as blunders.
     between : bool
-        Whether nodes between others alone count, with rays of however many lines (`Support.gaps`).
+        Whether nodes between others alone count, with rays of however many lines (`Support.gaps`): the least that an
+        adjustment needs, for what is known of nodes beforehand tells position from pointing, and before the first
+        rays and after the last ones a pass follows its prior.
     """
     for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)

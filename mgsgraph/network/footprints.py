@@ -31,6 +31,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.joining import seconds
 from mgsgraph.record import Record
 
@@ -260,7 +261,7 @@ def _visible(image: PushbroomImage, points: Array, correction: OrientationCorrec
     edge = np.array([0.0, 0.5, 1.0])
     lines, samples = (one.ravel() for one in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
-    eye = image.pose(np.array([0.5 * image.lines]), correction).position[0]
+    eye = image.pose(image.middle[0], correction).position[0]
     facing = np.einsum("ni,ni->n", points, eye - points) > 0.0
     if not np.all(np.isfinite(ground)):
         return np.flatnonzero(facing)
@@ -351,7 +352,7 @@ def on_ground(
     """(n, 2, 2) metres along the flight and to its right per line and per sample, at the points' heights."""
     height = geodetic(points, image.body)[:, 2]
     _, to_ground = image.image_to_ground(places[:, 0], places[:, 1], height, correction)
-    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    up = unit_vectors(points)
     flight = image.pose(places[:, 0], correction).velocity
     along = flight - np.einsum("ni,ni->n", flight, up)[:, None] * up
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -409,8 +410,7 @@ def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: A
     The sigma is what the heights of the plane's ties leave, carried to the place, and once again for the relief there.
     """
     down, across = (places[:, None, k] - ties[None, :, k] for k in (0, 1))
-    middle = np.array([[0.5 * image.lines, 0.5 * image.samples]])
-    _, by_pixel = image.image_to_ground(middle[:, 0], middle[:, 1])
+    _, by_pixel = image.image_to_ground(*image.middle)
     size = np.linalg.norm(by_pixel[0], axis=0)  # m per line and per sample
     distance = np.hypot(down * size[0], across * size[1])
     count = min(_NEAREST, ties.shape[0])

@@ -17,6 +17,7 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationImages
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network.network import Network
 from mgsgraph.network.passes import Pass, PassPrior
@@ -51,7 +52,7 @@ def straightest(images: Sequence[PushbroomImage]) -> int:
     """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
     off = []
     for image in images:
-        place, _ = image.interior.focal_plane(np.array([0.5 * image.samples]))
+        place, _ = image.interior.focal_plane(image.middle[1])
         off.append(round(float(np.linalg.norm(place)) / image.interior.focal_length, 6))
     return int(np.argmin(off))
 
@@ -156,7 +157,7 @@ def _against_flight(image: PushbroomImage) -> Array:
     pose = image.trajectory.pose(times)
     outward, normal = pose.position[0], np.cross(pose.position[0], pose.velocity[0])
     axes = np.stack([np.cross(normal, outward), normal, outward])
-    return np.asarray(pose.matrix[0] @ (axes / np.linalg.norm(axes, axis=1)[:, None]).T)
+    return np.asarray(pose.matrix[0] @ unit_vectors(axes).T)
 
 
 def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None:

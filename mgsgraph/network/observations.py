@@ -500,10 +500,9 @@ def _along_pass(found: Registration, one: Members) -> Index:
     cameras = [_same_axes(one, k) for k in range(members.size)]
     camera = max(cameras, key=lambda same: int(np.any(covered[same], axis=0).sum()))
     owners = np.full(times.size, -1, dtype=np.int64)
-    for k in np.flatnonzero(camera)[::-1].tolist():
-        owners[covered[k]] = members[k]
-    for k in np.flatnonzero(camera)[::-1].tolist():
-        owners[found.simultaneous[members[k]]] = members[k]
+    for shots in (covered, found.simultaneous[members]):
+        for k in np.flatnonzero(camera)[::-1].tolist():
+            owners[shots[k]] = members[k]
     return owners
 
 

@@ -152,9 +152,7 @@ class NodePrior(BiasAndDrift):
                 follow = trend[k] - before * trend[k - 1] if k else trend[k]
                 parts[count] = -scale * follow / self.sigmas[known][:, None]
             yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, known))
-        if self.trend_sigmas.size:
-            about = _about(count, np.arange(self.trend_sigmas.size))
-            yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
+        yield from _on_trend(count, self.trend_sigmas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,13 +334,17 @@ class ProcessPrior(BiasAndDrift):
             if trend.shape[2]:
                 parts[count] = -follow / sigmas[k][:, None]
             yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, components))
-        if self.trend_sigmas.size:
-            about = _about(count, np.arange(self.trend_sigmas.size))
-            yield LinearFactor((count,), (np.diag(1.0 / self.trend_sigmas),), about)
+        yield from _on_trend(count, self.trend_sigmas)
 
 
 PassPrior = NodePrior | PolynomialPrior | ProcessPrior
 """What may be known of a pass beforehand."""
+
+
+def _on_trend(unknown: int, sigmas: Array) -> Iterator[LinearFactor]:
+    """Rows on the trend, where there is one."""
+    if sigmas.size:
+        yield LinearFactor((unknown,), (np.diag(1.0 / sigmas),), _about(unknown, np.arange(sigmas.size)))
 
 
 def _about(unknown: int, columns: Index) -> Index:

@@ -20,6 +20,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
 from mgsgraph.units import MRAD, PPM
@@ -245,7 +246,7 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
 def _past_middle(image: PushbroomImage, lines: Array) -> Array:
     """(n,) lines by which a line period that is twice as long makes lines (n,) later."""
     times, periods = image.timing.at(lines)
-    return np.asarray((times - image.timing.at(np.array([0.5 * image.lines]))[0]) / periods)
+    return np.asarray((times - image.timing.at(image.middle[0])[0]) / periods)
 
 
 def _flight_axes(positions: Array, velocities: Array) -> Array:
@@ -254,7 +255,7 @@ def _flight_axes(positions: Array, velocities: Array) -> Array:
     """
     outward, normal = positions, np.cross(positions, velocities)
     axes = np.stack([outward, np.cross(normal, outward), normal])
-    return np.asarray(axes / np.linalg.norm(axes, axis=2, keepdims=True))
+    return unit_vectors(axes)
 
 
 def _spin(image: PushbroomImage) -> Array:
@@ -322,7 +323,7 @@ def ground_shift(image: PushbroomImage, kind: SharedKind) -> Array:
     """(kind.width, 3) m per s, rad, m or 1: how far the ground moves that the middle of an image shows (or, by the
     altimeter's boresight, a footprint there), level with the ellipsoid.
     """
-    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    line, sample = image.middle
     place, _ = image.image_to_ground(line, sample)
     pose = image.pose(line)
     arm, up = place - pose.position, place[0] / np.array([image.body.equatorial] * 2 + [image.body.polar]) ** 2

@@ -11,6 +11,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import meet_terrain
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.footprints import visible_places
 from mgsgraph.network.joining import Definitions, definitions
@@ -120,7 +121,7 @@ class ImageCoverage:
     def below(self, places: Array, height: float) -> Array:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
         body = self.network.images[0].body
-        up = places / np.linalg.norm(places, axis=1)[:, None]
+        up = unit_vectors(places)
         radius = surface_radii(up, Ellipsoid(body.equatorial + height, body.polar + height))
         if self.grid is not None:
             over = self.grid.at(places)

@@ -147,7 +147,7 @@ class TargetSigmas:
         moves with them (3, d), m per m and per rad.
         """
         angles, network = self.present.state.settings.angles, self.present.network
-        (parts,) = designs(network, image, angles, np.array([0.5 * known.image.lines]))
+        (parts,) = designs(network, image, angles, known.image.middle[0])
         return tuple(parts), ground_motion(known, angles)[:, :6] @ np.hstack(list(parts.values()))
 
     def _of_points(self, flat: Array) -> Array:
@@ -167,7 +167,7 @@ class TargetSigmas:
 def _under(known: KnownImage) -> Array:
     """(3,) m, the ground under an image's middle; where it looks past the body, the camera."""
     image = known.image
-    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    line, sample = image.middle
     ground, _ = image.image_to_ground(line, sample)
     return np.asarray(ground[0] if np.all(np.isfinite(ground)) else image.pose(line).position[0])
 

@@ -22,7 +22,7 @@ from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
-from mgsgraph.network.joining import Definitions, definitions, joining, united, with_definitions
+from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import observed, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.project.project import Measure, Project, all_set_aside
@@ -135,7 +135,9 @@ def read_addition(
     alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)], notes)]
     new += alone
     known_passes = store.definitions()
-    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names([*unmeasured, *alone])]
+    joins = [*unmeasured, *alone]
+    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(joins)]
+    notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in joins], store)
     _require_new(_names(new), there, where)
     require_distinct_from(project, [one.known for one in new])
     known = [*there, *_names(new)]
@@ -164,6 +166,21 @@ def read_addition(
     unconnected = tuple(name for name in _names(new) if name not in linked)
     whole = with_images(network, pictures)
     return Addition(tuple(new), whole, files, unconnected, tuple(sources), tuple(notes), united(brought))
+
+
+def _taken_along(known: Definitions, images: Sequence[PushbroomImage], store: ProjectStore) -> list[str]:
+    """Sentences about images with an orientation of their own that were taken while a pass of the project was."""
+    found = list[str]()
+    for one in known.passes.values():
+        edges = np.array([seconds(store.image(name).image) for name in one.images])
+        for image in images:
+            start, stop = seconds(image)
+            if np.any((edges[:, 0] < stop) & (start < edges[:, 1])):
+                found.append(
+                    f"{image.name} was taken while images of pass {one.name} were, and gets an orientation of its own; "
+                    f"--pass {one.name!r} puts it on that trajectory."
+                )
+    return found
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:

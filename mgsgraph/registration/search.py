@@ -29,6 +29,7 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.registration.minima import (
     REACH,
@@ -302,7 +303,7 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Mo
     points = points[seen]
     (places, by_point), (others, other_by_point) = ((part[seen] for part in one) for one in found)
     ways = np.swapaxes(east_north(points), 1, 2)
-    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    up = unit_vectors(points)
     rays = -pair.images[0].sightlines(places[:, 0], places[:, 1], pair.corrections[0])[1]
     epipolar = np.einsum("nij,nj->ni", other_by_point, rays)
     epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)

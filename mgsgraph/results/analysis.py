@@ -22,7 +22,7 @@ from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
-from mgsgraph.results.section import Section, columns_of, drawn, write_sections
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
 from mgsgraph.results.soundness import linearity_section
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
@@ -48,8 +48,7 @@ def reliability_section(found: Reliability, most: int) -> Section:
         + (f": {some(loose, found.uncontrolled.size)}." if loose else "."),
     ]
     record = {
-        "alpha": found.levels.alpha, "power": found.levels.power, "critical": found.critical,
-        "shift_sigmas": found.levels.shift, "measures": len(found), "redundancy": found.degrees_of_freedom,
+        **record_of("reliability", found), "measures": len(found), "redundancy": found.degrees_of_freedom,
         "over": int(found.suspected.size), "uncontrolled": int(found.uncontrolled.size),
         "suspects": [
             {"w": one.test, "over": one.over, "measures": [found.name(int(k)) for k in one.measures]} for one in worst
@@ -81,7 +80,7 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
     def known(values: np.ndarray) -> np.ndarray:
         return np.where(np.isfinite(values), values, np.nan)[order]
 
-    return Table("reliability", "Measures by suspicion", columns_of("reliability", {
+    return table_of("reliability", {
         "measure": found.names(order), "kind": picked(_KINDS, table.kind[order]),
         "point": picked(points, table.point[order]), "image": picked(images, table.image[order]),
         "unit": found.units(order), "w": known(table.test), "residual": known(table.residual),
@@ -89,7 +88,7 @@ def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
         "minimal_detectable_blunder": known(table.detectable), "effect": known(table.effect),
         "external": known(table.external), "joint_test": known(table.joint),
         "joint_dimensions": known(table.dimensions),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,10 +187,7 @@ def _honesty(posterior: Posterior, name: str) -> Section:
     residuals = residuals_table(statistics)
 
     record = {
-        "global_test": {
-            "squares": test.squares, "degrees_of_freedom": test.degrees, "p_two_sided": test.two_sided,
-            "p_larger": test.larger, "passed": test.passed, "alpha": test.alpha,
-        },
+        "global_test": record_of("global_test", test),
         "components": _components_record(components),
         "residuals": residuals.records(),
     }  # fmt: skip
@@ -206,10 +202,9 @@ def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
     beyond, p = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
     odd = ["" if one.as_promised is not False else " inconsistent" for one in statistics]
-    title = "Normalised residuals (of a normal law: mean 0, rms 1, skew 0, kurtosis 0)"
-    return Table("residuals", title, columns_of("residuals", {
+    return table_of("residuals", {
         "beyond_1_2_3_sigma": beyond, "p": p, "odd": odd,
-    }, statistics))  # fmt: skip
+    }, statistics)  # fmt: skip
 
 
 def _components_record(found: Components) -> dict[str, Any]:
@@ -222,10 +217,10 @@ def _components_record(found: Components) -> dict[str, Any]:
 def components_table(found: Components, name: str = "components") -> Table:
     """One row per group of measures: by what factor its sigmas are wrong."""
     groups, interval = found.groups, np.array([one.interval() for one in found.groups]).reshape(-1, 2)
-    return Table(name, "Variance components", columns_of("components", {
+    return table_of("components", {
         "judgement": [str(one.judgement) for one in groups],
         "estimator": ["foerstner" if one.negative else "helmert" for one in groups], "factor_{}_99": interval,
-    }, groups))  # fmt: skip
+    }, groups, name=name)  # fmt: skip
 
 
 def _iterated(posterior: Posterior) -> Section:
@@ -246,7 +241,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
     found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
     record = [
         {
-            "ratio": one.ratio, "sigma": one.sigma, "unit": one.unit, "words": one.sentence, "equals": one.equals,
+            **record_of("weak_direction", one),
             "parts": [
                 {
                     "of": part.axis.owner, "axis": str(part.axis), "share": part.share,
@@ -268,7 +263,7 @@ def _separability(posterior: Posterior) -> Section:
     none = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
     record = [
         {
-            "quantities": [{"name": part.name, "of": part.owner, "unit": part.unit, "sigma": part.sigma,
+            "quantities": [{**record_of("quantity", part),
                             "coefficient": float(c)} for part, c in zip(one.quantities, one.coefficients, strict=True)],
             "correlation": one.correlation, "determined": one.mixture, "sigma": one.sigma,
             "unit": one.quantities[0].unit,
@@ -294,19 +289,12 @@ def likelihood_table(profiles: Sequence[Profile]) -> Table:
     units = ["mrad" if one.unit == "rad" else one.unit for one in profiles]
     scale = np.array([1.0 / MRAD if one.unit == "rad" else 1.0 for one in profiles])
     intervals = np.array([one.intervals for one in profiles]).reshape(-1, len(LEVELS), 2) * scale[:, None, None]
-    ends = [
-        Column(f"{end}_{100.0 * level:.0f}", intervals[:, k, side], meaning=f"{end}er end of the {level:.0%} interval",
-               label=f"{end} {level:.0%}", text=">10.4g")
+    ends = {
+        f"{end}_{100.0 * level:.0f}": intervals[:, k, side]
         for k, level in enumerate(LEVELS) for side, end in enumerate(("low", "high"))
-    ]  # fmt: skip
-    return Table("likelihood", "Intervals by the likelihood (68, 95 and 99 %)", (
-        *columns_of("likelihood", {
-            "of": [one.owner for one in profiles], "axis": [one.axis for one in profiles], "unit": units,
-            "value": numbers(profiles, "value") * scale, "sigma": numbers(profiles, "sigma") * scale,
-        }),
-        *ends,
-        *columns_of("likelihood", {"ratio": numbers(profiles, "ratio")}),
-    ))  # fmt: skip
+    }  # fmt: skip
+    value, sigma = numbers(profiles, "value") * scale, numbers(profiles, "sigma") * scale
+    return table_of("likelihood", {"unit": units, "value": value, "sigma": sigma, **ends}, profiles)
 
 
 # --- what residuals show
@@ -326,10 +314,10 @@ def unexplained_table(found: Unexplained) -> Table:
     """One row per named effect, then one for the clearest test of each place and kind of rows."""
     every = [*found.effects, *found.others]
     named = len(found.effects)
-    return Table("unexplained", "What the adjustment cannot explain", columns_of("unexplained", {
+    return table_of("unexplained", {
         "kind": [str(one.kind) for one in every], "named": ["yes" if k < named else "" for k in range(len(every))],
         "or": ["; ".join(one.alternatives) for one in every],
-    }, every))  # fmt: skip
+    }, every)  # fmt: skip
 
 
 def vibrations_section(posterior: Posterior, name: str) -> Section:
@@ -356,6 +344,6 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
 def vibrations_table(found: ResidualVibrations) -> Table:
     """One row per vibration, clearest first."""
     every = found.vibrations
-    return Table("vibrations", "Vibrations in residuals", columns_of("vibrations", {
+    return table_of("vibrations", {
         "or": ["; ".join(one.alternatives) for one in every],
-    }, every))  # fmt: skip
+    }, every)  # fmt: skip

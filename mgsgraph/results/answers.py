@@ -27,7 +27,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, columns_of, drawn
+from mgsgraph.results.section import Section, columns_of, drawn, record_of
 from mgsgraph.units import DEG, MRAD
 
 _MOST_SHOWN = 12
@@ -133,10 +133,7 @@ def _difference(found: Difference) -> Section:
         f"{_sigmas(found.east_north_up, ('east', 'north', 'up'))}."
     )
     return Section("answer", sentences=[found.sentence, more], numbers={
-        "question": "pair", "points": [found.first, found.second], "height_difference_m": found.height,
-        "height_sigma_m": found.height_sigma, "height_sigma_if_independent_m": found.height_sigma_if_independent,
-        "chance": found.chance, "distance_m": found.distance, "distance_sigma_m": found.distance_sigma,
-        "covariance_m2": found.joint,
+        "question": "pair", "points": [found.first, found.second], **record_of("difference", found),
     })  # fmt: skip
 
 
@@ -144,8 +141,7 @@ def _pose(found: PoseEstimate) -> Section:
     where = f"Image {found.image} at line {found.line:g}"
     said = f"{where}: {_flight(found.flight)}; body-fixed {_sigmas(found.covariance[:3, :3])}."
     return Section("answer", sentences=[said], numbers={
-        "question": "pose", "image": found.image, "line": found.line, "position_m": found.position,
-        "matrix_body_to_camera": found.matrix, "covariance_m_rad": found.covariance,
+        "question": "pose", **record_of("pose", found),
         "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight,
     })  # fmt: skip
 
@@ -159,8 +155,7 @@ def _pixel(found: PixelEstimate) -> Section:
         "first pixel's centre is at 0.5)."
     )
     return Section("answer", sentences=[said], numbers={
-        "question": "projection", "point": found.point, "image": found.image, "line_sample_px": found.pixel,
-        "covariance_px2": found.covariance,
+        "question": "projection", **record_of("pixel", found),
     })  # fmt: skip
 
 

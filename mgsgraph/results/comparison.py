@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.results import figures_of_merit
-from mgsgraph.results.section import Section, columns_of, drawn
+from mgsgraph.results.section import Section, columns_of, drawn, table_of
 from mgsgraph.results.soundness import state_of
 from mgsgraph.text import many, root_mean_square, some
 
@@ -27,7 +27,6 @@ _MOST_IMAGES = 300
 """Images whose orientation is compared."""
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
-_TITLE = "Ground points that moved most"
 _METHOD = (
     "A difference is {} minus {}. It is stated in units of the larger of both sigmas (sigma0 = 1): the solutions share "
     "observations and priors, so that the sigma of their difference isn't known from theirs."
@@ -152,10 +151,10 @@ def _images(solution: Solution, earlier: Solution, shared: list[tuple[int, int]]
         f"({names[worst]})."
     )
     note = f"Over {PLACES} lines: rms of the differences, and the largest one in sigmas; a dash: held. "
-    table = Table("images_compared", "Orientation of the images", columns_of("images_compared", {
+    table = table_of("images_compared", {
         "image": names, "rms_{}": rms[:, :3], "rms_turn_{}": rms[:, 3:], "largest_{}_sigmas": most[:, :3],
         "largest_turn_{}_sigmas": most[:, 3:],
-    }), note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
+    }, note=note + cut(len(shared), len(shown), "the first ones", "orientation.csv"))  # fmt: skip
     return Section("images", sentences=[said], tables=[table])
 
 
@@ -182,11 +181,11 @@ def moved_points(points: CommonPoints) -> Table:
     earlier, later = points.sigmas
     classes = points.solution.network.points.classes[here]
     ids = Names.of(points.solution.network.points.ids)[here]
-    return Table(_POINTS, _TITLE, columns_of("moved_points", {
+    return table_of("moved_points", {
         "point": ids, "class": picked(_CLASSES, classes), "{}": points.moved,
         "distance": np.linalg.norm(points.moved, axis=1), "distance_sigmas": points.in_sigmas,
         "sigma_earlier": earlier, "sigma_later": later,
-    }), "Sigmas are 3-D, the root of the covariance's trace. ")  # fmt: skip
+    }, name=_POINTS)  # fmt: skip
 
 
 def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
@@ -197,7 +196,7 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
     rows = [(kind, mine) for kind, mine in members if mine.size]
     medians = np.array([[np.median(one[mine]) for one in (earlier, later)] for _, mine in rows]).reshape(-1, 2)
     spread = np.array([np.quantile(ratio[mine], _QUANTILES) for _, mine in rows]).reshape(-1, 3)
-    table = Table("sigmas_compared", "3-D sigmas of the common points", columns_of("sigmas_compared", {
+    table = table_of("sigmas_compared", {
         "class": [_CLASSES[kind] for kind, _ in rows],
         "points": np.array([mine.size for _, mine in rows], dtype=np.int64),
         "median_{}": Column(
@@ -207,7 +206,7 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
             page=".3f", label="median (m)", text=">10"
         ),
         "ratio_{}": spread,
-    }), f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
+    }, note=f"Ratio: {labels[1]} over {labels[0]}, of each point; below 1 it is better known.")  # fmt: skip
     known = ratio[np.isfinite(ratio)]
     if not known.size:
         return Section("sigmas", tables=[table])

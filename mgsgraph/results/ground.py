@@ -10,11 +10,11 @@ from mgsgraph.adjustment.multistart import Minima
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import laser_gain, point_statistics, range_statistics, used_ray_counts
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.files.output.table import Table
+from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import MRAD
 
@@ -34,17 +34,10 @@ def points_section(solution: Solution) -> Section:
 def classes_table(solution: Solution) -> Table:
     """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
     found = [point_statistics(solution, c) for c in solution.network.classes]
-    sigma, median, high, mean, rms = (
-        np.array([getattr(one, name) for one in found])
-        for name in ("mean_sigma", "median_sigma", "high_sigma", "mean_correction", "rms_correction")
-    )
-    return Table("classes", "Ground points by kind (sigmas for sigma0 = 1)", columns_of("classes", {
-        "kind": [c.name.lower() for c in solution.network.classes], "median_sigma_{}": median, "high_sigma_{}": high,
-        "mean_sigma_{}": sigma, "scaled_sigma_{}": median * solution.sigma0, "mean_correction_{}": mean,
-        "rms_correction_{}": rms,
-    }, found), "Body-fixed axes. Sigmas for sigma0 = 1; the median, also times sigma0, is not moved by weak points. "
-       "Corrections are adjusted minus before.",
-    )  # fmt: skip
+    return table_of("classes", {
+        "kind": [c.name.lower() for c in solution.network.classes],
+        "scaled_sigma_{}": numbers(found, "median_sigma") * solution.sigma0,
+    }, found)  # fmt: skip
 
 
 def _left_out(solution: Solution) -> list[str]:
@@ -81,17 +74,14 @@ def _left_out(solution: Solution) -> list[str]:
 def ranges_section(solution: Solution) -> Section:
     """How laser ranges fit, with the nominal orientation and with the adjusted one."""
     found = range_statistics(solution)
-    record = {
-        "count": found.count, "used": found.used, "mean_residual_m": found.mean, "rms_residual_m": found.rms,
-        "mean_residual_before_m": found.mean_before, "rms_residual_before_m": found.rms_before,
-    }  # fmt: skip
+    record = record_of("ranges", found)  # fmt: skip
     if not found.count:
         return Section("ranges", numbers=record)
-    table = Table("ranges", "Laser ranges", columns_of("ranges", {
+    table = table_of("ranges", {
         "orientation": ["before", "after"], "ranges": np.full(2, found.count), "used": np.full(2, found.used),
         "mean residual": np.array([found.mean_before, found.mean]),
         "rms residual": np.array([found.rms_before, found.rms]),
-    }), "Measured minus predicted.")  # fmt: skip
+    })  # fmt: skip
     return Section("ranges", tables=[table], numbers=record)
 
 
@@ -212,10 +202,10 @@ def control_section(solution: Solution) -> Section:
 def _shifts_table(solution: Solution) -> Table:
     names = solution.network.shift_names
     sigmas = [np.sqrt(np.diag(solution.shift_covariance(p))) for p in range(len(names))]
-    return Table("shifts", "Horizontal shifts of profiles and terrain model", columns_of("shifts", {
+    return table_of("shifts", {
         "name": names, "east_north": np.array([solution.shifts[p] for p in range(len(names))]).reshape(-1, 2),
         "sigma_east_north": np.array(sigmas).reshape(-1, 2), "considered": np.isin(names, solution.network.considered),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _shift_sentence(solution: Solution, shift: int) -> str:
@@ -279,7 +269,7 @@ def _sigmas(covariance: Array) -> Array:
 def _minima_table(found: Minima) -> Table:
     """One row per minimum."""
     each = found.each
-    return Table("minima", "Places at which the terrain model fits", columns_of("minima", {
+    return table_of("minima", {
         "shift_east_north": np.array([one.shift[:2] for one in each]),
         "sigma_east_north": np.array([_sigmas(one.spread) for one in each]),
-    }, each), "Local minima of the cost over the model's shift; the first is the solution.")  # fmt: skip
+    }, each)  # fmt: skip

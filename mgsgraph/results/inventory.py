@@ -30,12 +30,12 @@ from mgsgraph.network.connectivity import (
     link_statement,
     network_footprints,
 )
-from mgsgraph.network.corrections import support
+from mgsgraph.network.corrections import support_of, useful_rays
 from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
-from mgsgraph.results.section import ROWS, Section, columns_of
+from mgsgraph.results.section import ROWS, Section, table_of
 from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.text import many, root_mean_square, some, some_of, span
@@ -188,9 +188,9 @@ def _unknowns_table(network: Network) -> Table:
         size = f"{term.sigma / MRAD:.3g} mrad" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
         rows.append((term.name, "terrain model", size))
     what, of, known = ([row[k] for row in rows] for k in range(3))
-    return Table("unknowns", "Further unknowns", columns_of("unknowns", {
+    return table_of("unknowns", {
         "unknown": what, "of": of, "known": known,
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
@@ -206,14 +206,14 @@ def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
 
 def _images_table(images: Sequence[PushbroomImage], network: Network | None = None) -> Table:
     """Size, place, and how the orientation is adjusted."""
-    grounds = [image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    grounds = [image.image_to_ground(*image.middle)
                for image in images]  # fmt: skip
     spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
     corners = np.array([_corners(image) for image in images])
-    return Table("images", "Images", columns_of("inventory_images", {
+    return table_of("inventory_images", {
         "spacing_{}": spacing, "longitude_{}": corners[:, :, 0], "latitude_{}": corners[:, :, 1],
         "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
-    }, images))  # fmt: skip
+    }, images)  # fmt: skip
 
 
 def _orientation(network: Network, j: int) -> str:
@@ -245,11 +245,11 @@ def _points(network: Network, prediction: Prediction) -> Section:
         rows.append((mine.size, np.count_nonzero(network.points.kinds[mine] == PointKind.FREE),
                      counts[mine].min(), counts[mine].max(), *expected, *rms))  # fmt: skip
     values = np.array(rows, dtype=np.float64).reshape(-1, 9)
-    table = Table("points", "Points", columns_of("inventory_points", {
+    table = table_of("inventory_points", {
         "class": [point_class.name.lower() for point_class, _ in network.of_class()],
         "count": values[:, 0].astype(np.int64), "free": values[:, 1].astype(np.int64), "rays_{}": values[:, 2:4],
         "sigma_{}": values[:, 4:7], "residual_{}": values[:, 7:],
-    }))  # fmt: skip
+    })  # fmt: skip
     if network.ranges.point.size:
         misfit, ranges = prediction.range_residuals, network.ranges.values / KM
         said.append(
@@ -355,7 +355,7 @@ def bare_nodes(network: Network) -> list[str]:
     """Sentences about passes with nodes near which hardly anything was measured."""
     found = []
     for k, one in enumerate(network.passes):
-        near = support(network, k)
+        near = support_of(network.passes[k].nodes, useful_rays(network, k))
         if near.gaps.size:
             found.append(
                 f"pass {one.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(one.nodes)} "

@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.section import Section, columns_of, drawn
+from mgsgraph.results.section import Section, drawn, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
@@ -74,12 +74,12 @@ def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSett
 def matches_table(matches: Matches) -> Table:
     """One row per measure."""
     ties, covariances = matches.ties, matches.covariances
-    return Table("matches", "Measures", columns_of("matches", {
+    return table_of("matches", {
         "id": picked(ties.ids, ties.measure_point), "image": ties.measure_image, "reference": matches.reference,
         "isis_{}": ties.measures + ISIS_OFFSET, "sigma_{}": ties.measure_sigmas,
         "against_reference_{}": covariances[:, [0, 0, 1], [0, 1, 1]], "correlation": matches.correlation,
         "coplanarity": matches.misfit,
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> dict[str, Any]:
@@ -100,11 +100,7 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
         "orientations": [
             plain({
                 "images": [names[one.first], names[one.second]],
-                "coarse_matches": one.candidates,
-                "agreed": one.agreed,
-                "moved_m": one.moved,
-                "expected_m": one.expected,
-                "height_sigma_m": one.height_sigma,
+                **record_of("agreed_orientation", one),
             })
             for one in matches.agreements
         ],

@@ -16,7 +16,7 @@ from mgsgraph.analysis.statistics import strip_reports
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, table_of
 from mgsgraph.units import MGON
 
 POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
@@ -31,12 +31,12 @@ def passes_table(solution: Solution) -> Table:
     """One row per pass."""
     found = strip_reports(solution)
     largest, sigmas = numbers(found, "largest").reshape(-1, 6), numbers(found, "mean_sigmas").reshape(-1, 6)
-    return Table("passes", "Passes (sigmas for sigma0 = 1)", columns_of("passes", {
+    return table_of("passes", {
         "number": np.array([len(one.images) for one in found]), "largest_correction": largest[:, :3],
         "largest_roll_pitch_yaw": largest[:, 3:], "mean_sigma": sigmas[:, :3],
         "mean_sigma_roll_pitch_yaw": sigmas[:, 3:],
         "trend": [[_trend_json(*part) for part in one.trend] for one in found],
-    }, found), "Corrections at the orientation images: the largest, and the mean sigma.")  # fmt: skip
+    }, found)  # fmt: skip
 
 
 def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
@@ -53,13 +53,13 @@ def nodes_table(solution: Solution) -> Table:
         of = np.concatenate([getattr(series, "values" if part == "correction" else "sigmas") for _, series in found])
         return {f"{part}_{{}} m": of[:, :3], f"{part}_{{}} mgon": of[:, 3:], f"{part}_{{}} arcsec": of[:, 3:]}
 
-    return Table("passes", "Orientation images", columns_of("nodes", {
+    return table_of("nodes", {
         "pass": [name for name, series in found for _ in range(series.times.size)],
         "node": np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]),
         "time_tdb": [calendar(time) for time in times.tolist()], "time_et": times,
         "time_in_pass": np.concatenate([series.times - series.times[0] for _, series in found]),
         **amounts("correction"), **amounts("sigma"),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def calendar(time: float) -> str:
@@ -84,9 +84,9 @@ def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
     found = separations(solution)
     units = [one.unit for one in found]
-    return Table("shared", "Unknowns that images share", columns_of("shared", {
+    return table_of("shared", {
         "text": [f"{one.unknown.name[:34]} {one.axis}".strip() for one in found], "unit": units,
-    }, found))  # fmt: skip
+    }, found)  # fmt: skip
 
 
 def shared_section(solution: Solution) -> Section:

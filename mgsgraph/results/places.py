@@ -19,7 +19,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import utc_of_tdb, utc_texts
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network.footprints import Crossing, Registration
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
@@ -140,10 +140,10 @@ def _statement(found: Places, noun: str, where: str) -> str:
 
 def crossings_table(found: tuple[Crossing, ...]) -> Table:
     """One row for each image and profile that crosses it or was taken along."""
-    return Table("crossings", "Laser profiles over images", columns_of("crossings", {
+    return table_of("crossings", {
         "utc": [f"{utc_of_tdb(one.start):{_MINUTES}}" for one in found],
         "from_image": numbers(found, "seconds") / _DAY,
-    }, found))  # fmt: skip
+    }, found)  # fmt: skip
 
 
 SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,images,simultaneous,orbit,")
@@ -160,15 +160,14 @@ def selection_table(over: Registration) -> Table:
         texts = RepeatedNames.of([";".join(over.images[j].name for j in np.flatnonzero(one)) for one in seen.T])
         return texts[numbers.ravel()]
 
-    return Table("shots", "Laser shots over images", columns_of("places_shots", {
+    return table_of("places_shots", {
         "altimeter": RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64)),
         "profile": shots.profile_names(), "utc": utc_texts(shots.times + 0.5 * MILLISECOND),
         "images": names(over.inside), "simultaneous": names(over.inside & over.simultaneous), "orbit": shots.orbits,
         "frame": shots.frames, "shot": shots.shots, "ground": shots.ground.astype(np.int64), "channel": shots.channels,
         "time": shots.times, "longitude": longitude / DEG % 360.0, "latitude": latitude, "radius": radius,
-        "range": shots.ranges, "range_correction": shots.range_corrections, "areoid_radius": shots.areoid_radii,
-        "spacecraft_{}": shots.spacecraft, "off_nadir": shots.off_nadir, "clock": shots.clocks, "pulse": shots.pulses,
-    }))  # fmt: skip
+        **record_of("shots", shots),
+    })  # fmt: skip
 
 
 def crossings_section(over: Registration, found: tuple[Crossing, ...]) -> Section:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.planning.plan import Evaluation, Plan, Sigmas
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import many
 from mgsgraph.units import KM
 
@@ -30,13 +30,13 @@ def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
     judged = [one for some in lists.values() for one in some]
     ranks = [k + 1 for some in lists.values() for k in range(len(some))]
     before, after = [one.before for one in judged], [one.after for one in judged]
-    return Table("plan", "Candidates", columns_of("plan", {
+    return table_of("plan", {
         "list": [name for name, some in lists.items() for _ in some], "rank": np.array(ranks, dtype=np.int64),
         "sigma_before": numbers(before, "total"), "sigma_after": numbers(after, "total"),
         **{f"{way}_{when}": numbers(sigmas, way)
            for way in ("east", "north", "up") for when, sigmas in (("before", before), ("after", after))},
         "images": np.array([float(len(one.images)) for one in judged]),
-    }, judged), instead={
+    }, judged, instead={
         k: ("sigma_before", f"worthless: {one.reason}") for k, one in enumerate(judged) if one.reason
     })  # fmt: skip
 
@@ -76,9 +76,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def _sigmas_json(one: Sigmas) -> dict[str, Any]:
-    return {
-        "sigma_m": one.total, "east_m": one.east, "north_m": one.north, "up_m": one.up, "worst_target": one.worst,
-    }  # fmt: skip
+    return record_of("plan_sigmas", one)  # fmt: skip
 
 
 def _judged_json(one: Evaluation) -> dict[str, Any]:

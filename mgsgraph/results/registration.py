@@ -5,19 +5,18 @@ Lines and samples in the files are counted as ISIS does, the first pixel's centr
 """
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mgsgraph.files.output.folders import REGISTRATION, fresh_folder
-from mgsgraph.files.output.table import Column, Table
+from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.footprints import Misregistration
 from mgsgraph.registration.case import CaseRegistration, ProfileRegistration
-from mgsgraph.results.section import Section, columns_of, write_sections_into
+from mgsgraph.results.section import Section, table_of, write_sections_into
 from mgsgraph.text import listed, many, root_mean_square
 from mgsgraph.units import DEG, ISIS_OFFSET
 
@@ -107,14 +106,13 @@ def _agreement_table(registration: CaseRegistration) -> Table:
     def of(unit: str, figure: str) -> Array:
         return np.array([[row[f"{way}_{unit}"][figure] for way in ways] for row in found]).reshape(-1, 2)
 
-    title = "Images against each other at laser footprints, along and across the flight"
-    return Table("agreement", title, columns_of("agreement", {
+    return table_of("agreement", {
         "orientation": [state for state, _, _ in every], "profile": [profile.name for _, profile, _ in every],
         "image": [row["image"] for row in found], "against": [row["against"] for row in found],
         "footprints": np.array([row["footprints"] for row in found], dtype=np.int64),
         "mean_{}": of("m", "mean"), "rms_{} m": of("m", "rms"), "σ_{}": of("m", "mean_sigma"),
         "rms_{} px": of("px", "rms"),
-    }), "In the image minus transferred from the other; σ: predicted for one footprint.")  # fmt: skip
+    })  # fmt: skip
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
@@ -161,7 +159,6 @@ def registration_table(registration: CaseRegistration) -> Table:
     found = [registration.before[p].found for p, _ in rows]
     sizes = [one.shots.times.size for one in found]
     longitude, latitude, radius = planetocentric(np.concatenate([one.shots.footprints for one in found])).T
-    states = list(registration.states())
 
     def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
         return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
@@ -169,47 +166,41 @@ def registration_table(registration: CaseRegistration) -> Table:
     def repeated(names: list[str]) -> list[str]:
         return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
 
-    places = [
-        Column(f"{state}_isis_{{}}", of_state(profiles, "places") + ISIS_OFFSET, parts=("line", "sample"))
-        for state, profiles in states
-    ]
-    return Table("registration", "Footprints in images", (
-        *columns_of("registration", {
-            "profile": repeated([registration.before[p].name for p, _ in rows]),
-            "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
-            "shot": [shot for one in found for shot in one.shots.ids],
-            "image": repeated([registration.images[j].name for _, j in rows]),
-            "simultaneous": of_state(registration.before, "simultaneous"),
-        }),
-        *(Column(f"{state}_inside", of_state(profiles, "inside")) for state, profiles in states),
-        *columns_of("registration", {
-            "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
-            "lat": latitude, "radius": radius,
-            "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]),
-        }),
-        *places,
-    ))  # fmt: skip
+    places = {
+        f"{state}_isis_{{}}": of_state(profiles, "places") + ISIS_OFFSET for state, profiles in registration.states()
+    }
+    return table_of("registration", {
+        "profile": repeated([registration.before[p].name for p, _ in rows]),
+        "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
+        "shot": [shot for one in found for shot in one.shots.ids],
+        "image": repeated([registration.images[j].name for _, j in rows]),
+        "simultaneous": of_state(registration.before, "simultaneous"),
+        **{f"{state}_inside": of_state(profiles, "inside") for state, profiles in registration.states()},
+        "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
+        "lat": latitude, "radius": radius,
+        "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]), **places,
+    })  # fmt: skip
 
 
 def discrepancy_table(registration: CaseRegistration) -> Table:
     """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
     found = _discrepancies(registration)
+    each = [one for _, _, one in found]
+    rows = [
+        (state, profile.name, k + 1, profile.found.shots.ids[k], one.image, one.against)
+        for state, profile, one in found for k in one.shots.tolist()
+    ]  # fmt: skip
+    keys = ("orientation", "profile", "number", "shot", "image", "against")
+    words = {key: [row[k] for row in rows] for k, key in enumerate(keys)}
 
-    def words(of: Callable[[str, ProfileRegistration, Misregistration], str]) -> list[str]:
-        return [of(*row) for row in found for _ in range(row[2].shots.size)]
+    def joined(name: str) -> Array:
+        return np.concatenate([np.zeros((0, 2)), *(getattr(one, name) for one in each)])
 
-    def numbers(of: Callable[[Misregistration], Array], width: int = 2) -> Array:
-        nothing = np.zeros((0, 2)) if width == 2 else np.zeros(0)
-        return np.concatenate([nothing, *(of(one) for _, _, one in found)])
-
-    return Table("discrepancy", "Contradictions of images", columns_of("discrepancy", {
-        "orientation": words(lambda state, _, one: state), "profile": words(lambda _, profile, one: profile.name),
-        "number": np.array([k + 1 for _, _, one in found for k in one.shots.tolist()], dtype=np.int64),
-        "shot": [profile.found.shots.ids[k] for _, profile, one in found for k in one.shots.tolist()],
-        "image": words(lambda _, profile, one: one.image), "against": words(lambda _, profile, one: one.against),
-        "isis_line": numbers(lambda one: one.lines, 1) + ISIS_OFFSET, "{} px": numbers(lambda one: one.pixels),
-        "sigma_{} px": numbers(lambda one: one.pixel_sigmas), "{} m": numbers(lambda one: one.metres),
-        "sigma_{} m": numbers(lambda one: one.metre_sigmas),
-        "{} spacings": numbers(lambda one: one.metres / one.spacing),
-        "sigma_{} spacings": numbers(lambda one: one.metre_sigmas / one.spacing),
-    }))  # fmt: skip
+    metres, sigmas = joined("metres"), joined("metre_sigmas")
+    spacing = np.concatenate([np.zeros((0, 1)), *(np.full((one.shots.size, 1), one.spacing) for one in each)])
+    return table_of("discrepancy", words | {
+        "number": np.array(words["number"], dtype=np.int64),
+        "isis_line": np.concatenate([np.zeros(0), *(one.lines for one in each)]) + ISIS_OFFSET,
+        "{} px": joined("pixels"), "sigma_{} px": joined("pixel_sigmas"), "{} m": metres, "sigma_{} m": sigmas,
+        "{} spacings": metres / spacing, "sigma_{} spacings": sigmas / spacing,
+    })  # fmt: skip

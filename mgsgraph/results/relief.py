@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, columns_of, drawn, write_sections_into
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
 
@@ -89,10 +89,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "status": "converged" if registration.solution.converged else "not converged",
         "sigma0_before": registration.before.sigma0,
         "sigma0_after": registration.solution.sigma0,
-        "settings": {
-            "footprint_m": settings.footprint, "reach_m": settings.reach, "spacing_m": settings.spacing,
-            "images": settings.images,
-        },
+        "settings": record_of("relief_settings", settings),
         "pairs": pairs,
         "profiles": [
             row | {
@@ -123,9 +120,7 @@ def _crossovers_json(solution: Solution) -> dict[str, Any]:
 
 def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
     return [
-        {
-            "shift_m": one.shift, "misfit": one.misfit, "covariance_m2": one.covariance, "weight": one.weight,
-        }
+        record_of("relief_minimum", one)
         for one in state.cost.minima[:_MOST_MINIMA]
     ]  # fmt: skip
 
@@ -151,7 +146,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
     def minimum(k: int, name: str) -> Array:  # of the k-th best minimum after; NaN where there is none
         return of(lambda one: getattr(one.after.cost.minima[k], name) if len(one.after.cost.minima) > k else np.nan)
 
-    return Table("profiles", "Laser profiles, terrain models and the stereo surface", columns_of("profiles", {
+    return table_of("profiles", {
         "on_surface": np.array([int(one.taken.sum()) for one in profiles]),
         "tied": np.array([one.after.cost.tied for one in profiles]),
         "clear": np.array([one.after.cost.clear for one in profiles]),
@@ -159,7 +154,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
         "runner_up_misfit": minimum(1, "misfit"), "runner_up_weight": minimum(1, "weight"),
         "shift_{}": of(lambda one: one.shift, 2),
         "sigma_shift_{}": of(lambda one: np.sqrt(np.diag(one.covariance)), 2), "apriori_sigma_shift": shifts.sigmas,
-    }, profiles))  # fmt: skip
+    }, profiles)  # fmt: skip
 
 
 def relief_shots_table(registration: ReliefRegistration) -> Table:
@@ -169,7 +164,7 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
     longitude, latitude, _ = planetocentric(points).T
     taken = np.concatenate([one.taken for one in profiles])
     slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
-    return Table("shots", "Laser shots and posts above the stereo surface", columns_of("relief_shots", {
+    return table_of("relief_shots", {
         "profile": [one.name for one in profiles for _ in one.mine],
         "shot": [network.points.ids[i] for one in profiles for i in one.mine.tolist()], "on_surface": taken,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
@@ -178,7 +173,7 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
         "above_surface_after": np.concatenate([_known(one.after) for one in profiles]),
         "sigma": np.where(taken, np.concatenate([one.sigmas for one in profiles]), np.nan),
         "slope_{}": np.concatenate(slopes),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _known(state: ProfileState) -> Array:

@@ -33,7 +33,7 @@ from mgsgraph.network.connectivity import Connectivity, connectivity_json, conne
 from mgsgraph.results.archive import ARCHIVE, write_archive
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.passes import passes_section, shared_section
-from mgsgraph.results.section import ROWS, Section, columns_of
+from mgsgraph.results.section import ROWS, Section, record_of, table_of
 from mgsgraph.results.soundness import (
     drivers_section,
     fits_section,
@@ -80,13 +80,11 @@ def images_table(solution: Solution) -> Table:
     mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
     sigma = np.where(network.held[:, None], np.nan, sigma)
     passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
-    table = Table("images", "Images", columns_of("results_images", {
-        "image": [image.name for image in network.images], "pass": passes,
-        "lines": np.array([image.lines for image in network.images]),
-        "samples": np.array([image.samples for image in network.images]), "measures": rays.total,
-        "used": rays.count.sum(axis=1), "residual_{}": rays.rms_of_images, "correction_{}": mean[:, :3],
-        "sigma_{}": sigma[:, :3], "turn_{}": mean[:, 6:], "sigma_turn_{}": sigma[:, 6:],
-    }), _NOTE, dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}")))  # fmt: skip
+    held = dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}"))
+    table = table_of("results_images", {
+        "pass": passes, "measures": rays.total, "used": rays.count.sum(axis=1), "residual_{}": rays.rms_of_images,
+        "correction_{}": mean[:, :3], "sigma_{}": sigma[:, :3], "turn_{}": mean[:, 6:], "sigma_turn_{}": sigma[:, 6:],
+    }, network.images, note=_NOTE, instead=held)  # fmt: skip
     return table if count <= ROWS else table.take(worst_first(solution))
 
 
@@ -362,11 +360,7 @@ def solution_json(
         "format": FORMAT,
         "name": solution.name,
         "status": "converged" if solution.converged else "not converged",
-        "message": solution.message,
-        "iterations": solution.iterations,
-        "cost_initial": solution.cost_initial,
-        "cost_final": solution.cost_final,
-        "sigma0": solution.sigma0,
+        **record_of("solution", solution),
         "degrees_of_freedom": fit.degrees_of_freedom,
         "observations": fit.observations,
         "unknowns": fit.unknowns,

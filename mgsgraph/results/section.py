@@ -33,8 +33,8 @@ _TAKEN: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
 
 
 @cache
-def _layouts() -> dict[str, dict[str, dict[str, Any]]]:
-    """Units, meanings and formats of columns, by table and column."""
+def _layouts() -> dict[str, dict[str, Any]]:
+    """Names, titles and notes of tables; units, meanings and formats of their columns."""
     return tomllib.loads((Path(__file__).parent / "templates" / "tables.toml").read_text(encoding="utf-8"))
 
 
@@ -43,7 +43,7 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
 
     With records, all columns of the file in its order: it names the attribute of those that have no values here.
     """
-    known, found = _layouts()[table], list[Column]()
+    known, found = _layouts()[table]["columns"], list[Column]()
     for name in values if records is None else known:
         value = values.get(name)
         if not isinstance(value, Column):
@@ -54,6 +54,17 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
             value = Column(**layout) if layout["values"] is not None else None
         found += [] if value is None else [value]
     return tuple(found)
+
+
+def record_of(name: str, found: Any) -> dict[str, Any]:
+    """Members of a record for JSON, from attributes that `templates/tables.toml` names."""
+    return {key: attrgetter(attribute)(found) for key, attribute in _layouts()["records"][name].items()}
+
+
+def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **more: Any) -> Table:
+    """The table of a layout in `templates/tables.toml`, with `columns_of`; name, title or note may be given here."""
+    known = {"name": layout} | _layouts()[layout] | more
+    return Table(**known | {"columns": columns_of(layout, values, records)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

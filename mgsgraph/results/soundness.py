@@ -20,7 +20,7 @@ from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, some, some_of
 
 _KEYS = {
@@ -105,10 +105,7 @@ def linearity_section(found: Linearity | None) -> Section:
         f"NOT LINEAR {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
         "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
     )
-    return Section("linearity", sentences=[said], numbers={
-        "linear": found.linear, "ratio_of_squares": found.ratio, "scatter": found.scatter,
-        "unknowns": found.unknowns, "draws": found.draws,
-    })  # fmt: skip
+    return Section("linearity", sentences=[said], numbers=record_of("linearity", found))  # fmt: skip
 
 
 # --- what drives it
@@ -124,10 +121,7 @@ def drivers_section(solution: Solution) -> Section:
         said += " With the loss tukey the end depends on the start: begin with huber, or give better orientations."
     table = drivers_table(solution)
     return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
-        "cost": found.cost,
-        "points_behind": found.behind,
-        "points_parting": found.parting,
-        "points_weak": found.weak,
+        **record_of("drivers", found),
         "outstanding": [
             {
                 "quantity": str(one.quantity), "kind": str(one.kind), "count": one.outstanding, "of": one.of,
@@ -142,13 +136,12 @@ def drivers_table(solution: Solution) -> Table:
     """One row per image or point and quantity, those that stand out and others with the largest shares."""
     every = () if solution.drivers is None else solution.drivers.contributions
     rows = [(one, rank) for one in every for rank in range(one.members.size)]
-    return Table("drivers", "What drives the adjustment", columns_of("drivers", {
+    return table_of("drivers", {
         "quantity": [str(one.quantity) for one, _ in rows], "kind": [str(one.kind) for one, _ in rows],
         "name": list(chain.from_iterable(_names(solution, one) for one in every)),
         "share": np.concatenate([np.zeros(0), *(one.shares for one in every)]),
         "stands_out": ["yes" if rank < one.outstanding else "" for one, rank in rows],
-    }), "Shares of the cost where it stopped; up to 100 images and points of each. ",
-    )  # fmt: skip
+    })  # fmt: skip
 
 
 def _names(solution: Solution, one: Contributions) -> list[str]:
@@ -172,12 +165,12 @@ def fits_section(solution: Solution) -> Section:
 def group_fits_table(fits: Sequence[GroupFit] | None) -> Table:
     """One row per group of observations: how it fits its stated sigmas; none where nobody has looked."""
     shown = fits or ()
-    numbers = np.array([(one.redundancy, one.sigma0, one.low, one.high) for one in shown]).reshape(-1, 4)
+    expected = np.array([(one.low, one.high) for one in shown]).reshape(-1, 2)
     state = {(True, False): "WORSE than stated", (False, True): "better than stated"}
-    return Table("fits", "Fit of each group of observations", columns_of("fits", {
-        "redundancy": numbers[:, 0], "sigma0": numbers[:, 1], "by_chance_{}": numbers[:, 2:],
+    return table_of("fits", {
+        "by_chance_{}": expected,
         "state": [state.get((one.worse, one.better), "") if one.judged else "not judged" for one in shown],
-    }, shown), "Squares of whitened residuals over redundancy; 1 where sigmas are as stated.")  # fmt: skip
+    }, shown)  # fmt: skip
 
 
 def weight_unit(solution: Solution) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 from mgsgraph.analysis.spacing import Choice
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import Table
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, table_of
 from mgsgraph.text import many
 
 
@@ -26,13 +26,12 @@ def candidates_table(choice: Choice) -> Table:
     """One row per candidate spacing."""
     several = choice.candidates
     state = ["chosen" if k == choice.chosen else "best" if k == choice.best else "" for k in range(len(several))]
-    nodes, refused = [one.nodes for one in several], [one.refused for one in several]
-    title = "Misfits of rays held out, in their sigmas for known orientation (worse: than the best)"
-    return Table("spacings", title, columns_of("spacings", {
+    refused = [one.refused for one in several]
+    return table_of("spacings", {
         "standing": ["refused" if why else state for why, state in zip(refused, state, strict=True)],
-        "reason": refused, "nodes": np.array(nodes, dtype=np.float64), "rms_error": np.asarray(choice.rms_errors),
+        "reason": refused, "rms_error": np.asarray(choice.rms_errors),
         "worse": np.asarray(choice.worse), "worse_error": np.asarray(choice.worse_errors), "mark": state,
-    }, several), instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
+    }, several, instead={k: ("longest", f" refused: {why}") for k, why in enumerate(refused) if why})  # fmt: skip
 
 
 def node_statements(choice: Choice) -> list[str]:

@@ -28,7 +28,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import RepeatedNames
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.results.section import columns_of
+from mgsgraph.results.section import record_of, table_of
 from mgsgraph.units import DEG, ISIS_OFFSET
 
 _REMARKS = ("bridge", "overlap without common points", "common points without overlap")
@@ -43,7 +43,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     moved, rejected = places - solution.places_before[rows], rejected_points(solution)[rows]
     longitude, latitude, radius = planetocentric(places).T
     a, b = np.triu_indices(3)
-    return Table("points", "Ground points", columns_of("points", {
+    return table_of("points", {
         "id": network.points.ids[rows], "class": _names(PointClass, network.points.classes[rows]),
         "kind": _names(PointKind, network.points.kinds[rows]), "rejected": rejected,
         "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
@@ -54,8 +54,7 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
         "scaled_sigma_{}": sigmas * solution.sigma0, "cov_{}": covariances[:, a, b], "correction_{}": moved,
         "moved_{}": np.einsum("nij,nj->ni", east_north_up(places), moved),
         "state": picked(("used", "rejected"), rejected.astype(np.int64)),
-    }), "Planetocentric latitudes, heights above the ellipsoid; sigmas for sigma0 = 1, corrections are adjusted minus "
-       "before. ")  # fmt: skip
+    })  # fmt: skip
 
 
 def orientation_table(solution: Solution) -> Table:
@@ -68,13 +67,10 @@ def orientation_table(solution: Solution) -> Table:
 
     names = RepeatedNames(tuple(image.name for image in images), np.repeat(np.arange(len(images)), PLACES))
     before, after = of("position_before"), of("position_after")
-    return Table("orientation", "Exterior orientation along the images", columns_of("orientation", {
+    return table_of("orientation", {
         "image": names, "isis_line": of("lines") + ISIS_OFFSET, "time_et": of("times"), "{}_before m": before,
-        "{}_after m": after, "{}_difference m": after - before, "{}_sigma m": of("position_sigma"),
-        "{}_before deg": of("angles_before"), "{}_after deg": of("angles_after"),
-        "{}_difference arcsec": of("angle_differences"), "{}_sigma arcsec": of("angles_sigma"),
-        "rotation_{}": of("rotation"), "rotation_{}_sigma": of("rotation_sigma"),
-    }))  # fmt: skip
+        "{}_after m": after, "{}_difference m": after - before, **record_of("orientation", profiles),
+    })  # fmt: skip
 
 
 def residuals_table(solution: Solution) -> Table:
@@ -100,7 +96,7 @@ def residuals_table(solution: Solution) -> Table:
         for name, values in (("residual_before", before), ("residual", after), ("sigma", sigmas),
                              ("normalised", after / sigmas))
     }  # fmt: skip
-    return Table("measures", "Residuals", columns_of("measures", {
+    return table_of("measures", {
         "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
         "point": picked(network.points.ids, point), "class": _names(PointClass, network.points.classes[point]),
         "image": picked(["", *(one.name for one in network.images)], image + 1), "used": used, "tested": tested,
@@ -111,7 +107,7 @@ def residuals_table(solution: Solution) -> Table:
         "normalised_range": padded(solution.range_residuals / ranges.sigmas, k, h),
         "residual_height": padded(-heights, k + r, 0), "sigma_height": padded(height_sigmas, k + r, 0),
         "normalised_height": padded(-heights / height_sigmas, k + r, 0),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def residual_points(solution: Solution) -> Index:
@@ -136,12 +132,12 @@ def connectivity_table(connected: Connectivity) -> Table:
     remarks = [
         ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
     ]
-    return Table("connectivity", "Pairs of images", columns_of("connectivity", {
+    return table_of("connectivity", {
         "image_a": picked(names, connected.pairs[:, 0]), "image_b": picked(names, connected.pairs[:, 1]),
         "common_points": points,
         **{f"{c.name.lower()}_points": connected.common[:, c] for c in PointClass if c.measured},
         "remark": remarks, "overlap": connected.areas, "overlap_share": connected.shares, "gap": connected.gaps,
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _shot_lines(solution: Solution) -> Array:

@@ -28,7 +28,7 @@ from mgsgraph.registration.dem.ortho import (
     ortho_tiles,
 )
 from mgsgraph.results.catalog import BANDS, stac_item
-from mgsgraph.results.section import Section, columns_of
+from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import some
 from mgsgraph.units import DEG, KM
 from mgsgraph.workers import Progress, no_progress
@@ -150,9 +150,9 @@ def dem_section(dem: Dem) -> Section:
 def _pairs_table(dem: Dem) -> Table:
     """One row per pair of images."""
     pairs = dem.pairs
-    return Table("pairs", "Dense matches, and by how much their rays miss each other (rms)", columns_of("pairs", {
+    return table_of("pairs", {
         "pair": [" and ".join(one.images) for one in pairs], "images": [list(one.images) for one in pairs],
-    }, pairs))  # fmt: skip
+    }, pairs)  # fmt: skip
 
 
 def _checks_table(dem: Dem) -> Table:
@@ -164,10 +164,10 @@ def _checks_table(dem: Dem) -> Table:
     def of(key: str) -> Array:
         return np.array([figures[key] for _, figures in rows], dtype=np.float64)
 
-    return Table("checks", "Model minus laser shots that took no part in the adjustment", columns_of("checks", {
+    return table_of("checks", {
         "profile": [name for name, _ in rows], "shots": of("shots"), "mean": of("mean_m"), "rms": of("rms_m"),
         "rms_by_sigma": of("rms_by_sigma"), "beyond": of("beyond_3_sigma"),
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
@@ -183,8 +183,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "images": list(dem.images),
         "ortho_image": dem.images[dem.ortho],
         "settings": {
-            "post_m": settings.post, "spacing_m": settings.spacing, "heights": settings.heights,
-            "ortho_pixel_m": settings.ortho_pixel, "images": list(settings.images),
+            **record_of("dem_settings", settings), "images": list(settings.images),
             "mola": [str(path) for path in settings.mola],
         },
         "pairs": _pairs_table(dem).records(),
@@ -202,8 +201,7 @@ def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
         "quantiles_5_50_95_m": quantiles,
         "checks": [
             {
-                "profile": one.name, "offered": one.shots.times.size, "ground_sigma_m": one.sigma,
-                "shift_adjusted": one.adjusted, "shift_m": one.shift,
+                **record_of("dem_check", one),
                 "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
                 **(check_figures(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
             }
@@ -218,13 +216,13 @@ def shots_table(dem: Dem) -> Table:
     """One row per check shot."""
     checks = dem.checks
     longitude, latitude, radius = planetocentric(checks.positions).T
-    return Table("shots", "Check shots", columns_of("terrain_model_shots", {
+    return table_of("terrain_model_shots", {
         "profile": picked(checks.profiles, checks.profile), "shot": checks.ids,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude, "{}": checks.plane,
         "shot_above_sphere": radius - dem.model.map.radius, "model_above_sphere": checks.heights,
         "model_minus_shot": checks.differences, "sigma": checks.sigmas,
         "sigma_without_orientation": checks.independent,
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 # --- rasters

@@ -18,7 +18,7 @@ from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, columns_of, drawn, write_sections_into
+from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
 from mgsgraph.text import many, short, some_of
 from mgsgraph.units import DEG, MGON
 
@@ -72,14 +72,14 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
                     for step in both])  # fmt: skip
     rows = np.isfinite(surface.sigmas) & steps.fitted.determined
-    return Table("steps", "Both steps", columns_of("steps", {
+    return table_of("steps", {
         "step": ["step 1, no terrain", "step 2, terrain"],
         "rays": np.array([int(step.rays_used.sum()) for step in both]), "rays_rejected": out[:, 0],
         "ranges": np.array([int(step.ranges_used.sum()) for step in both]), "ranges_rejected": out[:, 1],
         "heights": ["-", str(int(np.count_nonzero(rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
         "iterations": np.array([len(history) for history in steps.history]), "seconds": np.array(steps.seconds),
         "state": ["" if step.converged else "NOT CONVERGED" for step in both],
-    }, both))  # fmt: skip
+    }, both)  # fmt: skip
 
 
 # --- in words
@@ -131,17 +131,12 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
         "stages": STAGES,
         "steps": [
             {
-                "name": solution.name,
-                "converged": solution.converged,
-                "message": solution.message,
-                "sigma0": solution.sigma0,
-                "observations": solution.fit.observations,
-                "unknowns": solution.fit.unknowns,
+                **record_of("step", solution),
                 "rays_used": int(solution.rays_used.sum()),
                 "ranges_used": int(solution.ranges_used.sum()),
                 "cost": [solution.cost_initial, solution.cost_final],
                 "iterations": [
-                    {"cost": one.cost, "step": one.step, "damping": one.damping, "accepted": one.accepted}
+                    record_of("iteration", one)
                     for one in history
                 ],
                 "seconds": seconds,
@@ -167,10 +162,9 @@ def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
-    title = "Figures of merit: sigmas of points and orientation, heights above the terrain"
-    return Table("two_steps", title, columns_of("two_steps", {
+    return table_of("two_steps", {
         "strip": names, "quantity": quantities, "unit": units, "{}": stages, "factor_{}": factors,
-    }))  # fmt: skip
+    })  # fmt: skip
 
 
 def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
@@ -186,7 +180,7 @@ def _heights_table(statistics: TwoStepStatistics) -> Table:
     """One row per point with a height row."""
     network, points = statistics.steps.network, statistics.points
     longitude, latitude, _ = planetocentric(statistics.steps.fitted.places[points]).T
-    return Table("heights", "Heights above the terrain", columns_of("heights", {
+    return table_of("heights", {
         "point": picked(network.points.ids, points), "used": statistics.used, "longitude": longitude / DEG % 360.0,
         "latitude": latitude, "height_{}": statistics.heights.T,
-    }))  # fmt: skip
+    })  # fmt: skip

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from mgsgraph.geometry.body import surface_radii
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.simulation.archive import Archive
 from mgsgraph.simulation.observations import well_inside
 from mgsgraph.workers import Count, no_progress
@@ -40,7 +41,7 @@ class Footprints(NamedTuple):
     def directions(self, image: Index, along: Array, across: Array) -> Array:
         """Unit vectors (k, 3) to places in images (k,), -1 to 1 along and across each."""
         places = self.middles[image] + along[:, None] * self.halves[image, 0] + across[:, None] * self.halves[image, 1]
-        return np.asarray(places / np.linalg.norm(places, axis=1, keepdims=True))
+        return unit_vectors(places)
 
     def coordinates(self, image: Index, directions: Array) -> Array:
         """Places (k, 2) along and across images (k,), within -1 to 1 inside, of directions (k, 3) to the ground."""

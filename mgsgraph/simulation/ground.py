@@ -19,6 +19,7 @@ from mgsgraph.geometry.body import Ellipsoid, from_planetocentric, in_turn, inte
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.record import Record
 from mgsgraph.simulation.orbit import MARS, on_ellipsoid
@@ -126,7 +127,7 @@ class SiteTerrain(Record):
         """Outward unit normal (n, 3), body-fixed, of the ground under or above body-fixed points (n, 3)."""
         lon, lat, _ = planetocentric(points).T
         _, normal = self._clearance(self.on_ground(lon, lat))
-        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        return unit_vectors(normal)
 
     def on_ground(self, lon: Array, lat: Array) -> Array:
         """Body-fixed points (n, 3) in m of the ground at longitudes and latitudes (n,)."""
@@ -315,7 +316,7 @@ def sine_height(points: Array, relief: float) -> Array:
 
 def on_sines(points: Array, relief: float) -> Array:
     """Points (n, 3) in m of the ground under or above body-fixed points (n, 3), along the radius."""
-    return on_ellipsoid(points / np.linalg.norm(points, axis=1, keepdims=True), sine_height(points, relief))
+    return on_ellipsoid(unit_vectors(points), sine_height(points, relief))
 
 
 def rays_to_sines(

@@ -15,6 +15,7 @@ from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.passes import normalised
@@ -123,7 +124,7 @@ def strip_images(
     reach = _AHEAD * float(altitude.max()) / float(speed.min()) + _MARGIN
     trajectory = flown.trajectory(start - reach, stop + reach)
     ends = trajectory.pose(np.array([start, stop])).position
-    beside = np.cross(ends / np.linalg.norm(ends, axis=1, keepdims=True), flown.direction)
+    beside = np.cross(unit_vectors(ends), flown.direction)
     half = 0.5 * HRSC_PIXELS * 4e-5 * altitude[[0, -1]]  # pixels of 40 microradian
     corners = np.concatenate([_below(ends + side * half[:, None] * beside) for side in (-1.0, 0.0, 1.0)])
     (earliest, latest), images = trajectory.coverage, []

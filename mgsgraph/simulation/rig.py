@@ -30,6 +30,7 @@ from mgsgraph.geometry.orientation import (
     polynomial,
 )
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, Pass, PointClass, ProfileShifts, Ranges
 from mgsgraph.network.joining import mountings, seconds
@@ -378,7 +379,7 @@ def _given(
     sigmas = np.repeat([_LOOSE, _FOOTPRINT], [n, m], axis=0)
     errors = sigmas * rng.standard_normal((n + m, 3))
     errors[n:, :2] -= (_TRACK * rng.standard_normal((2, 2)))[profile]
-    up = places / np.linalg.norm(places, axis=1)[:, None]
+    up = unit_vectors(places)
     frames = np.concatenate([east_north(places), up[:, None]], axis=1)
     points = GroundPoints(
         Names.of([*(f"T{i:04d}" for i in range(n)), *(f"S{i:04d}" for i in range(m))]),

@@ -148,13 +148,10 @@ class GroundModel:
     @cached_property
     def _grid(self) -> TerrainGrid | None:
         """The terrain model about the block."""
-        grid, places = self._block.terrain, [self._block.places]
+        grid = self._block.terrain
         if grid is None:
             return None
-        for picture, correction in zip(self._block.images, self._block.corrections, strict=True):
-            lines, samples = np.meshgrid(np.linspace(0.0, picture.lines, 9), np.linspace(0.0, picture.samples, 3))
-            places.append(picture.image_to_ground(lines.ravel(), samples.ravel(), 0.0, correction)[0])
-        every = np.concatenate(places)
+        every = np.concatenate([self._block.places, *self._block.grounds])
         return grid.around(every[np.all(np.isfinite(every), axis=1)], _AROUND)
 
     @cached_property

@@ -25,6 +25,7 @@ from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
@@ -126,19 +127,26 @@ class Block:
         return np.split(order, np.cumsum(counts)[:-1])
 
     @cached_property
+    def grounds(self) -> list[Array]:
+        """Of each image 27 places (27, 3) in m on the ellipsoid, over its lines and samples."""
+        return [
+            picture.image_to_ground(np.tile(np.linspace(0.0, picture.lines, 9), 3),
+                                    np.repeat(np.linspace(0.0, picture.samples, 3), 9), 0.0, correction)[0]
+            for picture, correction in zip(self.images, self.corrections, strict=True)
+        ]  # fmt: skip
+
+    @cached_property
     def caps(self) -> tuple[Array, Array]:
         """Middle direction (m, 3) of each image's ground, and angle (m,) in rad from there within which that lies."""
         middles, reaches = np.zeros((len(self.images), 3)), np.full(len(self.images), np.pi)
-        for j, (picture, correction) in enumerate(zip(self.images, self.corrections, strict=True)):
-            lines, samples = np.meshgrid(np.linspace(0.0, picture.lines, 9), np.linspace(0.0, picture.samples, 3))
-            points, _ = picture.image_to_ground(lines.ravel(), samples.ravel(), 0.0, correction)
+        for j, points in enumerate(self.grounds):
             if not np.all(np.isfinite(points)):
                 continue  # it looks past the body in part: never left out
-            ways = points / np.linalg.norm(points, axis=1, keepdims=True)
+            ways = unit_vectors(points)
             middle = ways.mean(axis=0)
             middles[j] = middle / np.linalg.norm(middle)
             reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())
-            reaches[j] = reach + max(_NEAR * reach, _LEAST / picture.body.equatorial)
+            reaches[j] = reach + max(_NEAR * reach, _LEAST / self.images[j].body.equatorial)
         return middles, reaches
 
     def terrain_motion(self, places: Array) -> Array:

@@ -289,11 +289,13 @@ _MOST_IMAGES = 60
 """Images of a block up to which candidates are judged while somebody waits."""
 _LINES, _SAMPLES, _MOST_PLACES = 9, 3, 80
 """Candidates along and across an image, and in all, about."""
+_CHOSEN = 5
+"""How many are chosen one after the other, each judged with those before it."""
 _SIGMA = 1.0
 """px, of their measures."""
 
 
-def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict[str, Any]:
+def next_measures(opened: Opened, linked: LinkedImages) -> dict[str, Any]:
     """Candidates on an even grid over the images, the best ones first, as JSON.
 
     Parameters
@@ -302,8 +304,6 @@ def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict
         Adjusted.
     linked : LinkedImages
         Its images.
-    choose : int
-        How many are chosen one after the other, each judged with those before it.
 
     Raises
     ------
@@ -322,7 +322,7 @@ def next_measures(opened: Opened, linked: LinkedImages, choose: int = 5) -> dict
     wanted = [one for one in wanted if one.addition is not None]
     if not wanted:
         raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
-    made = plan(state, wanted, choose, ("ties",), "mean", opened.now.name)
+    made = plan(state, wanted, _CHOSEN, ("ties",), "mean", opened.now.name)
     at = dict(zip(names, opened.map_places(places).tolist(), strict=True))
     chosen = [
         {"name": one.name, "map_m": at[one.name],

@@ -27,7 +27,7 @@ from mgsgraph.network.conditioning import dense_covariance
 from mgsgraph.network.corrections import (
     pass_rays,
     require_supported,
-    support,
+    support_of,
     supported_spacing,
     useful_rays,
 )
@@ -80,7 +80,7 @@ def test_node_without_rays_is_named() -> None:
     hidden = np.zeros(net.rays.point.size, dtype=bool)
     hidden[mine.rays[(mine.times >= nodes.times[9 - reach]) & (mine.times <= nodes.times[9 + reach])]] = True
     net = replace(net, rays=replace(net.rays, rejected=hidden))
-    assert np.flatnonzero(support(net, 0).weak).tolist() == [9]
+    assert np.flatnonzero(support_of(net.passes[0].nodes, useful_rays(net, 0)).weak).tolist() == [9]
     with pytest.raises(InputError, match=r" 10 at .*rays near it"):
         require_supported(net)
 
@@ -91,7 +91,7 @@ def test_rays_that_place_nothing_do_not_count() -> None:
     first = np.unique(net.rays.point, return_index=True)[1]
     taken = np.zeros(net.rays.point.size, dtype=bool)
     taken[first] = True
-    assert support(net, 0, taken=taken).rays.max() == 0
+    assert support_of(net.passes[0].nodes, useful_rays(net, 0, taken)).rays.max() == 0
 
 
 # --- rays held out

@@ -195,6 +195,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+# above two seconds: three commands one after another
 def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None:
     given, ground, back = (case_file.with_name(name) for name in ("given.csv", "ground.csv", "back.csv"))
     given.write_text('note,isis_line,isis_sample\n"a, b",1,1\n,500.25,30\nfar,1e9,3\n', encoding="utf-8")

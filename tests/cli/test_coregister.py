@@ -66,6 +66,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 # --- what is found and written
 
 
+# above two seconds: a site is registered by relief once for all tests of the run
 def test_images_and_profiles_agree_afterwards(registration: ReliefRegistration) -> None:
     assert registration.solution.converged
     for one in registration.profiles:

@@ -80,6 +80,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(terrain_model, "densely_matched", lambda *given: ((matches,), 1e-3))
 
 
+# above two seconds: a dense model is gridded, checked and written
 def test_options_reach_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +113,7 @@ def test_a_demo_s_case_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 # ---- bad input
 
 
+# above two seconds: a site is solved once for all tests of the file
 def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -> None:
     result, foreign, renamed = site.parent / "result", tmp_path / "foreign", site.with_name("renamed.toml")
     foreign.mkdir()

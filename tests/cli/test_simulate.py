@@ -19,6 +19,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.simulation.demo.demonstration import STAGES
 
 
+# above two seconds: what is written is adjusted step by step, as a person would
 def test_a_strip_with_its_steps_adjusts(tmp_path: Path) -> None:
     out = tmp_path / "strip"
     done = run("simulate", "strip", "--images", 4, "--ties", 20, "--steps", "--out", out)

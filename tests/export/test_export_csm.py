@@ -151,6 +151,7 @@ def test_other_optics_and_lines_that_run_the_other_way_come_back(tmp_path: Path)
     assert csm_differences(tmp_path, export.wanted).max() < 1e-3
 
 
+# above two seconds: a real pair is adjusted, written and read by usgscsm's equations
 def test_real_images_come_back_with_what_their_own_support_data_say(shared_data: Path, tmp_path: Path) -> None:
     solution = adjust(read_case(LRO))
     paths = [shared_data / "lro_nac_lola" / f"lidarObservationImage{k}.isd" for k in (1, 2)]

@@ -226,6 +226,7 @@ def test_the_real_rig_comes_back(shared_data: Path, tmp_path: Path) -> None:
     assert csm_differences(tmp_path, reprojection(solution)).max() < CSM
 
 
+# above two seconds: thousands of draws hold a scatter to a few percent
 def test_prior_sigmas_of_a_pass_are_those_of_its_draws() -> None:
     """Nodes drawn from the prior, independently, make the polynomials' coefficients scatter by what is written."""
     solution, rng = adjusted_rig(), np.random.default_rng(5)

@@ -137,6 +137,7 @@ def test_what_is_no_picture(pixels: NDArray[np.generic]) -> None:
 # ---- the estimate
 
 
+# above two seconds: the first that matches in a process, the kernel is loaded or compiled
 def test_a_picture_with_itself(pair: tuple[Array, Array, Array, Array]) -> None:
     template, _, points, _ = pair
     starts = points + np.random.default_rng(0).uniform(-1.5, 1.5, points.shape)

@@ -324,6 +324,7 @@ def everything(tmp_path: Path) -> Path:
     return case
 
 
+# above two seconds: a case of every kind of file is read once for each of them
 def test_every_file_that_a_case_names_counts(everything: Path) -> None:
     before = checksums(everything)
     names = {path.name for path in everything.parent.iterdir()}

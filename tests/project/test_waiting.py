@@ -225,13 +225,17 @@ def test_solve_is_adjust_and_an_image_comes_back(
     assert_same(project, batch)
 
 
-def test_an_image_file_joins_a_pass_by_option(block_folder: Path, tmp_path: Path) -> None:
+def test_an_image_file_joins_a_pass_by_option(
+    block_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     project = tmp_path / "project"
     call("init", project, "--case", block_folder / "case.toml")
     call("remove", project, LAST)
     isd = f"{LAST}={block_folder / LAST.replace('/', '_')}.isd"
     with pytest.raises(InputError, match="no pass 'x'; expected one that is there"):
         call("add", project, isd, "--ties", block_folder / "network.pvl", "--pass", "x")
+    call("add", project, isd, "--ties", block_folder / "network.pvl", "--dry-run")
+    assert "--pass 'HRSC/01' puts it on that trajectory" in capsys.readouterr().out
     added(project, block_folder)
     with open_project(project) as opened:
         known = opened.store.definitions().passes["HRSC/01"]

@@ -95,6 +95,7 @@ def named(found: list[Table], name: str) -> Table:
 # --- the file
 
 
+# above two seconds: all figures of the page are drawn, once for all tests of the file
 def test_it_is_one_file_without_an_outside_address(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     addresses = re.findall(r'(?:src|href|action|srcset|data|poster)="([^"]*)"', text)

@@ -51,6 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+# above two seconds: the site is solved, matched and gridded once for all tests of the file
 def test_files_and_record(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == FILES
     record = json.loads((folder / DEM).read_text(encoding="utf-8"))

@@ -284,6 +284,7 @@ def test_the_bridge_is_one_swath_of_eight_revolutions_over_places_where_the_orbi
     assert np.ptp(heights) < 0.01  # a circle, between the samples of its table too
 
 
+# above two seconds: three whole sites are simulated, once
 def test_every_tie_point_is_measured_in_its_site_s_images_and_in_the_bridge(simulated: SimulatedThreeSites) -> None:
     assert {name: sum(one.startswith(name) for one in simulated.ties.ids) for name in TIES} == TIES
     assert np.bincount(simulated.ties.measure_point).tolist() == [3] * sum(TIES.values())

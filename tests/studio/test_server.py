@@ -269,6 +269,7 @@ def test_what_to_measure_next_is_ranked(browser_: Browser) -> None:
     assert all("," in text.partition(":")[0] for text in texts)  # of two images at least
 
 
+# above two seconds: a server in a process of its own, and changes until it is killed
 def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> None:
     """While changes come one after another: what was answered is there, and the project is whole."""
     folder = Path(shutil.copytree(solved, tmp_path / "project"))
@@ -311,6 +312,7 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
 # --- other kinds
 
 
+# above two seconds: two servers in processes of their own
 def test_results_and_cases_are_read_alone(solved: Path, case_file: Path) -> None:
     case = case_file
     for path in (solved / "solutions" / "0001", case):

@@ -172,6 +172,7 @@ def test_pictures_are_kept_within_bounds(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(shown._open) == 1
 
 
+# above two seconds: pdr decompresses the real image in 3 s
 @pytest.mark.parametrize("name", ["M0100115.img", "M0100115.imq", "E0201461.tiny.cub"])
 def test_real_pictures_of_moc(name: str, shared_data: Path) -> None:
     if name.endswith("imq"):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.gpu.found import WHERE, Gpu
 from mgsgraph.adjustment.graph.forms import Solving, Sweeper, of_rows, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
+from mgsgraph.adjustment.graph.patterns import within
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
@@ -113,7 +114,7 @@ def _places(layout: Layout) -> tuple[Index, Index, Index]:
     one, other = blocks.first[mine], blocks.second[mine]
     sizes = width[one] * width[other]
     block = np.repeat(np.arange(mine.size), sizes)
-    inside = np.arange(block.size) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    inside = within(sizes)
     across = width[other][block]
     row, column = first[one][block] + inside // across, first[other][block] + inside % across
     return row, column, blocks.offset[mine][block] + inside

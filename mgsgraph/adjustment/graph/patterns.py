@@ -276,7 +276,7 @@ def sort_points(
     rank[order] = np.arange(order.size)
     point_order, point_index, count = counted(rank[number], order.size)
     pieces = -(-count // PIECE)
-    inside = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    inside = within(pieces)
     of_order, first = _runs(of_example.first, order)
     entries, entry = _runs(of_example.entry, of_order)
     range_slot = (of_ranges[2] + network.ray_counts[ranges.point]).astype(np.int32)
@@ -349,7 +349,7 @@ class _PatternObservations:
             )
         ):
             source, _ = _runs(rows[0], example)
-            at = np.repeat(begin[:, column], each[:, column]) + _within(each[:, column])
+            at = np.repeat(begin[:, column], each[:, column]) + within(each[:, column])
             self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
         ground, surface = begin[known, 2], begin[surfaces, 3]
         stereo = begin[of_stereo >= 0, 4]
@@ -369,7 +369,7 @@ class _PatternObservations:
         size = self.kind.size
         observation, variable, inside = [], [], []
         mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
-        step, node = _within(self.terms[carried]), self.node[mine]
+        step, node = within(self.terms[carried]), self.node[mine]
         strip = terms.first_node(self.image[mine])
         observation.append(mine)
         variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
@@ -403,7 +403,7 @@ class _PatternObservations:
         self.pattern_of_entry = pattern[observations[order]]
 
 
-def _within(counts: Index) -> Index:
+def within(counts: Index) -> Index:
     """0, 1, .. within each run of `counts`."""
     return np.asarray(np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts))
 

@@ -414,7 +414,7 @@ def ground_motion(known: KnownImage, angles: Angles) -> Array:
     coefficient, on the ellipsoid; zero where it looks past the body.
     """
     image, terms = known.image, known.prior.degree + 1
-    line, sample = np.array([0.5 * image.lines]), np.array([0.5 * image.samples])
+    line, sample = image.middle
     origin, direction, _, _ = image.rays(line, sample)
     _, by_origin, by_direction = intersect_ellipsoid(origin, direction, image.body, 0.0)
     pose = image.pose(line)

@@ -21,6 +21,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.plausibility import require_slow
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.units import SPEED_OF_LIGHT
 
@@ -106,7 +107,7 @@ def without_aberration(seen: Array, observer_velocity: Array) -> Array:
     true = target
     for _ in range(_ITERATIONS):
         true = target + (true - aberrated(true, beta))
-        true = true / np.linalg.norm(true, axis=1, keepdims=True)
+        true = unit_vectors(true)
     return np.asarray(true * length)
 
 

@@ -1,10 +1,4 @@
-"""Control networks changed as a whole: parts of one in some images, one with fewer points, several united.
-
-Thinned: few points, well spread over every image, and no connection of images lost. Every image is divided into cells,
-and the best points are taken one after the other as long as they fall into a cell of an image of theirs that has none
-yet; then more, until all images that had points in common keep some. The best are those in many images, and among these
-those of small sigmas and a high GoodnessOfFit. Constrained, fixed and locked points always stay, beside these; ignored
-ones, and free ones in a single image, never do.
+"""Control networks changed as a whole: parts of one in some images, several united.
 
 United: points of one id become one with the measures of all. Where two files say different things of a point, or of its
 measure in an image, one of them counts, as ISIS's cnetmerge has it (DUPLICATEPOINTS=MERGE, with or without
@@ -13,12 +7,10 @@ file stays as it is there. Source: DOI-USGS/ISIS3, isis/src/control/apps/cnetmer
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from itertools import combinations
 from typing import Any
 
-import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError
@@ -82,129 +74,6 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     said = [f"Left out: {many(left_out, 'measure')} in {many(len(names) - len(chosen), 'other image')}, and "
             f"{many(single, 'point')} that too few others see"]  # fmt: skip
     return structs.replace(network, points=tuple(points)), said if left_out else []
-
-
-def common_points(points: Sequence[tuple[str, ...]]) -> Mapping[tuple[str, str], int]:
-    """How many points pairs of images have in common, of the images of each point."""
-    counts: dict[tuple[str, str], int] = {}
-    for images in points:
-        for pair in combinations(sorted(images), 2):
-            counts[pair] = counts.get(pair, 0) + 1
-    return counts
-
-
-# --- fewer points
-
-
-_LINK = 4
-"""Points that two images keep in common, if they had as many."""
-_GOODNESS = 2
-"""Number of GoodnessOfFit among the figures of merit."""
-_UNSTATED = 1.0
-"""px, for a sigma that is not stated."""
-
-
-def thinned(
-    network: ControlNetwork, cells: int, sizes: Mapping[str, tuple[int, int]] | None = None
-) -> tuple[ControlNetwork, list[str]]:
-    """A network with fewer points, and sentences about what is left of it.
-
-    Parameters
-    ----------
-    network : ControlNetwork
-    cells : int
-        In each image; about as many tie points are left in it.
-    sizes : mapping, optional
-        Lines and samples of images by their names; of others the cells divide the part where there are measures.
-
-    Raises
-    ------
-    InputError
-        No cells, or no point left.
-    """
-    if cells < 1:
-        raise InputError("--thin", f"{cells} cells", "one at least in each image")
-    images = [used_images(point) for point in network.points]
-    always = {i for i, point in enumerate(network.points) if images[i] and _stays(point)}
-    useful = [i for i, names in enumerate(images) if i in always or len(names) > 1]
-    if not useful:
-        raise InputError(network.source, "no point in two images", "some that connect images")
-    ties = sorted((i for i in useful if i not in always), key=lambda i: _badness(network.points[i], len(images[i])))
-    kept, taken = set[int](), set[tuple[str, int, int]]()
-    for i, occupied in zip(ties, _cells([network.points[i] for i in ties], cells, sizes or {}), strict=True):
-        if not taken.issuperset(occupied):
-            kept.add(i)
-            taken |= occupied
-    before, links = common_points([images[i] for i in ties]), Counter(common_points([images[i] for i in kept]))
-    for i in ties:
-        pairs = list(combinations(sorted(images[i]), 2))
-        if i not in kept and any(links[pair] < min(before[pair], _LINK) for pair in pairs):
-            kept.add(i)
-            links.update(pairs)
-    kept |= always
-    points = tuple(network.points[i] for i in sorted(kept))
-    needless = len(network.points) - len(useful)
-    return structs.replace(network, points=points), _said(network, images, kept, links, needless)
-
-
-def _stays(point: ControlPoint) -> bool:
-    return point.type != PointType.FREE or point.edit_lock
-
-
-def _badness(point: ControlPoint, images: int) -> tuple[bool, int, float, float]:
-    """By which points are sorted, the best first."""
-    measures = [one for one in point.measures if not one.ignore]
-    sigma = max(max(one.line_sigma or _UNSTATED, one.sample_sigma or _UNSTATED) for one in measures)
-    rejected = point.jigsaw_rejected or any(one.jigsaw_rejected for one in measures)
-    return rejected, -images, sigma, -min((_goodness(one) for one in measures if one.log), default=0.0)
-
-
-def _goodness(measure: ControlMeasure) -> float:
-    return max((value for kind, value in measure.log if kind == _GOODNESS), default=0.0)
-
-
-def _cells(
-    points: Sequence[ControlPoint], cells: int, sizes: Mapping[str, tuple[int, int]]
-) -> list[set[tuple[str, int, int]]]:
-    """Image, row and column of the cells in which each point has measures; cells are as nearly square as can be."""
-    occupied = [set[tuple[str, int, int]]() for _ in points]
-    of_image: dict[str, list[tuple[int, float, float]]] = {}
-    for i, point in enumerate(points):
-        for one in point.measures:
-            if not one.ignore:
-                of_image.setdefault(one.serial_number, []).append((i, one.line or 0.0, one.sample or 0.0))
-    for name, rows in of_image.items():
-        places = np.array(rows)[:, 1:]
-        low, high = places.min(axis=0), places.max(axis=0)
-        if name in sizes:
-            low, high = np.full(2, 0.5), np.array(sizes[name]) + 0.5
-        height, width = np.maximum(high - low, 1.0).tolist()
-        columns = int(np.clip(round((cells * width / height) ** 0.5), 1, cells))
-        shape = np.array([max(1, cells // columns), columns])
-        found = np.clip(((places - low) / ([height, width] / shape)).astype(int), 0, shape - 1)
-        for (i, _, _), (row, column) in zip(rows, found.tolist(), strict=True):
-            occupied[i].add((name, row, column))
-    return occupied
-
-
-def _said(
-    network: ControlNetwork, images: Sequence[tuple[str, ...]], kept: set[int], links: Mapping[tuple[str, str], int],
-    needless: int,
-) -> list[str]:  # fmt: skip
-    before = Counter(name for names in images for name in names)
-    after = Counter(name for i in kept for name in images[i])
-    fewest = sorted(after, key=lambda name: (after[name], name))
-    of_images = [f"{name} {after[name]} of {before[name]}" for name in fewest]
-    said = [
-        f"Thinned: {len(kept)} of {many(len(network.points), 'point')} stay; in images, the fewest first: "
-        + some(of_images, len(of_images))
-    ]
-    if links:
-        pair = min(links, key=lambda pair: (links[pair], pair))
-        said.append(f"Of two images with tie points in common {pair[0]} and {pair[1]} keep the fewest, {links[pair]}")
-    if needless:
-        said.append(f"Left out, being ignored or seen by a single image: {many(needless, 'point')}")
-    return said
 
 
 # --- several networks

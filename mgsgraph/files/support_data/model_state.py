@@ -25,6 +25,7 @@ from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_near_sun
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, PositionTable
 from mgsgraph.units import MM
 
@@ -270,4 +271,4 @@ def _table(values: list[float], width: int, where: str) -> Array:
 def _to_camera(quaternions: Array) -> Array:
     """Unit quaternions (n, 4), scalar first, body-fixed to camera axes, of ones the other way, scalar last."""
     turned = quaternions[:, [3, 0, 1, 2]] * [1.0, -1.0, -1.0, -1.0]
-    return np.asarray(turned / np.linalg.norm(turned, axis=1)[:, None])
+    return unit_vectors(turned)

@@ -36,6 +36,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.raster_file import equal_area_crs, wkt2
 from mgsgraph.geometry.body import Ellipsoid, east_north_up, from_planetocentric, planetocentric
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
 from mgsgraph.network import ImageRays
@@ -138,7 +139,7 @@ def _of_pair(
 
 def _crossed(first: Picture, second: Picture, anchors: Array, pixels: Array) -> _Crossed:
     origin, along = first.image.sightlines(anchors[:, 0], anchors[:, 1], first.correction)
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    along = unit_vectors(along)
     other, direction, d_other, d_direction = second.image.rays(pixels[:, 0], pixels[:, 1], second.correction)
     common = np.cross(along, direction)
     across = np.cross(direction, common)
@@ -292,7 +293,7 @@ class MapGrid(Record):
 
     def frames(self, points: Array) -> Array:
         """(n, 3, 3) unit vectors along x, along y and upward at points (n, 3) in m, body-fixed."""
-        up = points / np.linalg.norm(points, axis=1, keepdims=True)
+        up = unit_vectors(points)
         x = self.chart.axes[0] - (up @ self.chart.axes[0])[:, None] * up
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         return np.stack([x, np.cross(up, x), up], axis=1)

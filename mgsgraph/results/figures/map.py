@@ -334,11 +334,11 @@ def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
     return " ".join(words)
 
 
-def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str, colour: str = BEFORE) -> None:
+def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str) -> None:
     """One standard deviation about a position, in the units of the panel."""
     values, ways = np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
     angle = float(np.degrees(np.arctan2(ways[1, 0], ways[0, 0])))
     panel.add_patch(
-        Ellipse((middle[0], middle[1]), width, height, angle=angle, fill=False, ls=stroke, lw=1.1, ec=colour, zorder=7)
+        Ellipse((middle[0], middle[1]), width, height, angle=angle, fill=False, ls=stroke, lw=1.1, ec=BEFORE, zorder=7)
     )

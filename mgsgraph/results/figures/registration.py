@@ -129,7 +129,7 @@ def _profile_mark(k: int, name: str) -> Line2D:
 
 def _strips(image: PushbroomImage) -> tuple[int, float, float]:
     """Into how many strips an image is cut, and their width and height in inch, true to the ground."""
-    _, by_pixel = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    _, by_pixel = image.image_to_ground(*image.middle)
     along, across = np.linalg.norm(by_pixel[0], axis=0)
     aspect = float(image.samples * across / (image.lines * along))
     strips = int(np.clip(np.ceil(_TALL / (_WIDTH * aspect)), 1, _MOST_STRIPS))

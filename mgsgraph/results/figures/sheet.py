@@ -208,9 +208,9 @@ def sheet_name(kind: str, number: int, sheets: int) -> str:
     return kind if sheets == 1 else f"{kind}_{number}"
 
 
-def left_out(images: int, shown: int, which: str, what: str = "images") -> str:
-    """Words for a caption when not all images (or strips) are drawn; `which` says which ones are."""
-    return "" if shown >= images else f"; of {images} {what} the {which} are drawn, the tables have all"
+def left_out(images: int, shown: int, which: str) -> str:
+    """Words for a caption when not all images are drawn; `which` says which ones are."""
+    return "" if shown >= images else f"; of {images} images the {which} are drawn, the tables have all"
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -1,6 +1,5 @@
-"""What control networks mean to an adjustment; united, split and thinned: nothing lost or made up, connections kept."""
+"""What control networks mean to an adjustment; united and split: nothing lost or made up."""
 
-from collections import Counter
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from msgspec import structs
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange import connected_parts
 from mgsgraph.files.networks.binary import read_control_network, read_network, write_binary_network
-from mgsgraph.files.networks.editing import in_images, thinned, united, used_images, with_measures
+from mgsgraph.files.networks.editing import in_images, united, used_images, with_measures
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import (
     ControlMeasure,
@@ -28,7 +27,7 @@ from mgsgraph.files.networks.record import (
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints, control_network, tie_points
 from mgsgraph.geometry.body import Ellipsoid
 
-# --- united, split, thinned
+# --- united, split
 
 
 NETWORKS = free_networks(st.floats(1.0, 5000.0), least=1)
@@ -150,77 +149,9 @@ def test_what_is_ignored_connects_nothing() -> None:
     assert [[one.id for one in part.points] for part in connected_parts(network)] == [["p", "s", "r"], ["q", "t"]]
 
 
-def block(points: int = 600, images: int = 6, seed: int = 3) -> ControlNetwork:
-    """A strip of images, each of which overlaps the next by half; measures are better in every third point."""
-    rng = np.random.default_rng(seed)
-    made = []
-    for i, (along, across) in enumerate(rng.uniform(0.0, 1.0, (points, 2)) * [images + 1, 1.0]):
-        seen = [j for j in range(images) if j <= along < j + 2]
-        log = ((2, 0.9 if i % 3 == 0 else 0.6),)
-        made.append(point(f"p{i}", *(measure(f"I{j}", 1.0 + 5000.0 * (along - j), 1.0 + 2000.0 * across, log=log)
-                                     for j in seen)))  # fmt: skip
-    return of(*made)
-
-
-def links(network: ControlNetwork) -> Counter[tuple[str, str]]:
-    return Counter(pair for one in network.points for pair in combinations(sorted(used_images(one)), 2))
-
-
-@pytest.mark.parametrize("cells", [1, 12, 40])
-def test_points_are_spread_and_images_stay_connected(cells: int) -> None:
-    network, sizes = block(), {f"I{j}": (10_000, 2000) for j in range(6)}
-    thin, said = thinned(network, cells, sizes)
-    before, after = links(network), links(thin)
-
-    assert set(thin.points) <= set(network.points)
-    assert all(after[pair] >= min(4, before[pair]) for pair in before)
-    counts = Counter(name for one in thin.points for name in used_images(one))
-    assert all(min(cells, 4) <= counts[f"I{j}"] <= 2 * cells + 8 for j in range(6))
-    assert f"{len(thin.points)} of 600 points" in said[0]
-    assert thinned(thin, cells, sizes)[0] == thin  # nothing more to be taken
-    if cells > 1:  # every quarter of an image that has points keeps some
-        for j in range(1, 5):  # the first and the last have no partner at their ends
-            lines = [one.line or 0.0 for p in thin.points for one in p.measures if one.serial_number == f"I{j}"]
-            assert np.histogram(lines, 4, (0.0, 10_000.0))[0].min() > 0
-        good = [one.measures[0].log[0][1] > 0.8 for one in thin.points]
-        assert np.mean(good) > 0.5  # a third of all are good
-
-
-def test_what_always_stays_and_what_never() -> None:
-    """One cell, in which the point of the smallest sigmas is the best; the rejected one is the worst."""
-    pair = (measure("A", 5.0), measure("B", 5.0))
-    fine = tuple(structs.replace(one, line_sigma=0.1, sample_sigma=0.1) for one in pair)
-    network = of(
-        point("rejected", *fine, jigsaw_rejected=True), *(point(f"p{i}", *pair) for i in range(9)),
-        point("best", *fine), point("fixed", pair[0], type=PointType.FIXED), point("locked", *pair, edit_lock=True),
-        point("single", pair[0]), point("ignored", *pair, ignore=True),
-    )  # fmt: skip
-    thin, said = thinned(network, 1)
-
-    assert {"best", "fixed", "locked"} < {one.id for one in thin.points}
-    assert not {"rejected", "single", "ignored"} & {one.id for one in thin.points}
-    assert len(thin.points) == 6  # four connect A and B
-    assert "2 points" in said[-1]
-    for cells, points, found in ((0, network.points, "0 cells"), (3, (point("p", pair[0]),), "no point in two images")):
-        with pytest.raises(InputError, match=found):
-            thinned(of(*points), cells)
-
-
-def test_sizes_divide_images_where_they_are_known() -> None:
-    """All measures in a corner: one cell of the whole image, many of the part that they fill."""
-    network = of(*(point(f"p{i}", measure("A", 1.0 + i, 1.0), measure("B", 1.0 + i, 1.0)) for i in range(64)))
-
-    assert len(thinned(network, 16)[0].points) >= 16
-    assert len(thinned(network, 16, {"A": (5000, 5000), "B": (5000, 5000)})[0].points) == 4
-
-
 @pytest.mark.parametrize("name", ["lro_nac_lola/network.pvl", "mgs_moc_wa_three/controlnetwork.net"])
-def test_real_networks_thinned_and_split(shared_data: Path, name: str) -> None:
+def test_real_networks_hang_together(shared_data: Path, name: str) -> None:
     network = read_network(shared_data / name)
-    thin, _ = thinned(network, 8)
-
-    assert 4 <= len(thin.points) < len(network.points)
-    assert set(links(thin)) == set(links(network))
     assert len(connected_parts(network)) == 1
 
 
