@@ -1,5 +1,46 @@
-"""The measurement equations: one measurement, one file; pure functions, and the GTSAM factor made of them.
+"""The measurement equations, and the GTSAM factors made of them: one measurement, one file.
 
-Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs them over all
-points of a network is `mgsgraph.kernel`.
+    from mgsgraph import factors
+
+    factors.pushbroom_projection    image coordinates of a ground point                     Yoon & Shan 2005, Eq. 1, 2
+    factors.laser_range             range from the camera's place to a footprint            Eq. 3
+    factors.ground_prior            a ground point that is known beforehand                 Eq. 4
+    factors.orientation_prior       EO coefficients that are known beforehand               Eq. 4
+    factors.terrain_height          height of a ground point above a terrain model          Ebner et al. 2004
+    factors.linear_prior            whitened rows on several unknowns
+
+Unknowns are Vectors (m, rad) and Point3 (m, body-fixed). What unknowns beyond an image's own polynomial do to a
+measurement is an *effect* (`factors.explicit`): `factors.constant`, `factors.PolynomialEffect`.
+
+Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs the equations over
+all points of a network is `mgsgraph.kernel`.
 """
+
+from importlib import import_module
+from typing import Any
+
+_HOME = {
+    "constant": "explicit",
+    "Effect": "explicit",
+    "ground_prior": "ground",
+    "laser_range": "ranging",
+    "linear_prior": "priors",
+    "measurement_factor": "explicit",
+    "orientation_polynomial": "explicit",
+    "orientation_prior": "priors",
+    "PolynomialEffect": "explicit",
+    "pushbroom_projection": "collinearity",
+    "terrain_height": "surface",
+}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use: the equations serve those who need no GTSAM, too."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'mgsgraph.factors' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(f"mgsgraph.factors.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -6,16 +6,36 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from mgsgraph.errors import InputError
+
 Array = NDArray[np.float64]
 
 
-def zero_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
-    """Zero-mean prior on shared unknowns (an image's coefficients, a profile's shift).
+def orientation_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
+    """Zero-mean prior on an image's EO coefficients, or on any unknowns about zero (Yoon & Shan 2005, Eq. 4).
 
-    Sigmas (d,) in m and rad, infinite where nothing is known.
+    Parameters
+    ----------
+    key : int
+        GTSAM key of a Vector.
+    sigmas : (degree + 1, 6) or (columns,)
+        m and rad, in the order of the coefficients; infinite where nothing is known.
+
+    Raises
+    ------
+    InputError
+        For sigmas that are not positive.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import X
+    >>> prior = mgsgraph.factors.orientation_prior(X(0), network.priors[0].sigmas)
     """
-    precisions = np.where(np.isinf(sigmas), 0.0, 1.0 / sigmas**2)
-    return gtsam.PriorFactorVector(key, np.zeros(sigmas.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
+    every = np.asarray(sigmas, dtype=np.float64).ravel()
+    if not np.all(every > 0.0):
+        raise InputError("orientation prior", f"sigma {every[~(every > 0.0)][0]:g}", "positive sigmas")
+    precisions = np.where(np.isinf(every), 0.0, 1.0 / every**2)
+    return gtsam.PriorFactorVector(key, np.zeros(every.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
 
 
 def linear_prior(keys: Sequence[int], blocks: Sequence[Array], target: Array) -> gtsam.CustomFactor:

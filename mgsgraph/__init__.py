@@ -27,6 +27,13 @@ Cases and their adjustment
     adjust_network          adjusts a network, on a cluster, too
     SolverSettings          line, loss, rejection of blunders, tolerances
 
+The factor graph, in GTSAM's hands
+    factor_graph            a case or a solution as a graph, values and keys by name
+    factors                 its factors one by one: pushbroom_projection, laser_range, ground_prior ...
+    optimize                Levenberg-Marquardt over any graph, in time linear in the number of factors
+    Marginals               covariances of any variables, whatever their units
+    solution_of             what any optimizer found, as a Solution
+
 The solution and its covariance
     Solution                orientation, points, residuals, covariances
     orientation_profile     exterior orientation of an image along its lines: before, after, sigmas
@@ -80,8 +87,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.adjust import solution_of as solution_of
+    from mgsgraph.adjustment.factor_graph import factor_graph as factor_graph
     from mgsgraph.adjustment.incremental.impact import Impact as Impact
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
+    from mgsgraph.adjustment.optimize import Marginals as Marginals
+    from mgsgraph.adjustment.optimize import optimize as optimize
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
@@ -126,6 +137,7 @@ _HOME = {
     "DemSettings": "mgsgraph.registration.dem.model",
     "export_solution": "mgsgraph.export.solution_export",
     "ExchangeSetting": "mgsgraph.export.exchange_setting",
+    "factor_graph": "mgsgraph.adjustment.factor_graph",
     "fetch_images": "mgsgraph.fetch.folder",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
@@ -133,10 +145,12 @@ _HOME = {
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
     "make_dem": "mgsgraph.results.terrain_model",
+    "Marginals": "mgsgraph.adjustment.optimize",
     "match_into": "mgsgraph.results.matching",
     "MatchSettings": "mgsgraph.matching.settings",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
+    "optimize": "mgsgraph.adjustment.optimize",
     "orientation_profile": "mgsgraph.adjustment.solution",
     "OrientationPrior": "mgsgraph.geometry.orientation",
     "Pixel": "mgsgraph.analysis.posterior",
@@ -147,6 +161,7 @@ _HOME = {
     "register_by_relief": "mgsgraph.registration.relief",
     "ReliefSettings": "mgsgraph.registration.minima",
     "Solution": "mgsgraph.adjustment.solution",
+    "solution_of": "mgsgraph.adjustment.adjust",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
@@ -163,6 +178,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use: `mgsgraph --help` must not wait for numba and GTSAM."""
     if name == "__version__":
         return import_module("importlib.metadata").version("mgsgraph")
+    if name == "factors":
+        return import_module("mgsgraph.factors")
     if name not in _HOME:
         raise AttributeError(f"module 'mgsgraph' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(import_module(_HOME[name]), name)

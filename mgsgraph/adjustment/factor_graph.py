@@ -25,8 +25,8 @@ from mgsgraph.factors.explicit import (
     orientation_polynomial,
 )
 from mgsgraph.factors.ground import ground_prior
-from mgsgraph.factors.laser_range import laser_range
-from mgsgraph.factors.priors import linear_prior, zero_prior
+from mgsgraph.factors.priors import linear_prior, orientation_prior
+from mgsgraph.factors.ranging import laser_range
 from mgsgraph.factors.surface import terrain_height
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
@@ -239,12 +239,12 @@ def _adjusted(network: Network) -> list[int]:
 def _priors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
     """What is known of shared unknowns; considered ones are held."""
     for j in np.flatnonzero(network.with_polynomial).tolist():
-        yield zero_prior(keys.variable(j), network.priors[j].sigmas.ravel())
+        yield orientation_prior(keys.variable(j), network.priors[j].sigmas.ravel())
     for name, terms in zip(network.shift_names, network.shift_terms, strict=True):
         held = [HELD if one.horizontal and name in network.considered else 1.0 for one in terms]
-        yield zero_prior(keys.profile(name), np.array([one.sigma for one in terms]) * held)
+        yield orientation_prior(keys.profile(name), np.array([one.sigma for one in terms]) * held)
     for one in network.shared:
-        yield zero_prior(keys.shared(one.name), one.sigmas * (HELD if one.name in network.considered else 1.0))
+        yield orientation_prior(keys.shared(one.name), one.sigmas * (HELD if one.name in network.considered else 1.0))
     for of_pass, first in network.numbered_passes:
         for factor in of_pass.prior.factors(of_pass.nodes):
             members = [keys.variable(first + k) for k in factor.unknowns]

@@ -22,9 +22,9 @@ from mgsgraph.factors.collinearity import (
     to_lines_and_samples,
 )
 from mgsgraph.factors.ground import ground_residual, upper_triangle
-from mgsgraph.factors.laser_range import range_residual
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
+from mgsgraph.factors.ranging import range_residual
 from mgsgraph.factors.stereo_surface import stereo_height
 from mgsgraph.factors.surface import cubic, height_above, post_coordinates
 from mgsgraph.kernel.lanes import (

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.graph.forms import measurement, observation_factor, ori
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera
 from mgsgraph.factors import rotation
-from mgsgraph.factors.laser_range import Range
+from mgsgraph.factors.ranging import Range
 from mgsgraph.factors.priors import zero_prior
 from mgsgraph.geometry.body import east_north
 from mgsgraph.kernel.rows import GROUND, IMAGE, Rows, one_observation
