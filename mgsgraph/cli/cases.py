@@ -184,21 +184,21 @@ def campaign(
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.project.campaign import CampaignEntry, line, run_campaign, summary
 
-    state = [0, 0]
-    with counting_bar("adjusting", "case") as bar:
+    state = "nothing was begun"
+    try:
+        with counting_bar("adjusting", "case") as bar:
 
-        def show(over: int, due: int, entry: CampaignEntry | None) -> None:
-            state[:] = over, due
-            bar(over, due)
-            if entry is not None and verbose:
-                tqdm.write(line(entry))
+            def show(over: int, due: int, entry: CampaignEntry | None) -> None:
+                nonlocal state
+                state = f"{over} of {due} cases are over and recorded"
+                bar(over, due)
+                if entry is not None and verbose:
+                    tqdm.write(line(entry))
 
-        try:
             done = run_campaign(cases, out, overrides, cluster, retry, show)
-        except KeyboardInterrupt:
-            over = f"{state[0]} of {state[1]} cases are over and recorded"
-            click.echo(f"mgsgraph: interrupted; {over}; the same command goes on", err=True)
-            ctx.exit(130)
+    except KeyboardInterrupt:
+        click.echo(f"mgsgraph: interrupted; {state}; the same command goes on", err=True)
+        ctx.exit(130)
     click.echo(summary(done))
     click.echo(f"Results are in {out}")
     ctx.exit(0 if done.count("done") == len(done.entries) else 1)

@@ -131,5 +131,5 @@ def angle_axes(angles: Array, camera_to_body: bool) -> Array:
 
 
 def unit_vectors(vectors: Array) -> Array:
-    """Vectors (..., 3) in any unit, each by its length."""
+    """Vectors (..., k) in any unit, each by its length."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float64)

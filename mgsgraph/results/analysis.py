@@ -13,7 +13,7 @@ from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, Suspect, reliability, suspects
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
-from mgsgraph.analysis.residual_tests import PROMISED, ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.analysis.residual_tests import ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.analysis.weak import weakest
@@ -28,7 +28,6 @@ from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
 
 _KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior", "crossover")
-_EXPECTED = ", ".join(f"{100.0 * share:.3g}" for share in PROMISED)
 _MOST_ALIKE = 6
 """Measures of a group that are printed; analysis.json has all."""
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.adjustment.frames import FLIGHT_NAMES
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.separability import separations
 from mgsgraph.analysis.statistics import strip_reports
@@ -19,8 +18,6 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.results.section import Section, table_of
 from mgsgraph.units import MGON
 
-POSITION, ROTATION = FLIGHT_NAMES[:3], FLIGHT_NAMES[3:]
-"""Components of corrections along a pass: m, and rad."""
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 

@@ -24,7 +24,6 @@ FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
 """Of a cost surface that are written, best first."""
-_WAYS = ("east", "north")
 
 
 def write_coregistration(

@@ -44,6 +44,7 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
     With records, all columns of the file in its order: it names the attribute of those that have no values here.
     """
     known, found = _layouts()[table]["columns"], list[Column]()
+    assert records is None or values.keys() <= known.keys(), f"{table}: none of {values.keys() - known.keys()}"
     for name in values if records is None else known:
         value = values.get(name)
         if not isinstance(value, Column):

@@ -16,5 +16,5 @@ What all of them are made of:
   kernels lie in ``data``, with places for values.
 
 Networks drawn anew and archives to fetch from serve tests and scripts alone: `tests/redraw.py`,
-`tests/simulated_archive.py`.
+`tests/flaky_archive.py`.
 """

@@ -438,6 +438,7 @@ def in_segments(network: Network, count: int) -> Network:
         replace(one, images=(one.images[:, None] * count + np.arange(count)).ravel()) for one in network.passes
     )
     return replace(
-        network, images=tuple(images), priors=network.priors * count, held=np.repeat(network.held, count),
+        network, images=tuple(images), priors=tuple(one for one in network.priors for _ in range(count)),
+        held=np.repeat(network.held, count),
         rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
     )  # fmt: skip
