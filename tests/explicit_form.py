@@ -13,14 +13,6 @@ import numpy as np
 
 from mgsgraph.adjustment.covariances import considered_information
 from mgsgraph.adjustment.graph import Layout, lay_out
-from mgsgraph.adjustment.graph.forms import (
-    explicit_graph,
-    observation_factor,
-    observation_noise,
-    point_key,
-    shared_vector,
-    variable_key,
-)
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables
 from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
 from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
@@ -61,20 +53,15 @@ def _difference(factor: gtsam.NonlinearFactor, values: gtsam.Values, key: int, s
     """Change of the whitened error per step of component k, by central differences of fourth order."""
 
     def error(times: float) -> np.ndarray:
-        delta = gtsam.VectorValues()
+        delta, sizes = gtsam.VectorValues(), values.zeroVectors()
         for other in values.keys():
-            size = values.atVector(other).size if _is_vector(values, other) else 3
-            move = np.zeros(size)
+            move = np.zeros(sizes.at(other).size)
             if other == key:
                 move[k] = times * steps[k]
             delta.insert(other, move)
         return factor.whitenedError(values.retract(delta))
 
     return (8.0 * (error(1.0) - error(-1.0)) - (error(2.0) - error(-2.0))) / 12.0
-
-
-def _is_vector(values: gtsam.Values, key: int) -> bool:
-    return gtsam.DefaultKeyFormatter(key).startswith(("o", "s"))
 
 
 # --- dense normal equations
