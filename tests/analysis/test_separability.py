@@ -1,4 +1,4 @@
-"""What geometry does not tell apart is named with the mixture that is determined; which shared unknowns are it."""
+"""What geometry leaves inseparable is named with the mixture that is determined; which shared unknowns are it."""
 
 import json
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_what_priors_tell_apart_is_not_named() -> None:
     assert not found(solution)
 
 
-# --- which shared unknowns can be told apart
+# --- which shared unknowns are separable
 
 
 def test_figures_are_those_of_the_dense_covariance() -> None:

@@ -1,4 +1,4 @@
-"""What came to rest on too little is no result; groups and residuals that their sigmas do not explain are named."""
+"""What converged on too little fails the sanity checks; groups that their sigmas do not explain are named."""
 
 import math
 from dataclasses import replace

@@ -397,7 +397,7 @@ def test_times_in_utc(block_folder: Path) -> None:
     assert epoch + time == pytest.approx(CHANGES[0][0], abs=2e-3)
 
 
-# --- what is known beforehand
+# --- a-priori sigmas
 
 
 def test_units_of_the_prior(block_folder: Path) -> None:

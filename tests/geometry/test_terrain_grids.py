@@ -198,7 +198,7 @@ def test_a_reach_is_half_the_distance_between_the_tracks() -> None:
 
 @given(st.integers(1, 40), st.integers(0, 1000))
 def test_variances_bound_the_covariance_that_they_stand_for(count: int, seed: int) -> None:
-    """Whatever is estimated of rows that count as independent is not surer than it would be by the covariance."""
+    """Whatever is estimated of rows that count as independent has no smaller sigma than by the covariance."""
     rng = np.random.default_rng(seed)
     places, sigmas, reaches = rng.uniform(0, 10, (count, 3)), rng.uniform(0, 5, count), rng.uniform(0, 8, count)
     apart = np.linalg.norm(places[:, None] - places, axis=2)

@@ -155,7 +155,7 @@ def assert_kept(names: tuple[str, ...], predicted: np.ndarray, after: np.ndarray
     before = totals(solved(), names)
     assert predicted == pytest.approx(after, rel=AS_PROMISED)
     large = predicted < 0.9 * before
-    assert np.count_nonzero(large) > 10  # else nothing was promised
+    assert np.count_nonzero(large) > 10  # else nothing was predicted
     assert (before - predicted)[large] == pytest.approx((before - after)[large], rel=5.0 * AS_PROMISED)
 
 
@@ -394,7 +394,7 @@ def test_an_image_over_a_strip_brings_what_was_promised(existing: bool) -> None:
     assert promised == pytest.approx(had, rel=AS_PROMISED)
     before = TargetSigmas(present, targets).before()[:, 0]
     large = had < 0.97 * before
-    assert np.count_nonzero(large) > 10  # else nothing was promised
+    assert np.count_nonzero(large) > 10  # else nothing was predicted
     assert (before - promised)[large] == pytest.approx((before - had)[large], rel=AS_PROMISED)
 
 

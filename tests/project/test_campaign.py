@@ -231,7 +231,7 @@ def test_every_case_has_a_folder_of_its_own_which_stays(cases: list[Path], first
     try:
         earlier = result_folders(cases[:first], {})
         folders = result_folders(cases, earlier)
-    except InputError:  # /a/case.toml and /a.toml can't be told apart, nor those with all of their path taken
+    except InputError:  # /a/case.toml and /a.toml can't be distinguished, nor those with all of their path taken
         return
     assert set(folders) == set(cases)
     assert len(set(folders.values())) == len(cases)

@@ -1,6 +1,6 @@
 """Points changed by a person: any changes end at batch of the changed network, undoing gives back the same.
 
-The network that is expected is kept by the test itself, point by point, and laid out anew each time.
+The network that is expected is kept by the test itself, point by point, and made anew each time.
 """
 
 import sqlite3

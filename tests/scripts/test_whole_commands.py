@@ -1,4 +1,4 @@
-"""Scripts that run whole commands: kills of them, what counts for the state before or after; the road from `fetch` to
+"""Scripts that run whole commands: kills of them, what counts for the state before or after; from `fetch` to
 the terrain model, a small part of it, and its judgement.
 """
 

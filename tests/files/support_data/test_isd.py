@@ -182,7 +182,7 @@ FILES = (
     )),
 )  # fmt: skip
 DENSE = 4001
-"""Even samples of tables laid out anew.
+"""Even samples of tables resampled.
 
 usgscsm takes no light time off, so that positions are compared as the files have them. It lays tables out in as many
 even steps as they have uneven ones (constructStateFromIsd; ALE States.cpp, getState, Orientations.cpp, operator*), goes
