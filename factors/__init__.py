@@ -7,10 +7,19 @@
     factors.ground_prior            a ground point that is known beforehand                 Eq. 4
     factors.orientation_prior       EO coefficients that are known beforehand               Eq. 4
     factors.terrain_height          height of a ground point above a terrain model          Ebner et al. 2004
+    factors.stereo_height           height of a ground point above the surface of a stereo pair
     factors.linear_prior            whitened rows on several unknowns
 
 Unknowns are Vectors (m, rad) and Point3 (m, body-fixed). What unknowns beyond an image's own polynomial do to a
-measurement is an *effect* (`factors.explicit`): `factors.constant`, `factors.PolynomialEffect`.
+measurement is an *effect*, an argument of these factors (`shared`, `moved`):
+
+    factors.profile_shift           a laser profile, m east and north
+    factors.boresight               rotation of a camera, rad
+    factors.time_bias               an image's clock, s
+    factors.range_bias              an altimeter's ranges, m
+    factors.focal_length            m
+    factors.OrientationImagesEffect orientation images of a pass                            Hofmann et al. 1984
+    factors.constant, factors.PolynomialEffect      anything else
 
 Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs the equations over
 all points of a network is `mgsgraph.kernel`.
@@ -20,17 +29,24 @@ from importlib import import_module
 from typing import Any
 
 _HOME = {
-    "constant": "explicit",
-    "Effect": "explicit",
+    "boresight": "effects",
+    "constant": "effects",
+    "Effect": "effects",
+    "focal_length": "effects",
     "ground_prior": "ground",
     "laser_range": "ranging",
     "linear_prior": "priors",
-    "measurement_factor": "explicit",
-    "orientation_polynomial": "explicit",
+    "measurement_factor": "measurement",
+    "orientation_polynomial": "effects",
     "orientation_prior": "priors",
-    "PolynomialEffect": "explicit",
+    "OrientationImagesEffect": "effects",
+    "PolynomialEffect": "effects",
+    "profile_shift": "effects",
     "pushbroom_projection": "collinearity",
+    "range_bias": "effects",
+    "stereo_height": "stereo_surface",
     "terrain_height": "surface",
+    "time_bias": "effects",
 }
 __all__ = sorted(_HOME)
 

@@ -24,17 +24,8 @@ import numpy as np
 from mgsgraph.compiled import equation
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import add, cross, dot, subtract, transform, transpose
-from mgsgraph.factors.explicit import (
-    STATE,
-    Array,
-    Effect,
-    Linear,
-    StateAt,
-    Vector,
-    measurement_factor,
-    noise_model,
-    orientation_polynomial,
-)
+from mgsgraph.factors.effects import STATE, Array, Effect, orientation_polynomial
+from mgsgraph.factors.measurement import Linear, StateAt, Vector, measurement_factor, noise_model
 from mgsgraph.factors.pose import ATTITUDES
 
 if TYPE_CHECKING:
@@ -126,12 +117,14 @@ def ray_rows(pose, detector, point, state, rate, attitude_of, frozen):
     by point, rotation and interior orientation. By position they are minus those by point.
 
     Parameters: nominal pose there (position, matrix, velocity and angular rate per line); detector (place, slope, focal
-    length); state (10) and its rate per line; `attitude_of` as `pose.turned_about_axes`; S of the measured-line form,
+    length); state (13) and its rate per line; `attitude_of` as `pose.turned_about_axes`; S of the measured-line form,
     None for that of the predicted line.
     """
     centre, matrix, velocity, angular_rate = pose
     place, slope, focal = detector
     focal, place = focal + state[8], (place[0] + state[6], place[1] + state[7])
+    turned = state[12] / focal
+    slope = slope[0] + state[10] - turned * place[0], slope[1] + state[11] - turned * place[1]
     attitude, axes, camera_rate = attitude_of(matrix, angular_rate, state[3:6], rate[3:6])
     ray = transform(attitude, subtract(point, add(centre, state[:3])))
     scale = frozen
@@ -223,7 +216,7 @@ class PushbroomImage(Protocol):
 
 
 class ImageRay:
-    """One image ray; called, its rows for a GTSAM factor (`explicit.measurement_factor`).
+    """One image ray; called, its rows for a GTSAM factor (`measurement.measurement_factor`).
 
     In the strict form the pose is that of the predicted line, found by Newton's method from the measured one: the rows
     are functions of the unknowns and the point alone.
@@ -261,7 +254,7 @@ class ImageRay:
         return to_lines_and_samples(motion, slope)
 
     def __call__(self, state_at: StateAt, point: Array) -> Linear | None:
-        """Rows (lines, samples), measured minus predicted, at a state (10) and a point."""
+        """Rows (lines, samples), measured minus predicted, at a state (13) and a point."""
         (line, nominal), rows = self._begin, np.empty((2, 4 + STATE))
         for _ in range(NEWTON_STEPS):
             if not self._rows(*nominal, self._detector, point, *state_at(line), rows) > 0.0:
@@ -274,7 +267,7 @@ class ImageRay:
                 self._kept = line, self._nominal(line)
             nominal = self._kept[1]
         rows[0, 0] += self._line - line
-        return Linear(rows[:, 0], rows[:, 1:4], rows[:, 4:], line)
+        return Linear(rows[:, 0], rows[:, 1:4], rows[:, 4:], (line,))
 
 
 def _tuples(nominal: Sequence[Array]) -> tuple[Any, ...]:
@@ -292,7 +285,7 @@ def _ray_at(attitude_of: Any, frozen: Any, *arrays: Array) -> float:
         tuple(rate.tolist()), attitude_of, frozen,
     )  # fmt: skip
     for k, (of_point, of_rotation, of_interior) in enumerate(derivatives):
-        rows[k] = (values[k], *of_point, *(-one for one in of_point), *of_rotation, *of_interior, 0.0)
+        rows[k] = (values[k], *of_point, *(-one for one in of_point), *of_rotation, *of_interior, 0.0, 0.0, 0.0, 0.0)
     return float(ahead)
 
 
@@ -330,7 +323,7 @@ def pushbroom_projection(
     degree : int
         Of the polynomials.
     shared : sequence of Effect
-        What other unknowns do to this ray (`explicit.Effect`).
+        What other unknowns do to this ray (`effects.Effect`).
     line : str
         "predicted": pose of the predicted line, the strict form; "measured": of the measured one, the papers' form.
     angles : str
@@ -366,4 +359,4 @@ def pushbroom_projection(
         raise InputError(where, f"pixel {measured[0]:g}, {measured[1]:g}", size, "check line and sample")
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
     ray = ImageRay(image, (float(measured[0]), float(measured[1])), line, angles, near)
-    return measurement_factor([*own, *shared], point, ray, noise_model(sigma, robust, 2, where), where)
+    return measurement_factor([[*own, *shared]], point, ray, noise_model(sigma, robust, 2, where), where)

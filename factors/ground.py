@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mgsgraph.compiled import equation
+from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import subtract, transform
-from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, measurement_factor
+from mgsgraph.factors.effects import STATE, Array, Effect
+from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor
 
 if TYPE_CHECKING:
     import gtsam
@@ -35,7 +37,7 @@ def ground_residual(root, point, known, shift):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPrior:
-    """One a-priori position; called, its rows for a GTSAM factor (`explicit.measurement_factor`)."""
+    """One a-priori position; called, its rows for a GTSAM factor (`measurement.measurement_factor`)."""
 
     known: Array
     """(3,) m."""
@@ -52,12 +54,40 @@ class GroundPrior:
 def ground_prior(
     point_key: int, position: Array, covariance: Array, moved: Sequence[Effect] = ()
 ) -> "gtsam.CustomFactor":
-    """A-priori position (3,) in m, body-fixed, with covariance (3, 3) in m^2, of a ground point; `moved` by what its
-    laser profile shares (Yoon & Shan 2005, Eq. 4).
+    """A ground point that is known beforehand (Yoon & Shan 2005, Eq. 4).
+
+    Parameters
+    ----------
+    point_key : int
+        GTSAM key of a Point3, m, body-fixed.
+    position, covariance : (3,), (3, 3)
+        m and m^2, body-fixed: a-priori position of the point.
+    moved : sequence of Effect
+        What moves that position: `effects.profile_shift` of its laser profile, for one.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        Three whitened rows, present minus a-priori position.
+
+    Raises
+    ------
+    InputError
+        For a covariance that is not positive definite.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import L
+    >>> prior = mgsgraph.factors.ground_prior(L(17), position, np.diag([50.0, 50.0, 10.0]) ** 2)
     """
     import gtsam
 
-    information = np.linalg.solve(covariance, np.eye(3))
-    root: Array = np.linalg.cholesky(0.5 * (information + information.T)).T
-    noise, where = gtsam.noiseModel.Unit.Create(3), "a-priori position"
-    return measurement_factor(moved, point_key, GroundPrior(position, root), noise, where)
+    where = f"a-priori position of point {gtsam.DefaultKeyFormatter(point_key)}"
+    try:
+        information = np.linalg.solve(covariance, np.eye(3))
+        root: Array = np.linalg.cholesky(0.5 * (information + information.T)).T
+    except np.linalg.LinAlgError:
+        found = f"a covariance with diagonal {np.diag(covariance)} m^2"
+        raise InputError(where, found, "a positive definite one") from None
+    noise = gtsam.noiseModel.Unit.Create(3)
+    return measurement_factor([moved], point_key, GroundPrior(position, root), noise, where)

@@ -16,16 +16,8 @@ from mgsgraph.compiled import equation
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import dot, scale, subtract
 from mgsgraph.factors.collinearity import PushbroomImage
-from mgsgraph.factors.explicit import (
-    STATE,
-    Array,
-    Effect,
-    Linear,
-    StateAt,
-    measurement_factor,
-    noise_model,
-    orientation_polynomial,
-)
+from mgsgraph.factors.effects import STATE, Array, Effect, orientation_polynomial
+from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
 
 if TYPE_CHECKING:
     import gtsam
@@ -41,7 +33,7 @@ def range_residual(measured, point, centre, bias):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Range:
-    """One range; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
+    """One range; called, its row for a GTSAM factor (`measurement.measurement_factor`)."""
 
     measured: float
     """m, one-way."""
@@ -57,7 +49,7 @@ class Range:
         value, by_point = range_residual(self.measured, tuple(point.tolist()), centre, float(state[9]))
         by_state = np.zeros((1, STATE))
         by_state[0, :3], by_state[0, 9] = scale(-1.0, by_point), -1.0
-        return Linear(np.array([value]), np.array([by_point]), by_state, self.line)
+        return Linear(np.array([value]), np.array([by_point]), by_state, (self.line,))
 
 
 def laser_range(
@@ -104,4 +96,4 @@ def laser_range(
         raise InputError(where, f"{measured:g} m", "a positive number of meters")
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
     row = Range(measured, line, image.pose(np.array([line])).position[0])
-    return measurement_factor([*own, *shared], point, row, noise_model(sigma, robust, 1, where), where)
+    return measurement_factor([[*own, *shared]], point, row, noise_model(sigma, robust, 1, where), where)

@@ -16,7 +16,8 @@ import numpy as np
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import scale
-from mgsgraph.factors.explicit import STATE, Array, Effect, Linear, StateAt, Vector, measurement_factor, noise_model
+from mgsgraph.factors.effects import STATE, Array, Effect
+from mgsgraph.factors.measurement import Linear, StateAt, Vector, measurement_factor, noise_model
 
 if TYPE_CHECKING:
     import gtsam
@@ -133,7 +134,7 @@ class TerrainSpline(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceHeight:
-    """One height above the terrain model; called, its row for a GTSAM factor (`explicit.measurement_factor`)."""
+    """One height above the terrain model; called, its row for a GTSAM factor (`measurement.measurement_factor`)."""
 
     terrain: TerrainSpline
     """Radii."""
@@ -153,6 +154,33 @@ class SurfaceHeight:
 def terrain_height(
     point: int | Array, terrain: TerrainSpline, sigma: float, moved: Sequence[Effect] = ()
 ) -> "gtsam.CustomFactor":
-    """Height of a ground point above a terrain model, zero within sigma (m); `moved` by the model's own shift."""
+    """Height of a ground point above a terrain model: zero within sigma (Ebner et al. 2004).
+
+    Parameters
+    ----------
+    point : int or (3,)
+        GTSAM key of a Point3, m, body-fixed, or a known one.
+    terrain : TerrainSpline
+        `TerrainGrid.spline()` of `mgsgraph.geometry.terrain`.
+    sigma : float
+        m, along the normal.
+    moved : sequence of Effect
+        What moves the terrain model as a whole.
+
+    Returns
+    -------
+    gtsam.CustomFactor
+        One row (m), the height, positive upward.
+
+    Raises
+    ------
+    InputError
+        For a sigma that is not positive.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import L
+    >>> factor = mgsgraph.factors.terrain_height(L(17), network.surface.grid.spline(), 10.0)
+    """
     where = "height above the terrain model"
-    return measurement_factor(moved, point, SurfaceHeight(terrain), noise_model(sigma, None, 1, where), where)
+    return measurement_factor([moved], point, SurfaceHeight(terrain), noise_model(sigma, None, 1, where), where)

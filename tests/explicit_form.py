@@ -1,25 +1,33 @@
-"""The explicit form, an independent reference: the Jacobian oracle of a factor, dense normal equations of factors, and
-the adjustment that GTSAM alone makes of a small network.
+"""The factor graph as an independent reference: the Jacobian oracle of a factor, dense normal equations, and the
+adjustment that GTSAM alone makes of a small network.
 
-What the kernel sums is compared with NumPy's Schur complement of the explicit factors' Jacobians, which know nothing of
-patterns, tiles and blocks.
+What the kernel sums is compared with NumPy's Schur complement of the factors' Jacobians, which know nothing of the
+kernel's patterns, tiles and blocks. The kernel's rows are relinearized about the predicted lines first.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.covariances import considered_information
-from mgsgraph.adjustment.factor_graph import factor_graph
+from mgsgraph.adjustment.factor_graph import Keys, factor_graph, measurement_factors, nominal_selection
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables
-from mgsgraph.adjustment.graph.variables import pass_values, shared_values, shift_values
+from mgsgraph.adjustment.graph.variables import angles_of, pass_values, shared_values, shift_values
 from mgsgraph.adjustment.marginals import JointCovariance, dense_covariance
+from mgsgraph.adjustment.rounds import about_predicted_lines
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.kernel.rows import FIXED, OUT, Groups, Model, Rows, one_observation
+from mgsgraph.kernel.rows import OUT, PREDICTED, Groups, Model, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction, point_covariances, reduce
+from mgsgraph.network import Network
+
+LOSSES = ("none", "huber", "cauchy", "tukey")
+TURNS = 60
+"""Times that rows are relinearized."""
 
 # --- the oracle
 
@@ -69,15 +77,36 @@ def _difference(factor: gtsam.NonlinearFactor, values: gtsam.Values, key: int, s
 
 @dataclass(eq=False)
 class System:
-    """Rows with the unknowns that they feel."""
+    """Rows of a network with the unknowns that they feel."""
 
+    layout: Layout
     rows: Rows
-    groups: Groups
-    blocks: PairBlocks
-    model: Model
-    variables: Variables
-    sigmas: np.ndarray
-    """(columns,) units of the unknowns, m and rad (and s)."""
+    """Those that take part."""
+
+    @property
+    def network(self) -> Network:
+        return self.layout.network
+
+    @property
+    def groups(self) -> Groups:
+        return self.layout.groups
+
+    @property
+    def blocks(self) -> PairBlocks:
+        return self.layout.blocks
+
+    @property
+    def model(self) -> Model:
+        return self.layout.model
+
+    @property
+    def variables(self) -> Variables:
+        return self.layout.variables
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """(columns,) units of the unknowns, m and rad (and s)."""
+        return self.layout.scales
 
     @property
     def columns(self) -> int:
@@ -109,61 +138,57 @@ class System:
         return point_covariances(self.rows, self.groups, target, self.model, x, self.flat(joint), points)
 
 
+    @cached_property
+    def graph(self) -> tuple[list[gtsam.NonlinearFactor], Keys]:
+        """Factors of the measurements that take part, without priors of shared unknowns."""
+        at, network, model = self.layout.observation_rows, self.network, self.model
+        out = np.zeros(len(network.points), dtype=bool)
+        out[self.layout.point_order[self.rows.kind == OUT]] = True
+        nominal, on_stereo = nominal_selection(network), np.zeros(out.size, dtype=bool)
+        if self.layout.stereo is not None:
+            on_stereo[self.layout.stereo.points] = self.rows.weight[0, at.stereo] > 0.0
+        rays = (self.rows.weight[0, at.rays] > 0.0) & ~out[network.rays.point]
+        ranges = (self.rows.weight[0, at.ranges] > 0.0) & ~out[network.ranges.point]
+        selected = replace(nominal, rays=rays, ranges=ranges, points=~out, on_stereo=on_stereo & ~out)
+        settings = SolverSettings(
+            line="predicted" if model.line == PREDICTED else "measured", angles=angles_of(model),
+            loss=LOSSES[model.loss], loss_width=model.width if np.isfinite(model.width) else None,
+        )  # fmt: skip
+        keys = Keys(network)
+        return list(measurement_factors(network, settings, keys, selected)), keys
+
+    def values(self, x: np.ndarray, points: np.ndarray) -> gtsam.Values:
+        """Of all unknowns, at shared ones (columns,) and points (n, 3) in m, layout order."""
+        values, (_, keys) = gtsam.Values(), self.graph
+        for v in self.variables.adjusted():
+            values.insert(keys.variable(int(v)), x[self.variables.columns_of(v)])
+        for i, place in zip(self.layout.point_order.tolist(), points, strict=True):
+            values.insert(keys.point(i), place)
+        return values
+
+    def relinearized(self, x: np.ndarray) -> tuple["System", np.ndarray]:
+        """Rows about the lines predicted at shared unknowns (columns,) and at the points that belong to these, and
+        these points (n, 3), layout order.
+        """
+        system, out = self, np.zeros(len(self.network.points), dtype=bool)
+        out[self.layout.point_order[self.rows.kind == OUT]] = True
+        at = self.layout.observation_rows
+        for _ in range(TURNS):
+            points = system.reduce(x).points
+            anew = about_predicted_lines(system.layout, x, points)
+            if anew is system.layout:
+                break
+            weight, there = anew.rows.weight.copy(), anew.observation_rows
+            for mine, before in ((there.rays, at.rays), (there.ranges, at.ranges), (there.stereo, at.stereo)):
+                weight[:, mine] = self.rows.weight[:, before]
+            kind = np.where(out[anew.point_order], OUT, anew.rows.kind).astype(anew.rows.kind.dtype)
+            system = System(anew, anew.rows._replace(weight=weight, kind=kind))
+        return system, points
+
+
 def of_layout(layout: Layout, rows: Rows | None = None) -> System:
     """The system that the adjustment itself solves."""
-    rows = layout.rows if rows is None else rows
-    return System(rows, layout.groups, layout.blocks, layout.model, layout.variables, layout.scales)
-
-
-@dataclass(eq=False)
-class Factor:
-    """One observation as a GTSAM factor."""
-
-    point: int
-    """Place in the system's order."""
-    felt: list[int]
-    """Variables."""
-    factor: gtsam.CustomFactor
-    fixed: bool
-
-
-def vector_key(variable: int) -> int:
-    """Any shared unknown; 'o' is what the oracle takes for a vector."""
-    return int(gtsam.symbol("o", variable))
-
-
-def explicit_factors(system: System) -> Iterator[Factor]:
-    """A factor for each observation that takes part."""
-    rows, groups = system.rows, system.groups
-    for pattern, first, count, _, among in rows.piece.tolist():
-        begin, end = rows.pattern_observation[pattern : pattern + 2]
-        for i in range(first, first + count):
-            for s in range(begin, end):
-                weights = rows.weight[:, among + (s - begin) * count + i - first]
-                if rows.kind[i] != OUT and weights[0] > 0.0:
-                    entry = rows.observation_entry[s]
-                    mine = rows.entry_member[entry : entry + rows.observation_terms[s] + rows.observation_shared[s]]
-                    felt = groups.member_variable[groups.member_first[rows.pattern_group[pattern]] + np.unique(mine)]
-                    fixed = bool(rows.kind[i] == FIXED)
-                    factor = observation_factor(
-                        [vector_key(v) for v in felt],
-                        [int(system.variables.width[v]) for v in felt],
-                        rows.start[i] if fixed else point_key(i),
-                        one_observation(rows, groups, i, int(s - begin)),
-                        system.model,
-                        observation_noise(int(rows.observation_kind[s]), weights, system.model),
-                        f"point {i}, observation {s - begin}",
-                    )
-                    yield Factor(i, [int(v) for v in felt], factor, fixed)
-
-
-def values_at(system: System, x: np.ndarray, points: np.ndarray) -> gtsam.Values:
-    values = gtsam.Values()
-    for v in system.variables.adjusted():
-        values.insert(vector_key(v), x[system.variables.columns_of(v)])
-    for i, place in enumerate(points):
-        values.insert(point_key(i), place)
-    return values
+    return System(layout, layout.rows if rows is None else rows)
 
 
 @dataclass(eq=False)
@@ -201,20 +226,21 @@ class Normals:
 
 
 def dense_normals(system: System, x: np.ndarray, points: np.ndarray) -> Normals:
-    """Sum of the explicit factors' linearisations."""
+    """Sum of the factors' linearizations."""
     size = system.columns + 3 * points.shape[0]
     normals = Normals(np.zeros((size, size)), np.zeros(size), 0.0, system.columns)
-    values = values_at(system, x, points)
-    for mine in explicit_factors(system):
-        normals.cost += mine.factor.error(values)
-        if mine.fixed and not mine.felt:
+    (factors, keys), values = system.graph, system.values(x, points)
+    adjusted, order = system.variables.adjusted(), system.layout.point_order.tolist()
+    columns = {keys.variable(int(v)): np.arange(size)[system.variables.columns_of(v)] for v in adjusted}
+    columns |= {keys.point(i): system.columns + 3 * k + np.arange(3) for k, i in enumerate(order)}
+    units = np.append(system.sigmas, np.ones(3 * points.shape[0]))
+    for factor in factors:
+        normals.cost += factor.error(values)
+        if not factor.keys():
             continue
-        jacobian, right = gtsam.JacobianFactor(mine.factor.linearize(values)).jacobian()
-        places = [np.arange(system.columns)[system.variables.columns_of(v)] for v in mine.felt]
-        if not mine.fixed:
-            places.append(system.columns + 3 * mine.point + np.arange(3))
-        at = np.concatenate(places)
-        jacobian = jacobian * np.append(system.sigmas, np.ones(3 * points.shape[0]))[at]
+        jacobian, right = gtsam.JacobianFactor(factor.linearize(values)).jacobian()
+        at = np.concatenate([columns[key] for key in factor.keys()])
+        jacobian = jacobian * units[at]
         normals.matrix[np.ix_(at, at)] += jacobian.T @ jacobian
         normals.gradient[at] -= jacobian.T @ right
     return normals
@@ -224,7 +250,7 @@ def assert_bundle_is_explicit(system: System, x: np.ndarray, share: float = 1e-9
     """Reduced matrix, gradient and cost against the dense Schur complement, to `share` of the largest; covariances of
     the points against the dense inverse, to ten times that. The points are solved first, so that both are of one place.
     """
-    points = system.reduce(x).points
+    system, points = system.relinearized(x)
     found, normals = system.reduce(x, points), dense_normals(system, x, points)
     matrix, gradient, cost = normals.reduced()
     assert found.blocks is not None

@@ -446,12 +446,8 @@ def solution_of(source: Source, values: gtsam.Values, name: str | None = None) -
     network, settings = network_and_settings(source)
     clock, keys, left_in = Clock(), Keys(network), None
     if isinstance(source, Solution):
-        marks = (source.rays_rejected, source.ranges_rejected)
-        rays, ranges = (np.logical_not(one) if one is not None else None for one in marks)
-        whole = all_rows(network)
-        left_in = replace(
-            whole, rays=whole.rays if rays is None else rays, ranges=whole.ranges if ranges is None else ranges
-        )  # fmt: skip
+        marks = {"rays": source.rays_rejected, "ranges": source.ranges_rejected, "stereo": source.stereo_rejected}
+        left_in = replace(all_rows(network), **{name: ~mark for name, mark in marks.items() if mark is not None})
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
     for v in layout.variables.adjusted():
         if not values.exists(keys.variable(v)):

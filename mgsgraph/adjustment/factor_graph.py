@@ -17,16 +17,23 @@ from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.factors.collinearity import pushbroom_projection
-from mgsgraph.factors.explicit import (
+from mgsgraph.factors.effects import (
+    LOOK,
+    POSITION,
+    SLOPE,
     STATE,
     Effect,
+    OrientationImagesEffect,
     PolynomialEffect,
     constant,
     orientation_polynomial,
+    profile_shift,
+    range_bias,
 )
 from mgsgraph.factors.ground import ground_prior
 from mgsgraph.factors.priors import linear_prior, orientation_prior
 from mgsgraph.factors.ranging import laser_range
+from mgsgraph.factors.stereo_surface import stereo_height
 from mgsgraph.factors.surface import terrain_height
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
@@ -122,16 +129,21 @@ class FactorGraph(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Taking:
-    """What takes part, and where points begin."""
+class Selected:
+    """What takes part, and where it begins."""
 
     places: Array
-    """(n, 3) m."""
+    """(n, 3) m, of points."""
     nominal: Array
     """(n, 3) m, where the nominal orientation puts them."""
     rays: Mask
+    """(k,)"""
     ranges: Mask
+    """(r,)"""
     points: Mask
+    """(n,)"""
+    on_stereo: Mask
+    """(n,) points whose heights above stereo surfaces take part."""
     values: Sequence[Array]
     """Of all variables."""
 
@@ -155,7 +167,7 @@ def network_and_settings(source: Source) -> tuple[Network, SolverSettings]:
 
 
 def factor_graph(source: Source) -> FactorGraph:
-    """A network, or what a solution found, as a GTSAM graph.
+    """The whole network as a GTSAM graph: one factor per measurement, priors on what is known beforehand.
 
     Parameters
     ----------
@@ -170,30 +182,39 @@ def factor_graph(source: Source) -> FactorGraph:
     Raises
     ------
     InputError
-        For points on stereo surfaces, which the explicit form doesn't have.
+        When an image doesn't see a point that is to lie on its stereo surface.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(network)
+    >>> found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    >>> gtsam.Marginals(graph, found).marginalCovariance(keys.point("TIE00001")).shape
+    (3, 3)
     """
     network, settings = network_and_settings(source)
-    _require_explicit(network)
-    taking = _of_solution(source) if isinstance(source, Solution) else _nominal(network)
+    selected = _of_solution(source) if isinstance(source, Solution) else nominal_selection(network)
     graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
     for v in _adjusted(network):
-        values.insert(keys.variable(v), taking.values[v])
-    for i in np.flatnonzero(taking.points & (network.points.kinds != PointKind.FIXED)).tolist():
-        values.insert(keys.point(i), taking.places[i])
-    for factor in (
-        *_priors(network, keys), *_grounds(network, keys, taking), *_rays(network, keys, taking, settings),
-        *_ranges(network, keys, taking, settings), *_heights(network, keys, taking),
-    ):  # fmt: skip
+        values.insert(keys.variable(v), selected.values[v])
+    for i in np.flatnonzero(selected.points & (network.points.kinds != PointKind.FIXED)).tolist():
+        values.insert(keys.point(i), selected.places[i])
+    for factor in (*_priors(network, keys), *measurement_factors(network, settings, keys, selected)):
         graph.add(factor)
     return FactorGraph(graph, values, keys)
 
 
-def _require_explicit(network: Network) -> None:
-    if network.stereo is not None:
-        raise InputError("factor graph", "points on stereo surfaces", "a network without them")
+def measurement_factors(
+    network: Network, settings: SolverSettings, keys: Keys, selected: Selected
+) -> Iterator[gtsam.NonlinearFactor]:
+    """One factor of each selected measurement: a-priori positions, rays, ranges, heights."""
+    yield from _grounds(network, keys, selected)
+    yield from _rays(network, keys, selected, settings)
+    yield from _ranges(network, keys, selected, settings)
+    yield from _heights(network, keys, selected)
+    yield from _stereo_heights(network, keys, selected, settings)
 
 
-def _nominal(network: Network) -> _Taking:
+def nominal_selection(network: Network) -> Selected:
     """All that is determined, at the nominal orientation."""
     rays, n = network.rays, len(network.points)
     origins, looks = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
@@ -208,14 +229,19 @@ def _nominal(network: Network) -> _Taking:
         k = int(np.flatnonzero(rays.point == i)[0])
         places[i] = network.images[rays.image[k]].image_to_ground(*rays.places[[k]].T)[0][0]
     values = [np.zeros(width) for width in _widths(network)]
-    return _Taking(places, places, used[rays.point], used[network.ranges.point], used, values)
+    begin, on_stereo = places, np.zeros(n, dtype=bool)
+    if network.stereo is not None:
+        on_stereo = used & (network.stereo.surface >= 0)
+        if network.stereo.starts is not None:
+            begin = np.where(np.isfinite(network.stereo.starts), network.stereo.starts, places)
+    return Selected(begin, places, used[rays.point], used[network.ranges.point], used, on_stereo, values)
 
 
-def _of_solution(solution: Solution) -> _Taking:
-    nominal = _nominal(solution.network)
+def _of_solution(solution: Solution) -> Selected:
+    nominal = nominal_selection(solution.network)
     return replace(
         nominal, places=solution.places, rays=solution.rays_used, ranges=solution.ranges_used,
-        points=solution.determined, values=solution.values,
+        points=solution.determined, on_stereo=solution.stereo_used, values=solution.values,
     )  # fmt: skip
 
 
@@ -253,36 +279,62 @@ def _priors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
         yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
 
 
-def _grounds(network: Network, keys: Keys, taking: _Taking) -> Iterator[gtsam.NonlinearFactor]:
+def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
     """A-priori places, moved by profiles' shifts and by what lasers share."""
     points = network.points
     movers: dict[int, list[Effect]] = {}
     for one in network.shared:
         if one.kind.moves_footprints:
             for i, motion in zip(*footprint_motion(network, one), strict=True):
-                movers.setdefault(int(i), []).append(constant(keys.shared(one.name), slice(3), motion.T))
-    for i in np.flatnonzero(taking.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
+                movers.setdefault(int(i), []).append(constant(keys.shared(one.name), POSITION, motion.T))
+    for i in np.flatnonzero(selected.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
         moved = movers.get(i, [])
         if network.shifts is not None and network.shifts.profile[i] >= 0:
-            level = east_north(points.places[[i]])[0].T
-            moved = [constant(keys.profile(int(network.shifts.profile[i])), slice(3), level), *moved]
+            moved = [profile_shift(keys.profile(int(network.shifts.profile[i])), points.places[i]), *moved]
         yield ground_prior(keys.point(i), points.places[i], points.covariances[i], moved)
 
 
-def _heights(network: Network, keys: Keys, taking: _Taking) -> Iterator[gtsam.NonlinearFactor]:
+def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
     """Heights above the terrain model."""
     surface = network.surface
     if surface is None:
         return
     spline = surface.grid.spline()
-    for i in np.flatnonzero(taking.points & np.isfinite(surface.sigmas)).tolist():
+    for i in np.flatnonzero(selected.points & np.isfinite(surface.sigmas)).tolist():
         moved = []
         if network.terrain_moves:
-            motion = surface.directions(taking.nominal[[i]])[0]
-            moved = [constant(keys.variable(network.first_shared - 1), slice(3), motion.T)]
+            motion = surface.directions(selected.nominal[[i]])[0]
+            moved = [constant(keys.variable(network.first_shared - 1), POSITION, motion.T)]
         fixed = network.points.kinds[i] == PointKind.FIXED
         point = network.points.places[i] if fixed else keys.point(i)
         yield terrain_height(point, spline, float(surface.sigmas[i]), moved)
+
+
+def _stereo_heights(
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
+) -> Iterator[gtsam.NonlinearFactor]:
+    control = network.stereo
+    for s in range(0 if control is None else len(control.surfaces)):
+        assert control is not None
+        numbers = control.images[s].tolist()
+        moves = [_Moves(network, keys, j, settings.angles) for j in numbers]
+        for i in np.flatnonzero(selected.on_stereo & (control.surface == s)).tolist():
+            near = [network.images[j].ground_to_image(selected.nominal[[i]])[0][0] for j in numbers]
+            if not np.all(np.isfinite(near)):
+                found, expected = "on a stereo surface whose images don't see it", "points that both images show"
+                raise InputError(f"ground point {network.points.ids[i]}", found, expected)
+            yield stereo_height(
+                network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i),
+                control.surfaces[s],
+                tuple(_Mounted.of(network, j) for j in numbers),
+                tuple(one.of_ray(*pixel) for one, pixel in zip(moves, near, strict=True)),
+                float(control.sigmas[i]),
+                angles=settings.angles,
+                near=tuple(map(tuple, near)),
+                level=east_north(selected.nominal[[i]])[0].T if control.level is not None and control.level[i] else None,
+                robust=_robust(settings),
+                label=f"point {network.points.ids[i]}, height above stereo surface {s}",
+            )
 
 
 def _robust(settings: SolverSettings) -> tuple[str, float] | None:
@@ -292,11 +344,11 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 
 
 def _rays(
-    network: Network, keys: Keys, taking: _Taking, settings: SolverSettings
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
 ) -> Iterator[gtsam.NonlinearFactor]:
     rays, fixed = network.rays, network.points.kinds == PointKind.FIXED
     for j in range(len(network.images)):
-        mine = np.flatnonzero(taking.rays & (rays.image == j))
+        mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
         moves = _Moves(network, keys, j, settings.angles)
         for k in mine.tolist():
@@ -306,17 +358,17 @@ def _rays(
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
             yield pushbroom_projection(
                 None, point, image, place, rays.sigmas[k], shared=moves.of_ray(*place), line=settings.line,
-                angles=settings.angles, near=taking.nominal[i], robust=_robust(settings), label=label,
+                angles=settings.angles, near=selected.nominal[i], robust=_robust(settings), label=label,
             )  # fmt: skip
 
 
 def _ranges(
-    network: Network, keys: Keys, taking: _Taking, settings: SolverSettings
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
 ) -> Iterator[gtsam.NonlinearFactor]:
     ranges, fixed = network.ranges, network.points.kinds == PointKind.FIXED
     for j in np.unique(ranges.image).tolist():
         image, moves = network.images[j], _Moves(network, keys, j, settings.angles)
-        mine = np.flatnonzero(taking.ranges & (ranges.image == j))
+        mine = np.flatnonzero(selected.ranges & (ranges.image == j))
         lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
         for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
             i = int(ranges.point[k])
@@ -369,30 +421,22 @@ class _Mounted(NamedTuple):
         return Detector(*self.image.interior.focal_plane(samples)).in_axes(self.axes, self.focal_length)
 
 
-class _NodesEffect(NamedTuple):
-    """Orientation images around the lines that a measurement may have: four of them at a time."""
+class _Weights(NamedTuple):
+    """Of the orientation images around the lines that a measurement may have: four of them at a time."""
 
-    keys: tuple[int, ...]
+    count: int
     nodes: OrientationImages
     first: int
     image: PushbroomImage
 
-    @property
-    def widths(self) -> tuple[int, ...]:
-        return (6,) * len(self.keys)
-
-    def at(self, line: float) -> tuple[Array, Array]:
+    def __call__(self, line: float) -> tuple[Array, Array]:
         times, periods = self.image.timing.at(np.array([line]))
-        first, values, rates = self.nodes.at(times, self.image.trajectory.epoch)
-        begin = min(max(int(first[0]) - self.first, 0), len(self.keys) - SUPPORT)
-        if begin != int(first[0]) - self.first:
-            values, rates = self.nodes.around(np.array([self.first + begin]), times, self.image.trajectory.epoch)
-        found = np.zeros((2, STATE, len(self.keys), 6))
-        for k in range(SUPPORT):
-            found[0, range(6), begin + k, range(6)] = values[0, k]
-            found[1, range(6), begin + k, range(6)] = rates[0, k] * periods[0]
-        flat = found.reshape(2, STATE, -1)
-        return flat[0], flat[1]
+        begin = int(self.nodes.first_of_four(times, self.image.trajectory.epoch)[0]) - self.first
+        begin = min(max(begin, 0), self.count - SUPPORT)
+        values, rates = self.nodes.around(np.array([self.first + begin]), times, self.image.trajectory.epoch)
+        found = np.zeros((2, self.count))
+        found[:, begin : begin + SUPPORT] = values[0], rates[0] * periods[0]
+        return found[0], found[1]
 
 
 class _Moves:
@@ -425,16 +469,19 @@ class _Moves:
         found = [*self._own, *self._nodes(line, line)]
         for k in acting_on(self._network, "ranges")[self._j]:
             bias = self._network.shared[k].kind is SharedKind.RANGE_BIAS
-            found.append(constant(self._keys.shared(k), slice(9, 10), np.ones((1, 1))) if bias else self._pose[k])
+            found.append(range_bias(self._keys.shared(k)) if bias else self._pose[k])
         return found
 
     def _of_interior(self, k: int, sample: float) -> PolynomialEffect:
         interior, one = self._image.interior, self._network.shared[k]
         at = np.array([sample])
-        directions, _ = interior_effect(interior, one.kind, at, radius_of(self._network, one))
+        directions, slopes = interior_effect(interior, one.kind, at, radius_of(self._network, one))
         if self._axes is not None:
-            directions = directions @ self._axes * (interior.focal_length / (interior.looks(at)[0] @ self._axes)[:, 2:])
-        return constant(self._keys.shared(k), slice(6, 9), directions[:, 0].T)
+            scale = interior.focal_length / (interior.looks(at)[0] @ self._axes)[:, 2:]
+            directions, slopes = directions @ self._axes * scale, slopes @ self._axes * scale
+        found = np.zeros((1, STATE, len(directions)))
+        found[0, LOOK], found[0, SLOPE] = directions[:, 0].T, slopes[:, 0].T
+        return PolynomialEffect((self._keys.shared(k),), found)
 
     def _nodes(self, first_line: float, last_line: float) -> list[Effect]:
         owner = int(self._network.pass_of[self._j])
@@ -444,4 +491,4 @@ class _Moves:
         times, _ = self._image.timing.at(np.array([first_line, last_line]))
         first, last = nodes.first_of_four(times, self._image.trajectory.epoch).tolist()
         members = tuple(self._keys.variable(begin + k) for k in range(first, last + SUPPORT))
-        return [_NodesEffect(members, nodes, first, self._image)]
+        return [OrientationImagesEffect(members, _Weights(len(members), nodes, first, self._image))]

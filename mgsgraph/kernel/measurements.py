@@ -25,7 +25,7 @@ from mgsgraph.factors.ground import ground_residual, upper_triangle
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
 from mgsgraph.factors.ranging import range_residual
-from mgsgraph.factors.stereo_surface import stereo_height
+from mgsgraph.factors.stereo_surface import linear_height
 from mgsgraph.factors.surface import cubic, height_above, post_coordinates
 from mgsgraph.kernel.lanes import (
     ACTIVE,
@@ -283,7 +283,7 @@ def stereo_rows(w):
         weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
         used, normal = weight > 0.0, vector(w, _C + ROOT, l)
         point, reference = vector(w, POINT, l), vector(w, _C + POSITION, l)
-        value = stereo_height(w[_C + DISTANCE + l], normal, point, reference, w[DELTA + l])
+        value = linear_height(w[_C + DISTANCE + l], normal, point, reference, w[DELTA + l])
         w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
         put(w, _FIRST_ROW, l, (weight * normal[0], weight * normal[1], weight * normal[2]), used)
         w[_BY_STATE + l] = weight

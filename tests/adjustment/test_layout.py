@@ -20,7 +20,6 @@ import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.graph import BundleGraph, lay_out, patterns, rows
-from mgsgraph.network.parallel import nearly_parallel, parallel
 from mgsgraph.adjustment.rounds import about_predicted_lines
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution
@@ -36,6 +35,7 @@ from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, OUT, PRIOR
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
 from mgsgraph.network.observations import observed
+from mgsgraph.network.parallel import nearly_parallel, parallel
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 

@@ -17,7 +17,7 @@ from odd_networks import with_fixed
 from sharing import shared, with_all_kinds
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.graph.forms import explicit_graph, point_key, variable_key
+from mgsgraph.adjustment.factor_graph import factor_graph
 from mgsgraph.adjustment.settings import Angles, Line, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.estimates import correlation
@@ -57,12 +57,13 @@ class Dense:
 def dense(solution: Solution) -> Dense:
     at = at_values(solution.network, solution.settings, solution.values, solution.places)
     posterior = Posterior(at)
-    graph, values = explicit_graph(at.layout, at.rows, at.orientation, at.points)
+    graph, values, named = factor_graph(solution)
     variables = at.layout.variables.adjusted()
-    keys = [variable_key(at.layout, v) for v in variables]
-    free = [i for i in range(at.points.shape[0]) if values.exists(point_key(i))]
+    keys = [named.variable(int(v)) for v in variables]
+    of_points = [named.point(i) for i in at.layout.point_order.tolist()]
+    free = [i for i, key in enumerate(of_points) if values.exists(key)]
     ordering = gtsam.Ordering()
-    for key in keys + [point_key(i) for i in free]:
+    for key in keys + [of_points[i] for i in free]:
         ordering.push_back(key)
     information = graph.linearize(values).hessian(ordering)[0]
     scale = 1.0 / np.sqrt(np.diag(information))

@@ -26,7 +26,7 @@ from mgsgraph.factors.ground import ground_residual, upper_triangle
 from mgsgraph.factors.loss import cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
 from mgsgraph.factors.ranging import range_residual
-from mgsgraph.factors.stereo_surface import stereo_height
+from mgsgraph.factors.stereo_surface import linear_height
 from mgsgraph.factors.surface import cubic, height_above, post_coordinates
 from mgsgraph.kernel.cuda.device import THREADS, cuda, kernel, on_device
 from mgsgraph.kernel.cuda.tables import (
@@ -206,7 +206,7 @@ def surface_rows(tables, state, point, weight):
 def stereo_rows(data, at, stride, state, point, weight):
     """Row of a height above a stereo surface; its state is what both images' corrections add."""
     normal = vector(data, at, stride, 3)
-    value = stereo_height(data[at + 6 * stride], normal, point, vector(data, at, stride, 0), state[0])
+    value = linear_height(data[at + 6 * stride], normal, point, vector(data, at, stride, 0), state[0])
     none = (weight, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return one_row(weight * value, scale(weight, normal), none)
 

@@ -1,0 +1,156 @@
+"""One measurement as a GTSAM factor on the unknowns that move its instrument and on its ground point.
+
+What unknowns do to a measurement is its *state*, thirteen numbers: of the instrument's position (3, m), its attitude
+(3, rad), what a pixel looks along (3, m: x, y, focal length), and what a measured distance is too long (1, m). It is
+linear in the unknowns, and a function of the image line: state(l) = sum_e E_e(l) x_e (Yoon & Shan 2005, Eq. 2). Each
+E_e is an *effect* (`factors.effects`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mgsgraph.errors import InputError, PointBehindCamera
+from mgsgraph.factors.effects import STATE, Array, Effect
+
+if TYPE_CHECKING:
+    import gtsam
+
+AT_REST = np.zeros(STATE)
+Vector = tuple[float, ...]
+
+
+class Linear(NamedTuple):
+    """Rows of one measurement, not whitened, and their derivatives; r rows, one state of each of its instruments."""
+
+    residual: Array
+    """(r,)"""
+    by_point: Array
+    """(r, 3) per m."""
+    by_state: Array
+    """(r, 13) of one instrument, (r, 26) of two."""
+    lines: tuple[float, ...] = (0.0,)
+    """Whose states were taken."""
+
+
+StateAt = Callable[[float], tuple[Array, Array]]
+"""State at a line, and its rate per line."""
+Measurement = Callable[..., Linear | None]
+"""Rows at a state of each instrument and a ground point (3,) in m, body-fixed; None for a point behind a camera."""
+
+
+class _Instrument:
+    """What all unknowns of a factor do to the state of one of its instruments."""
+
+    def __init__(self, effects: Sequence[Effect], first: dict[int, int], total: int) -> None:
+        every = [(key, width) for one in effects for key, width in zip(one.keys, one.widths, strict=True)]
+        self._effects, self._total = effects, total
+        self._columns = np.concatenate(
+            [np.zeros(0, dtype=int), *(first[key] + np.arange(width) for key, width in every)]
+        )
+        self._whole = len(effects) == 1 and np.array_equal(self._columns, np.arange(total))
+
+    def matrices(self, line: float) -> tuple[Array, Array]:
+        """(13, columns) at a line, and per line."""
+        parts = [one.at(line) for one in self._effects]
+        if self._whole:
+            return parts[0]
+        found = np.zeros((2, STATE, self._total))
+        for k in (0, 1) if parts else ():
+            np.add.at(found[k].T, self._columns, np.hstack([part[k] for part in parts]).T)
+        return found[0], found[1]
+
+    def states(self, x: Array) -> StateAt:
+        """State as a function of the line, at unknowns (columns,)."""
+        if not self._effects:
+            return lambda line: (AT_REST, AT_REST)
+
+        def at(line: float) -> tuple[Array, Array]:
+            value, rate = self.matrices(line)
+            return value @ x, rate @ x
+
+        return at
+
+
+def measurement_factor(
+    effects: Sequence[Sequence[Effect]],
+    point: int | Array,
+    measurement: Measurement,
+    noise: gtsam.noiseModel.Base,
+    label: str,
+) -> gtsam.CustomFactor:
+    """Factor of one measurement.
+
+    Parameters
+    ----------
+    effects : sequence of sequences of Effect
+        What the unknowns do to each instrument that takes part; an unknown may be in several.
+    point : int or (3,)
+        GTSAM key of the ground point (Point3, m), or the coordinates of a known one.
+    measurement : callable
+        Its rows: `collinearity.ImageRay`, `ranging.Range`, `ground.GroundPrior`, `surface.SurfaceHeight` or
+        `stereo_surface.StereoHeight`.
+    noise : gtsam.noiseModel.Base
+        Of the rows; robust if wanted.
+    label : str
+        Point and image, for the error message.
+
+    Raises
+    ------
+    InputError
+        When the point's key is that of another unknown.
+    PointBehindCamera
+        On linearization at a point behind the camera; its plain error is infinite there.
+    """
+    import gtsam  # the equations of `factors` serve those who need no graph, too
+
+    widths = {
+        key: width for mine in effects for one in mine for key, width in zip(one.keys, one.widths, strict=True)
+    }
+    keys, ends = list(widths), np.cumsum([0, *widths.values()]).tolist()
+    columns = [slice(begin, end) for begin, end in zip(ends, ends[1:], strict=False)]
+    if isinstance(point, int) and point in widths:
+        name = gtsam.DefaultKeyFormatter(point)
+        raise InputError(label, f"key {name} of an unknown and of the point", "a key of its own for each")
+    instruments = [_Instrument(mine, dict(zip(keys, ends, strict=False)), ends[-1]) for mine in effects]
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        place = values.atPoint3(point) if isinstance(point, int) else point
+        x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
+        rows = measurement(*(one.states(x) for one in instruments), place)
+        if rows is None:
+            if jacobians is not None:
+                raise PointBehindCamera(label, "the point is behind the camera")
+            return np.full(noise.dim(), np.inf)
+        if jacobians is not None:
+            if keys:
+                parts = zip(np.split(rows.by_state, len(instruments), axis=1), instruments, rows.lines, strict=True)
+                whole = sum(by_state @ one.matrices(line)[0] for by_state, one, line in parts)
+                for k, mine in enumerate(columns):
+                    jacobians[k] = np.asfortranarray(whole[:, mine])
+            if isinstance(point, int):
+                jacobians[len(keys)] = np.asfortranarray(rows.by_point)
+        return rows.residual
+
+    return gtsam.CustomFactor(noise, [*keys, point] if isinstance(point, int) else keys, error)
+
+
+def noise_model(
+    sigmas: Array | float, robust: tuple[str, float] | None, rows: int, where: str
+) -> gtsam.noiseModel.Base:
+    """Noise of independent rows with sigmas (r,), or one for all; `robust` is a loss ("huber", "cauchy", "tukey") on
+    the norm of the whitened rows and its width in sigmas. Raises InputError, naming `where`, for sigmas that are none.
+    """
+    import gtsam
+
+    every = np.broadcast_to(np.asarray(sigmas, dtype=np.float64), (rows,)).copy()
+    if not (np.all(np.isfinite(every)) and np.all(every > 0.0)):
+        raise InputError(where, f"sigma {every.min():g}", "positive numbers")
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas(every)
+    if robust is None:
+        return diagonal
+    estimator = getattr(gtsam.noiseModel.mEstimator, robust[0].capitalize())
+    return gtsam.noiseModel.Robust.Create(estimator.Create(robust[1]), diagonal)
