@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.covariances import considered_information
-from mgsgraph.adjustment.factor_graph import Keys, factor_graph, measurement_factors, nominal_selection
+from mgsgraph.adjustment.factor_graph import Keys, Selected, factor_graph, measurement_factors
 from mgsgraph.adjustment.graph import Layout, lay_out
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Variables
 from mgsgraph.adjustment.graph.variables import angles_of, pass_values, shared_values, shift_values
@@ -82,6 +82,8 @@ class System:
     layout: Layout
     rows: Rows
     """Those that take part."""
+    units: np.ndarray | None = None
+    """(columns,) of the unknowns, where they are not the layout's."""
 
     @property
     def network(self) -> Network:
@@ -106,7 +108,7 @@ class System:
     @property
     def sigmas(self) -> np.ndarray:
         """(columns,) units of the unknowns, m and rad (and s)."""
-        return self.layout.scales
+        return self.layout.scales if self.units is None else self.units
 
     @property
     def columns(self) -> int:
@@ -144,12 +146,12 @@ class System:
         at, network, model = self.layout.observation_rows, self.network, self.model
         out = np.zeros(len(network.points), dtype=bool)
         out[self.layout.point_order[self.rows.kind == OUT]] = True
-        nominal, on_stereo = nominal_selection(network), np.zeros(out.size, dtype=bool)
+        nominal, on_stereo = self.layout.network_order(self.rows.start), np.zeros(out.size, dtype=bool)
         if self.layout.stereo is not None:
             on_stereo[self.layout.stereo.points] = self.rows.weight[0, at.stereo] > 0.0
         rays = (self.rows.weight[0, at.rays] > 0.0) & ~out[network.rays.point]
         ranges = (self.rows.weight[0, at.ranges] > 0.0) & ~out[network.ranges.point]
-        selected = replace(nominal, rays=rays, ranges=ranges, points=~out, on_stereo=on_stereo & ~out)
+        selected = Selected(nominal, nominal, rays, ranges, ~out, on_stereo & ~out, ())
         settings = SolverSettings(
             line="predicted" if model.line == PREDICTED else "measured", angles=angles_of(model),
             loss=LOSSES[model.loss], loss_width=model.width if np.isfinite(model.width) else None,

@@ -198,7 +198,7 @@ def factor_graph(source: Source) -> FactorGraph:
         values.insert(keys.variable(v), selected.values[v])
     for i in np.flatnonzero(selected.points & (network.points.kinds != PointKind.FIXED)).tolist():
         values.insert(keys.point(i), selected.places[i])
-    for factor in (*_priors(network, keys), *measurement_factors(network, settings, keys, selected)):
+    for factor in (*prior_factors(network, keys), *measurement_factors(network, settings, keys, selected)):
         graph.add(factor)
     return FactorGraph(graph, values, keys)
 
@@ -262,7 +262,7 @@ def _adjusted(network: Network) -> list[int]:
 # --- factors
 
 
-def _priors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
+def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
     """What is known of shared unknowns; considered ones are held."""
     for j in np.flatnonzero(network.with_polynomial).tolist():
         yield orientation_prior(keys.variable(j), network.priors[j].sigmas.ravel())

@@ -10,8 +10,8 @@ from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import prior_covariance
+from mgsgraph.adjustment.factor_graph import Keys, prior_factors
 from mgsgraph.adjustment.graph import lay_out
-from mgsgraph.adjustment.graph.forms import prior_factors
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.measures import MeasureKind, names_of
@@ -148,7 +148,7 @@ def test_rows_alone_are_the_least_squares_solution_by_hand() -> None:
     found = prior_covariance(layout)
     assert found is not None
     np.testing.assert_allclose(found.dense(), np.linalg.inv(layout.prior.normal()), rtol=1e-6, atol=1e-12)
-    assert sum(1 for _ in prior_factors(layout)) == len(layout.variables.adjusted()) + 6
+    assert sum(1 for _ in prior_factors(layout.network, Keys(layout.network))) == len(layout.variables.adjusted()) + 6
     state = np.random.default_rng(3).normal(size=layout.columns) * layout.scales
     step = 1e-3 * layout.scales
     numeric = [

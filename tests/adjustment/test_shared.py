@@ -55,13 +55,14 @@ def everything(
      ("camera", "predicted", (True, False)), ("camera", "predicted", (True, True))],
 )  # fmt: skip
 def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool]) -> None:
+    """Covariances to 1e-5 of the variances: the kernel takes what shared unknowns do for constant about a ray."""
     one = everything(angles, line, held)
     other = by_gtsam(one)
     assert one.converged
     assert one.cost_final == pytest.approx(other.cost_final, rel=1e-9)
     first, second = one.joint_covariance.dense(), other.joint_covariance.dense()
     sigmas = np.sqrt(np.diag(second))
-    np.testing.assert_allclose(first / np.outer(sigmas, sigmas), second / np.outer(sigmas, sigmas), atol=1e-7)
+    np.testing.assert_allclose(first / np.outer(sigmas, sigmas), second / np.outer(sigmas, sigmas), atol=1e-5)
     np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-5, atol=1e-6)
     for value, again, prior in zip(one.shared, other.shared, one.network.shared, strict=True):
         np.testing.assert_allclose(value, again, atol=1e-5 * prior.sigmas.min())

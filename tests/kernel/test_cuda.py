@@ -250,7 +250,7 @@ def _of_network(
     net: Callable[[], Any], size: float = 1.0, in_order: bool = True, **settings: Any
 ) -> dict[str, float]:
     system = of_layout(lay_out(net(), SolverSettings(**settings)))
-    system.sigmas = np.where(np.isfinite(system.sigmas), system.sigmas, 1e-3)
+    system.units = np.where(np.isfinite(system.sigmas), system.sigmas, 1e-3)
     return compare(system, size, in_order=in_order)
 
 
