@@ -21,8 +21,8 @@ measurement is an *effect*, an argument of these factors (`shared`, `moved`):
     factors.OrientationImagesEffect orientation images of a pass                            Hofmann et al. 1984
     factors.constant, factors.PolynomialEffect      anything else
 
-Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs the equations over
-all points of a network is `mgsgraph.kernel`.
+Installed as `mgsgraph.factors`; nothing named `factors` is ever installed at the top level. What runs the equations
+over all points of a network is `mgsgraph.kernel`.
 """
 
 from importlib import import_module

@@ -240,7 +240,7 @@ class ImageRay:
         pose = self._image.pose(np.array([line]))
         return pose.position, pose.matrix, pose.velocity, pose.angular_rate
 
-    def _scale(self, angles: str, near: Array | None) -> tuple[Vector, Vector]:
+    def _scale(self, angles: str, near: Array | None) -> Any:
         """S of the measured-line form."""
         slope = tuple(self._detector[2:4].tolist())
         if angles == "opk-peer":

@@ -91,8 +91,7 @@ def constant(key: int, rows: slice, matrix: Array) -> PolynomialEffect:
 
 def profile_shift(key: int, position: Array) -> PolynomialEffect:
     """Shift of a laser profile as a whole, 2 numbers: m east and m north, of its shot at a position (3,), m."""
-    x, y, z = position
-    east = np.array([-y, x, 0.0]) / np.hypot(x, y)
+    east = np.array([-position[1], position[0], 0.0]) / np.hypot(*position[:2])
     north = np.cross(position / np.linalg.norm(position), east)
     return constant(key, POSITION, np.column_stack([east, north]))
 
@@ -138,5 +137,6 @@ class OrientationImagesEffect(NamedTuple):
 
     def at(self, line: float) -> tuple[Array, Array]:
         """(13, columns), and per line."""
-        value, rate = (np.kron(weights, np.eye(STATE, 6)) for weights in self.weights(line))
-        return value, rate
+        value, rate = self.weights(line)
+        each = np.eye(STATE, 6, dtype=np.float64)
+        return np.asarray(np.kron(value, each)), np.asarray(np.kron(rate, each))

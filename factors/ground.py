@@ -85,7 +85,7 @@ def ground_prior(
     where = f"a-priori position of point {gtsam.DefaultKeyFormatter(point_key)}"
     try:
         information = np.linalg.solve(covariance, np.eye(3))
-        root: Array = np.linalg.cholesky(0.5 * (information + information.T)).T
+        root = np.linalg.cholesky(0.5 * (information + information.T)).T.astype(np.float64)
     except np.linalg.LinAlgError:
         found = f"a covariance with diagonal {np.diag(covariance)} m^2"
         raise InputError(where, found, "a positive definite one") from None

@@ -9,6 +9,7 @@ E_e is an *effect* (`factors.effects`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -111,7 +112,7 @@ def measurement_factor(
         key: width for mine in effects for one in mine for key, width in zip(one.keys, one.widths, strict=True)
     }
     keys, ends = list(widths), np.cumsum([0, *widths.values()]).tolist()
-    columns = [slice(begin, end) for begin, end in zip(ends, ends[1:], strict=False)]
+    columns = [slice(*edges) for edges in pairwise(ends)]
     if isinstance(point, int) and point in widths:
         name = gtsam.DefaultKeyFormatter(point)
         raise InputError(label, f"key {name} of an unknown and of the point", "a key of its own for each")
@@ -128,7 +129,7 @@ def measurement_factor(
         if jacobians is not None:
             if keys:
                 parts = zip(np.split(rows.by_state, len(instruments), axis=1), instruments, rows.lines, strict=True)
-                whole = sum(by_state @ one.matrices(line)[0] for by_state, one, line in parts)
+                whole = np.asarray(sum(by_state @ one.matrices(line)[0] for by_state, one, line in parts))
                 for k, mine in enumerate(columns):
                     jacobians[k] = np.asfortranarray(whole[:, mine])
             if isinstance(point, int):

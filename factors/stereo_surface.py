@@ -61,14 +61,13 @@ class _Sighting:
         """Pixel, and its derivatives."""
         for _ in range(_TURNS):
             rows = self._ray(state_at, point)
-            if rows is None:
-                return None
-            pixel = self._at - rows.residual
-            if np.abs(rows.residual).max() < _NEAR:
+            if rows is None or np.abs(rows.residual).max() < _NEAR:
                 break
-            self._at = (float(pixel[0]), float(pixel[1]))
+            self._at = (self._at[0] - float(rows.residual[0]), self._at[1] - float(rows.residual[1]))
             self._ray = self._from(self._at)
-        return Linear(pixel, -rows.by_point, -rows.by_state, rows.lines)
+        if rows is None:
+            return None
+        return Linear(self._at - rows.residual, -rows.by_point, -rows.by_state, rows.lines)
 
     def towards(self, state_at: StateAt, line: float, point: Array) -> Array:
         """(3,) from the point to the camera, of unit length."""
@@ -103,12 +102,12 @@ class StereoHeight:
 def stereo_height(
     point: int | Array,
     surface: Disparity,
-    images: tuple[PushbroomImage, PushbroomImage],
-    effects: tuple[Sequence[Effect], Sequence[Effect]],
+    images: Sequence[PushbroomImage],
+    effects: Sequence[Sequence[Effect]],
     sigma: float,
     *,
     angles: str = "camera",
-    near: tuple[tuple[float, float], tuple[float, float]] | None = None,
+    near: Sequence[tuple[float, float]] | None = None,
     level: Array | None = None,
     robust: tuple[str, float] | None = None,
     label: str = "",
@@ -121,9 +120,9 @@ def stereo_height(
         GTSAM key of a Point3, m, body-fixed, or a known one.
     surface : Disparity
         Where pixels of the first image are in the second.
-    images : (PushbroomImage, PushbroomImage)
+    images : sequence of PushbroomImage
         First and second image.
-    effects : (sequence of Effect, sequence of Effect)
+    effects : sequence of sequences of Effect
         What unknowns do to either: `effects.orientation_polynomial` of its EO coefficients, for one.
     sigma : float
         m, along the surface's normal.
@@ -159,4 +158,4 @@ def stereo_height(
     where = label or f"height above the surface of images {images[0].name} and {images[1].name}"
     first, second = (_Sighting(one, angles, at) for one, at in zip(images, near or (None, None), strict=True))
     row = StereoHeight(surface, first, second, level)
-    return measurement_factor(list(effects), point, row, noise_model(sigma, robust, 1, where), where)
+    return measurement_factor(effects, point, row, noise_model(sigma, robust, 1, where), where)

@@ -319,19 +319,21 @@ def _stereo_heights(
         numbers = control.images[s].tolist()
         moves = [_Moves(network, keys, j, settings.angles) for j in numbers]
         for i in np.flatnonzero(selected.on_stereo & (control.surface == s)).tolist():
-            near = [network.images[j].ground_to_image(selected.nominal[[i]])[0][0] for j in numbers]
+            pixels = [network.images[j].ground_to_image(selected.nominal[[i]])[0][0] for j in numbers]
+            near = [(float(line), float(sample)) for line, sample in pixels]
             if not np.all(np.isfinite(near)):
                 found, expected = "on a stereo surface whose images don't see it", "points that both images show"
                 raise InputError(f"ground point {network.points.ids[i]}", found, expected)
+            flat = control.level is not None and control.level[i]
             yield stereo_height(
                 network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i),
                 control.surfaces[s],
-                tuple(_Mounted.of(network, j) for j in numbers),
-                tuple(one.of_ray(*pixel) for one, pixel in zip(moves, near, strict=True)),
+                [_Mounted.of(network, j) for j in numbers],
+                [one.of_ray(*pixel) for one, pixel in zip(moves, near, strict=True)],
                 float(control.sigmas[i]),
                 angles=settings.angles,
-                near=tuple(map(tuple, near)),
-                level=east_north(selected.nominal[[i]])[0].T if control.level is not None and control.level[i] else None,
+                near=near,
+                level=east_north(selected.nominal[[i]])[0].T if flat else None,
                 robust=_robust(settings),
                 label=f"point {network.points.ids[i]}, height above stereo surface {s}",
             )
@@ -424,17 +426,17 @@ class _Mounted(NamedTuple):
 class _Weights(NamedTuple):
     """Of the orientation images around the lines that a measurement may have: four of them at a time."""
 
-    count: int
+    size: int
     nodes: OrientationImages
     first: int
     image: PushbroomImage
 
-    def __call__(self, line: float) -> tuple[Array, Array]:
+    def at(self, line: float) -> tuple[Array, Array]:
         times, periods = self.image.timing.at(np.array([line]))
         begin = int(self.nodes.first_of_four(times, self.image.trajectory.epoch)[0]) - self.first
-        begin = min(max(begin, 0), self.count - SUPPORT)
+        begin = min(max(begin, 0), self.size - SUPPORT)
         values, rates = self.nodes.around(np.array([self.first + begin]), times, self.image.trajectory.epoch)
-        found = np.zeros((2, self.count))
+        found = np.zeros((2, self.size))
         found[:, begin : begin + SUPPORT] = values[0], rates[0] * periods[0]
         return found[0], found[1]
 
@@ -491,4 +493,5 @@ class _Moves:
         times, _ = self._image.timing.at(np.array([first_line, last_line]))
         first, last = nodes.first_of_four(times, self._image.trajectory.epoch).tolist()
         members = tuple(self._keys.variable(begin + k) for k in range(first, last + SUPPORT))
-        return [OrientationImagesEffect(members, _Weights(len(members), nodes, first, self._image))]
+        weights = _Weights(len(members), nodes, first, self._image)
+        return [OrientationImagesEffect(members, weights.at)]

@@ -160,42 +160,6 @@ def numbers_stored(
     return np.asarray(constants[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 
 
-def one_observation(rows: Rows, groups: Groups, point: int, observation: int) -> Rows:
-    """Rows of a single point (index in the layout) with a single one of its observations, at weight 1.
-
-    Its columns are counted through the variables that the observation depends on, in the order of the group.
-    """
-    piece = int(np.searchsorted(rows.piece[:, 1], point, side="right")) - 1
-    pattern, first, count, start, _ = rows.piece[piece]
-    begin = int(rows.pattern_observation[pattern])
-    sizes = rows.observation_numbers[begin : begin + observation + 1].tolist()
-    at = start + sum(sizes[:-1]) * count + (point - first)
-    i = begin + observation
-    entry = rows.observation_entry[i]
-    entries = slice(entry, entry + rows.observation_terms[i] + rows.observation_shared[i])
-    used, member = np.unique(rows.entry_member[entries], return_inverse=True)
-    width = groups.member_width[groups.member_first[rows.pattern_group[pattern]] + used]
-    return rows._replace(
-        kind=np.zeros(1, dtype=np.int8),
-        start=rows.start[point : point + 1],
-        data=np.ascontiguousarray(rows.data[at : at + sizes[-1] * count : count]),
-        weight=np.ones((2, 1)),
-        piece=np.array([[0, 0, 1, 0, 0]]),
-        pattern_observation=np.array([0, 1]),
-        pattern_group=np.zeros(1, dtype=np.int64),
-        pattern_fixed=np.zeros(1, dtype=np.int64),
-        pattern_shape=np.zeros(1, dtype=np.int64),
-        **{
-            f"observation_{name}": getattr(rows, f"observation_{name}")[i : i + 1]
-            for name in ("kind", "width", "terms", "shared", "focal", "rate", "numbers")
-        },
-        observation_entry=np.zeros(1, dtype=np.int64),
-        entry_column=(np.cumsum(width) - width)[member.reshape(-1)] + rows.entry_inside[entries],
-        entry_member=member.reshape(-1).astype(np.int64),
-        entry_inside=rows.entry_inside[entries],
-    )
-
-
 def of_points(rows: Rows, piece: int, inside: Index) -> Rows:
     """Rows of some points of one piece, by their indices in it; tables of patterns, observations and entries stay
     whole.
