@@ -42,7 +42,7 @@ _HOME = {
     "OrientationImagesEffect": "effects",
     "PolynomialEffect": "effects",
     "profile_shift": "effects",
-    "pushbroom_projection": "collinearity",
+    "pushbroom_projection": "projection",
     "range_bias": "effects",
     "stereo_height": "stereo_surface",
     "terrain_height": "surface",

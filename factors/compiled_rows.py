@@ -1,4 +1,4 @@
-"""Rows of one image ray by compiled code: what `collinearity.ImageRay` calls, a hundred times as fast as in Python."""
+"""Rows of one image ray by compiled code: what `projection.ImageRay` calls, a hundred times as fast as in Python."""
 
 from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
 from mgsgraph.factors.collinearity import ray_rows

@@ -10,18 +10,13 @@ An effect is linear in its unknowns and a function of the image line: state(l) =
 Eq. 2). All factors that take `shared` or `moved` take any effects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from mgsgraph.factors.collinearity import PushbroomImage
+from mgsgraph.factors.records import Array, PushbroomImage
 
-Array = NDArray[np.float64]
 STATE = 13
 """Numbers of a state."""
 POSITION, ATTITUDE, LOOK, RANGE, SLOPE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 10), slice(10, 13)

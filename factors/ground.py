@@ -15,8 +15,9 @@ import numpy as np
 from mgsgraph.compiled import equation
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import subtract, transform
-from mgsgraph.factors.effects import STATE, Array, Effect
+from mgsgraph.factors.effects import STATE, Effect
 from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor
+from mgsgraph.factors.records import Array
 
 if TYPE_CHECKING:
     import gtsam

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mgsgraph.errors import InputError, PointBehindCamera
-from mgsgraph.factors.effects import STATE, Array, Effect
+from mgsgraph.factors.effects import STATE, Effect
+from mgsgraph.factors.records import Array
 
 if TYPE_CHECKING:
     import gtsam
@@ -92,7 +93,7 @@ def measurement_factor(
     point : int or (3,)
         GTSAM key of the ground point (Point3, m), or the coordinates of a known one.
     measurement : callable
-        Its rows: `collinearity.ImageRay`, `ranging.Range`, `ground.GroundPrior`, `surface.SurfaceHeight` or
+        Its rows: `projection.ImageRay`, `ranging.Range`, `ground.GroundPrior`, `surface.SurfaceHeight` or
         `stereo_surface.StereoHeight`.
     noise : gtsam.noiseModel.Base
         Of the rows; robust if wanted.

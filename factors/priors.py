@@ -4,11 +4,9 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-
-Array = NDArray[np.float64]
+from mgsgraph.factors.records import Array
 
 
 def orientation_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:

@@ -15,9 +15,9 @@ import numpy as np
 from mgsgraph.compiled import equation
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import dot, scale, subtract
-from mgsgraph.factors.collinearity import PushbroomImage
-from mgsgraph.factors.effects import STATE, Array, Effect, orientation_polynomial
+from mgsgraph.factors.effects import STATE, Effect, orientation_polynomial
 from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
+from mgsgraph.factors.records import Array, PushbroomImage
 
 if TYPE_CHECKING:
     import gtsam

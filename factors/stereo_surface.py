@@ -19,9 +19,10 @@ import numpy as np
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import dot, subtract
-from mgsgraph.factors.collinearity import ImageRay, PushbroomImage
-from mgsgraph.factors.effects import Array, Effect
+from mgsgraph.factors.effects import Effect
 from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
+from mgsgraph.factors.projection import ImageRay
+from mgsgraph.factors.records import Array, PushbroomImage
 
 if TYPE_CHECKING:
     import gtsam

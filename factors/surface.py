@@ -16,8 +16,9 @@ import numpy as np
 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import scale
-from mgsgraph.factors.effects import STATE, Array, Effect
+from mgsgraph.factors.effects import STATE, Effect
 from mgsgraph.factors.measurement import Linear, StateAt, Vector, measurement_factor, noise_model
+from mgsgraph.factors.records import Array
 
 if TYPE_CHECKING:
     import gtsam

@@ -16,7 +16,6 @@ import numpy as np
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
-from mgsgraph.factors.collinearity import pushbroom_projection
 from mgsgraph.factors.effects import (
     LOOK,
     POSITION,
@@ -32,6 +31,7 @@ from mgsgraph.factors.effects import (
 )
 from mgsgraph.factors.ground import ground_prior
 from mgsgraph.factors.priors import linear_prior, orientation_prior
+from mgsgraph.factors.projection import pushbroom_projection
 from mgsgraph.factors.ranging import laser_range
 from mgsgraph.factors.stereo_surface import stereo_height
 from mgsgraph.factors.surface import terrain_height
