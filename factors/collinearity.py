@@ -18,6 +18,11 @@ interior orientation, which is what the pixel looks along in camera components: 
 from mgsgraph.compiled import equation
 from mgsgraph.factors.algebra import add, cross, dot, subtract, transform, transpose
 
+NEWTON_STEPS = 5
+NEWTON_TOLERANCE = 1e-4
+"""Lines; the last step is taken linearly, in the residual itself. One step does it unless the misfit is of tens of
+lines. The Jacobian is that of the implicit function, wrong by this over the image's length in lines."""
+
 
 @equation
 def focal_plane(ray, focal):

@@ -8,7 +8,15 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import subtract, transform
-from mgsgraph.factors.collinearity import image_motion, pixels, ray_motion, ray_rows, to_lines_and_samples
+from mgsgraph.factors.collinearity import (
+    NEWTON_STEPS,
+    NEWTON_TOLERANCE,
+    image_motion,
+    pixels,
+    ray_motion,
+    ray_rows,
+    to_lines_and_samples,
+)
 from mgsgraph.factors.effects import STATE, Effect, orientation_polynomial
 from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
 from mgsgraph.factors.pose import ATTITUDES
@@ -17,10 +25,6 @@ from mgsgraph.factors.records import Array, PushbroomImage
 if TYPE_CHECKING:
     import gtsam
 
-NEWTON_STEPS = 5
-NEWTON_TOLERANCE = 1e-4
-"""Lines; the last step is taken linearly, in the residual itself. One step does it unless the misfit is of tens of
-lines. The Jacobian is that of the implicit function, wrong by this over the image's length in lines."""
 Line = Literal["predicted", "measured"]
 Angles = Literal["camera", "opk-paper", "opk-peer"]
 

@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.graph.forms import BundleGraph, Solving
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import Unsolvable
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.sweep import COSTS, GRADIENT, SYSTEM, Reduction
-from mgsgraph.record import Record
 
 _FIRST_DAMPING = 1e-8
 LEAST_DAMPING = 1e-12
@@ -52,33 +52,6 @@ EARLY = 1e-7
 _REMEDY = "look for blunders (reject), or try another loss"
 _SLOW = f"Converged to where a step promises to lower the cost by no more than {EARLY:.0e} of it, slowly."
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
-
-
-@dataclass(frozen=True, slots=True)
-class Iteration(Record):
-    """One step that was tried.
-
-    Examples
-    --------
-    >>> first = solution.history[0]
-    >>> first.number, first.accepted, round(first.cost, 1)
-    (1, True, 44.9)
-    """
-
-    number: int
-    """Counted from 1."""
-    cost: float
-    """Half the weighted sum of squares (or of the loss) after the step."""
-    decrease: float
-    """Cost before minus cost after."""
-    predicted: float
-    """Decrease that the linear model promised."""
-    step: float
-    """Length of the step in posterior sigmas: the square root of minus gradient times step."""
-    damping: float
-    """Levenberg-Marquardt damping, in inverse squared scales."""
-    accepted: bool
-    """Whether the step was taken."""
 
 
 @dataclass(frozen=True, eq=False)

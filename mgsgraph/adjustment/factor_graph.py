@@ -8,13 +8,12 @@ bundle form that `adjust` takes: it shares nothing with the compiled kernel but 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import gtsam
 import numpy as np
 
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
-from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.factors.effects import (
     LOOK,
@@ -157,7 +156,34 @@ class Case(Protocol):
     """How to solve it."""
 
 
-Source = Case | Network | Solution
+@runtime_checkable
+class Adjusted(Case, Protocol):
+    """A network and what was found of it; `mgsgraph.Solution` is one."""
+
+    places: Array
+    """(n, 3) m, of points."""
+    rays_used: Mask
+    """(k,)"""
+    ranges_used: Mask
+    """(r,)"""
+
+    @property
+    def determined(self) -> Mask:
+        """(n,) points that have a place."""
+        ...
+
+    @property
+    def stereo_used(self) -> Mask:
+        """(n,) points whose height above a stereo surface took part."""
+        ...
+
+    @property
+    def values(self) -> tuple[Array, ...]:
+        """Of all variables of the network."""
+        ...
+
+
+Source = Case | Network
 """What a graph can be made of."""
 
 
@@ -192,7 +218,7 @@ def factor_graph(source: Source) -> FactorGraph:
     (3, 3)
     """
     network, settings = network_and_settings(source)
-    selected = _of_solution(source) if isinstance(source, Solution) else nominal_selection(network)
+    selected = _of_solution(source) if isinstance(source, Adjusted) else nominal_selection(network)
     graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
     for v in _adjusted(network):
         values.insert(keys.variable(v), selected.values[v])
@@ -237,7 +263,7 @@ def nominal_selection(network: Network) -> Selected:
     return Selected(begin, places, used[rays.point], used[network.ranges.point], used, on_stereo, values)
 
 
-def _of_solution(solution: Solution) -> Selected:
+def _of_solution(solution: Adjusted) -> Selected:
     nominal = nominal_selection(solution.network)
     return replace(
         nominal, places=solution.places, rays=solution.rays_used, ranges=solution.ranges_used,

@@ -8,21 +8,44 @@ an indeterminate system: here columns are scaled to unit length before they are 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
-if TYPE_CHECKING:
-    pass
-
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration(Record):
+    """One step that was tried.
+
+    Examples
+    --------
+    >>> first = solution.history[0]
+    >>> first.number, first.accepted, round(first.cost, 1)
+    (1, True, 44.9)
+    """
+
+    number: int
+    """Counted from 1."""
+    cost: float
+    """Half the weighted sum of squares (or of the loss) after the step."""
+    decrease: float
+    """Cost before minus cost after."""
+    predicted: float
+    """Decrease that the linear model promised."""
+    step: float
+    """Length of the step in posterior sigmas: the square root of minus gradient times step."""
+    damping: float
+    """Levenberg-Marquardt damping, in inverse squared scales."""
+    accepted: bool
+    """Whether the step was taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

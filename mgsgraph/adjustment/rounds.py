@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration, Outcome, solve_bundle
+from mgsgraph.adjustment.batch import Outcome, solve_bundle
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import Linearised, orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
@@ -22,6 +22,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
 from mgsgraph.adjustment.graph.stereo import require_seen
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.networks.tie_points import PointKind

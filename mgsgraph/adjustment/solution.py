@@ -6,12 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.covariances import Linearity
 from mgsgraph.adjustment.drivers import Drivers
 from mgsgraph.adjustment.fit import Fit, Strained, strained_orientations
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.multistart import Minima
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import in_turn

@@ -14,13 +14,13 @@ from functools import cached_property
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration
 from mgsgraph.adjustment.blunders import MEDIAN, squared_unit
 from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.rounds import Progress, Selection, all_rows, determined_points, relinearized
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

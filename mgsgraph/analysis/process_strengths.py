@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution

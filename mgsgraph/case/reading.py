@@ -36,7 +36,7 @@ from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.batch import Iteration
+    from mgsgraph.adjustment.optimize import Iteration
     from mgsgraph.adjustment.solution import Solution
 
 _LEAST_SHOTS = 12

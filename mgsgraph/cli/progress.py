@@ -13,7 +13,7 @@ from mgsgraph.compiled import is_compiling
 from mgsgraph.workers import Stages
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.batch import Iteration
+    from mgsgraph.adjustment.optimize import Iteration
 
 _EXPLAIN_AFTER = 4.0
 """s of compiling after which it is said."""

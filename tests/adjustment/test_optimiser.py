@@ -10,8 +10,9 @@ import pytest
 from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.batch import Iteration, Outcome, levenberg_marquardt, settled_minimum, with_final_steps
+from mgsgraph.adjustment.batch import Outcome, levenberg_marquardt, settled_minimum, with_final_steps
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.kernel.sweep import GRADIENT, sweep
 
