@@ -33,6 +33,7 @@ The factor graph, in GTSAM's hands
     optimize                Levenberg-Marquardt over any graph, in time linear in the number of factors
     Marginals               covariances of any variables, whatever their units
     solution_of             what any optimizer found, as a Solution
+    with_factors            a network with factors of your own on its shared unknowns, for adjust
 
 The solution and its covariance
     Solution                orientation, points, residuals, covariances
@@ -87,12 +88,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
-    from mgsgraph.adjustment.adjust import solution_of as solution_of
     from mgsgraph.adjustment.factor_graph import factor_graph as factor_graph
+    from mgsgraph.adjustment.factor_graph import with_factors as with_factors
     from mgsgraph.adjustment.incremental.impact import Impact as Impact
     from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment as IncrementalAdjustment
     from mgsgraph.adjustment.optimize import Marginals as Marginals
     from mgsgraph.adjustment.optimize import optimize as optimize
+    from mgsgraph.adjustment.optimized import solution_of as solution_of
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
@@ -161,12 +163,13 @@ _HOME = {
     "register_by_relief": "mgsgraph.registration.relief",
     "ReliefSettings": "mgsgraph.registration.minima",
     "Solution": "mgsgraph.adjustment.solution",
-    "solution_of": "mgsgraph.adjustment.adjust",
+    "solution_of": "mgsgraph.adjustment.optimized",
     "SolverSettings": "mgsgraph.adjustment.settings",
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
     "to_xarray": "mgsgraph.export.frames",
     "TiePoints": "mgsgraph.files.networks.tie_points",
+    "with_factors": "mgsgraph.adjustment.factor_graph",
     "write_coregistration": "mgsgraph.results.relief",
     "write_report": "mgsgraph.results.page",
     "write_results": "mgsgraph.results.results",

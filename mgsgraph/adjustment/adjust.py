@@ -10,10 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.batch import Outcome, ReducedEquations, step_length
 from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.cluster.partitions import Partitions
 from mgsgraph.adjustment.covariances import (
@@ -26,7 +24,6 @@ from mgsgraph.adjustment.covariances import (
 )
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
-from mgsgraph.adjustment.factor_graph import Keys, Source, network_and_settings
 from mgsgraph.adjustment.fit import Fit, Residuals, fit, residuals, strained_orientations
 from mgsgraph.adjustment.gpu import require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
@@ -49,16 +46,13 @@ from mgsgraph.adjustment.rounds import (
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
-from mgsgraph.errors import InputError, SolverError, WeakNetwork
+from mgsgraph.errors import InputError, SolverError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.corrections import require_supported
 from mgsgraph.workers import no_progress
-
-_CONVERGED = 0.01
-"""Posterior sigmas from the minimum within which what was optimized elsewhere counts as converged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -412,68 +406,6 @@ def adjust_network(
         del before, layout  # the posterior needs the memory
         found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
         return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
-
-
-def solution_of(source: Source, values: gtsam.Values, name: str | None = None) -> Solution:
-    """What another optimizer found of `factor_graph`, as a solution to be reported, analyzed and exported.
-
-    Parameters
-    ----------
-    source : Case, Network or Solution
-        What the graph was made of.
-    values : gtsam.Values
-        Of its keys; further ones are of no account. Points are solved anew for the shared unknowns.
-    name : str, optional
-        What to call it in reports; the source's own when absent.
-
-    Returns
-    -------
-    Solution
-        Not converged where the minimum is farther than 0.01 posterior sigmas; its message says how far.
-
-    Raises
-    ------
-    InputError
-        Where a key of the source has no value.
-
-    Examples
-    --------
-    >>> graph, values, keys = mgsgraph.factor_graph(network)
-    >>> found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-    >>> mgsgraph.solution_of(network, found).converged
-    True
-    """
-    network, settings = network_and_settings(source)
-    clock, keys, left_in = Clock(), Keys(network), None
-    if isinstance(source, Solution):
-        marks = {"rays": source.rays_rejected, "ranges": source.ranges_rejected, "stereo": source.stereo_rejected}
-        left_in = replace(all_rows(network), **{name: ~mark for name, mark in marks.items() if mark is not None})
-    layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
-    for v in layout.variables.adjusted():
-        if not values.exists(keys.variable(v)):
-            raise InputError("values", f"none of {keys.name(keys.variable(v))}", "one of each unknown of the network")
-    known = [
-        values.atVector(keys.variable(v)) if first >= 0 else np.zeros(0)
-        for v, first in enumerate(layout.variables.first.tolist())
-    ]
-    orientation, initial = layout.variables.joined(known), BundleGraph(layout).cost(before)
-    nominal = nominal_state(layout, before)
-    reduction = BundleGraph(layout, selection.rows(layout)).reduction(orientation)
-    layout, reduction = relinearized(layout, selection, reduction, own=True)
-    graph = BundleGraph(layout, selection.rows(layout))
-    linear = ReducedEquations(graph, reduction)
-    step = linear.step(0.0)
-    if step is None:
-        raise WeakNetwork(["some direction of the orientation"], 1)
-    far = step_length(linear, step)
-    message = f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."
-    outcome = Outcome(orientation, initial, graph.cost(reduction), far < _CONVERGED, message, ())
-    solved = Solved(
-        layout, outcome, (), initial, orientation, reduction.points, graph.rows, selection, reduction, 1
-    )  # fmt: skip
-    clock.stop("solve")
-    own = getattr(source, "name", "adjustment") if name is None else name
-    return read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
 
 
 def _require_ties(name: str, solved: Solved) -> None:

@@ -6,13 +6,14 @@ bundle form that `adjust` takes: it shares nothing with the compiled kernel but 
     case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.keys import Keys
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.factors.effects import (
@@ -46,74 +47,11 @@ from mgsgraph.network import HELD, Network
 from mgsgraph.network.corrections import interior_effect, radius_of
 from mgsgraph.network.effects import acting_on, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
+from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import SharedKind, image_effect
 
 MARGIN = 100.0
 """Lines by which a measured line and the predicted one may be apart for a ray to find its orientation images."""
-
-
-class Keys:
-    """GTSAM keys of a network's unknowns, asked for by name.
-
-    Examples
-    --------
-    >>> graph, values, keys = mgsgraph.factor_graph(network)
-    >>> gtsam.DefaultKeyFormatter(keys.point("TIE00001")), keys.name(keys.image("SIM/A"))
-    ('p0', 'image SIM/A')
-    """
-
-    def __init__(self, network: Network) -> None:
-        self._network = network
-
-    def image(self, image: str | int) -> int:
-        """Of an image's EO coefficients; InputError where it has none of its own."""
-        number = self._network.image_number(image)
-        if not self._network.with_polynomial[number]:
-            name, owner = self._network.images[number].name, int(self._network.pass_of[number])
-            found = "held, it has no unknowns" if owner < 0 else f"of pass {self._network.passes[owner].name!r}"
-            raise InputError(f"image {name}", found, "an image with a polynomial of its own", "ask for `keys.node`")
-        return self.variable(number)
-
-    def point(self, point: str | int) -> int:
-        """Of a ground point."""
-        return int(gtsam.symbol("p", self._network.point_number(point)))
-
-    def profile(self, profile: str | int) -> int:
-        """Of the shift of a laser profile, or of the "terrain model"."""
-        return self.variable(len(self._network.images) + self._network.shift_number(profile))
-
-    def shared(self, name: str | int) -> int:
-        """Of an unknown that images share."""
-        return self.variable(self._network.first_shared + self._network.shared_number(name))
-
-    def node(self, of_pass: str | int, node: int) -> int:
-        """Of an orientation image of a pass, counted from 0; after the last one its trend, where it has one."""
-        number = self._network.pass_number(of_pass)
-        count = self._network.passes[number].widths.size
-        if not 0 <= node < count:
-            where = f"pass {self._network.passes[number].name!r}"
-            raise InputError(where, f"orientation image {node}", f"0 .. {count - 1}")
-        return self.variable(int(self._network.first_of_passes[number]) + node)
-
-    def variable(self, number: int) -> int:
-        """Of one of the network's variables: images, shifts, shared unknowns, orientation images, in this order."""
-        network = self._network
-        ends = (0, len(network.images), network.first_shared, int(network.first_of_passes[0]))
-        kind = int(np.searchsorted(ends, number, side="right")) - 1
-        return int(gtsam.symbol("osun"[kind], number - ends[kind]))
-
-    def name(self, key: int) -> str:
-        """What a key stands for, in words."""
-        symbol, network = gtsam.Symbol(key), self._network
-        kind, k = chr(symbol.chr()), symbol.index()
-        if kind == "n":
-            one, node = network.of_passes(int(network.first_of_passes[0]) + k)
-            return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
-        if kind == "o":
-            return f"image {network.images[k].name}"
-        if kind == "s":
-            return f"shift of {network.shift_names[k]}"
-        return f"point {network.points.ids[k]}" if kind == "p" else f"shared unknown {network.shared[k].name}"
 
 
 class FactorGraph(NamedTuple):
@@ -229,6 +167,50 @@ def factor_graph(source: Source) -> FactorGraph:
     return FactorGraph(graph, values, keys)
 
 
+def with_factors(
+    network: Network, factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values | None = None
+) -> Network:
+    """The same network with factors of one's own on the unknowns that points share: as linear rows, for `adjust`, too.
+
+    Parameters
+    ----------
+    network : Network
+        What they are to be added to.
+    factors : iterable of gtsam.NonlinearFactor
+        On keys of `Keys` but those of points: a factor on a point is for `factor_graph`, `optimize`, `solution_of`.
+    values : gtsam.Values, optional
+        Where they are linearized; the nominal orientation when absent. Linear factors need none.
+
+    Raises
+    ------
+    InputError
+        For a factor on a ground point, or on a key of something else.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(network)
+    >>> gps = gtsam.PriorFactorVector(keys.image("SIM/A"), np.zeros(18), gtsam.noiseModel.Isotropic.Sigma(18, 5.0))
+    >>> solution = mgsgraph.adjust_network(mgsgraph.with_factors(network, [gps]))
+    """
+    keys, at, widths = Keys(network), gtsam.Values() if values is None else gtsam.Values(values), _widths(network)
+    rows = list(network.linear)
+    for factor in factors:
+        keys_of = list(factor.keys())
+        variables = [keys.number(key) for key in keys_of]
+        for key, v in zip(keys_of, variables, strict=True):
+            if not at.exists(key):
+                at.insert(key, np.zeros(widths[v]))
+        jacobian, right = gtsam.JacobianFactor(factor.linearize(at)).jacobian()
+        order = sorted(range(len(variables)), key=variables.__getitem__)
+        edges = np.cumsum([0, *(widths[v] for v in variables)])
+        blocks = [jacobian[:, edges[k] : edges[k + 1]] for k in range(len(variables))]
+        begun = np.concatenate([at.atVector(key) for key in keys_of])
+        rows.append(
+            LinearRows(tuple(variables[k] for k in order), tuple(blocks[k] for k in order), right + jacobian @ begun)
+        )
+    return replace(network, linear=tuple(rows))
+
+
 def measurement_factors(
     network: Network, settings: SolverSettings, keys: Keys, selected: Selected
 ) -> Iterator[gtsam.NonlinearFactor]:
@@ -301,7 +283,7 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
         for factor in of_pass.prior.factors(of_pass.nodes):
             members = [keys.variable(first + k) for k in factor.unknowns]
             yield linear_prior(members, factor.blocks, np.zeros(factor.blocks[0].shape[0]))
-    for row in crossover_rows(network):
+    for row in (*network.linear, *crossover_rows(network)):
         yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
 
 

@@ -106,6 +106,17 @@ class _Linearized:
             return None
         return found if np.all(found.U.diagonal() > 0.0) else None
 
+    @cached_property
+    def _undamped(self) -> Any:
+        found = self.factor()
+        if found is None:
+            raise WeakNetwork(["some direction of the variables"], 1)
+        return found
+
+    def solved(self, right: Array) -> Array:
+        """Solution (columns, ...) of the normal equations, scaled; WeakNetwork where they are singular."""
+        return np.asarray(self._undamped.solve(right))
+
     def step_of(self, scaled: Array) -> gtsam.VectorValues:
         """A step in units of the scales, as GTSAM has it."""
         step, found = scaled * self.scales, gtsam.VectorValues()
@@ -187,6 +198,13 @@ def optimize(
     return Optimized(values, cost, False, f"Stopped after {max_iterations} iterations.", tuple(history))
 
 
+def steps_left(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+    """Posterior sigmas from values to the minimum, by the graph's linearization there."""
+    linear = _Linearized(graph, values)
+    step = linear.solved(-linear.gradient)
+    return float(np.sqrt(max(-float(linear.gradient @ step), 0.0)))
+
+
 class Marginals:
     """Covariances of a graph's variables at values, for sigma0 = 1: those of `gtsam.Marginals`, for units of any size.
 
@@ -205,18 +223,11 @@ class Marginals:
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self._linear = _Linearized(graph, values)
 
-    @cached_property
-    def _factor(self) -> Any:
-        found = self._linear.factor()
-        if found is None:
-            raise WeakNetwork(["some direction of the variables"], 1)
-        return found
-
     def covariance(self, *keys: int) -> Array:
         """Joint covariance of some variables, in the order asked for, m^2, m rad, rad^2."""
         linear = self._linear
         columns = np.concatenate([np.arange(linear.gradient.size)[linear.columns_of(key)] for key in keys])
         units = np.zeros((linear.gradient.size, columns.size))
         units[columns, np.arange(columns.size)] = linear.scales[columns]
-        found = (self._factor.solve(units) * linear.scales[:, None])[columns]
+        found = (linear.solved(units) * linear.scales[:, None])[columns]
         return np.asarray(0.5 * (found + found.T))

@@ -3,7 +3,7 @@ measurement. Rotations and looks are in the axes of an image's pass.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.corrections import interior_effect, radius_of
 from mgsgraph.network.network import Network
+from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import DEGREE, SharedKind, SharedUnknown, beam_motion, image_effect
 
 
@@ -168,19 +169,8 @@ def along_track(places: Array) -> Array:
     return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
 
 
-class CrossoverRow(NamedTuple):
-    """A whitened row sum_v blocks[v] x_v - target."""
-
-    variables: tuple[int, ...]
-    """Of the network: two profiles, and what moves their shots."""
-    blocks: tuple[Array, ...]
-    """Of each a matrix (1, width)."""
-    target: Array
-    """(1,)"""
-
-
-def crossover_rows(network: Network) -> Iterator[CrossoverRow]:
-    """Rows of crossovers."""
+def crossover_rows(network: Network) -> Iterator[LinearRows]:
+    """Of each crossover a row, on two profiles and what moves their shots."""
     crossing, shifts, places = network.crossovers, network.shifts, network.points.places
     if crossing is None or shifts is None:
         return
@@ -199,4 +189,4 @@ def crossover_rows(network: Network) -> Iterator[CrossoverRow]:
     for row, sigma in enumerate(crossing.sigmas.tolist()):
         mine = [v for v in sorted(effects) if np.any(effects[v][row] != 0.0)]
         blocks = tuple(effects[v][row][None] / sigma for v in mine)
-        yield CrossoverRow(tuple(mine), blocks, np.array([-differences[row] / sigma]))
+        yield LinearRows(tuple(mine), blocks, np.array([-differences[row] / sigma]))

@@ -21,6 +21,7 @@ from mgsgraph.network.records import (
     Crossovers,
     GroundPoints,
     ImageRays,
+    LinearRows,
     PointClass,
     ProfileShifts,
     Ranges,
@@ -81,6 +82,8 @@ class Network(Record):
     """Points on the surfaces that images show."""
     crossovers: Crossovers | None = None
     """Where laser profiles cross."""
+    linear: tuple[LinearRows, ...] = ()
+    """Rows of factors of the user's own (`mgsgraph.with_factors`)."""
     considered: tuple[str, ...] = ()
     """Shifts (`shift_names`) and shared unknowns that are not estimated, but held at zero: what their a-priori
     covariance does to all else is carried (Schmidt 1966)."""

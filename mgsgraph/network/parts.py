@@ -91,8 +91,8 @@ def pass_unknowns(one: Pass | NamedPass) -> Members:
 
 
 def require_separable(network: Network) -> None:
-    """Raise InputError for what is kept bundle by bundle and can't hold: rows of several profiles, unknowns that depend
-    on all points of a profile, and heights and tilts of a terrain model.
+    """Raise InputError for what is kept bundle by bundle and can't hold: rows of several profiles, a user's own factors,
+    unknowns that depend on all points of a profile, and heights and tilts of a terrain model.
     """
     for one in network.shared:
         if one.kind.of_profile:
@@ -105,6 +105,11 @@ def require_separable(network: Network) -> None:
         raise InputError(
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
             "profiles by themselves", "register them without (`mgsgraph coregister --no-crossovers`)",
+        )
+    if network.linear:
+        raise InputError(
+            "network", "factors of your own on shared unknowns in what is adjusted image by image",
+            "a network without them", "adjust it as a whole",
         )
     if network.surface is not None and network.surface.raised:
         raise InputError(

@@ -293,6 +293,18 @@ class Surface(Record):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LinearRows(Record):
+    """Whitened rows sum_v blocks[v] x_v - target on unknowns that points share."""
+
+    variables: tuple[int, ...]
+    """Of the network: images, shifts, shared unknowns, orientation images, counted in this order."""
+    blocks: tuple[Array, ...]
+    """Of each a matrix (rows, width), per m or rad."""
+    target: Array
+    """(rows,)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Crossovers(Record):
     """Crossovers between profiles of unknown shift: m rows."""
 

@@ -113,7 +113,7 @@ class PriorFactor(NamedTuple):
     about: Index
     """(rows,) column of the shared unknowns that each row is chiefly about."""
     target: Array
-    """(rows,) zero but for crossovers."""
+    """(rows,) zero for orientation images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class Prior:
     weights: Array
     """(columns,) 1/m and 1/rad of unknowns that are known each by itself; 0 of strips', and where nothing is known."""
     factors: tuple[PriorFactor, ...]
-    """On the unknowns of strips, then those of crossovers, one row each."""
+    """On the unknowns of passes, those of the user's own, then those of crossovers, one row each."""
     first: Index
     """(v,) first column of each variable."""
     considered: tuple[int, ...] = ()
@@ -238,6 +238,9 @@ def make_prior(network: Network, variables: Variables) -> Prior:
             columns = variables.first[first + about[:, 0]] + about[:, 1]
             joined = tuple(first + k for k in unknowns)
             factors.append(PriorFactor(joined, blocks, columns, np.zeros(columns.size)))
+    for own in network.linear:
+        about = np.repeat(variables.first[own.variables[0]], own.target.size)
+        factors.append(PriorFactor(own.variables, own.blocks, about, own.target))
     of_crossovers = [
         PriorFactor(row.variables, row.blocks, variables.first[list(row.variables[:1])], row.target)
         for row in crossover_rows(network)

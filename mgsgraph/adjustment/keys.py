@@ -1,0 +1,84 @@
+"""GTSAM keys of a network's unknowns, asked for by the names of images, points, profiles and passes."""
+
+import gtsam
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.network import Network
+
+
+class Keys:
+    """GTSAM keys of a network's unknowns, asked for by name.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(network)
+    >>> gtsam.DefaultKeyFormatter(keys.point("TIE00001")), keys.name(keys.image("SIM/A"))
+    ('p0', 'image SIM/A')
+    """
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+
+    def image(self, image: str | int) -> int:
+        """Of an image's EO coefficients; InputError where it has none of its own."""
+        number = self._network.image_number(image)
+        if not self._network.with_polynomial[number]:
+            name, owner = self._network.images[number].name, int(self._network.pass_of[number])
+            found = "held, it has no unknowns" if owner < 0 else f"of pass {self._network.passes[owner].name!r}"
+            raise InputError(f"image {name}", found, "an image with a polynomial of its own", "ask for `keys.node`")
+        return self.variable(number)
+
+    def point(self, point: str | int) -> int:
+        """Of a ground point."""
+        return int(gtsam.symbol("p", self._network.point_number(point)))
+
+    def profile(self, profile: str | int) -> int:
+        """Of the shift of a laser profile, or of the "terrain model"."""
+        return self.variable(len(self._network.images) + self._network.shift_number(profile))
+
+    def shared(self, name: str | int) -> int:
+        """Of an unknown that images share."""
+        return self.variable(self._network.first_shared + self._network.shared_number(name))
+
+    def node(self, of_pass: str | int, node: int) -> int:
+        """Of an orientation image of a pass, counted from 0; after the last one its trend, where it has one."""
+        number = self._network.pass_number(of_pass)
+        count = self._network.passes[number].widths.size
+        if not 0 <= node < count:
+            where = f"pass {self._network.passes[number].name!r}"
+            raise InputError(where, f"orientation image {node}", f"0 .. {count - 1}")
+        return self.variable(int(self._network.first_of_passes[number]) + node)
+
+    def variable(self, number: int) -> int:
+        """Of one of the network's variables: images, shifts, shared unknowns, orientation images, in this order."""
+        network = self._network
+        ends = (0, len(network.images), network.first_shared, int(network.first_of_passes[0]))
+        kind = int(np.searchsorted(ends, number, side="right")) - 1
+        return int(gtsam.symbol("osun"[kind], number - ends[kind]))
+
+    def number(self, key: int) -> int:
+        """The way back from `variable`; InputError for a key that isn't of the network, or of a point."""
+        symbol, network = gtsam.Symbol(key), self._network
+        firsts = {"o": 0, "s": len(network.images), "u": network.first_shared, "n": int(network.first_of_passes[0])}
+        kind = chr(symbol.chr())
+        number = firsts[kind] + symbol.index() if kind in firsts else -1
+        if not 0 <= number < network.first_of_passes[-1] or self.variable(number) != key:
+            found = f"key {gtsam.DefaultKeyFormatter(key)}"
+            raise InputError("factor", found, "keys of images, profiles, shared unknowns or orientation images")
+        if number < len(network.images):
+            self.image(number)  # which may have no unknowns
+        return number
+
+    def name(self, key: int) -> str:
+        """What a key stands for, in words."""
+        symbol, network = gtsam.Symbol(key), self._network
+        kind, k = chr(symbol.chr()), symbol.index()
+        if kind == "n":
+            one, node = network.of_passes(int(network.first_of_passes[0]) + k)
+            return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
+        if kind == "o":
+            return f"image {network.images[k].name}"
+        if kind == "s":
+            return f"shift of {network.shift_names[k]}"
+        return f"point {network.points.ids[k]}" if kind == "p" else f"shared unknown {network.shared[k].name}"
