@@ -41,7 +41,7 @@ class Linear(NamedTuple):
 StateAt = Callable[[float], tuple[Array, Array]]
 """State at a line, and its rate per line."""
 Measurement = Callable[..., Linear | None]
-"""Rows at a state of each instrument and a ground point (3,) in m, body-fixed; None for a point behind a camera."""
+"""Rows at a state of each instrument and a ground point (3,) in m, body-fixed; None for a point that an image doesn't see."""
 
 
 class _Instrument:
@@ -105,7 +105,7 @@ def measurement_factor(
     InputError
         When the point's key is that of another unknown.
     PointBehindCamera
-        On linearization at a point behind the camera; its plain error is infinite there.
+        On linearization at a point that an image doesn't see; its plain error is infinite there.
     """
     import gtsam  # the equations of `factors` serve those who need no graph, too
 
@@ -125,7 +125,7 @@ def measurement_factor(
         rows = measurement(*(one.states(x) for one in instruments), place)
         if rows is None:
             if jacobians is not None:
-                raise PointBehindCamera(label, "the point is behind the camera")
+                raise PointBehindCamera(label, "the image doesn't see the point: behind the camera, or far outside")
             return np.full(noise.dim(), np.inf)
         if jacobians is not None:
             if keys:

@@ -25,6 +25,8 @@ from mgsgraph.factors.records import Array, PushbroomImage
 if TYPE_CHECKING:
     import gtsam
 
+_FAR = 1000.0
+"""Pixels: a point that is more than an image's length and this outside isn't seen."""
 Line = Literal["predicted", "measured"]
 Angles = Literal["camera", "opk-paper", "opk-peer"]
 
@@ -39,8 +41,8 @@ class ImageRay:
     def __init__(
         self, image: PushbroomImage, measured: tuple[float, float], line: Line, angles: str, near: Array | None
     ) -> None:
-        self._image, (self._line, sample), self._strict = image, measured, line == "predicted"
-        place, slope = image.interior.focal_plane(np.array([sample]))
+        self._image, (self._line, self._sample), self._strict = image, measured, line == "predicted"
+        place, slope = image.interior.focal_plane(np.array([self._sample]))
         self._detector = np.array([*place[0], *slope[0], image.interior.focal_length])
         self._begin = self._kept = self._line, self._nominal(self._line)
         if self._strict and angles == "camera":
@@ -81,6 +83,10 @@ class ImageRay:
                 self._kept = line, self._nominal(line)
             nominal = self._kept[1]
         rows[0, 0] += self._line - line
+        size, measured = (self._image.lines, self._image.samples), (self._line, self._sample)
+        for total, at, missed in zip(size, measured, rows[:, 0].tolist(), strict=True):
+            if not -total - _FAR < at - missed < 2 * total + _FAR:
+                return None
         return Linear(rows[:, 0], rows[:, 1:4], rows[:, 4:], (line,))
 
 
@@ -160,7 +166,7 @@ def pushbroom_projection(
     InputError
         For a measured line without `near`, a pixel outside the image, sigmas that are not positive.
     PointBehindCamera
-        On linearization at a point behind the camera.
+        On linearization at a point that the image doesn't see: behind the camera, or more than an image's size outside.
 
     Examples
     --------

@@ -91,7 +91,7 @@ def pass_unknowns(one: Pass | NamedPass) -> Members:
 
 
 def require_separable(network: Network) -> None:
-    """Raise InputError for what is kept bundle by bundle and can't hold: rows of several profiles, a user's own factors,
+    """Raise InputError for what can't be kept bundle by bundle: rows of several profiles, a user's own factors,
     unknowns that depend on all points of a profile, and heights and tilts of a terrain model.
     """
     for one in network.shared:

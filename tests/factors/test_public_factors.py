@@ -265,6 +265,13 @@ def test_a_point_behind_the_camera_is_named() -> None:
         projection(label="point T1, image A").linearize(values)
 
 
+def test_an_image_that_does_not_see_the_point_is_named() -> None:
+    """A point 300 km away: at another end of the orbit."""
+    values = values_at(seen()[0] + 3e5 * east_north(seen()[0][None])[0, 1], np.zeros(18))
+    with pytest.raises(PointBehindCamera, match="point T1, image A"):
+        projection(label="point T1, image A").linearize(values)
+
+
 # --- sine and cosine without branches
 
 ANGLES = st.one_of(
