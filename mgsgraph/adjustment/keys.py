@@ -57,6 +57,11 @@ class Keys:
         kind = int(np.searchsorted(ends, number, side="right")) - 1
         return int(gtsam.symbol("osun"[kind], number - ends[kind]))
 
+    @staticmethod
+    def is_point(key: int) -> bool:
+        """Whether a key is of a ground point: a Point3; all others are Vectors."""
+        return gtsam.Symbol(key).chr() == ord("p")
+
     def number(self, key: int) -> int:
         """The way back from `variable`; InputError for a key that isn't of the network, or of a point."""
         symbol, network = gtsam.Symbol(key), self._network
