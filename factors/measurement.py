@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import gtsam
 
 AT_REST = np.zeros(STATE)
+_KEPT = 4
+"""Lines: the measured one, the predicted one, and those of the step before."""
 Vector = tuple[float, ...]
 
 
@@ -41,7 +43,7 @@ class Linear(NamedTuple):
 StateAt = Callable[[float], tuple[Array, Array]]
 """State at a line, and its rate per line."""
 Measurement = Callable[..., Linear | None]
-"""Rows at a state of each instrument and a ground point (3,) in m, body-fixed; None for a point that an image doesn't see."""
+"""Rows at a state of each instrument and a ground point (3,) in m, body-fixed; None for a point that isn't seen."""
 
 
 class _Instrument:
@@ -54,9 +56,17 @@ class _Instrument:
             [np.zeros(0, dtype=int), *(first[key] + np.arange(width) for key, width in every)]
         )
         self._whole = len(effects) == 1 and np.array_equal(self._columns, np.arange(total))
+        self._kept: dict[float, tuple[Array, Array]] = {}
 
     def matrices(self, line: float) -> tuple[Array, Array]:
-        """(13, columns) at a line, and per line."""
+        """(13, columns) at a line, and per line; those of the last few lines are kept."""
+        if line not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            self._kept[line] = self._matrices(line)
+        return self._kept[line]
+
+    def _matrices(self, line: float) -> tuple[Array, Array]:
         parts = [one.at(line) for one in self._effects]
         if self._whole:
             return parts[0]

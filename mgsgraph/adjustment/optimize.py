@@ -12,6 +12,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array
@@ -64,64 +65,140 @@ class Optimized(Record):
     """Every step tried."""
 
 
-class _Linearized:
-    """A graph about values, its columns scaled to unit length."""
+class _Structure:
+    """Columns of a graph's variables, and which of these are eliminated first: no factor has two of them, as of ground
+    points. What is left is small, and time linear in the number of factors.
+    """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        from scipy.sparse import csc_array  # slow to import
-
         zeros = values.zeroVectors()
         self.keys = list(values.keys())
-        sizes = [zeros.at(key).size for key in self.keys]
-        self.first = dict(zip(self.keys, np.cumsum([0, *sizes]).tolist(), strict=False))
-        self.sizes = dict(zip(self.keys, sizes, strict=True))
-        count = sum(sizes)
-        rows, columns, entries = graph.linearize(values).sparseJacobian_()
-        row, column = rows.astype(np.int64) - 1, columns.astype(np.int64) - 1
-        whole = csc_array((entries, (row, column)), shape=(int(row.max()) + 1, count + 1))
-        jacobian, self.right = whole[:, :count], np.asarray(whole[:, [count]].todense())[:, 0]
-        lengths = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0)).ravel())
-        for key in self.keys:
-            if np.any(lengths[self.columns_of(key)] == 0.0):
-                raise WeakNetwork([f"variable {gtsam.DefaultKeyFormatter(key)}"], 1)
-        self.scales = 1.0 / lengths
-        self.jacobian = csc_array(jacobian.multiply(self.scales[None]))
-        self.normal = csc_array(self.jacobian.T @ self.jacobian)
-        self.gradient = -(self.jacobian.T @ self.right)
+        self.sizes = {key: int(zeros.at(key).size) for key in self.keys}
+        ends = np.cumsum([0, *self.sizes.values()])
+        self.first = dict(zip(self.keys, ends.tolist(), strict=False))
+        self.columns = int(ends[-1])
+        joined: dict[int, set[int]] = {key: set() for key in self.keys}
+        for i in range(graph.size()):
+            members = list(graph.at(i).keys())
+            for key in members:
+                joined[key].update(members)
+        eliminated = set[int]()
+        for key in sorted(self.keys, key=lambda one: len(joined[one])):
+            if eliminated.isdisjoint(joined[key]):
+                eliminated.add(key)
+        self.inner = np.concatenate([np.full(self.sizes[key], key in eliminated) for key in self.keys])
+        """(columns,) of variables that are eliminated first."""
+        sizes = np.array([self.sizes[key] for key in self.keys if key in eliminated])
+        self.blocks = [(int(width), np.cumsum(sizes)[sizes == width] - width) for width in np.unique(sizes)]
+        """Of each width, the first inner columns (n,) of the variables that have it."""
 
     def columns_of(self, key: int) -> slice:
         """Columns of a variable."""
         return slice(self.first[key], self.first[key] + self.sizes[key])
 
-    def factor(self, damping: float = 0.0) -> Any:
-        """Factor of the normal matrix; None where it isn't positive definite."""
-        from scipy.sparse import diags_array
+
+class _Factored:
+    """A normal matrix, its inner variables eliminated: N = [S + W B^-1 W', W; W', B], B block-diagonal."""
+
+    def __init__(self, normal: Any, structure: _Structure) -> None:
+        from scipy.sparse import csc_array
         from scipy.sparse.linalg import splu
 
-        damped = self.normal + damping * diags_array(np.ones(self.gradient.size), format="csc")
-        options = {"SymmetricMode": True}
+        self._inner, self._outer = np.flatnonzero(structure.inner), np.flatnonzero(~structure.inner)
+        inner = normal[self._inner]
+        self._inverse = _inverted_blocks(inner[:, self._inner], structure.blocks)
+        self._across = csc_array(normal[self._outer][:, self._inner])
+        reduced = csc_array(normal[self._outer][:, self._outer] - self._across @ self._inverse @ self._across.T)
+        self._reduced = None
+        if self._outer.size:
+            options = {"SymmetricMode": True}
+            self._reduced = splu(reduced, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+            if not np.all(self._reduced.U.diagonal() > 0.0):
+                raise np.linalg.LinAlgError("not positive definite")
+
+    def solve(self, right: Array) -> Array:
+        """N x = right (columns, ...)."""
+        found, inner = np.empty_like(right), self._inverse @ right[self._inner]
+        found[self._outer] = self._solved_outer(right[self._outer] - self._across @ inner)
+        found[self._inner] = inner - self._inverse @ (self._across.T @ found[self._outer])
+        return found
+
+    def _solved_outer(self, right: Array) -> Array:
+        return right if self._reduced is None else np.asarray(self._reduced.solve(right))
+
+    def covariance(self, columns: NDArray[np.int64], structure: _Structure) -> Array:
+        """(k, k) of N^-1 at some columns: B^-1 + G S^-1 G', where G is how these depend on the outer ones."""
+        own = np.cumsum(structure.inner) - 1
+        inner = np.flatnonzero(structure.inner[columns])
+        at = own[columns[inner]]
+        by_outer = np.zeros((columns.size, self._outer.size))
+        by_outer[inner] = -(self._inverse[at] @ self._across.T).toarray()
+        outer = np.flatnonzero(~structure.inner[columns])
+        by_outer[outer, (np.cumsum(~structure.inner) - 1)[columns[outer]]] = 1.0
+        found = by_outer @ self._solved_outer(by_outer.T)
+        found[np.ix_(inner, inner)] += self._inverse[at][:, at].toarray()
+        return np.asarray(0.5 * (found + found.T))
+
+
+def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]]) -> Any:
+    """Inverse of a block-diagonal matrix, sparse; raises LinAlgError where a block isn't positive definite."""
+    from scipy.sparse import csr_array
+
+    rows, columns, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for width, first in blocks:
+        at = first[:, None] + np.arange(width)
+        places = np.repeat(at, width, axis=1), np.tile(at, (1, width))
+        dense = np.asarray(diagonal[places[0].ravel(), places[1].ravel()]).reshape(-1, width, width)
+        np.linalg.cholesky(dense)
+        rows.append(places[0].ravel())
+        columns.append(places[1].ravel())
+        entries.append(np.linalg.inv(dense).ravel())
+    every = np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))
+    return csr_array(every, shape=diagonal.shape)
+
+
+class _Linearized:
+    """A graph about values, its columns scaled to unit length."""
+
+    def __init__(self, structure: _Structure, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        from scipy.sparse import csc_array  # slow to import
+
+        self.structure, count = structure, structure.columns
+        rows, columns, entries = graph.linearize(values).sparseJacobian_()
+        row, column = rows.astype(np.int64) - 1, columns.astype(np.int64) - 1
+        whole = csc_array((entries, (row, column)), shape=(int(row.max()) + 1, count + 1))
+        jacobian, right = whole[:, :count], np.asarray(whole[:, [count]].todense())[:, 0]
+        lengths = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0)).ravel())
+        for key in structure.keys:
+            if np.any(lengths[structure.columns_of(key)] == 0.0):
+                raise WeakNetwork([f"variable {gtsam.DefaultKeyFormatter(key)}"], 1)
+        self.scales = 1.0 / lengths
+        scaled = csc_array(jacobian.multiply(self.scales[None]))
+        self.normal, self.gradient = csc_array(scaled.T @ scaled), -(scaled.T @ right)
+
+    def factored(self, damping: float = 0.0) -> _Factored | None:
+        """The damped normal matrix; None where it isn't positive definite."""
+        from scipy.sparse import diags_array
+
         try:
-            found = splu(damped, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-        except RuntimeError:
+            damped = self.normal + damping * diags_array(np.ones(self.gradient.size), format="csc")
+            return _Factored(damped.tocsr(), self.structure)
+        except (RuntimeError, np.linalg.LinAlgError):
             return None
-        return found if np.all(found.U.diagonal() > 0.0) else None
 
     @cached_property
-    def _undamped(self) -> Any:
-        found = self.factor()
+    def undamped(self) -> _Factored:
+        """The normal matrix; WeakNetwork where it is singular."""
+        found = self.factored()
         if found is None:
             raise WeakNetwork(["some direction of the variables"], 1)
         return found
 
-    def solved(self, right: Array) -> Array:
-        """Solution (columns, ...) of the normal equations, scaled; WeakNetwork where they are singular."""
-        return np.asarray(self._undamped.solve(right))
-
     def step_of(self, scaled: Array) -> gtsam.VectorValues:
         """A step in units of the scales, as GTSAM has it."""
         step, found = scaled * self.scales, gtsam.VectorValues()
-        for key in self.keys:
-            found.insert(key, step[self.columns_of(key)])
+        for key in self.structure.keys:
+            found.insert(key, step[self.structure.columns_of(key)])
         return found
 
 
@@ -131,7 +208,7 @@ def optimize(
     progress: Callable[[Iteration], None] = no_progress,
     *,
     max_iterations: int = 200,
-    cost_tolerance: float = 1e-11,
+    cost_tolerance: float = 1e-10,
     step_tolerance: float = 1e-6,
 ) -> Optimized:
     """Least squares over a GTSAM graph by Levenberg-Marquardt.
@@ -168,9 +245,10 @@ def optimize(
     True
     """
     cost, damping, history = graph.error(values), _FIRST_DAMPING, list[Iteration]()
-    linear = _Linearized(graph, values)
+    structure = _Structure(graph, values)
+    linear = _Linearized(structure, graph, values)
     while len(history) < max_iterations:
-        factor = linear.factor(damping)
+        factor = linear.factored(damping)
         if factor is None:
             damping *= 10.0
             if damping > _MOST:
@@ -190,7 +268,7 @@ def optimize(
         if length < step_tolerance or max(predicted, abs(last.decrease)) <= cost_tolerance * cost:
             return Optimized(values, cost, True, f"Converged after {len(history)} iterations.", tuple(history))
         if accepted:
-            linear = _Linearized(graph, values)
+            linear = _Linearized(structure, graph, values)
         else:
             damping *= 10.0
             if damping > _MOST:
@@ -200,8 +278,8 @@ def optimize(
 
 def steps_left(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
     """Posterior sigmas from values to the minimum, by the graph's linearization there."""
-    linear = _Linearized(graph, values)
-    step = linear.solved(-linear.gradient)
+    linear = _Linearized(_Structure(graph, values), graph, values)
+    step = linear.undamped.solve(-linear.gradient)
     return float(np.sqrt(max(-float(linear.gradient @ step), 0.0)))
 
 
@@ -221,13 +299,11 @@ class Marginals:
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        self._linear = _Linearized(graph, values)
+        self._linear = _Linearized(_Structure(graph, values), graph, values)
 
     def covariance(self, *keys: int) -> Array:
         """Joint covariance of some variables, in the order asked for, m^2, m rad, rad^2."""
-        linear = self._linear
-        columns = np.concatenate([np.arange(linear.gradient.size)[linear.columns_of(key)] for key in keys])
-        units = np.zeros((linear.gradient.size, columns.size))
-        units[columns, np.arange(columns.size)] = linear.scales[columns]
-        found = (linear.solved(units) * linear.scales[:, None])[columns]
-        return np.asarray(0.5 * (found + found.T))
+        linear, structure = self._linear, self._linear.structure
+        columns = np.concatenate([np.arange(structure.columns)[structure.columns_of(key)] for key in keys])
+        scales = linear.scales[columns]
+        return np.asarray(linear.undamped.covariance(columns, structure) * scales * scales[:, None])
