@@ -9,7 +9,7 @@ what may be a blunder, what is weak. One measure of this pair is off by eight pi
 from dataclasses import replace
 
 from mgsgraph import KnownImage, Posterior, adjust_network
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.simulation.pair import simulate_pair
 
 pair = simulate_pair(seed=5)
@@ -17,7 +17,7 @@ measures = pair.ties.measures.copy()
 measures[40, 0] += 8.0
 ties = replace(pair.ties, measures=measures)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
-solution = adjust_network(observed(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
+solution = adjust_network(build_network(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
 linearised = Posterior.of(solution).linearised
 print(solution)
 
@@ -31,9 +31,9 @@ print(reliability_section(found, 3).text())
 
 # %%
 # Are the sigmas of each group honest?
-from mgsgraph.analysis.components import components_of
+from mgsgraph.analysis.components import components
 
-print(components_of(linearised))
+print(components(linearised))
 
 # %%
 # The same as a picture: on the line the sigmas are honest, steeper they are too small.
