@@ -48,7 +48,9 @@ Checks of a solution
     reliability             Baarda's w-tests, minimal detectable blunders, external reliability
     MeasureKind             kind of a measurement in these: ray, range, prior ...
     components              variance components: are the a-priori sigmas right?
+    iterated_components     the same, repeated until the sigmas fit the residuals
     weak_directions         the least-constrained directions of the orientation
+    unexplained             what residuals show and the adjustment has no unknown for
     pass_reports            nodes, corrections and sigmas of each pass
     compare                 two solutions: what moved, by how many sigmas
 
@@ -75,6 +77,10 @@ What goes in
     OrientationPrior        a-priori sigmas of its orientation
     TiePoints               tie and control points with their measures
     LaserProfile            shots of an altimeter with their ranges
+    read_shots              shots of an altimeter from PEDR, RDR, CSV ...
+    read_altimetry_cloud    their ground returns as points
+    footprints_in_images    which image sees which shot
+    points_in_images        which image sees which ground point
 
 Tie points from the images
     read_scene              the images' pixels and geometry
@@ -132,6 +138,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps as adjust_in_two_steps
     from mgsgraph.analysis.components import components as components
+    from mgsgraph.analysis.components import iterated_components as iterated_components
     from mgsgraph.analysis.measures import MeasureKind as MeasureKind
     from mgsgraph.analysis.places import sigma_grid as sigma_grid
     from mgsgraph.analysis.posterior import Pixel as Pixel
@@ -139,6 +146,7 @@ if TYPE_CHECKING:
     from mgsgraph.analysis.reliability import reliability as reliability
     from mgsgraph.analysis.statistics import pass_reports as pass_reports
     from mgsgraph.analysis.two_step_statistics import two_step_statistics as two_step_statistics
+    from mgsgraph.analysis.unexplained import unexplained as unexplained
     from mgsgraph.analysis.weak import weak_directions as weak_directions
     from mgsgraph.case.reading import Case as Case
     from mgsgraph.case.reading import adjust as adjust
@@ -155,6 +163,8 @@ if TYPE_CHECKING:
     from mgsgraph.export.solution_export import export_solution as export_solution
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud as read_altimetry_cloud
+    from mgsgraph.files.altimetry.shots import read_shots as read_shots
     from mgsgraph.files.networks.tie_points import TiePoints as TiePoints
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
     from mgsgraph.geometry.camera import InteriorOrientation as InteriorOrientation
@@ -163,6 +173,8 @@ if TYPE_CHECKING:
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
+    from mgsgraph.network.footprints import footprints_in_images as footprints_in_images
+    from mgsgraph.network.footprints import points_in_images as points_in_images
     from mgsgraph.network.observations import build_network as build_network
     from mgsgraph.network.parts import KnownImage as KnownImage
     from mgsgraph.planning.candidates import planned_point as planned_point
@@ -207,11 +219,13 @@ _HOME = {
     "ExportSettings": "mgsgraph.export.solution_export",
     "factor_graph": "mgsgraph.adjustment.factor_graph",
     "fetch_images": "mgsgraph.fetch.folder",
+    "footprints_in_images": "mgsgraph.network.footprints",
     "ImageCoverage": "mgsgraph.planning.coverage",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
     "InteriorOrientation": "mgsgraph.geometry.camera",
+    "iterated_components": "mgsgraph.analysis.components",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
     "LineTiming": "mgsgraph.geometry.image",
@@ -231,10 +245,13 @@ _HOME = {
     "Pixel": "mgsgraph.analysis.posterior",
     "plan": "mgsgraph.planning.plan",
     "planned_point": "mgsgraph.planning.candidates",
+    "points_in_images": "mgsgraph.network.footprints",
     "Posterior": "mgsgraph.analysis.posterior",
     "PushbroomImage": "mgsgraph.geometry.image",
+    "read_altimetry_cloud": "mgsgraph.files.altimetry.shots",
     "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
+    "read_shots": "mgsgraph.files.altimetry.shots",
     "read_solution": "mgsgraph.results.archive",
     "read_verdicts": "mgsgraph.studio.verdicts",
     "register_by_relief": "mgsgraph.registration.relief",
@@ -252,6 +269,7 @@ _HOME = {
     "to_pandas": "mgsgraph.export.frames",
     "to_xarray": "mgsgraph.export.frames",
     "two_step_statistics": "mgsgraph.analysis.two_step_statistics",
+    "unexplained": "mgsgraph.analysis.unexplained",
     "weak_directions": "mgsgraph.analysis.weak",
     "write_coregistration": "mgsgraph.results.relief",
     "write_report": "mgsgraph.results.page",

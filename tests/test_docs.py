@@ -386,6 +386,11 @@ def test_the_api_page_has_every_public_name(package: ModuleType) -> None:
     assert sorted(re.findall(pattern, (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)) == package.__all__
 
 
+def test_functions_of_the_api_page_are_public() -> None:
+    named = re.findall(r"\.\. autofunction:: (\S+)\.\w+$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(named) == {"mgsgraph", "mgsgraph.simulation"}
+
+
 @pytest.mark.parametrize("block", in_language("python"))
 def test_examples_import_public_names_alone(block: Block) -> None:
     public = {one.__name__: {*one.__all__, "factors"} for one in (mgsgraph, mgsgraph.simulation)}

@@ -7,9 +7,8 @@ true orientation differs from the nominal one by what the prior says; everything
 stated.
 """
 
-from mgsgraph import KnownImage, adjust_network
-from mgsgraph.network.observations import build_network
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph import KnownImage, adjust_network, build_network
+from mgsgraph.simulation import simulate_pair
 
 pair = simulate_pair(seed=1)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}

@@ -7,10 +7,8 @@ The tie points of this pair scatter by one pixel, but we state two. Do the resid
 
 from dataclasses import replace
 
-from mgsgraph import KnownImage, adjust_network
-from mgsgraph.analysis.components import components
-from mgsgraph.network.observations import build_network
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph import KnownImage, adjust_network, build_network, components
+from mgsgraph.simulation import simulate_pair
 
 pair = simulate_pair(seed=3)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}

@@ -302,8 +302,7 @@ def iterated_components(
 
     Examples
     --------
-    >>> from mgsgraph.analysis.components import iterated_components
-    >>> print(iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
+    >>> print(mgsgraph.iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
     tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     if most < 1 or not tolerance > 0.0:

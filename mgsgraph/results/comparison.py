@@ -3,7 +3,7 @@ more than was unknown; and where sigmas became smaller or larger.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +52,7 @@ class Comparison(Record):
     """The ground points that both have."""
 
     @property
-    def sentences(self) -> list[str]:
+    def sentences(self) -> Sequence[str]:
         """What differs, in sentences."""
         return self.section.sentences
 
