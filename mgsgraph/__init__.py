@@ -25,6 +25,9 @@ Cases and their adjustment
     Case                    what was read: a network, settings
     adjust                  adjusts a case
     adjust_network          adjusts a network, on a cluster, too
+    adjust_in_two_steps     without the terrain model, and then with it
+    two_step_statistics     what each step changed
+    open_cluster            a cluster for adjust_network
     SolverSettings          line, loss, rejection of blunders, tolerances
 
 The factor graph, in GTSAM's hands
@@ -40,38 +43,74 @@ The solution and its covariance
     orientation_profile     exterior orientation of an image along its lines: before, after, sigmas
     Posterior               covariance of any point, pose, pair, projection or new intersection
     Pixel                   an image point for Posterior.intersection
+    sigma_grid              sigmas of new points all over the overlap of images
+
+Checks of a solution
+    reliability             Baarda's w-tests, minimal detectable blunders, external reliability
+    MeasureKind             kind of a measurement in these: ray, range, prior ...
+    components              variance components: are the a-priori sigmas right?
+    iterated_components     the same, repeated until the sigmas fit the residuals
+    weak_directions         the least-constrained directions of the orientation
+    unexplained             what residuals show and the adjustment has no unknown for
+    pass_reports            nodes, corrections and sigmas of each pass
+    compare                 two solutions: what moved, by how many sigmas
+
+What to observe next
+    ImageCoverage           what the images of a network show of the ground
+    planned_point           a control or tie point that might be measured
+    plan                    ranks candidates by what they do to the sigmas
 
 Image by image
     IncrementalAdjustment   images and measures added and removed (iSAM2)
     Impact                  what a change has moved
+    create_project          a project: a folder with a database that keeps images and changes
+    open_project            opens it, for one change or for reading
+    solve_project           adjusts all of it, with results
+    remove_images           takes images out of it
 
 What goes in
     Network                 images, points, rays, ranges with their sigmas
+    build_network           a network from images and their observations
     KnownImage              an image with what is known of it beforehand
+    PushbroomImage          an image: camera, times of its lines, trajectory
+    InteriorOrientation     its camera
+    LineTiming              times of its lines
     OrientationPrior        a-priori sigmas of its orientation
     TiePoints               tie and control points with their measures
     LaserProfile            shots of an altimeter with their ranges
+    read_shots              shots of an altimeter from PEDR, RDR, CSV ...
+    read_altimetry_cloud    their ground returns as points
+    footprints_in_images    which image sees which shot
+    points_in_images        which image sees which ground point
 
 Tie points from the images
     read_scene              the images' pixels and geometry
     MatchSettings           how to match
     match_into              matches them; writes a control network
+    review_matches          the worst tie points with their pixels, for a person to look at
+    write_review            the page of these
+    read_verdicts           what the page saves
+    apply_verdicts          the tie points without the rejected ones
 
 Products
     write_results           tables, figures, archive of a solution
     read_solution           a solution from its folder
     write_report            one page to look at and hand on
+    draw_figures            figures of a solution, for matplotlib
     register_by_relief      laser, terrain model and images onto each other by relief
     ReliefSettings          how far to search for that
     write_coregistration    writes it
     make_dem                terrain model with sigmas, ortho image, check by laser shots
     DemSettings             grid and matching of that
     export_solution         SPICE, CSM, ISIS, ASP, GIS
+    ExportSettings          how
     to_pandas               a table of a solution as a DataFrame
     to_geopandas            the same with shapes
     to_xarray               orientation of all images as a Dataset
     convert                 control networks from one format to another
     ExchangeSetting         how
+
+Simulated images with known truth: `mgsgraph.simulation` (simulate_pair, write_pair, simulate_strip, simulate_site ...).
 
 Errors
     InputError              bad input, in one line: where, what was found, what was expected, what to do
@@ -88,6 +127,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from mgsgraph.adjustment.adjust import adjust_network as adjust_network
+    from mgsgraph.adjustment.cluster.connection import open_cluster as open_cluster
     from mgsgraph.adjustment.factor_graph import factor_graph as factor_graph
     from mgsgraph.adjustment.factor_graph import with_factors as with_factors
     from mgsgraph.adjustment.incremental.impact import Impact as Impact
@@ -98,8 +138,18 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
+    from mgsgraph.adjustment.two_steps import adjust_in_two_steps as adjust_in_two_steps
+    from mgsgraph.analysis.components import components as components
+    from mgsgraph.analysis.components import iterated_components as iterated_components
+    from mgsgraph.analysis.measures import MeasureKind as MeasureKind
+    from mgsgraph.analysis.places import sigma_grid as sigma_grid
     from mgsgraph.analysis.posterior import Pixel as Pixel
     from mgsgraph.analysis.posterior import Posterior as Posterior
+    from mgsgraph.analysis.reliability import reliability as reliability
+    from mgsgraph.analysis.statistics import pass_reports as pass_reports
+    from mgsgraph.analysis.two_step_statistics import two_step_statistics as two_step_statistics
+    from mgsgraph.analysis.unexplained import unexplained as unexplained
+    from mgsgraph.analysis.weak import weak_directions as weak_directions
     from mgsgraph.case.reading import Case as Case
     from mgsgraph.case.reading import adjust as adjust
     from mgsgraph.case.reading import read_case as read_case
@@ -111,68 +161,123 @@ if TYPE_CHECKING:
     from mgsgraph.export.frames import to_geopandas as to_geopandas
     from mgsgraph.export.frames import to_pandas as to_pandas
     from mgsgraph.export.frames import to_xarray as to_xarray
+    from mgsgraph.export.solution_export import ExportSettings as ExportSettings
     from mgsgraph.export.solution_export import export_solution as export_solution
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
+    from mgsgraph.files.altimetry.shots import read_altimetry_cloud as read_altimetry_cloud
+    from mgsgraph.files.altimetry.shots import read_shots as read_shots
     from mgsgraph.files.networks.tie_points import TiePoints as TiePoints
     from mgsgraph.geometry.altimetry import LaserProfile as LaserProfile
+    from mgsgraph.geometry.camera import InteriorOrientation as InteriorOrientation
+    from mgsgraph.geometry.image import LineTiming as LineTiming
+    from mgsgraph.geometry.image import PushbroomImage as PushbroomImage
     from mgsgraph.geometry.orientation import OrientationPrior as OrientationPrior
     from mgsgraph.matching.settings import MatchSettings as MatchSettings
     from mgsgraph.network import Network as Network
+    from mgsgraph.network.footprints import footprints_in_images as footprints_in_images
+    from mgsgraph.network.footprints import points_in_images as points_in_images
+    from mgsgraph.network.observations import build_network as build_network
     from mgsgraph.network.parts import KnownImage as KnownImage
+    from mgsgraph.planning.candidates import planned_point as planned_point
+    from mgsgraph.planning.coverage import ImageCoverage as ImageCoverage
+    from mgsgraph.planning.plan import plan as plan
+    from mgsgraph.project.changes import create_project as create_project
+    from mgsgraph.project.changes import remove_images as remove_images
+    from mgsgraph.project.changes import solve_project as solve_project
+    from mgsgraph.project.project import open_project as open_project
     from mgsgraph.registration.dem.model import DemSettings as DemSettings
     from mgsgraph.registration.minima import ReliefSettings as ReliefSettings
     from mgsgraph.registration.relief import register_by_relief as register_by_relief
     from mgsgraph.results.archive import read_solution as read_solution
+    from mgsgraph.results.comparison import compare as compare
+    from mgsgraph.results.figures import draw_figures as draw_figures
     from mgsgraph.results.matching import match_into as match_into
     from mgsgraph.results.page import write_report as write_report
     from mgsgraph.results.relief import write_coregistration as write_coregistration
     from mgsgraph.results.results import write_results as write_results
     from mgsgraph.results.terrain_model import make_dem as make_dem
+    from mgsgraph.studio.match_review import review_matches as review_matches
+    from mgsgraph.studio.match_review import write_review as write_review
+    from mgsgraph.studio.verdicts import apply_verdicts as apply_verdicts
+    from mgsgraph.studio.verdicts import read_verdicts as read_verdicts
 
 _HOME = {
     "adjust": "mgsgraph.case.reading",
+    "adjust_in_two_steps": "mgsgraph.adjustment.two_steps",
     "adjust_network": "mgsgraph.adjustment.adjust",
+    "apply_verdicts": "mgsgraph.studio.verdicts",
     "Archives": "mgsgraph.fetch.needs",
+    "build_network": "mgsgraph.network.observations",
     "Case": "mgsgraph.case.reading",
+    "compare": "mgsgraph.results.comparison",
+    "components": "mgsgraph.analysis.components",
     "convert": "mgsgraph.export.exchange",
+    "create_project": "mgsgraph.project.changes",
     "DemSettings": "mgsgraph.registration.dem.model",
-    "export_solution": "mgsgraph.export.solution_export",
+    "draw_figures": "mgsgraph.results.figures",
     "ExchangeSetting": "mgsgraph.export.exchange_setting",
+    "export_solution": "mgsgraph.export.solution_export",
+    "ExportSettings": "mgsgraph.export.solution_export",
     "factor_graph": "mgsgraph.adjustment.factor_graph",
     "fetch_images": "mgsgraph.fetch.folder",
+    "footprints_in_images": "mgsgraph.network.footprints",
+    "ImageCoverage": "mgsgraph.planning.coverage",
     "Impact": "mgsgraph.adjustment.incremental.impact",
     "IncrementalAdjustment": "mgsgraph.adjustment.incremental.incremental",
     "InputError": "mgsgraph.errors",
+    "InteriorOrientation": "mgsgraph.geometry.camera",
+    "iterated_components": "mgsgraph.analysis.components",
     "KnownImage": "mgsgraph.network.parts",
     "LaserProfile": "mgsgraph.geometry.altimetry",
+    "LineTiming": "mgsgraph.geometry.image",
     "make_dem": "mgsgraph.results.terrain_model",
     "Marginals": "mgsgraph.adjustment.optimize",
     "match_into": "mgsgraph.results.matching",
     "MatchSettings": "mgsgraph.matching.settings",
+    "MeasureKind": "mgsgraph.analysis.measures",
     "MgsgraphError": "mgsgraph.errors",
     "Network": "mgsgraph.network",
+    "open_cluster": "mgsgraph.adjustment.cluster.connection",
+    "open_project": "mgsgraph.project.project",
     "optimize": "mgsgraph.adjustment.optimize",
     "orientation_profile": "mgsgraph.adjustment.solution",
     "OrientationPrior": "mgsgraph.geometry.orientation",
+    "pass_reports": "mgsgraph.analysis.statistics",
     "Pixel": "mgsgraph.analysis.posterior",
+    "plan": "mgsgraph.planning.plan",
+    "planned_point": "mgsgraph.planning.candidates",
+    "points_in_images": "mgsgraph.network.footprints",
     "Posterior": "mgsgraph.analysis.posterior",
+    "PushbroomImage": "mgsgraph.geometry.image",
+    "read_altimetry_cloud": "mgsgraph.files.altimetry.shots",
     "read_case": "mgsgraph.case.reading",
     "read_scene": "mgsgraph.case.scene",
+    "read_shots": "mgsgraph.files.altimetry.shots",
     "read_solution": "mgsgraph.results.archive",
+    "read_verdicts": "mgsgraph.studio.verdicts",
     "register_by_relief": "mgsgraph.registration.relief",
+    "reliability": "mgsgraph.analysis.reliability",
     "ReliefSettings": "mgsgraph.registration.minima",
+    "remove_images": "mgsgraph.project.changes",
+    "review_matches": "mgsgraph.studio.match_review",
+    "sigma_grid": "mgsgraph.analysis.places",
     "Solution": "mgsgraph.adjustment.solution",
     "solution_of": "mgsgraph.adjustment.optimized",
+    "solve_project": "mgsgraph.project.changes",
     "SolverSettings": "mgsgraph.adjustment.settings",
+    "TiePoints": "mgsgraph.files.networks.tie_points",
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
     "to_xarray": "mgsgraph.export.frames",
-    "TiePoints": "mgsgraph.files.networks.tie_points",
+    "two_step_statistics": "mgsgraph.analysis.two_step_statistics",
+    "unexplained": "mgsgraph.analysis.unexplained",
+    "weak_directions": "mgsgraph.analysis.weak",
     "with_factors": "mgsgraph.adjustment.factor_graph",
     "write_coregistration": "mgsgraph.results.relief",
     "write_report": "mgsgraph.results.page",
     "write_results": "mgsgraph.results.results",
+    "write_review": "mgsgraph.studio.match_review",
 }
 __all__ = sorted(_HOME)
 
@@ -181,8 +286,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name on first use: `mgsgraph --help` must not wait for numba and GTSAM."""
     if name == "__version__":
         return import_module("importlib.metadata").version("mgsgraph")
-    if name == "factors":
-        return import_module("mgsgraph.factors")
+    if name in {"factors", "simulation"}:
+        return import_module(f"mgsgraph.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'mgsgraph' has no attribute {name!r}; it has {', '.join(__all__)}")
     return getattr(import_module(_HOME[name]), name)

@@ -9,16 +9,15 @@ import time
 import gtsam
 import numpy as np
 
-from mgsgraph import IncrementalAdjustment, KnownImage, adjust_network, factor_graph
-from mgsgraph.network.observations import observed
-from mgsgraph.simulation.strip import StripSettings, simulate_strip
+from mgsgraph import IncrementalAdjustment, KnownImage, adjust_network, build_network, factor_graph
+from mgsgraph.simulation import StripSettings, simulate_strip
 
 
 def main(images: str = "5") -> None:
     """Print what each addition takes, and what both end with."""
     strip = simulate_strip(StripSettings(images=int(images), ties=20, shots=10))
     prior = strip.settings.noise.prior
-    network = observed({one.name: KnownImage(one, prior) for one in strip.images}, [strip.ties, *strip.lasers])
+    network = build_network({one.name: KnownImage(one, prior) for one in strip.images}, [strip.ties, *strip.lasers])
     with_prior = np.isfinite(network.points.places).all(axis=1)
     graph, values, keys = factor_graph(network)
     factors = [graph.at(i) for i in range(graph.size())]

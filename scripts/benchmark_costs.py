@@ -26,14 +26,14 @@ from study import DOCS, OneLine, at_least, commit, number, show, table, write_pa
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.analysis.components import components_of
+from mgsgraph.analysis.components import components
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.analysis.reliability import reliability, suspects
 from mgsgraph.case.schema import OrientationInput
 from mgsgraph.errors import SolverError
 from mgsgraph.network import Network
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
@@ -284,7 +284,7 @@ def solved_project(strip: SimulatedStrip, folder: Path) -> None:
         measures=MeasuresInput(noise.tie, noise.shot_image),
     )
     known = {image.name: KnownImage(image, noise.prior) for image in strip.images}
-    whole = observed(known, [strip.ties, *strip.lasers], noise.tie, noise.shot_image)
+    whole = build_network(known, [strip.ties, *strip.lasers], noise.tie, noise.shot_image)
     assert whole is not None
     solution = adjust_network(whole, settings.solver.settings)
     with Project.create(folder, "strip", settings) as made_project:
@@ -386,7 +386,7 @@ def turn(whole: Network, settings: Any, queries: int, seconds: Seconds) -> list[
     timed("suspects", lambda: suspects(found))
     with tempfile.TemporaryDirectory() as folder:
         timed("file", lambda: reliability_table(found).write_csv(Path(folder) / "reliability.csv"))
-    timed("variance components", lambda: components_of(at))
+    timed("variance components", lambda: components(at))
     for name, query in zip(QUERIES, single_queries(whole, Posterior(at), queries), strict=True):
         query(0)  # what it keeps for the next ones
         timed(name, lambda query=query: [query(k) for k in range(1, queries + 1)], queries)

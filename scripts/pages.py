@@ -20,7 +20,7 @@ import click
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.components import components_of
+from mgsgraph.analysis.components import components
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations
@@ -163,7 +163,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     yield "reliability.csv", reliability_table(reliability(linearised))
     yield "unexplained.csv", unexplained_table(unexplained(linearised))
     yield "vibrations.csv", vibrations_table(ResidualVibrations((), ()))
-    yield "components.csv", components_table(components_of(linearised))
+    yield "components.csv", components_table(components(linearised))
     yield "likelihood.csv", likelihood_table(())
     registration = _registration()
     yield "registration.csv", registration_table(registration)

@@ -11,8 +11,7 @@ import gtsam
 import numpy as np
 
 import mgsgraph
-from mgsgraph.network.observations import observed
-from mgsgraph.simulation.strip import StripSettings, simulate_strip
+from mgsgraph.simulation import StripSettings, simulate_strip
 
 
 def main(path: str | None = None) -> None:
@@ -20,7 +19,7 @@ def main(path: str | None = None) -> None:
     if path is None:
         strip = simulate_strip(StripSettings(images=6, ties=20, shots=15))
         images = {one.name: mgsgraph.KnownImage(one, strip.settings.noise.prior) for one in strip.images}
-        network = observed(images, [strip.ties, *strip.lasers])
+        network = mgsgraph.build_network(images, [strip.ties, *strip.lasers])
     else:
         network = mgsgraph.read_case(path).network
     begun = time.perf_counter()

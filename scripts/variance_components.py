@@ -18,12 +18,12 @@ from study import Z99, Blocks, Draw, cases, chi_square_band, run, seeds_of, tabl
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.analysis.components import Components, Judgement, components_of, iterated_components
+from mgsgraph.analysis.components import Components, Judgement, components, iterated_components
 from mgsgraph.analysis.grouping import group_rows, scaled
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.residual_tests import ALPHA, chi_square_test, residual_statistics
 from mgsgraph.network import Network
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
@@ -45,7 +45,7 @@ def strip() -> Network:
     """The strip's network with the sigmas that it was drawn from."""
     made = simulate_strip(STRIP)
     known = {image.name: KnownImage(image, NOISE.prior) for image in made.images}
-    network = observed(known, [made.ties, *made.lasers], NOISE.tie, NOISE.shot_image)
+    network = build_network(known, [made.ties, *made.lasers], NOISE.tie, NOISE.shot_image)
     assert network is not None
     return network
 
@@ -71,10 +71,10 @@ def one_draw(case: str, seed: int) -> Draw:
         return {"converged": found.converged, "groups": of_groups(found.components, truth)}
     solution = adjust_network(redraw(network, np.random.default_rng([2, seed])).network, settings)
     at, test = at_solution(solution), chi_square_test(solution.fit)
-    components = components_of(at, grouping)
-    sums = components.helmert.sum(axis=1) - [one.redundancy for one in components.groups]
+    found = components(at, grouping)
+    sums = found.helmert.sum(axis=1) - [one.redundancy for one in found.groups]
     return {
-        "groups": of_groups(components, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
+        "groups": of_groups(found, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
         "passed": bool(test.passed), "larger": float(test.larger), "squares": float(test.squares / test.degrees),
         "degrees": int(test.degrees), "p": [float(one.p_value) for one in residual_statistics(at, grouping)],
     }  # fmt: skip

@@ -16,7 +16,7 @@ from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import KnownImage, Unknown, without_images
 from mgsgraph.simulation.camera import narrow_image
 from mgsgraph.simulation.observations import NoiseSettings
@@ -111,7 +111,7 @@ def network_of(made: SimulatedStrip, chosen: Sequence[int]) -> Network:
     """Some images of a strip with all that they see, put together without any incremental adjustment."""
     images = {made.images[k].name: KnownImage(made.images[k], NOISE.prior) for k in chosen}
     parts = [part for name in images for part in own_measures(made, name)]
-    network = observed(images, parts, NOISE.tie, NOISE.shot_image)
+    network = build_network(images, parts, NOISE.tie, NOISE.shot_image)
     assert network is not None
     seen = without_images(network, ())  # a profile names shots that none of these shows
     assert seen is not None

@@ -7,13 +7,12 @@ true orientation differs from the nominal one by what the prior says; everything
 stated.
 """
 
-from mgsgraph import KnownImage, adjust_network
-from mgsgraph.network.observations import observed
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph import KnownImage, adjust_network, build_network
+from mgsgraph.simulation import simulate_pair
 
 pair = simulate_pair(seed=1)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
-network = observed(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
+network = build_network(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
 solution = adjust_network(network)
 print(solution)
 

@@ -5,13 +5,12 @@ Questions to the covariance
 The covariance of all unknowns is kept, so that anything may be asked afterwards: :doc:`/analysis`.
 """
 
-from mgsgraph import KnownImage, Pixel, Posterior, adjust_network
-from mgsgraph.network.observations import observed
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph import KnownImage, Pixel, Posterior, adjust_network, build_network
+from mgsgraph.simulation import simulate_pair
 
 pair = simulate_pair(seed=1)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
-network = observed(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
+network = build_network(images, [pair.ties, pair.laser], shot_sigma=pair.settings.noise.shot_image)
 solution = adjust_network(network)
 posterior = Posterior.of(solution)
 
@@ -30,7 +29,7 @@ print(posterior.difference(*solution.network.points.ids[:2]).sentence)
 
 # %%
 # The sigmas that points measured to half a pixel would have anywhere on the ground that both images show.
-from mgsgraph.analysis.places import sigma_grid
+from mgsgraph import sigma_grid
 from mgsgraph.results.figures.analysis import raster_sheet
 
 raster = raster_sheet(sigma_grid(posterior, cell=300.0, sigma=0.5), "sigmas")

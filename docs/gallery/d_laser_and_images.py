@@ -10,8 +10,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import mgsgraph
-from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.simulation import SimulationOptions, simulate_site, write_site
 
 site = simulate_site("gusev", 1, SimulationOptions("published", pictures=False))
 case = mgsgraph.read_case(write_site(site, Path(mkdtemp())))

@@ -13,8 +13,8 @@ import numpy as np
 from mgsgraph import MatchSettings, OrientationPrior
 from mgsgraph.matching.match import match_scene
 from mgsgraph.matching.scene import Ground, GroundChart, Picture, Scene
+from mgsgraph.simulation import SimulationOptions, simulate_site
 from mgsgraph.simulation.imagery import render
-from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.units import ARCMIN
 
 LINES, HEIGHT = 640, -2580.0

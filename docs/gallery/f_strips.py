@@ -6,14 +6,13 @@ Two strips of 100 km, five lines of the camera each; orientation is unknown at n
 :doc:`/strips`.
 """
 
-from mgsgraph import SolverSettings, adjust_network
-from mgsgraph.analysis.statistics import strip_reports
+from mgsgraph import SolverSettings, adjust_network, pass_reports
 from mgsgraph.results.figures.orientation import orientation_sheets
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
 
 block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=300, terrain=None), seed=1)
 solution = adjust_network(block.network, SolverSettings(), "two strips")
-for one in strip_reports(solution):
+for one in pass_reports(solution):
     print(f"{one.name}: {one.nodes} nodes, {one.ground / 1e3:.0f} km apart")
 
 # %%

@@ -10,8 +10,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import mgsgraph
-from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.site import SimulationOptions, simulate_site
+from mgsgraph.simulation import SimulationOptions, simulate_site, write_site
 
 folder = Path(mkdtemp())
 case_file = write_site(simulate_site("gusev", 1, SimulationOptions(pictures=False)), folder)

@@ -8,22 +8,21 @@ what may be a blunder, what is weak. One measure of this pair is off by eight pi
 
 from dataclasses import replace
 
-from mgsgraph import KnownImage, Posterior, adjust_network
-from mgsgraph.network.observations import observed
-from mgsgraph.simulation.pair import simulate_pair
+from mgsgraph import KnownImage, Posterior, adjust_network, build_network
+from mgsgraph.simulation import simulate_pair
 
 pair = simulate_pair(seed=5)
 measures = pair.ties.measures.copy()
 measures[40, 0] += 8.0
 ties = replace(pair.ties, measures=measures)
 images = {one.name: KnownImage(one, pair.settings.noise.prior) for one in pair.images}
-solution = adjust_network(observed(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
+solution = adjust_network(build_network(images, [ties, pair.laser], shot_sigma=pair.settings.noise.shot_image))
 linearised = Posterior.of(solution).linearised
 print(solution)
 
 # %%
 # What may be a blunder: w-tests and minimal detectable errors of every measure, the most suspicious first.
-from mgsgraph.analysis.reliability import reliability
+from mgsgraph import reliability
 from mgsgraph.results.analysis import reliability_section
 
 found = reliability(linearised)
@@ -31,9 +30,9 @@ print(reliability_section(found, 3).text())
 
 # %%
 # Are the sigmas of each group honest?
-from mgsgraph.analysis.components import components_of
+from mgsgraph import components
 
-print(components_of(linearised))
+print(components(linearised))
 
 # %%
 # The same as a picture: on the line the sigmas are honest, steeper they are too small.
@@ -44,7 +43,7 @@ quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 
 # %%
 # Of what least was learnt: directions in which the sigma after is nearly the sigma before.
-from mgsgraph.analysis.weak import weak_directions
+from mgsgraph import weak_directions
 
 print(*(one.sentence for one in weak_directions(solution, 3)), sep="\n")
 

@@ -28,6 +28,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import TERRAIN, Network
+from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
 
@@ -91,7 +92,7 @@ _MOST_PASSES = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TwoSteps:
+class TwoSteps(Record):
     """Both adjustments of one network."""
 
     network: Network
@@ -147,6 +148,14 @@ def adjust_in_two_steps(
         When the network has no terrain model, or no point on it.
     WeakNetwork
         When rays, laser and priors alone leave some direction of the orientation undetermined.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
+    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=100), seed=1)
+    >>> steps = mgsgraph.adjust_in_two_steps(block.network, mgsgraph.SolverSettings(reject=4.0))
+    >>> steps.converged, int(steps.off.sum())
+    (True, 0)
     """
     require_terrain(network)
     begin = time.perf_counter()

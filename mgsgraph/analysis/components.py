@@ -1,8 +1,7 @@
 """Variance components: by what factor the sigmas of each group of rows are wrong, and how sure
 one can be of it.
 
-components = mgsgraph.analysis.components.components_of(solution)
-print(components)
+print(mgsgraph.components(solution))
 found = iterated_components(network, settings)  # scaled and adjusted again, until all factors are one
 
 A pass solves Helmert's equations S s = q (see `helmert`) for the variance factors s. They are unbiased, and repeated
@@ -242,7 +241,7 @@ class IteratedComponents(Record):
         return [*self.components.sentences, end]
 
 
-def components_of(solution: Solution | Linearised, grouping: Grouping | None = None) -> Components:
+def components(solution: Solution | Linearised, grouping: Grouping | None = None) -> Components:
     """Variance components from one adjustment.
 
     With factors far from one they are rough, and their sigmas too small where other groups' sigmas are too small:
@@ -251,13 +250,19 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
 
     Parameters
     ----------
+    solution : Solution or Linearised
+        The adjustment whose residuals are judged.
     grouping : Grouping, optional
         `group_rows` when absent.
 
+    Returns
+    -------
+    Components
+        Of each group the factor by which its stated sigmas have to be multiplied, with its own sigma.
+
     Examples
     --------
-    >>> from mgsgraph.analysis.components import components_of
-    >>> print(components_of(solution).sentences[0])
+    >>> print(mgsgraph.components(solution).sentences[0])
     tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
@@ -265,10 +270,10 @@ def components_of(solution: Solution | Linearised, grouping: Grouping | None = N
     judgements = judge_groups(found, {})
     squared = _squared_factors(found, judgements)
     plain = found.squares / np.maximum(found.redundancy, 1e-300)
-    components = components_from_redundancy(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
-    groups = tuple(replace(one, negative=bool(s <= 0.0)) for one, s in zip(components.groups, squared, strict=True))
-    far = [abs(math.log(one.factor)) > _FAR for one in components.groups if one.judgement is Judgement.JUDGED]
-    return replace(components, groups=groups, rough=any(far))
+    first = components_from_redundancy(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
+    groups = tuple(replace(one, negative=bool(s <= 0.0)) for one, s in zip(first.groups, squared, strict=True))
+    far = [abs(math.log(one.factor)) > _FAR for one in first.groups if one.judgement is Judgement.JUDGED]
+    return replace(first, groups=groups, rough=any(far))
 
 
 def iterated_components(
@@ -297,8 +302,7 @@ def iterated_components(
 
     Examples
     --------
-    >>> from mgsgraph.analysis.components import iterated_components
-    >>> print(iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
+    >>> print(mgsgraph.iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
     tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     if most < 1 or not tolerance > 0.0:

@@ -66,7 +66,14 @@ class Levels(Record):
 
 
 class MeasureKind(IntEnum):
-    """Kind of a scalar measure."""
+    """Kind of a scalar measure.
+
+    Examples
+    --------
+    >>> measures = mgsgraph.reliability(solution).measures
+    >>> int(np.count_nonzero(measures.kind == mgsgraph.MeasureKind.RANGE))
+    8
+    """
 
     RAY = 0
     """Image place: line and sample, in pixels."""

@@ -49,8 +49,7 @@ class SigmaGrid(Record):
 
     Examples
     --------
-    >>> from mgsgraph.analysis.places import sigma_grid
-    >>> grid = sigma_grid(posterior, cell=500.0, sigma=0.5)
+    >>> grid = mgsgraph.sigma_grid(posterior, cell=500.0, sigma=0.5)
     >>> grid.values.shape, int(grid.rays.max())
     ((4, 45, 12), 2)
     """
@@ -90,6 +89,7 @@ def sigma_grid(
 
     Parameters
     ----------
+    posterior : Posterior
     images : sequence of str
         Names, two or more; all images of the network when empty.
     cell : float, optional
@@ -104,8 +104,7 @@ def sigma_grid(
 
     Examples
     --------
-    >>> from mgsgraph.analysis.places import sigma_grid
-    >>> print(sigma_grid(posterior, cell=500.0, sigma=0.5).sentence)
+    >>> print(mgsgraph.sigma_grid(posterior, cell=500.0, sigma=0.5).sentence)
     points measured to 0.5 px in SIM/A, SIM/B would have sigmas of 6.63 m east, 7 m north and 20.8 m up (medians
     over 255 cells); up is worst at 24.3 m
     """

@@ -135,15 +135,19 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
 
     Parameters
     ----------
-    of : Linearised or Solution
+    of : Solution or Linearised
         At its solution.
     levels : Levels, optional
-        Sizes of the tests; Baarda's customary ones when absent.
+        Sizes of the tests; Baarda's customary ones when absent: significance 0.001, power 0.80.
+
+    Returns
+    -------
+    Reliability
+        `measures` has arrays (m,): redundancy numbers, w-tests, minimal detectable blunders (px, m, rad or s) ...
 
     Examples
     --------
-    >>> from mgsgraph.analysis.reliability import reliability
-    >>> found = reliability(solution)
+    >>> found = mgsgraph.reliability(solution)
     >>> print(found)
     Reliability(180 measures, 60.0 degrees of freedom, 0 tests over 3.29, 12 measures uncontrolled)
     >>> worst = np.argsort(-np.abs(found.measures.test))[:2]

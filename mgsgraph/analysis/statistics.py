@@ -1,8 +1,7 @@
 """Statistics of a solution: means and root mean squares by image, class and component. SI units, NaN for nothing.
 
-Tables, words and figures all take their numbers here, so that they can't contradict each other.
-
-Medians of groups of many values, without a loop, and robust ends of scales; by them, how well each image fits.
+Tables, words and figures all take their numbers here, so that they can't contradict each other. Medians of groups of
+many values, without a loop, and robust ends of scales; by them, how well each image fits.
 
 Orientation and points in the axes of the flight: sigmas along the lines of an image, and the corrections of strips over
 time, which are those of the orientation images alone: unknowns that images share are not in them.
@@ -29,6 +28,7 @@ from mgsgraph.network import Network, NodePrior, Pass, PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.joining import nominal_poses, seconds, straightest
+from mgsgraph.record import Record
 from mgsgraph.text import root_mean_square
 
 if TYPE_CHECKING:
@@ -104,12 +104,8 @@ def ray_statistics(solution: Solution) -> RayStatistics:
         parts = [np.bincount(cell, weights=values[:, c], minlength=images * CLASSES) for c in range(2)]
         return np.stack(parts, axis=1).reshape(images, CLASSES, 2).astype(np.float64)  # no rays: counts, not weights
 
-    return RayStatistics(
-        total=np.bincount(network.rays.image, minlength=images),
-        count=count,
-        mean=_ratio(summed(residuals), count),
-        rms=np.sqrt(_ratio(summed(residuals**2), count)),
-    )
+    mean, squares = _ratio(summed(residuals), count), _ratio(summed(residuals**2), count)
+    return RayStatistics(np.bincount(network.rays.image, minlength=images), count, mean, np.sqrt(squares))
 
 
 def _ratio(sums: Array, count: Index) -> Array:
@@ -405,7 +401,7 @@ def strip_corrections(solution: Solution, strip: str | int, times: Array) -> Str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripReport:
+class PassReport(Record):
     """Nodes, corrections and trend of one strip."""
 
     name: str
@@ -439,8 +435,17 @@ class StripReport:
         return np.asarray(self.corrections.sigmas.mean(axis=0))
 
 
-def strip_reports(solution: Solution) -> list[StripReport]:
-    """Reports of all strips, in their order."""
+def pass_reports(solution: Solution) -> list[PassReport]:
+    """Nodes, corrections and trend of each pass, in their order; none where no images were taken in one pass.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
+    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=60e3, points=30, terrain=None), seed=1)
+    >>> found = mgsgraph.pass_reports(mgsgraph.adjust_network(block.network, mgsgraph.SolverSettings()))
+    >>> [(one.name, one.nodes) for one in found]
+    [('HRSC/00', 8), ('HRSC/01', 11)]
+    """
     return [_report(solution, k) for k in range(len(solution.network.passes))]
 
 
@@ -450,14 +455,14 @@ def node_times(solution: Solution, strip: str | int) -> Array:
     return nodes.times + nodes.epoch
 
 
-def _report(solution: Solution, strip: int) -> StripReport:
+def _report(solution: Solution, strip: int) -> PassReport:
     one, pictures = solution.network.passes[strip], solution.network.pictures(strip)
     image = pictures[straightest(pictures)]
     start, stop = seconds(image)
     spacing = one.nodes.spacing
     lines = spacing * image.lines / (stop - start)
     _, derivative = image.image_to_ground(*image.middle)
-    return StripReport(
+    return PassReport(
         one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
         len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
         strip_corrections(solution, strip, node_times(solution, strip)), _trend(solution, strip),

@@ -250,8 +250,7 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
 
     Examples
     --------
-    >>> from mgsgraph.analysis.unexplained import unexplained
-    >>> found = unexplained(solution)
+    >>> found = mgsgraph.unexplained(solution)
     >>> print(*found.sentences, sep="\n")
     203 tests of the residuals by time, sample, slope, height and neighbours find nothing.
     """

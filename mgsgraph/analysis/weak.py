@@ -77,8 +77,14 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
     Parameters
     ----------
+    solution : Solution
     count : int
         How many are wanted.
+
+    Returns
+    -------
+    tuple of WeakDirection
+        Each with the ratio of its sigma after the adjustment to that before.
 
     Raises
     ------
@@ -87,8 +93,7 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 
     Examples
     --------
-    >>> from mgsgraph.analysis.weak import weak_directions
-    >>> for direction in weak_directions(solution, 2):
+    >>> for direction in mgsgraph.weak_directions(solution, 2):
     ...     print(direction)
     constant along-track position against pitch of image SIM/B (100 %): one sigma is 24.2 m against 0.0593 mrad,
     1.00 of what was known before

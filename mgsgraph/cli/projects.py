@@ -42,12 +42,12 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
-    from mgsgraph.project.changes import begin
+    from mgsgraph.project.changes import create_project
 
     if case is not None and settings is not None:
         raise InputError("--settings", "a case is given, too, which has settings", "one of the two")
     with stage_bar(2) as stages:
-        begun = begin(project, name, case, settings, stages.stage)
+        begun = create_project(project, name, case, settings, stages.stage)
     click.echo(f"{project}: a new project, {begun.words}")
     print_sentences(begun.notes)
     if begun.waits:
@@ -148,14 +148,14 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     Exit status: 0 removed, 1 removed and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
-    from mgsgraph.project.changes import remove as take_out
+    from mgsgraph.project.changes import remove_images
     from mgsgraph.project.project import open_project
     from mgsgraph.results.impact import require_writable
 
     if table is not None:
         require_writable(table, project)
     with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
-        impact = take_out(opened, images)
+        impact = remove_images(opened, images)
     click.echo(f"{project}: removed {', '.join(images)}")
     _print_impact(ctx, project, impact, table)
 
@@ -264,14 +264,14 @@ def solve(
     """
     from mgsgraph.analysis.soundness import is_result
     from mgsgraph.cli.progress import iteration_bar
-    from mgsgraph.project.changes import solve as solve_all
+    from mgsgraph.project.changes import solve_project
     from mgsgraph.project.project import open_project
 
     with (
         open_project(project, write=True) as opened,
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
-        solved = solve_all(opened, not no_figures, tables, bar, device)
+        solved = solve_project(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence}")

@@ -15,6 +15,7 @@ from mgsgraph.files.output.folders import EXPORT, PROGRAM, fresh_folder
 from mgsgraph.files.output.table import write_json
 from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
+from mgsgraph.record import Record
 from mgsgraph.results.archive import read_solution
 
 FORMAT = 1
@@ -24,8 +25,16 @@ _FINE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class ExportSettings:
-    """What a solution doesn't say of itself."""
+class ExportSettings(Record):
+    """What a solution doesn't say of itself.
+
+    Examples
+    --------
+    >>> settings = mgsgraph.ExportSettings(scaled=True)
+    >>> done = mgsgraph.export_solution("RESULT", "isis", "scaled", settings)
+    >>> done.files[0]
+    'bundleout_images.csv'
+    """
 
     scaled: bool = False
     """Covariances and sigmas times sigma0^2 and sigma0, where a format has some."""

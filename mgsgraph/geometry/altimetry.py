@@ -237,8 +237,7 @@ class AltimeterShots(Record):
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_shots
-    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> shots = mgsgraph.read_shots(Path("gusev/ap18933l.b"))
     >>> shots.altimeter.name, shots.profile_names()[0], int(shots.ground.sum())
     ('MOLA', '18933', 272)
     >>> near = shots.chosen(np.arange(10))
@@ -433,9 +432,8 @@ class AltimetryCloud(Record):
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_altimetry_cloud
     >>> _ = Path("cloud.csv").write_text("x_m,y_m,z_m,id,profile\n171000.0,3382000.0,248000.0,1,9000\n")
-    >>> cloud = read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
+    >>> cloud = mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body)
     >>> cloud.profiles, cloud.points.shape
     (('9000',), (1, 3))
     """

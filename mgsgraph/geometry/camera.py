@@ -370,8 +370,8 @@ class InteriorOrientation(Record):
     """(2,) detector (line, sample) at which the image begins (edit mode), pixels."""
     sample_summing: float
     """detector pixels per image sample."""
-    distortion: Distortion
-    """From the measured to the ideal focal-plane place."""
+    distortion: Distortion = NoDistortion()
+    """From the measured to the ideal focal-plane place; none when absent."""
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "sample_summing"):

@@ -48,8 +48,7 @@ class LineTiming(Record):
 
     Examples
     --------
-    >>> from mgsgraph.geometry.image import LineTiming
-    >>> timing = LineTiming(np.array([0.0]), np.array([-2.0]), np.array([2e-3]))
+    >>> timing = mgsgraph.LineTiming(np.array([0.0]), np.array([-2.0]), np.array([2e-3]))
     >>> seconds, period = timing.at(np.array([0.0, 1000.0]))
     >>> seconds, timing.lines(seconds)
     (array([-2.,  0.]), array([   0., 1000.]))

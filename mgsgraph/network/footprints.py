@@ -52,10 +52,9 @@ class Registration(Record):
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_shots
-    >>> from mgsgraph.network.footprints import crossings, footprints_in_images
-    >>> shots = read_shots(Path("gusev/ap18933l.b"))
-    >>> found = footprints_in_images([image.nominal for image in site.images], shots)
+    >>> from mgsgraph.network.footprints import crossings
+    >>> shots = mgsgraph.read_shots(Path("gusev/ap18933l.b"))
+    >>> found = mgsgraph.footprints_in_images([image.nominal for image in site.images], shots)
     >>> crossing = crossings(found)[0]
     >>> crossing.image, crossing.profile, crossing.inside, crossing.simultaneous
     ('E02-00665', '18933', 5, 4)
@@ -181,10 +180,9 @@ def footprints_in_images(
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_shots
-    >>> from mgsgraph.network.footprints import crossings, footprints_in_images
-    >>> shots = read_shots(Path("gusev/ap18933l.b"))
-    >>> found = footprints_in_images([image.nominal for image in site.images], shots)
+    >>> from mgsgraph.network.footprints import crossings
+    >>> shots = mgsgraph.read_shots(Path("gusev/ap18933l.b"))
+    >>> found = mgsgraph.footprints_in_images([image.nominal for image in site.images], shots)
     >>> crossing = crossings(found)[0]
     >>> crossing.image, crossing.profile, crossing.inside, crossing.simultaneous
     ('E02-00665', '18933', 5, 4)
@@ -231,8 +229,7 @@ def points_in_images(
 
     Examples
     --------
-    >>> from mgsgraph.network.footprints import points_in_images
-    >>> points_in_images(network.images, solution.places).sum(axis=1)
+    >>> mgsgraph.points_in_images(network.images, solution.places).sum(axis=1)
     array([28, 28])
     """
     return np.stack([

@@ -51,7 +51,7 @@ _LEAST_SIGMA = 0.02
 """m; planetary altimeters range to 0.1 m and worse."""
 
 
-def observed(
+def build_network(
     images: Mapping[str, KnownImage],
     observations: Sequence[TiePoints | LaserProfile],
     tie_sigma: float = 1.0,
@@ -74,9 +74,8 @@ def observed(
 
     Examples
     --------
-    >>> from mgsgraph.network.observations import observed
     >>> images = {image.name: mgsgraph.KnownImage(image, pair.settings.noise.prior) for image in pair.images}
-    >>> print(observed(images, [pair.ties, pair.laser], tie_sigma=0.5))
+    >>> print(mgsgraph.build_network(images, [pair.ties, pair.laser], tie_sigma=0.5))
     Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
     """
     parts = [

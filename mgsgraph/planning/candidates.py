@@ -20,12 +20,13 @@ from mgsgraph.network.joining import with_definitions
 from mgsgraph.network.parts import KnownImage, image_columns, joined, part
 from mgsgraph.planning.coverage import ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
+from mgsgraph.record import Record
 
 Kind = Literal["image", "profile", "control point", "tie point"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class Candidate(Record):
     """An image, laser profile or control point that might be observed."""
 
     name: str
@@ -198,8 +199,31 @@ def planned_profile(coverage: ImageCoverage, name: str, shots: PlannedShots) -> 
 def planned_point(
     coverage: ImageCoverage, name: str, place: Array, covariance: Array | None, sigma: float
 ) -> Candidate:
-    """A candidate control point at a place (3,) in m, body-fixed, with its covariance (3, 3) in m^2, or a tie point
-    without; measured to `sigma` px in all images that show it.
+    """A candidate control point, or a tie point, measured in all images that show it.
+
+    Parameters
+    ----------
+    coverage : ImageCoverage
+        Of the network.
+    name : str
+        One that no point of the network has.
+    place : (3,)
+        m, body-fixed.
+    covariance : (3, 3) or None
+        m^2, of a control point; None for a tie point.
+    sigma : float
+        px, of its line and sample.
+
+    Raises
+    ------
+    InputError
+        If the network has a point of this name.
+
+    Examples
+    --------
+    >>> coverage = mgsgraph.ImageCoverage(solution)
+    >>> mgsgraph.planned_point(coverage, "rim", solution.places[0], np.eye(3), sigma=0.5)
+    Candidate(control point 'rim': 2 image measures, 0 ranges)
     """
     _require_new(coverage, (name,), name)
     point, seen, places = coverage.rays(place[None], coverage.near(place[None]))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.body import Ellipsoid, geodetic, surface_radii
 from mgsgraph.geometry.footprint import Footprint, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
@@ -16,7 +17,8 @@ from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.network.footprints import visible_places
 from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, known_images
-from mgsgraph.planning.state import NetworkState, correction_of
+from mgsgraph.planning.state import NetworkState, correction_of, state_of_solution
+from mgsgraph.record import Record
 
 EDGE = 0.01
 """Share of an image's lines and samples along its edges in which nothing is planned."""
@@ -58,10 +60,28 @@ class OrientedImage:
         return self.image.pose(lines, self.correction).position
 
 
-class ImageCoverage:
-    """All images of a network and the ground under them."""
+class ImageCoverage(Record):
+    """All images of a network and the ground under them.
 
-    def __init__(self, state: NetworkState) -> None:
+    Parameters
+    ----------
+    of : Solution or NetworkState
+        With the adjusted orientation.
+
+    Raises
+    ------
+    InputError
+        If the solution has no covariance, or no point has a position.
+
+    Examples
+    --------
+    >>> coverage = mgsgraph.ImageCoverage(solution)
+    >>> list(coverage.views), coverage.image("SIM/A").image.lines
+    (['SIM/A', 'SIM/B'], 5000)
+    """
+
+    def __init__(self, of: Solution | NetworkState) -> None:
+        state = state_of_solution(of)
         network = state.network
         self.state, self.network = state, network
         self.definitions = definitions(network)
@@ -75,6 +95,9 @@ class ImageCoverage:
             )
             for j, known in enumerate(known_images(network))
         }
+
+    def __repr__(self) -> str:
+        return f"ImageCoverage({len(self.views)} images)"
 
     def _height_of(self, heights: Array, image: int) -> float:
         mine = heights[self.network.rays.point[self.network.rays.image == image]]

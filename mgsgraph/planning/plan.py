@@ -8,6 +8,7 @@ import numpy as np
 
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
@@ -16,7 +17,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
 from mgsgraph.planning.candidates import Candidate, Kind, require_candidates
-from mgsgraph.planning.state import CurrentState, NetworkState, Update, added, updated
+from mgsgraph.planning.state import CurrentState, NetworkState, Update, added, state_of_solution, updated
 from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
@@ -54,7 +55,7 @@ class Targets(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class Sigmas:
+class Sigmas(Record):
     """Sigmas of the targets in one figure each: their mean, or those of the worst one, in m."""
 
     total: float
@@ -187,7 +188,7 @@ _ALIKE = 9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class Evaluation(Record):
     """What one candidate, or several together, would do."""
 
     name: str
@@ -224,7 +225,7 @@ class Evaluation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Plan(Record):
     """Ranking of candidates, and those chosen."""
 
     name: str
@@ -298,7 +299,7 @@ class Evaluator:
 
 
 def plan(
-    state: NetworkState,
+    of: Solution | NetworkState,
     candidates: Sequence[Candidate],
     choose: int = 3,
     wanted: Sequence[str] = ("ties",),
@@ -310,7 +311,7 @@ def plan(
 
     Parameters
     ----------
-    state : NetworkState
+    of : Solution or NetworkState
         The network as it was adjusted.
     candidates : sequence of Candidate
         Each name once; their order doesn't matter.
@@ -329,7 +330,16 @@ def plan(
         No candidate, a name twice, an unknown target.
     WeakNetwork
         When the network itself is too weak.
+
+    Examples
+    --------
+    >>> coverage = mgsgraph.ImageCoverage(solution)
+    >>> rim = mgsgraph.planned_point(coverage, "rim", solution.places[0], np.eye(3), sigma=0.5)
+    >>> found = mgsgraph.plan(solution, [rim], choose=1)
+    >>> f"{found.now.total:.1f} m -> {found.after.total:.1f} m"
+    '25.3 m -> 15.3 m'
     """
+    state = state_of_solution(of)
     require_candidates("plan", [one.name for one in candidates])
     if choose < 1:
         raise InputError("plan", f"{choose} to choose", "at least 1")

@@ -81,14 +81,16 @@ def correction_of(
     return whole_correction(one, 0, there, settings.angles)
 
 
-def state_of_solution(solution: Solution) -> NetworkState:
-    """Network state of a batch solution.
+def state_of_solution(solution: Solution | NetworkState) -> NetworkState:
+    """Network state of a batch solution; a state is returned as it is.
 
     Raises
     ------
     InputError
         For a solution without a covariance: one whose points have none.
     """
+    if isinstance(solution, NetworkState):
+        return solution
     require_covariance(solution)
     there = solution.determined
     values = {unknown: one.value for unknown, one in shared_of(solution).items()}

@@ -23,7 +23,7 @@ from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, 
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
-from mgsgraph.network.observations import observed, over_terrain
+from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
 from mgsgraph.project.project import Measure, Project, all_set_aside
 from mgsgraph.project.settings import ProjectSettings
@@ -150,7 +150,7 @@ def read_addition(
     mapping = ImagesByName(store, [one.known for one in new])
     profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
     observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
-    measures = observed(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
+    measures = build_network(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
     if measures is not None:
         measures = unknown_alone(measures, store, all_set_aside(project))
     if measures is not None:

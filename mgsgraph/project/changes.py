@@ -1,7 +1,7 @@
 """The changes of a project, from its beginning on: each is one transaction of its file, noted in its history."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,6 +22,7 @@ from mgsgraph.project.addition import Addition, NewImage, images_alone, images_o
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
@@ -72,8 +73,28 @@ def add(project: Project, addition: Addition) -> Impact | None:
     return impact
 
 
-def remove(project: Project, images: Sequence[str]) -> Impact | None:
-    """Take images out with their measures, and adjust; None in a project that has never been solved."""
+def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
+    """Take images out with their measures, and adjust; None in a project that has never been solved.
+
+    Parameters
+    ----------
+    project : Project
+        Opened with `write=True`.
+    images : sequence of str
+        Names.
+
+    Raises
+    ------
+    InputError
+        If the project has no image of such a name.
+
+    Examples
+    --------
+    >>> _ = mgsgraph.create_project("fewer", case="pair/case.toml")
+    >>> with mgsgraph.open_project("fewer", write=True) as project:
+    ...     print(mgsgraph.remove_images(project, ["SIM/B"]), [change.what for change in project.changes()])
+    None ['pair/case.toml', 'SIM/B']
+    """
     store, there, images = project.store, set(project.store.image_names()), list(dict.fromkeys(images))
     for name in images:
         if name not in there:
@@ -95,8 +116,8 @@ def _closing_facts(closing: Closing | None) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SolvedProject:
-    """Result of `solve`."""
+class SolvedProject(Record):
+    """Result of `solve_project`."""
 
     solution: "Solution"
     """Batch solution of all images."""
@@ -106,12 +127,36 @@ class SolvedProject:
     """Folder of the products."""
 
 
-def solve(
+def solve_project(
     project: Project, figures: bool = True, tables: "TableForm | None" = None,
     progress: "Progress" = no_progress, device: Device | None = None,
 ) -> SolvedProject:  # fmt: skip
-    """Adjust everything by batch, compare it with the incremental result, and keep its products; `figures` and `tables`
-    as of `write_results`, the `device` that goes over the points that of the settings when absent.
+    """Adjust everything by batch, compare it with the incremental result, and keep its products.
+
+    Parameters
+    ----------
+    project : Project
+        Opened with `write=True`.
+    figures, tables
+        As of `write_results`.
+    progress : callable
+        Called with every iteration.
+    device : Device, optional
+        That goes over the points; that of the settings when absent.
+
+    Raises
+    ------
+    InputError
+        If no image of the project has a measurement.
+    WeakNetwork
+        If the measurements leave some direction of the orientation undetermined.
+
+    Examples
+    --------
+    >>> _ = mgsgraph.create_project("solved", case="pair/case.toml")
+    >>> with mgsgraph.open_project("solved", write=True) as project:
+    ...     print(mgsgraph.solve_project(project, figures=False).folder)
+    solved/solutions/0001
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.results.results import write_results
@@ -202,8 +247,36 @@ class NewProject(NamedTuple):
     """What of its case's files was left out, in sentences."""
 
 
-def begin(folder: Path, name: str, case: Path | None, settings: Path | None, stages: Stages) -> NewProject:
-    """Make a project; of a case without any measure in an image the images alone, which then wait for tie points."""
+def create_project(
+    folder: str | Path, name: str = "", case: str | Path | None = None, settings: Path | None = None,
+    stages: Stages = lambda _: nullcontext(),
+) -> NewProject:  # fmt: skip
+    """Make a project; of a case without any measure in an image the images alone, which then wait for tie points.
+
+    Parameters
+    ----------
+    folder : path
+        Absent or empty.
+    name : str
+        What to call it; the case's or the folder's name when empty.
+    case : path, optional
+        A case file: its images, measurements, terrain and settings go in.
+    settings : Path, optional
+        A file of settings alone, where there is no case.
+    stages : callable
+        Called with what is being done; gives a context.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything, or the case or the settings can't be read.
+
+    Examples
+    --------
+    >>> print(mgsgraph.create_project("kept", case="pair/case.toml").words)
+    2 images, 28 points, 56 image measures, 8 laser ranges
+    """
+    folder, case = Path(folder), None if case is None else Path(case)
     if case is None:
         called, chosen = read_settings(settings) if settings is not None else ("", ProjectSettings())
         with Project.create(folder, name or called, chosen) as project:

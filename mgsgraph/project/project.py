@@ -22,6 +22,7 @@ from mgsgraph.geometry.image import ImageTimes, LineTiming
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
+from mgsgraph.record import Record
 from mgsgraph.results.archive import unpack_parts
 
 if TYPE_CHECKING:
@@ -129,8 +130,8 @@ class SolutionRow(msgspec.Struct, frozen=True):
     """Of its products, in the project's folder."""
 
 
-class Project:
-    """An open project; made by `Project.create` and `open_project`.
+class Project(Record):
+    """An open project; made by `create_project` and `open_project`.
 
     Attributes
     ----------
@@ -398,7 +399,7 @@ class Project:
 def open_project(
     folder: str | Path, write: bool = False, kept: KeptAdjustment | None = None
 ) -> Iterator[Project]:
-    """Open a project for one change, or for reading; see `mgsgraph.project.connection.connected`.
+    """Open a project for one change, or for reading, in a `with` statement.
 
     On any exception inside, nothing has changed.
 
@@ -410,6 +411,18 @@ def open_project(
         For a change: no other process may change it meanwhile.
     kept : KeptAdjustment, optional
         The adjustment after this process' last change, for the next one.
+
+    Raises
+    ------
+    InputError
+        If there is no project, it can't be read or written, or another process is changing it.
+
+    Examples
+    --------
+    >>> _ = mgsgraph.create_project("opened", case="pair/case.toml")
+    >>> with mgsgraph.open_project("opened") as project:
+    ...     print([change.verb for change in project.changes()])
+    ['init']
     """
     path = Path(folder)
     try:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.components import Components, components_of, iterated_components
+from mgsgraph.analysis.components import Components, components, iterated_components
 from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
 from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.posterior import Posterior
@@ -182,17 +182,17 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
         text = f"No redundancy ({counts}): nothing tells whether the sigmas are realistic."
         return Section("honesty", sentences=[text], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
-    test, components, statistics = chi_square_test(fit), components_of(at), residual_statistics(at)
+    test, found, statistics = chi_square_test(fit), components(at), residual_statistics(at)
     residuals = residuals_table(statistics)
 
     record = {
         "global_test": record_of("global_test", test),
-        "components": _components_record(components),
+        "components": _components_record(found),
         "residuals": residuals.records(),
     }  # fmt: skip
     return Section(
-        "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *components.sentences], [residuals],
-        record, [components_table(components)],
+        "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *found.sentences], [residuals],
+        record, [components_table(found)],
         sheets=drawn("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
     )  # fmt: skip
 

@@ -3,7 +3,7 @@ more than was unknown; and where sigmas became smaller or larger.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
+from mgsgraph.record import Record
 from mgsgraph.results.results import figures_of_merit
 from mgsgraph.results.section import Section, columns_of, drawn, table_of
 from mgsgraph.results.soundness import state_of
@@ -40,7 +41,7 @@ _SAME_SIGMA = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(Record):
     """What is said about two solutions."""
 
     name: str
@@ -50,6 +51,11 @@ class Comparison:
     points: CommonPoints
     """The ground points that both have."""
 
+    @property
+    def sentences(self) -> Sequence[str]:
+        """What differs, in sentences."""
+        return self.section.sentences
+
 
 def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("earlier", "this one")) -> Comparison:
     """Compare two solutions by the names of their images and points.
@@ -57,7 +63,7 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     Parameters
     ----------
     solution, earlier : Solution
-        Differences are the first minus the second.
+        Differences are the first minus the second, in m and rad.
     labels : (str, str)
         What the earlier and the later one are called in sentences and headings.
 
@@ -65,6 +71,13 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     ------
     InputError
         If they have no image in common, or one of them with other pixels.
+
+    Examples
+    --------
+    >>> without = mgsgraph.adjust(mgsgraph.read_case("pair/case.toml", laser=False))
+    >>> comparison = mgsgraph.compare(solution, without, ("without laser", "with laser"))
+    >>> print(comparison.sentences[1])
+    The orientation of 2 common images differs by at most 2.1 sigmas (SIM/B).
     """
     shared, points = common_images(solution, earlier), CommonPoints(solution, earlier)
     images, moved, sigmas = _images(solution, earlier, shared), _points(points), _sigmas(points, labels)

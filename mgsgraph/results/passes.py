@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.separability import separations
-from mgsgraph.analysis.statistics import strip_reports
+from mgsgraph.analysis.statistics import pass_reports
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
@@ -26,7 +26,7 @@ _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 def passes_table(solution: Solution) -> Table:
     """One row per pass."""
-    found = strip_reports(solution)
+    found = pass_reports(solution)
     largest, sigmas = numbers(found, "largest").reshape(-1, 6), numbers(found, "mean_sigmas").reshape(-1, 6)
     return table_of("passes", {
         "number": np.array([len(one.images) for one in found]), "largest_correction": largest[:, :3],
@@ -43,7 +43,7 @@ def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[s
 
 def nodes_table(solution: Solution) -> Table:
     """One row per node within a pass: its time, and corrections with sigmas in m, mgon and arcsec."""
-    found = [(one.name, one.corrections) for one in strip_reports(solution)]
+    found = [(one.name, one.corrections) for one in pass_reports(solution)]
     times = np.concatenate([series.times for _, series in found])
 
     def amounts(part: str) -> dict[str, Array]:

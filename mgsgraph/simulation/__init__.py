@@ -15,6 +15,39 @@ What all of them are made of:
 * `files`: all of it written. The formats are in `mgs_files`, `mola_files`, `spice_files`, `case_files`; labels and text
   kernels lie in ``data``, with places for values.
 
+Names of the package itself, imported on first use: the settings and functions in `_HOME`.
+
 Networks drawn anew and archives to fetch from serve tests and scripts alone: `tests/redraw.py`,
 `tests/flaky_archive.py`.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mgsgraph.simulation.files import write_pair as write_pair
+    from mgsgraph.simulation.files import write_site as write_site
+    from mgsgraph.simulation.hrsc_block import BlockSettings as BlockSettings
+    from mgsgraph.simulation.hrsc_block import simulate_hrsc_block as simulate_hrsc_block
+    from mgsgraph.simulation.pair import PairSettings as PairSettings
+    from mgsgraph.simulation.pair import simulate_pair as simulate_pair
+    from mgsgraph.simulation.site import SimulationOptions as SimulationOptions
+    from mgsgraph.simulation.site import simulate_site as simulate_site
+    from mgsgraph.simulation.strip import StripSettings as StripSettings
+    from mgsgraph.simulation.strip import simulate_strip as simulate_strip
+
+_HOME = {
+    "files": ("write_pair", "write_site"),
+    "hrsc_block": ("BlockSettings", "simulate_hrsc_block"),
+    "pair": ("PairSettings", "simulate_pair"),
+    "site": ("SimulationOptions", "simulate_site"),
+    "strip": ("StripSettings", "simulate_strip"),
+}
+__all__ = sorted(name for names in _HOME.values() for name in names)
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOME.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

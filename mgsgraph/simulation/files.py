@@ -74,7 +74,14 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
 
 
 def write_pair(pair: SimulatedPair, folder: Path) -> Path:
-    """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``."""
+    """Write a simulated pair, its case file and its truth; returns the path of ``case.toml``.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import write_pair
+    >>> print(write_pair(pair, Path("another")))
+    another/case.toml
+    """
     texts = _campaign(pair, "simulated pair", (pair.laser,), (pair.true_footprints,))
     write_texts(folder, texts | {"network.pvl": tie_network_text(pair.ties)})
     return folder / "case.toml"
@@ -140,7 +147,7 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
 
     Examples
     --------
-    >>> from mgsgraph.simulation.files import write_site
+    >>> from mgsgraph.simulation import write_site
     >>> write_site(site, Path("gusev-as-published"), weighting="papers").name
     'case_papers.toml'
     """

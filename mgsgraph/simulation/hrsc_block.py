@@ -88,7 +88,14 @@ class TrajectoryErrors(Record):
 
 @dataclass(frozen=True, slots=True)
 class BlockSettings(Record):
-    """What block to simulate."""
+    """What block to simulate.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import BlockSettings
+    >>> BlockSettings(strips=2).length  # m
+    600000.0
+    """
 
     strips: int = 4
     """Number of strips."""
@@ -178,7 +185,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
 
     Examples
     --------
-    >>> from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
+    >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
     >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=60e3, points=30, terrain=None), seed=1)
     >>> print(block.network)
     Network(10 images, 30 points (30 tie), 149 rays, 0 ranges)

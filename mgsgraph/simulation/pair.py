@@ -47,7 +47,7 @@ class PairSettings(Record):
 
     Examples
     --------
-    >>> from mgsgraph.simulation.pair import PairSettings
+    >>> from mgsgraph.simulation import PairSettings
     >>> settings = PairSettings(lines=3000, off_nadir=np.radians(15.0), ties=40)
     >>> settings.lines, settings.samples
     (3000, 1024)
@@ -137,7 +137,7 @@ def simulate_pair(
 
     Examples
     --------
-    >>> from mgsgraph.simulation.pair import PairSettings, simulate_pair
+    >>> from mgsgraph.simulation import PairSettings, simulate_pair
     >>> print(simulate_pair(PairSettings(ties=5, shots=3), seed=2))
     SimulatedPair(SIM/A, SIM/B; TiePoints(5 points (5 free), 10 measures, from simulated pair); LaserProfile(3
     shots, 6 image measures, from simulated pair); seed 2)

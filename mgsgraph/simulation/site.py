@@ -118,7 +118,14 @@ _CLOUD = (300.0, 3000.0)
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions(Record):
-    """What may differ from the published site."""
+    """What may differ from the published site.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import SimulationOptions
+    >>> SimulationOptions(pictures=False).tie_noise  # px
+    1.0
+    """
 
     errors: Errors = "drawn"
     """Of the kernels; published ones are for the reproduction of the papers' tables, and the same for each seed."""
@@ -241,7 +248,7 @@ def simulate_site(
 
     Examples
     --------
-    >>> from mgsgraph.simulation.site import SimulationOptions, simulate_site
+    >>> from mgsgraph.simulation import SimulationOptions, simulate_site
     >>> simulated = simulate_site("gusev", seed=2, options=SimulationOptions(pictures=False))
     >>> print(simulated)
     SimulatedSite(Gusev Crater: E02-00665, E02-01453; TiePoints(154 points (154 free), 308 measures, from simulated

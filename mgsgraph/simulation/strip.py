@@ -286,7 +286,14 @@ _LONGEST = 100.0 * DEG
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StripSettings(PairSettings):
-    """What strip to simulate: pairs with these settings, one after the other; shots are those of each nadir image."""
+    """What strip to simulate: pairs with these settings, one after the other; shots are those of each nadir image.
+
+    Examples
+    --------
+    >>> from mgsgraph.simulation import StripSettings
+    >>> StripSettings(images=4).overlap
+    0.4
+    """
 
     images: int = 40
     """Number of images, 2 to 500; an odd number leaves the last nadir image without its partner."""
@@ -390,7 +397,7 @@ def simulate_strip(settings: StripSettings | None = None, seed: int = 1) -> Simu
 
     Examples
     --------
-    >>> from mgsgraph.simulation.strip import StripSettings, simulate_strip
+    >>> from mgsgraph.simulation import StripSettings, simulate_strip
     >>> strip = simulate_strip(StripSettings(images=3, ties=10), seed=1)
     >>> [image.name for image in strip.images]
     ['STRIP/000N', 'STRIP/001X', 'STRIP/002N']

@@ -32,6 +32,7 @@ from mgsgraph.matching.chips import (
     stretched,
 )
 from mgsgraph.matching.scene import Pixels
+from mgsgraph.record import Record
 from mgsgraph.studio.verdicts import Verdict, Verdicts, network_digest, require_verdicts_of
 from mgsgraph.text import listed, many, some
 from mgsgraph.units import ISIS_OFFSET
@@ -50,7 +51,7 @@ _KEPT = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchReview:
+class MatchReview(Record):
     """Tie points to be reviewed, and what tells whether they are right."""
 
     name: str
@@ -184,6 +185,13 @@ def review_matches(
     InputError
         Without points, for an id that isn't there, for a measure outside its image, when the solution is that of other
         measures.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).integers(0, 256, (2, 5000, 1024), dtype=np.uint8)  # in place of pixels
+    >>> review = mgsgraph.review_matches(pair.images, pair.ties, lambda number: noise[number], worst=5)
+    >>> review.choice.split(":")[0]
+    '5 of 20 tie points'
     """
     if not len(ties.ids):
         raise InputError(ties.source, "no tie point", "at least one")
@@ -296,9 +304,29 @@ def require_page(path: Path) -> None:
 
 
 def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = None) -> None:
-    """Write the page to an HTML file; an earlier review is replaced. InputError if it can't be written.
+    """Write the page to an HTML file; an earlier review is replaced.
 
-    The page begins with earlier verdicts; of points that it doesn't show they are kept in what it saves.
+    Parameters
+    ----------
+    review : MatchReview
+        Of `review_matches`.
+    path : Path
+        The file.
+    verdicts : Verdicts, optional
+        With which the page begins; of points that it doesn't show they are kept in what it saves.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).integers(0, 256, (2, 5000, 1024), dtype=np.uint8)  # in place of pixels
+    >>> review = mgsgraph.review_matches(pair.images, pair.ties, lambda number: noise[number], worst=5)
+    >>> mgsgraph.write_review(review, Path("review.html"))
+    >>> Path("review.html").exists()
+    True
     """
     known = {} if verdicts is None else verdicts.of
     notes = {} if verdicts is None else verdicts.notes

@@ -31,6 +31,7 @@ from mgsgraph.files.networks.table import is_table, read_whole, table_text
 from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.writing import require_free, write_file
+from mgsgraph.record import Record
 from mgsgraph.text import some
 
 COLUMNS = ("id", "verdict", "note")
@@ -50,7 +51,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Verdicts:
+class Verdicts(Record):
     """Verdicts about some points of a network."""
 
     source: str
@@ -81,7 +82,7 @@ def network_digest(ties: TiePoints) -> str:
 
 
 def read_verdicts(path: str | Path) -> Verdicts:
-    """Read verdicts that the review page (or a person) has written.
+    r"""Read verdicts that the review page (or a person) has written.
 
     Parameters
     ----------
@@ -93,6 +94,12 @@ def read_verdicts(path: str | Path) -> Verdicts:
     InputError
         With the line: no such file or no CSV, another header, another verdict, an id twice or none, a row of another
         length.
+
+    Examples
+    --------
+    >>> _ = Path("verdicts.csv").write_text("id,verdict\nTIE00001,reject\n")
+    >>> mgsgraph.read_verdicts("verdicts.csv").rejected
+    frozenset({'TIE00001'})
     """
     path = Path(path)
     head, body, first = _parted(read_text(path))
@@ -219,12 +226,18 @@ def _write(network: ControlNetwork, out: Path, form: Format) -> None:
 
 
 def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
-    """The points without the rejected ones.
+    r"""The points without the rejected ones.
 
     Raises
     ------
     InputError
         If the verdicts are about another network, or reject all of this one.
+
+    Examples
+    --------
+    >>> _ = Path("verdicts.csv").write_text("id,verdict\nTIE00001,reject\n")
+    >>> len(pair.ties.ids), len(mgsgraph.apply_verdicts(pair.ties, mgsgraph.read_verdicts("verdicts.csv")).ids)
+    (20, 19)
     """
     rejected = _rejected(ties, verdicts)
     return ties.chosen(np.array([i for i, name in enumerate(ties.ids) if name not in rejected], dtype=np.int64))

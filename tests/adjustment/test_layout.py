@@ -34,7 +34,7 @@ from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.kernel.rows import BEHIND, FIXED, FREE, OUT, PRIOR
 from mgsgraph.names import Names
 from mgsgraph.network import Network, Ranges
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parallel import nearly_parallel, parallel
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -73,7 +73,7 @@ def test_points_of_parallel_rays_stay_out_unless_something_else_places_them() ->
         measures=np.repeat(places, 2, axis=0), measure_sigmas=np.ones((2 * n, 2)),
     )  # fmt: skip
     prior = drawn.settings.noise.prior
-    net = observed({one.name: KnownImage(one, prior), "twin": KnownImage(twin, prior)}, [ties])
+    net = build_network({one.name: KnownImage(one, prior), "twin": KnownImage(twin, prior)}, [ties])
     assert net is not None
     made = lay_out(net, SolverSettings())
     assert np.all(made.rows.kind == OUT)
@@ -85,7 +85,7 @@ def test_points_of_parallel_rays_stay_out_unless_something_else_places_them() ->
     both = {image.name: KnownImage(image, prior) for image in drawn.images}
     apart = replace(apart, measures=np.stack(
         [places, drawn.images[1].ground_to_image(drawn.true_ties)[0]], axis=1).reshape(-1, 2))  # fmt: skip
-    stereo = observed(both, [apart])
+    stereo = build_network(both, [apart])
     assert stereo is not None
     assert not np.any(lay_out(stereo, SolverSettings()).rows.kind == OUT)
 
@@ -109,7 +109,7 @@ def test_points_whose_nearly_parallel_rays_part_stay_out() -> None:
         measures=np.vstack([drawn.ties.measures, odd]), measure_sigmas=np.ones((drawn.ties.measures.shape[0] + 4, 2)),
     )  # fmt: skip
     prior = drawn.settings.noise.prior
-    net = observed({image.name: KnownImage(image, prior) for image in (one, other, twin)}, [ties])
+    net = build_network({image.name: KnownImage(image, prior) for image in (one, other, twin)}, [ties])
     assert net is not None
     assert nearly_parallel(net, np.array([n + 1, 0, n])).tolist() == [True, False, True]
     layout = lay_out(net, SolverSettings())

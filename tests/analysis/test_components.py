@@ -19,7 +19,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (
     Judgement,
-    components_of,
+    components,
     iterated_components,
     judge_groups,
 )
@@ -206,7 +206,7 @@ def test_planted_factors_are_found_within_their_uncertainty(truth: dict[str, flo
         assert abs(one.deviation(factor)) < 2.6
         assert one.sigma < 0.25 * one.factor
         assert one.consistent is bool(factor == 1.0), one.sentence
-    again = components_of(found.solution)
+    again = components(found.solution)
     for one in again.groups[:4]:
         assert one.factor == pytest.approx(1.0, abs=0.011)
     ratio = found.network.rays.sigmas[0, 0] / net.rays.sigmas[0, 0]
@@ -304,10 +304,10 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     expected = 1.0 + np.linalg.solve(part, (squares - found.redundancy)[judged])
     assert expected[0] < 0.0
     monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, squares=squares))
-    components = components_of(solution).groups
-    assert [components[k].negative for k in judged] == (expected <= 0.0).tolist()
-    assert components[g].factor == pytest.approx(components[g].foerstner) == pytest.approx(0.1)
-    assert "negative" in components[g].sentence
+    groups = components(solution).groups
+    assert [groups[k].negative for k in judged] == (expected <= 0.0).tolist()
+    assert groups[g].factor == pytest.approx(groups[g].foerstner) == pytest.approx(0.1)
+    assert "negative" in groups[g].sentence
 
 
 # --- data snooping: planted blunders go, good measures stay, what is inseparable goes together
@@ -365,7 +365,7 @@ def test_known_blunders_stay_out_of_honest_sigmas() -> None:
     assert rays is not None and ranges is not None and np.any(rays)  # noqa: PT018
     marked = planted().with_rejected(rays, ranges, solution.stereo_rejected)
     settings = SolverSettings()
-    one = components_of(at_values(marked, settings, solution.values, solution.places))
+    one = components(at_values(marked, settings, solution.values, solution.places))
     first = iterated_components(marked, settings, most=1)
     assert not np.any(first.solution.rays_used & rays)
     assert not np.any(first.solution.ranges_used & ranges)

@@ -25,7 +25,7 @@ from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlPoint
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.network import Network, PointClass
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import known_images
 from mgsgraph.project.campaign import checksums
 from mgsgraph.project.settings import settings_of_case
@@ -327,7 +327,7 @@ def test_lidar_data_in_other_units(case_file: Path, shots: slice, key: str, fact
     images = {one.image.name: one for one in known_images(mgsgraph.read_case(case_file, laser=False).network)}
     if key != "radius":  # whose body the project knows, not this function
         with pytest.raises(InputError, match=said):
-            observed(images, [read_lidar(path)])
+            build_network(images, [read_lidar(path)])
 
 
 def test_two_groups_of_shots(case_file: Path) -> None:

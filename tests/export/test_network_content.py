@@ -2,7 +2,6 @@
 
 import json
 import re
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from mgsgraph.export.solution_export import ExportSettings, export_solution
 from mgsgraph.files.networks.binary import read_network
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import AprioriSource, ControlMeasure, ControlNetwork, ControlPoint, MeasureType
-from mgsgraph.project.changes import begin, solve
+from mgsgraph.project.changes import create_project, solve_project
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import results_of
 from mgsgraph.results.results import write_results
@@ -141,10 +140,10 @@ def test_a_network_that_is_gone_or_changed_is_missed(results: Path, case: Case, 
 
 
 def test_a_project_remembers_its_networks(case: Case, tmp_path: Path) -> None:
-    begin(tmp_path / "project", "p", case.path, None, lambda _: nullcontext())
+    create_project(tmp_path / "project", "p", case.path)
     with open_project(tmp_path / "project", write=True) as project:
         assert project.networks == (case.networks[0].resolve(),)
-        solve(project, figures=False)
+        solve_project(project, figures=False)
     done = export_solution(results_of(tmp_path / "project").folder, "isis", tmp_path / "out")
 
     assert str(case.networks[0]) in done.notes[0]

@@ -20,7 +20,7 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.network import GroundPoints, Network, PointClass, Ranges, SharedKind, Surface
-from mgsgraph.network.observations import TerrainModel, observed, posts_of, with_posts
+from mgsgraph.network.observations import TerrainModel, build_network, posts_of, with_posts
 from mgsgraph.network.parts import (
     KnownImage,
     Unknown,
@@ -293,7 +293,7 @@ def test_observations_become_the_network_that_a_case_makes() -> None:
     """Against the network that the tests' own module puts together row by row."""
     drawn, noise = pair(), pair().settings.noise
     images_by_name = {image.name: KnownImage(image, noise.prior) for image in drawn.images}
-    found = observed(images_by_name, [drawn.ties, drawn.laser], noise.tie, noise.shot_image)
+    found = build_network(images_by_name, [drawn.ties, drawn.laser], noise.tie, noise.shot_image)
     assert found is not None
     assert rows(found) == rows(network(drawn))
 
@@ -304,8 +304,8 @@ def test_no_measures_are_no_network() -> None:
         drawn.ties, measure_point=np.zeros(0, dtype=int), measure_image=(), measures=np.zeros((0, 2)),
         measure_sigmas=np.zeros((0, 2)),
     )  # fmt: skip
-    assert observed({}, [none]) is None
-    assert observed({}, []) is None
+    assert build_network({}, [none]) is None
+    assert build_network({}, []) is None
 
 
 def test_stated_sigmas_count_and_absent_ones_are_the_default() -> None:
@@ -313,7 +313,7 @@ def test_stated_sigmas_count_and_absent_ones_are_the_default() -> None:
     known = {image.name: KnownImage(image, drawn.settings.noise.prior) for image in drawn.images}
     sigmas = np.full_like(drawn.ties.measures, np.nan)
     sigmas[0] = 0.25
-    found = observed(known, [replace(drawn.ties, measure_sigmas=sigmas)], tie_sigma=3.0)
+    found = build_network(known, [replace(drawn.ties, measure_sigmas=sigmas)], tie_sigma=3.0)
     assert found is not None
     assert found.rays.sigmas[0].tolist() == [0.25, 0.25]
     assert np.all(found.rays.sigmas[1:] == 3.0)

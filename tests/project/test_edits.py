@@ -28,11 +28,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
 from mgsgraph.project.addition import Addition, NewImage, unknown_alone
-from mgsgraph.project.changes import put_in, remove, solve
+from mgsgraph.project.changes import put_in, remove_images, solve_project
 from mgsgraph.project.project import (
     KeptAdjustment,
     Measure,
@@ -97,7 +97,7 @@ def expected_network(ties: Ties) -> Network:
     )  # fmt: skip
     made = fan(IMAGES)
     images = {image.name: KnownImage(image, NOISE.prior) for image in made.images}
-    network = observed(images, [all_ties, *made.lasers], NOISE.tie, NOISE.shot_image)
+    network = build_network(images, [all_ties, *made.lasers], NOISE.tie, NOISE.shot_image)
     assert network is not None
     return network
 
@@ -276,7 +276,7 @@ def test_edits_end_at_batch_of_the_edited_network(
     with open_project(folder, write=True) as project:
         found = distances(adjusted(project), batch)
         assert found.within(), f"{done}: {found}"
-        solution = solve(project, figures=False).solution
+        solution = solve_project(project, figures=False).solution
         assert solution.cost_final == pytest.approx(batch.cost_final, rel=1e-9)
         assert solution.network.rays.point.size == sum(len(tie.measures) for tie in editor.ties.values()) + int(
             np.count_nonzero(batch.network.points.classes[batch.network.rays.point] == PointClass.LASER)
@@ -338,11 +338,11 @@ def test_an_edit_of_what_has_been_changed_since_is_not_undone(folder: Path) -> N
     first, second, *_ = _ties()[name].measures
     with open_project(folder, write=True) as project:
         edits.reject(project, name, first)
-        remove(project, [second])
+        remove_images(project, [second])
         with pytest.raises(InputError, match=r"(changed|removed) since"):
             edits.undo(project)
     with open_project(folder, write=True) as project:
-        remove(project, [first])
+        remove_images(project, [first])
         assert all_set_aside(project) == {}  # gone with its image
 
 
@@ -436,7 +436,7 @@ def test_a_project_that_was_never_solved_takes_changes(tmp_path: Path) -> None:
         put_in(project.store, Addition(tuple(new), expected_network(_ties())))
     with open_project(tmp_path / "new", write=True) as project:
         assert edits.move(project, name, image, line + 0.5, sample).impact is None
-        solve(project, figures=False)
+        solve_project(project, figures=False)
         state = edits.point_state(project, name)
     assert state is not None
     moved = state.of(image)

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.spacing import respaced
-from mgsgraph.analysis.statistics import node_times, strip_corrections, strip_reports
+from mgsgraph.analysis.statistics import node_times, pass_reports, strip_corrections
 from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners, two_step_statistics
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import evenly_spaced
@@ -90,7 +90,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
 
 
 def test_report(solution: Solution) -> None:
-    one, image = strip_reports(solution)[0], solution.network.images[2]
+    one, image = pass_reports(solution)[0], solution.network.images[2]
     start, stop = seconds(image)
     assert (one.name, one.images[2], one.nodes) == ("HRSC/00", "HRSC/00/ND", len(solution.network.passes[0].nodes))
     assert one.spacing == pytest.approx(np.diff(solution.network.passes[0].nodes.times)[0])

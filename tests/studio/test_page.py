@@ -21,7 +21,7 @@ from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.parts import KnownImage, image_columns
 from mgsgraph.project.addition import Addition, NewImage
-from mgsgraph.project.changes import put_in, solve
+from mgsgraph.project.changes import put_in, solve_project
 from mgsgraph.project.edits import measure, point_state
 from mgsgraph.project.project import Measure, Project, open_project
 from mgsgraph.project.settings import ProjectSettings
@@ -307,7 +307,7 @@ def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, t
             made.take_picture(one.known.image.name, one.picture)
         made.record("init", "the MOC pair", {})
     with open_project(project, write=True) as opened:
-        solve(opened, figures=False)
+        solve_project(opened, figures=False)
     given = {name: (local[k], ties.m01[k]) for k, name in enumerate(ties.names) if inside[k]}
     return project, given
 

@@ -33,6 +33,7 @@ from mgsgraph.adjustment.cluster.workers import (
 )
 from mgsgraph.atomic_write import scratch
 from mgsgraph.errors import InputError, SolverError
+from mgsgraph.record import Record
 
 TIMEOUT = 10.0
 """s after which a scheduler that doesn't answer, or has no worker, is given up."""
@@ -60,7 +61,7 @@ class Lost:
     """Why, in words."""
 
 
-class Connection:
+class Connection(Record):
     """An open cluster; made by `open_cluster`."""
 
     def __init__(self, client: Any, where: str, timeout: float) -> None:
@@ -68,6 +69,9 @@ class Connection:
         self.where = where
         self._timeout = timeout
         self._limit = min((worker.memory_limit for worker in self.workers), default=0)
+
+    def __repr__(self) -> str:
+        return f"Connection({self.where!r})"
 
     @property
     def workers(self) -> tuple[Worker, ...]:
@@ -241,7 +245,7 @@ def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -
     ----------
     text : str
         ``local``, ``local:N``, ``tcp://host:port`` or ``tls://host:port``.
-    patience : float
+    timeout : float
         s to wait for a scheduler and its workers.
     most : int, optional
         Workers of our own beyond this number would have nothing to do, and are not started.
@@ -254,6 +258,12 @@ def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -
     ------
     InputError
         A place that can't be understood or reached, dask not installed, or a worker without what the work needs.
+
+    Examples
+    --------
+    >>> with mgsgraph.open_cluster("local:1") as cluster:
+    ...     print(mgsgraph.adjust_network(network, mgsgraph.SolverSettings(), cluster=cluster).converged)
+    True
     """
     place = parse_cluster(text)
     if place.local and most is not None:

@@ -40,7 +40,7 @@ from mgsgraph.names import number_of
 from mgsgraph.network import Network
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.joining import Definitions, definitions, with_definitions
-from mgsgraph.network.observations import observed
+from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import (
     KnownImage,
     Members,
@@ -222,7 +222,7 @@ class IncrementalAdjustment(Record):
             return self._added(more, with_images(with_definitions(images, Definitions()), known), brought)
         new = self._new_images(images, prior)
         every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
-        addition = observed(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
+        addition = build_network(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
         return self._added(new, addition, brought)
 
     def remove(self, *images: str | int) -> Impact:

@@ -286,8 +286,7 @@ def read_shots(
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_shots
-    >>> shots = read_shots(Path("gusev/ap18933l.b"))
+    >>> shots = mgsgraph.read_shots(Path("gusev/ap18933l.b"))
     >>> print(shots)
     AltimeterShots(MOLA: 280 shots, 272 on the ground, 1 orbits)
     """
@@ -363,9 +362,8 @@ def read_altimetry_cloud(
 
     Examples
     --------
-    >>> from mgsgraph.files.altimetry.shots import read_altimetry_cloud
     >>> _ = Path("cloud.csv").write_text("longitude_deg,latitude_deg,height_m,id,profile\n87.1,4.2,-3700.0,1,9000\n")
-    >>> print(read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
+    >>> print(mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
     AltimetryCloud(1 shots, 1 profiles, from cloud.csv)
     """
     found = _shots_or_table(path, version=version)

@@ -15,9 +15,26 @@ from mgsgraph.results.figures.residuals import residual_sheets
 from mgsgraph.results.figures.sheet import Sheet, save
 
 
-def solution_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[tuple[str, Sheet]]:
-    """Sheets of an adjustment, each with the section of the report page that it belongs to, in the page's order:
-    orientation (passes first), residuals, map and connectivity; `connected`, of the solution, saves finding it anew.
+def draw_figures(solution: Solution, connected: Connectivity | None = None) -> Iterator[tuple[str, Sheet]]:
+    """Figures of an adjustment in the order of the report page: orientation (passes first), residuals, map.
+
+    Parameters
+    ----------
+    solution : Solution
+    connected : Connectivity, optional
+        Of the solution; saves finding it anew.
+
+    Yields
+    ------
+    tuple of str and Sheet
+        The section of the page, and the figure: `sheet.figure` is matplotlib's, `sheet.title` and `sheet.caption` say
+        what is drawn.
+
+    Examples
+    --------
+    >>> section, sheet = next(mgsgraph.draw_figures(solution))
+    >>> section, sheet.name
+    ('orientation', 'orientation')
     """
     for section, sheets in (
         ("orientation", orientation_sheets(solution)), ("residuals", residual_sheets(solution)),
@@ -28,4 +45,4 @@ def solution_sheets(solution: Solution, connected: Connectivity | None = None) -
 
 def write_figures(solution: Solution, folder: Path, connected: Connectivity | None = None) -> list[str]:
     """Draw an adjustment into a folder, which is made where it does not exist; returns the names of the files."""
-    return save((sheet for _, sheet in solution_sheets(solution, connected)), folder)
+    return save((sheet for _, sheet in draw_figures(solution, connected)), folder)

@@ -9,7 +9,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import CommonPoints
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.registration.case import CaseRegistration
-from mgsgraph.results.figures import solution_sheets
+from mgsgraph.results.figures import draw_figures
 from mgsgraph.results.figures.map import comparison_sheet
 from mgsgraph.results.figures.registration import discrepancy_sheets, overlay_sheets
 from mgsgraph.results.figures.sheet import (
@@ -58,8 +58,8 @@ def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
 
 
 def solution_figures(solution: Solution, connected: Connectivity) -> list[tuple[str, Picture]]:
-    """`figures.solution_sheets` as pictures, each with its section of the page."""
-    return [(section, drawn([sheet])[0]) for section, sheet in solution_sheets(solution, connected)]
+    """`figures.draw_figures` as pictures, each with its section of the page."""
+    return [(section, drawn([sheet])[0]) for section, sheet in draw_figures(solution, connected)]
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:

@@ -30,6 +30,7 @@ from PIL import Image
 from mgsgraph.analysis.statistics import SHARE, counts
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
+from mgsgraph.record import Record
 
 MOST_SHEETS = 4
 """Sheets of one kind that are drawn; the tables have the rest."""
@@ -90,7 +91,7 @@ def plain_style() -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sheet:
+class Sheet(Record):
     """One drawn figure and its words."""
 
     name: str

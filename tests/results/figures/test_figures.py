@@ -23,7 +23,7 @@ from mgsgraph.geometry.body import centre_of, from_planetocentric, plane_coordin
 from mgsgraph.geometry.footprint import footprint
 from mgsgraph.geometry.records import thinned
 from mgsgraph.network import PointClass
-from mgsgraph.results.figures import solution_sheets, write_figures
+from mgsgraph.results.figures import draw_figures, write_figures
 from mgsgraph.results.figures.connectivity import adjacency
 from mgsgraph.results.figures.map import MapWindow, cell_medians, window_sheet
 from mgsgraph.results.figures.orientation import components, image_curve
@@ -34,7 +34,7 @@ from mgsgraph.units import ARCSEC, KM
 
 def captions(solution: Solution) -> dict[str, str]:
     """Of all sheets, by their names."""
-    return {sheet.name: sheet.caption for _, sheet in solution_sheets(solution)}
+    return {sheet.name: sheet.caption for _, sheet in draw_figures(solution)}
 
 
 def test_orientation_components_are_the_coefficients(pair_solution: Solution) -> None:
