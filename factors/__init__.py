@@ -36,7 +36,6 @@ _HOME = {
     "ground_prior": "ground",
     "laser_range": "ranging",
     "linear_prior": "priors",
-    "measurement_factor": "measurement",
     "orientation_polynomial": "effects",
     "orientation_prior": "priors",
     "OrientationImagesEffect": "effects",

@@ -42,7 +42,15 @@ class Effect(Protocol):
 
 
 class PolynomialEffect(NamedTuple):
-    """Coefficients of a polynomial of the normalized line u, from -1 at the first line to 1 at the last."""
+    """Coefficients of a polynomial of the normalized line u, from -1 at the first line to 1 at the last.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> drift = np.zeros((2, 13, 1))
+    >>> drift[1, 4, 0] = 1.0  # of pitch, rad, in proportion to u
+    >>> shared = [mgsgraph.factors.PolynomialEffect((U(5),), drift, 5000.0)]
+    """
 
     keys: tuple[int, ...]
     """One GTSAM key."""
@@ -70,6 +78,12 @@ class PolynomialEffect(NamedTuple):
 def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEffect:
     """The polynomial EO correction of one image: 6 (degree + 1) numbers, six of u^0 first: m body-fixed, rad about the
     camera's axes (Yoon & Shan 2005, Eq. 2).
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import X
+    >>> mgsgraph.factors.orientation_polynomial(X(0), 2, 5000.0).widths
+    (18,)
     """
     terms = degree + 1
     coefficients = np.zeros((terms, STATE, 6 * terms))
@@ -78,37 +92,72 @@ def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEff
 
 
 def constant(key: int, rows: slice, matrix: Array) -> PolynomialEffect:
-    """What doesn't change along an image: a matrix (rows, columns) for some numbers of the state."""
+    """What doesn't change along an image: a matrix (rows, columns) for some numbers of the state.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> lever_arm = mgsgraph.factors.constant(U(4), slice(0, 3), np.eye(3))  # m, body-fixed
+    """
     coefficients = np.zeros((1, STATE, matrix.shape[1]))
     coefficients[0, rows] = matrix
     return PolynomialEffect((key,), coefficients)
 
 
 def profile_shift(key: int, position: Array) -> PolynomialEffect:
-    """Shift of a laser profile as a whole, 2 numbers: m east and m north, of its shot at a position (3,), m."""
+    """Shift of a laser profile as a whole, 2 numbers: m east and m north, of its shot at a position (3,), m.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import S
+    >>> moved = [mgsgraph.factors.profile_shift(S(0), solution.places[-1])]
+    """
     east = np.array([-position[1], position[0], 0.0]) / np.hypot(*position[:2])
     north = np.cross(position / np.linalg.norm(position), east)
     return constant(key, POSITION, np.column_stack([east, north]))
 
 
 def boresight(key: int) -> PolynomialEffect:
-    """Rotation of a camera against its spacecraft, 3 numbers: rad about the camera's axes."""
+    """Rotation of a camera against its spacecraft, 3 numbers: rad about the camera's axes.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> shared = [mgsgraph.factors.boresight(U(0))]
+    """
     return constant(key, ATTITUDE, np.eye(3))
 
 
 def focal_length(key: int) -> PolynomialEffect:
-    """Error of the focal length, 1 number: m, positive when the true one is longer."""
+    """Error of the focal length, 1 number: m, positive when the true one is longer.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> shared = [mgsgraph.factors.focal_length(U(1))]
+    """
     return constant(key, LOOK, np.array([[0.0], [0.0], [1.0]]))
 
 
 def range_bias(key: int) -> PolynomialEffect:
-    """What all ranges of an altimeter are too long, 1 number: m."""
+    """What all ranges of an altimeter are too long, 1 number: m.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> shared = [mgsgraph.factors.range_bias(U(2))]
+    """
     return constant(key, RANGE, np.ones((1, 1)))
 
 
 def time_bias(key: int, image: PushbroomImage, period: float) -> PolynomialEffect:
     """What the times of an image are too early, 1 number: s; `period` is of a line, s. The camera is then as far along
     its trajectory, body-fixed, as it flies in that time: a polynomial of second degree of the line.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import U
+    >>> shared = [mgsgraph.factors.time_bias(U(3), network.images[0], 0.0005)]
     """
     pose = image.pose(np.array([0.0, 0.5, 1.0]) * image.lines)
     rates = np.hstack([pose.velocity, pose.angular_rate]) / period
@@ -118,7 +167,15 @@ def time_bias(key: int, image: PushbroomImage, period: float) -> PolynomialEffec
 
 
 class OrientationImagesEffect(NamedTuple):
-    """Orientation images of a pass: corrections of the pose at several times, with weights along the line."""
+    """Orientation images of a pass: corrections of the pose at several times, with weights along the line.
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import N
+    >>> linear = lambda line: (np.array([1.0 - line / 5000.0, line / 5000.0]), np.array([-1.0, 1.0]) / 5000.0)
+    >>> mgsgraph.factors.OrientationImagesEffect((N(0), N(1)), linear).widths
+    (6, 6)
+    """
 
     keys: tuple[int, ...]
     """Of each, 6 numbers: m body-fixed, rad about the camera's axes."""

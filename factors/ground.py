@@ -79,7 +79,7 @@ def ground_prior(
     Examples
     --------
     >>> from gtsam.symbol_shorthand import L
-    >>> prior = mgsgraph.factors.ground_prior(L(17), position, np.diag([50.0, 50.0, 10.0]) ** 2)
+    >>> prior = mgsgraph.factors.ground_prior(L(17), solution.places[17], np.diag([50.0, 50.0, 10.0]) ** 2)
     """
     import gtsam
 

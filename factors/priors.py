@@ -39,6 +39,11 @@ def orientation_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
 def linear_prior(keys: Sequence[int], blocks: Sequence[Array], target: Array) -> gtsam.CustomFactor:
     """Whitened rows sum_k blocks[k] x_k about a target (rows,) on several unknowns; each block (rows, width of its
     variable).
+
+    Examples
+    --------
+    >>> from gtsam.symbol_shorthand import X
+    >>> same = mgsgraph.factors.linear_prior([X(0), X(1)], [0.2 * np.eye(6), -0.2 * np.eye(6)], np.zeros(6))
     """
     fixed = [np.asfortranarray(block) for block in blocks]
 

@@ -153,8 +153,10 @@ def stereo_height(
     Examples
     --------
     >>> from gtsam.symbol_shorthand import L, X
-    >>> corrections = [[orientation_polynomial(X(k), 2, one.lines)] for k, one in enumerate(images)]
-    >>> factor = mgsgraph.factors.stereo_height(L(17), surface, images, corrections, 2.0)
+    >>> images = registration.solution.network.images[:2]
+    >>> surface = registration.solution.network.stereo.surfaces[0]
+    >>> effects = [[mgsgraph.factors.orientation_polynomial(X(k), 2, one.lines)] for k, one in enumerate(images)]
+    >>> factor = mgsgraph.factors.stereo_height(L(17), surface, images, effects, 2.0)
     """
     where = label or f"height above the surface of images {images[0].name} and {images[1].name}"
     first, second = (_Sighting(one, angles, at) for one, at in zip(images, near or (None, None), strict=True))

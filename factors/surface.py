@@ -181,7 +181,9 @@ def terrain_height(
     Examples
     --------
     >>> from gtsam.symbol_shorthand import L
-    >>> factor = mgsgraph.factors.terrain_height(L(17), network.surface.grid.spline(), 10.0)
+    >>> from mgsgraph.geometry.terrain import TerrainGrid
+    >>> plain = TerrainGrid("a plain", np.full((9, 9), 3.39e6), 1.4, 0.2, 0.01, 0.01)  # m, rad
+    >>> factor = mgsgraph.factors.terrain_height(L(17), plain.spline(), 10.0)
     """
     where = "height above the terrain model"
     return measurement_factor([moved], point, SurfaceHeight(terrain), noise_model(sigma, None, 1, where), where)

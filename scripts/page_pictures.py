@@ -2,6 +2,7 @@
 
 python scripts/page_pictures.py site SITE OUT     # every page of the built site at 1280 and 380 px: contact sheets to
     # look at, and what is wider than its screen; SITE: what sphinx-build has written, OUT: a folder for the sheets
+python scripts/page_pictures.py graph             # docs/pictures/factor_graph.png
 python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of the demo, made in FOLDER by
 
 mgsgraph demo --out mgsgraph-demo
@@ -63,6 +64,8 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 def main() -> None:
     what, *folders = sys.argv[1:]
+    if what == "graph":
+        return factor_graph()
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
         {"demo": demo, "site": site}[what](browser, *(Path(folder).resolve() for folder in folders))
@@ -93,6 +96,43 @@ def save(picture: Image.Image, name: str) -> None:
         picture.save(PICTURES / name, quality=64, optimize=True, progressive=True)
     else:
         picture.quantize(128, kmeans=2, dither=Image.Dither.NONE).save(PICTURES / name, optimize=True)
+
+
+VARIABLES = {
+    "image A": (0.0, 0.0), "image B": (2.6, 0.0), "tie point": (1.3, -1.5), "laser point": (3.9, -1.5),
+    "profile shift": (5.4, 0.0),
+}  # fmt: skip
+"""Where they are drawn."""
+FACTORS = [
+    (("image A",), (-0.9, 0.0), "orientation_prior", (0.0, 0.3)),
+    (("image B",), (2.6, 0.85), "orientation_prior", (0.0, 0.3)),
+    (("image A", "tie point"), (0.65, -0.75), "pushbroom_projection", (-1.15, -0.12)),
+    (("image B", "tie point"), (1.95, -0.75), "", (0.0, 0.0)),
+    (("image B", "laser point"), (2.95, -0.95), "", (0.0, 0.0)),
+    (("image B", "laser point"), (3.5, -0.5), "laser_range", (0.0, 0.3)),
+    (("laser point", "profile shift"), (4.65, -0.75), "ground_prior", (0.85, -0.1)),
+    (("profile shift",), (6.3, 0.0), "orientation_prior", (0.0, 0.3)),
+]
+"""Variables, where it is drawn, its name and where that stands beside it."""
+
+
+def factor_graph() -> None:
+    """Two images, a tie point, a laser point and the shift of its profile, drawn as a graph of factors."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7.8, 3.2))
+    for members, at, name, beside in FACTORS:
+        for member in members:
+            axes.plot(*zip(VARIABLES[member], at, strict=True), color="0.55", linewidth=1.2, zorder=1)
+        axes.plot(*at, "s", color="#b3430e", markersize=9, zorder=3)
+        axes.text(at[0] + beside[0], at[1] + beside[1], name, ha="center", va="center", fontsize=8.5, color="#b3430e")
+    for name, at in VARIABLES.items():
+        axes.plot(*at, "o", color="#dbe9f6", markeredgecolor="#1f4e79", markersize=46, zorder=2)
+        axes.text(*at, name.replace(" ", "\n"), ha="center", va="center", fontsize=9, zorder=4)
+    axes.set(xlim=(-1.7, 7.1), ylim=(-2.1, 1.4), aspect="equal")
+    axes.set_axis_off()
+    figure.tight_layout(pad=0.1)
+    figure.savefig(PICTURES / "factor_graph.png", dpi=140)
 
 
 # --- pages of the site

@@ -5,6 +5,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.network import Network
+from mgsgraph.record import card
 
 
 class Keys:
@@ -19,6 +20,12 @@ class Keys:
 
     def __init__(self, network: Network) -> None:
         self._network = network
+
+    def __repr__(self) -> str:
+        return f"Keys({self._network!r})"
+
+    def _repr_html_(self) -> str:
+        return card(repr(self))
 
     def image(self, image: str | int) -> int:
         """Of an image's EO coefficients; InputError where it has none of its own."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import WeakNetwork
 from mgsgraph.geometry.records import Array
-from mgsgraph.record import Record
+from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
 
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
@@ -51,7 +51,14 @@ class Iteration(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimized(Record):
-    """What `optimize` found."""
+    """What `optimize` found.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(network)
+    >>> mgsgraph.optimize(graph, values).message
+    'Converged after 3 iterations.'
+    """
 
     values: gtsam.Values
     """Of all variables."""
@@ -296,10 +303,23 @@ class Marginals:
     ------
     WeakNetwork
         Some direction is not determined.
+
+    Examples
+    --------
+    >>> graph, values, keys = mgsgraph.factor_graph(solution)
+    >>> marginals = mgsgraph.Marginals(graph, values)
+    >>> marginals.covariance(keys.point("TIE00001"), keys.image("SIM/A")).shape
+    (21, 21)
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
         self._linear = _Linearized(_Structure(graph, values), graph, values)
+
+    def __repr__(self) -> str:
+        return f"Marginals({len(self._linear.structure.keys)} variables)"
+
+    def _repr_html_(self) -> str:
+        return card(repr(self))
 
     def covariance(self, *keys: int) -> Array:
         """Joint covariance of some variables, in the order asked for, m^2, m rad, rad^2."""
