@@ -65,7 +65,8 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 def main() -> None:
     what, *folders = sys.argv[1:]
     if what == "graph":
-        return factor_graph()
+        factor_graph()
+        return
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
         {"demo": demo, "site": site}[what](browser, *(Path(folder).resolve() for folder in folders))

@@ -1,13 +1,7 @@
-"""From a network to a GTSAM factor graph, in either form; the only room that builds factors.
+"""From a network to the bundle form: points are eliminated in the kernel, and what they share is one normal matrix of
+blocks of variable pairs. The same network as GTSAM factors, the reference: `adjustment.factor_graph`.
 
-| | bundle form | explicit form |
-|---|---|---|
-| unknowns | those that points share; points are eliminated in the kernel | those and all points |
-| equations | one normal matrix of blocks of variable pairs | one GTSAM factor per observation |
-| functions of `forms` | `BundleGraph` | `explicit_graph` |
-| used for | every adjustment | an independent reference for small networks (GTSAM's own optimiser) |
-
-Both are made of one `Layout`, which sorts the points. Four words say which points are meant:
+A `Layout` sorts the points. Four words say which points are meant:
 
     pattern   points with the same list of observations; patterns are sorted by the kernel's loops, then by group
     group     points that depend on the same shared unknowns: one block of the normal matrix; of one or several patterns
