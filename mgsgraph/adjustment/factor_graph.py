@@ -40,15 +40,14 @@ from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
-from mgsgraph.geometry.orientation import SUPPORT, Angles, OrientationImages
+from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
-from mgsgraph.network.corrections import interior_effect, radius_of
-from mgsgraph.network.effects import acting_on, crossover_rows, footprint_motion
+from mgsgraph.network.effects import SharedEffects, acting_on, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
-from mgsgraph.network.shared import SharedKind, image_effect
+from mgsgraph.network.shared import SharedKind
 
 MARGIN = 100.0
 """Lines by which a measured line and the predicted one may be apart for a ray to find its orientation images."""
@@ -222,11 +221,13 @@ def measurement_factors(
     network: Network, settings: SolverSettings, keys: Keys, selected: Selected
 ) -> Iterator[gtsam.NonlinearFactor]:
     """One factor of each selected measurement: a-priori positions, rays, ranges, heights."""
+    shared = SharedEffects(network, settings.angles)
+    moves = [_Moves(network, keys, j, shared) for j in range(len(network.images))]
     yield from _grounds(network, keys, selected)
-    yield from _rays(network, keys, selected, settings)
-    yield from _ranges(network, keys, selected, settings)
+    yield from _rays(network, keys, selected, settings, moves)
+    yield from _ranges(network, keys, selected, settings, moves)
     yield from _heights(network, keys, selected)
-    yield from _stereo_heights(network, keys, selected, settings)
+    yield from _stereo_heights(network, keys, selected, settings, moves)
 
 
 def nominal_selection(network: Network) -> Selected:
@@ -326,13 +327,12 @@ def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam
 
 
 def _stereo_heights(
-    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
     control = network.stereo
     for s in range(0 if control is None else len(control.surfaces)):
         assert control is not None
         numbers = control.images[s].tolist()
-        moves = [_Moves(network, keys, j, settings.angles) for j in numbers]
         for i in np.flatnonzero(selected.on_stereo & (control.surface == s)).tolist():
             pixels = [network.images[j].ground_to_image(selected.nominal[[i]])[0][0] for j in numbers]
             near = [(float(line), float(sample)) for line, sample in pixels]
@@ -344,7 +344,7 @@ def _stereo_heights(
                 network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i),
                 control.surfaces[s],
                 [_Mounted.of(network, j) for j in numbers],
-                [one.of_ray(*pixel) for one, pixel in zip(moves, near, strict=True)],
+                [moves[j].of_ray(*pixel) for j, pixel in zip(numbers, near, strict=True)],
                 float(control.sigmas[i]),
                 angles=settings.angles,
                 near=near,
@@ -361,30 +361,29 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 
 
 def _rays(
-    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
     rays, fixed = network.rays, network.points.kinds == PointKind.FIXED
     for j in range(len(network.images)):
         mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
-        moves = _Moves(network, keys, j, settings.angles)
         for k in mine.tolist():
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             point = network.points.places[i] if fixed[i] else keys.point(i)
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
             yield pushbroom_projection(
-                None, point, image, place, rays.sigmas[k], shared=moves.of_ray(*place), line=settings.line,
+                None, point, image, place, rays.sigmas[k], shared=moves[j].of_ray(*place), line=settings.line,
                 angles=settings.angles, near=selected.nominal[i], robust=_robust(settings), label=label,
             )  # fmt: skip
 
 
 def _ranges(
-    network: Network, keys: Keys, selected: Selected, settings: SolverSettings
+    network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
     ranges, fixed = network.ranges, network.points.kinds == PointKind.FIXED
     for j in np.unique(ranges.image).tolist():
-        image, moves = network.images[j], _Moves(network, keys, j, settings.angles)
+        image = network.images[j]
         mine = np.flatnonzero(selected.ranges & (ranges.image == j))
         lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
         for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
@@ -392,7 +391,7 @@ def _ranges(
             point = network.points.places[i] if fixed[i] else keys.point(i)
             yield laser_range(
                 None, point, image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
-                shared=moves.of_range(line, float(ranges.times[k])), robust=_robust(settings),
+                shared=moves[j].of_range(line, float(ranges.times[k])), robust=_robust(settings),
                 label=f"shot {network.points.ids[i]}, image {image.name}",
             )  # fmt: skip
 
@@ -459,19 +458,17 @@ class _Weights(NamedTuple):
 class _Moves:
     """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
 
-    def __init__(self, network: Network, keys: Keys, j: int, angles: Angles) -> None:
-        self._network, self._keys, self._j, self._image = network, keys, j, network.images[j]
-        self._axes, lines = network.axes_of(j), float(network.images[j].lines)
+    def __init__(self, network: Network, keys: Keys, j: int, shared: SharedEffects) -> None:
+        self._network, self._keys, self._j, self._image, self._shared = network, keys, j, network.images[j], shared
         self._own: list[Effect] = []
         if network.with_polynomial[j]:
+            lines = float(self._image.lines)
             self._own.append(orientation_polynomial(keys.image(j), network.priors[j].degree, lines))
         mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
-        self._pose = {k: self._of_pose(k, angles) for k in mine}
+        self._pose = {k: self._of_pose(k) for k in mine}
 
-    def _of_pose(self, k: int, angles: Angles) -> PolynomialEffect:
-        effect = image_effect(self._image, self._network.shared[k].kind, angles)
-        if self._axes is not None:
-            effect = np.concatenate([effect[..., :3], effect[..., 3:] @ self._axes], axis=-1)
+    def _of_pose(self, k: int) -> PolynomialEffect:
+        effect = self._shared.of_instrument[self._j, self._network.shared[k].kind]
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
         found[:, :6] = effect.transpose(1, 2, 0)
         return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))
@@ -490,12 +487,7 @@ class _Moves:
         return found
 
     def _of_interior(self, k: int, sample: float) -> PolynomialEffect:
-        interior, one = self._image.interior, self._network.shared[k]
-        at = np.array([sample])
-        directions, slopes = interior_effect(interior, one.kind, at, radius_of(self._network, one))
-        if self._axes is not None:
-            scale = interior.focal_length / (interior.looks(at)[0] @ self._axes)[:, 2:]
-            directions, slopes = directions @ self._axes * scale, slopes @ self._axes * scale
+        directions, slopes = self._shared.of_interior(self._j, k, np.array([sample]))
         found = np.zeros((1, STATE, len(directions)))
         found[0, LOOK], found[0, SLOPE] = directions[:, 0].T, slopes[:, 0].T
         return PolynomialEffect((self._keys.shared(k),), found)

@@ -37,7 +37,7 @@ VERBS = {
 REMOVED = {
     "analyze --snoop": "mgsgraph adjust CASE --reject, with the critical value that --reliability says",
     "analyze --poses": "--pose once for each, with --correlations",
-    "adjust --form": "points are always eliminated, to the same result",
+    "adjust --form": "points are always eliminated, to the same result; as GTSAM factors: `mgsgraph.factor_graph`",
     "campaign --form": "points are always eliminated, to the same result",
     "adjust --relief": "mgsgraph coregister CASE",
     "add --check": "mgsgraph solve PROJECT ends with the closing check",

@@ -37,13 +37,14 @@ class SharedEffects:
             for what, of_images in self._mine.items()
         }
         self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
-        self._effects = {
+        self.of_instrument = {
             (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles))
             for of_images in self._kinds.values()
             for j, kinds in enumerate(of_images)
             for kind in kinds
             if kind.moves_instrument
         }
+        """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
     def of_ranges(self, image: int, u: Array) -> Array:
         """(n, columns, 3 or 4) directions in the states of an image's ranges at normalised lines u (n,): m per unit of
@@ -54,7 +55,7 @@ class SharedEffects:
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for kind in kinds:
             if kind.moves_instrument:
-                effect = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+                effect = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
                 found[:, column : column + kind.width, :3] = effect[:, :, :3]
             else:
                 found[:, column, 3] = 1.0
@@ -74,9 +75,9 @@ class SharedEffects:
         for k, kind in zip(mine, kinds, strict=True):
             columns = slice(column, column + kind.width)
             if kind.moves_instrument:
-                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self._effects[image, kind])
+                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
             else:
-                found[:, columns, 6:] = np.swapaxes(self._of_interior(image, k, samples)[0], 0, 1)
+                found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
         return found
 
@@ -100,13 +101,13 @@ class SharedEffects:
         look, along = look * scale, along * scale
         for k in self._mine["rays"][image]:
             if self._network.shared[k].kind.is_interior:
-                moved, turned = self._of_interior(image, k, samples)
+                moved, turned = self.of_interior(image, k, samples)
                 value = values[self._network.first_shared + k]
                 look = look + np.einsum("c,cna->na", value, moved)
                 along = along + np.einsum("c,cna->na", value, turned)
         return np.asarray(along[:, :2] - look[:, :2] / look[:, 2:] * along[:, 2:])
 
-    def _of_interior(self, image: int, shared: int, samples: Array) -> tuple[Array, Array]:
+    def of_interior(self, image: int, shared: int, samples: Array) -> tuple[Array, Array]:
         """(width, n, 3) m per m, what an unknown of the interior orientation does to what pixels look along, in the
         axes of the image's pass and as long as their looks are there; and how it changes, per sample.
         """

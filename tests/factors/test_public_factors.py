@@ -67,6 +67,7 @@ FACTORS: dict[str, Callable[[], tuple[gtsam.NonlinearFactor, bool]]] = {
     "terrain_height, shifted": lambda: (
         factors.terrain_height(L(0), terrain(NET).spline(), 10.0, [factors.profile_shift(S(0), seen()[0])]), True,
     ),
+    "linear_prior": lambda: (factors.linear_prior([X(0)], [np.eye(18)[:5] * 1e-2], np.ones(5)), False),
     "orientation_prior": lambda: (factors.orientation_prior(X(0), NET.priors[0].sigmas), False),
 }  # fmt: skip
 
@@ -90,13 +91,16 @@ def test_derivatives(name: str) -> None:
     assert_jacobians(factor, values, STEPS, tolerance=2e-5)
 
 
-@pytest.mark.parametrize("name", ["pushbroom_projection", *FACTORS])
+@pytest.mark.parametrize("name", ["pushbroom_projection", "stereo_height", *FACTORS])
 def test_a_planted_sign_is_caught(name: str) -> None:
-    factor, shifted = (projection(), False) if name == "pushbroom_projection" else FACTORS[name]()
-    coefficients, move = state(3)
-    values = values_at(seen()[0] + move, coefficients if X(0) in factor.keys() else None, shifted)
-    if L(0) not in factor.keys():
-        values.erase(L(0))
+    if name == "stereo_height":
+        factor, values, _ = stereo()
+    else:
+        factor, shifted = (projection(), False) if name == "pushbroom_projection" else FACTORS[name]()
+        coefficients, move = state(3)
+        values = values_at(seen()[0] + move, coefficients if X(0) in factor.keys() else None, shifted)
+        if L(0) not in factor.keys():
+            values.erase(L(0))
 
     def wrong(this: gtsam.CustomFactor, at: gtsam.Values, jacobians: list[np.ndarray] | None) -> np.ndarray:
         if jacobians is not None:
@@ -109,7 +113,7 @@ def test_a_planted_sign_is_caught(name: str) -> None:
     rows = factor.whitenedError(values).size
     planted = gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), list(factor.keys()), wrong)
     with pytest.raises(AssertionError, match="block"):
-        assert_jacobians(planted, values, STEPS)
+        assert_jacobians(planted, values, STEPS | {X(1): STEPS[X(0)]})
 
 
 def test_image_coordinates_are_those_of_the_image() -> None:
