@@ -84,6 +84,9 @@ def ground_prior(
     import gtsam
 
     where = f"a-priori position of point {gtsam.DefaultKeyFormatter(point_key)}"
+    if np.shape(position) != (3,) or np.shape(covariance) != (3, 3):
+        found = f"a position of shape {np.shape(position)}, a covariance of shape {np.shape(covariance)}"
+        raise InputError(where, found, "(3,) and (3, 3)")
     try:
         information = np.linalg.solve(covariance, np.eye(3))
         root = np.linalg.cholesky(0.5 * (information + information.T)).T.astype(np.float64)

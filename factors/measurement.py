@@ -125,17 +125,19 @@ def measurement_factor(
     keys, ends = list(widths), np.cumsum([0, *widths.values()]).tolist()
     columns = [slice(*edges) for edges in pairwise(ends)]
     if isinstance(point, int) and point in widths:
-        name = gtsam.DefaultKeyFormatter(point)
-        raise InputError(label, f"key {name} of an unknown and of the point", "a key of its own for each")
+        raise InputError(label, f"key {gtsam_name(point)} of an unknown and of the point", "a key of its own for each")
     instruments = [_Instrument(mine, dict(zip(keys, ends, strict=False)), ends[-1]) for mine in effects]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         place = values.atPoint3(point) if isinstance(point, int) else point
         x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
+        if x.size != ends[-1]:
+            raise _of_other_length(label, widths, values)
         rows = measurement(*(one.states(x) for one in instruments), place)
         if rows is None:
             if jacobians is not None:
-                raise PointBehindCamera(label, "the image doesn't see the point: behind the camera, or far outside")
+                found = "the image doesn't see the point: behind the camera, or far outside"
+                raise PointBehindCamera(label, found if np.all(np.isfinite(place)) else f"a point at {place} m")
             return np.full(noise.dim(), np.inf)
         if jacobians is not None:
             if keys:
@@ -150,6 +152,24 @@ def measurement_factor(
     return gtsam.CustomFactor(noise, [*keys, point] if isinstance(point, int) else keys, error)
 
 
+def _of_other_length(label: str, widths: dict[int, int], values: gtsam.Values) -> InputError:
+    key = next(key for key, width in widths.items() if values.atVector(key).size != width)
+    name, size = gtsam_name(key), values.atVector(key).size
+    return InputError(label, f"{size} numbers of variable {name}", f"{widths[key]}", "check the degree")
+
+
+def gtsam_name(key: int) -> str:
+    """What GTSAM calls a key."""
+    import gtsam
+
+    return str(gtsam.DefaultKeyFormatter(key))
+
+
+def point_names(point: int | Array) -> list[str]:
+    """What messages call a point that has a key; nothing of a known one."""
+    return [f"point {gtsam_name(point)}"] if isinstance(point, int) else []
+
+
 def noise_model(
     sigmas: Array | float, robust: tuple[str, float] | None, rows: int, where: str
 ) -> gtsam.noiseModel.Base:
@@ -158,7 +178,10 @@ def noise_model(
     """
     import gtsam
 
-    every = np.broadcast_to(np.asarray(sigmas, dtype=np.float64), (rows,)).copy()
+    given = np.asarray(sigmas, dtype=np.float64)
+    if given.shape not in ((), (rows,)):
+        raise InputError(where, f"{given.size} sigmas", f"one or {rows}")
+    every = np.broadcast_to(given, (rows,)).copy()
     if not (np.all(np.isfinite(every)) and np.all(every > 0.0)):
         raise InputError(where, f"sigma {every.min():g}", "positive numbers")
     diagonal = gtsam.noiseModel.Diagonal.Sigmas(every)

@@ -18,7 +18,7 @@ from mgsgraph.factors.collinearity import (
     to_lines_and_samples,
 )
 from mgsgraph.factors.effects import STATE, Effect, orientation_polynomial
-from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
+from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model, point_names
 from mgsgraph.factors.pose import ATTITUDES
 from mgsgraph.factors.records import Array, PushbroomImage
 
@@ -154,7 +154,7 @@ def pushbroom_projection(
     robust : (name, width), optional
         "huber", "cauchy" or "tukey", on the norm of both whitened rows, and its width in sigmas.
     label : str
-        What messages call the measurement; image and pixel when empty.
+        What messages call the measurement; the point's key, image and pixel when empty.
 
     Returns
     -------
@@ -173,7 +173,10 @@ def pushbroom_projection(
     >>> from gtsam.symbol_shorthand import L, X
     >>> factor = mgsgraph.factors.pushbroom_projection(X(0), L(17), network.images[0], (2500.2, 511.7))
     """
-    where = label or f"image {image.name}, measured at line {measured[0]:g}, sample {measured[1]:g}"
+    if np.shape(measured) != (2,):
+        raise InputError(label or f"image {image.name}", f"measured: {measured}", "line and sample, pixels")
+    at = f"measured at line {measured[0]:g}, sample {measured[1]:g}"
+    where = label or ", ".join([*point_names(point), f"image {image.name}", at])
     if not (0.0 <= measured[0] <= image.lines and 0.0 <= measured[1] <= image.samples):
         size = f"0 .. {image.lines} lines, 0 .. {image.samples} samples"
         raise InputError(where, f"pixel {measured[0]:g}, {measured[1]:g}", size, "check line and sample")

@@ -16,7 +16,7 @@ from mgsgraph.compiled import equation
 from mgsgraph.errors import InputError
 from mgsgraph.factors.algebra import dot, scale, subtract
 from mgsgraph.factors.effects import STATE, Effect, orientation_polynomial
-from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model
+from mgsgraph.factors.measurement import Linear, StateAt, measurement_factor, noise_model, point_names
 from mgsgraph.factors.records import Array, PushbroomImage
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def laser_range(
     >>> from gtsam.symbol_shorthand import L, X
     >>> factor = mgsgraph.factors.laser_range(X(0), L(17), network.images[0], 2500.0, 379872.0, 10.0)
     """
-    where = label or f"range at line {line:g} of image {image.name}"
+    where = label or ", ".join([*point_names(point), f"range at line {line:g} of image {image.name}"])
     if not measured > 0.0:
         raise InputError(where, f"{measured:g} m", "a positive number of meters")
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]

@@ -71,6 +71,7 @@ Image by image
 What goes in
     Network                 images, points, rays, ranges with their sigmas
     build_network           a network from images and their observations
+    select_points           some points of a network with their measurements
     KnownImage              an image with what is known of it beforehand
     PushbroomImage          an image: camera, times of its lines, trajectory
     InteriorOrientation     its camera
@@ -179,6 +180,7 @@ if TYPE_CHECKING:
     from mgsgraph.network.footprints import points_in_images as points_in_images
     from mgsgraph.network.observations import build_network as build_network
     from mgsgraph.network.parts import KnownImage as KnownImage
+    from mgsgraph.network.parts import select_points as select_points
     from mgsgraph.planning.candidates import planned_point as planned_point
     from mgsgraph.planning.coverage import ImageCoverage as ImageCoverage
     from mgsgraph.planning.plan import plan as plan
@@ -261,6 +263,7 @@ _HOME = {
     "ReliefSettings": "mgsgraph.registration.minima",
     "remove_images": "mgsgraph.project.changes",
     "review_matches": "mgsgraph.studio.match_review",
+    "select_points": "mgsgraph.network.parts",
     "sigma_grid": "mgsgraph.analysis.places",
     "Solution": "mgsgraph.adjustment.solution",
     "solution_of": "mgsgraph.adjustment.optimized",

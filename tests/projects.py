@@ -13,7 +13,7 @@ from networks import network, pair, with_shift_and_surface
 
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared, StateStore
 from mgsgraph.network import Network
-from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, part
+from mgsgraph.network.parts import KnownImage, Members, Unknown, bundles, select_points
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import pack
 
@@ -84,7 +84,7 @@ def change(store: StateStore, seed: int) -> None:
     free -= {net.points.ids.index(name) for ids in kept for name in ids}
     chosen = np.array(sorted(i for i in free if rng.random() < 0.7), dtype=np.int64)
     rng.shuffle(chosen)
-    found = bundles(part(net, chosen)) if chosen.size else {}
+    found = bundles(select_points(net, chosen)) if chosen.size else {}
     new = {one: bundle_of(rng, one, network) for one, network in found.items() if one not in members or one in gone}
     store.replace(gone, new)
     felt = {unknown for one in new for unknown in one}

@@ -8,7 +8,7 @@ bundle form that `adjust` takes: it shares nothing with the compiled kernel but 
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import gtsam
 import numpy as np
@@ -91,6 +91,7 @@ class Selected:
     """Of all variables."""
 
 
+@runtime_checkable
 class Case(Protocol):
     """A network and how to adjust it; `mgsgraph.Case` is one."""
 
@@ -131,8 +132,11 @@ Source = Case | Network
 """What a graph can be made of."""
 
 
-def network_and_settings(source: Source) -> tuple[Network, SolverSettings]:
+def network_and_settings(source: Any) -> tuple[Network, SolverSettings]:
     """Network and settings; the defaults of a network alone."""
+    if not isinstance(source, Network | Case):
+        found = f"a {type(source).__name__}"
+        raise InputError("factor graph", found, "a Case, Network or Solution", "read a file by `mgsgraph.read_case`")
     return (source, SolverSettings()) if isinstance(source, Network) else (source.network, source.settings)
 
 

@@ -70,22 +70,31 @@ class Keys:
         return gtsam.Symbol(key).chr() == ord("p")
 
     def number(self, key: int) -> int:
-        """The way back from `variable`; InputError for a key that isn't of the network, or of a point."""
+        """The way back from `variable`; InputError for a key that isn't of the network, of a point, or of an image
+        without unknowns.
+        """
+        number = self._number(key)
+        if number < len(self._network.images):
+            self.image(number)
+        return number
+
+    def _number(self, key: int) -> int:
         symbol, network = gtsam.Symbol(key), self._network
         firsts = {"o": 0, "s": len(network.images), "u": network.first_shared, "n": int(network.first_of_passes[0])}
         kind = chr(symbol.chr())
         number = firsts[kind] + symbol.index() if kind in firsts else -1
         if not 0 <= number < network.first_of_passes[-1] or self.variable(number) != key:
             found = f"key {gtsam.DefaultKeyFormatter(key)}"
-            raise InputError("factor", found, "keys of images, profiles, shared unknowns or orientation images")
-        if number < len(network.images):
-            self.image(number)  # which may have no unknowns
+            raise InputError("factor graph", found, "a key of an image, profile, shared unknown or orientation image")
         return number
 
     def name(self, key: int) -> str:
         """What a key stands for, in words."""
         symbol, network = gtsam.Symbol(key), self._network
         kind, k = chr(symbol.chr()), symbol.index()
+        if kind == "p" and k < len(network.points):
+            return f"point {network.points.ids[k]}"
+        self._number(key)
         if kind == "n":
             one, node = network.of_passes(int(network.first_of_passes[0]) + k)
             return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
@@ -93,4 +102,4 @@ class Keys:
             return f"image {network.images[k].name}"
         if kind == "s":
             return f"shift of {network.shift_names[k]}"
-        return f"point {network.points.ids[k]}" if kind == "p" else f"shared unknown {network.shared[k].name}"
+        return f"shared unknown {network.shared[k].name}"

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.errors import WeakNetwork
+from mgsgraph.errors import InputError, WeakNetwork
 from mgsgraph.geometry.records import Array
 from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
@@ -78,8 +78,17 @@ class _Structure:
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        zeros = values.zeroVectors()
-        self.keys = list(values.keys())
+        self.keys, zeros = sorted(graph.keyVector()), values.zeroVectors()  # GTSAM's own order of columns
+        if not self.keys:
+            raise InputError("graph", "no factors", "at least one")
+        for key in self.keys:
+            if not values.exists(key):
+                found = f"none of variable {gtsam.DefaultKeyFormatter(key)}"
+                raise InputError("values", found, "one of each variable of the graph")
+        for i in range(graph.size()):
+            if not np.isfinite(graph.at(i).error(values)):
+                where = f"factor {i} on {', '.join(map(gtsam.DefaultKeyFormatter, graph.at(i).keys()))}"
+                raise InputError(where, "an error that is not finite", "values where every factor is defined")
         self.sizes = {key: int(zeros.at(key).size) for key in self.keys}
         ends = np.cumsum([0, *self.sizes.values()])
         self.first = dict(zip(self.keys, ends.tolist(), strict=False))
@@ -225,7 +234,7 @@ def optimize(
     graph : gtsam.NonlinearFactorGraph
         Of any factors.
     values : gtsam.Values
-        Where to begin.
+        Where to begin; of further variables they stay as they are.
     progress : callable
         Called with every iteration.
     max_iterations : int
@@ -241,6 +250,8 @@ def optimize(
 
     Raises
     ------
+    InputError
+        Where a variable has no value, or a factor has no finite error.
     WeakNetwork
         No factor depends on some variable.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import Clock, nominal_reduction, nominal_state, read_off
 from mgsgraph.adjustment.batch import Outcome
-from mgsgraph.adjustment.factor_graph import FactorGraph, Source, factor_graph, network_and_settings
+from mgsgraph.adjustment.factor_graph import Source, factor_graph, network_and_settings
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.keys import Keys
@@ -30,12 +30,13 @@ def solution_of(
     Parameters
     ----------
     source : Case, Network or Solution
-        What the graph was made of.
+        What the graph was made of, by `factor_graph` or by hand with its keys.
     values : gtsam.Values
         Of its keys; further ones are of no account.
     graph : gtsam.NonlinearFactorGraph, optional
-        What was optimized, where factors of one's own were added: cost and covariances are then its own. Residuals,
-        their statistics and tests are those of the network's measurements.
+        What was optimized, where factors of one's own were added: final cost and covariances are then its own.
+        Residuals, their statistics and tests are those of the network's measurements, and so is the cost before. A
+        solution does not keep such factors: `factor_graph(solution)` is the network's graph.
     name : str, optional
         What to call it in reports; the source's own when absent.
 
@@ -65,8 +66,9 @@ def solution_of(
         left_in = replace(all_rows(network), **{name: ~mark for name, mark in marks.items() if mark is not None})
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
     initial, nominal = BundleGraph(layout).cost(before), nominal_state(layout, before)
-    mine = factor_graph(source) if graph is None else FactorGraph(graph, values, keys)
-    for key in mine.graph.keyVector():
+    network_graph = factor_graph(source).graph
+    whole = network_graph if graph is None else graph
+    for key in network_graph.keyVector():
         if not values.exists(key):
             raise InputError("values", f"none of {keys.name(key)}", "one of each unknown of the network")
     known = [
@@ -80,9 +82,13 @@ def solution_of(
     for k, i in enumerate(layout.point_order.tolist()):
         if values.exists(keys.point(i)):
             points[k] = values.atPoint3(keys.point(i))
-    far = steps_left(mine.graph, values)
+    far = steps_left(whole, values)
     message = f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."
-    outcome = Outcome(orientation, initial, mine.graph.error(values), far < _CONVERGED, message, ())
+    if (more := whole.size() - network_graph.size()) > 0:
+        message += f" The cost counts {more} factors that are not the network's, sigma0 does not."
+    if graph is None and far >= _CONVERGED:
+        message += " Are the values of this network? With factors of your own pass their graph, too."
+    outcome = Outcome(orientation, initial, whole.error(values), far < _CONVERGED, message, ())
     rows = selection.rows(layout)
     solved = Solved(layout, outcome, (), initial, orientation, points, rows, selection, reduction, 1)
     clock.stop("solve")

@@ -41,7 +41,7 @@ from mgsgraph.kernel.rows import FIXED, GOOD, OUT
 from mgsgraph.kernel.sweep import COSTS, point_covariances, reduce
 from mgsgraph.network import ImageRays, Network
 from mgsgraph.network.corrections import adjusted_image, designs, whole_correction
-from mgsgraph.network.parts import Unknown, part, unknowns
+from mgsgraph.network.parts import Unknown, select_points, unknowns
 from mgsgraph.record import Record
 
 _AXES = COMPONENTS[:3]
@@ -368,7 +368,7 @@ def posterior_of_points(solution: Solution, points: Index) -> Posterior | None:
     values = dict(zip(number, solution.values, strict=True))
     found = solution.joint_covariance
     return posterior_of(
-        part(whole, points), solution.settings, values, solution.places[points],
+        select_points(whole, points), solution.settings, values, solution.places[points],
         lambda wanted: found.of([number[unknown] for unknown in wanted]),
     )  # fmt: skip
 

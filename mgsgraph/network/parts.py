@@ -127,13 +127,32 @@ def alone(known: KnownImage) -> Network:
     return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
 
 
-def part(network: Network, points: Index) -> Network:
-    """Some points (n,) of a network, in the order given, with their rows and with the images and shifts that they
-    depend on.
+def select_points(network: Network, points: Index | Sequence[str]) -> Network:
+    """Some points of a network, in the order given, with their measurements and what they depend on.
 
-    Without points, or without any of their rows in an image, there is no network: the points' images are its images.
+    Parameters
+    ----------
+    network : Network
+    points : (n,) or sequence of str
+        Their numbers or names; some image has to see one of them.
+
+    Returns
+    -------
+    Network
+        Its images are those that see the points.
+
+    Raises
+    ------
+    InputError
+        For a name that is none of the network's; where crossovers or unknowns depend on points that would be left out.
+
+    Examples
+    --------
+    >>> mgsgraph.select_points(network, network.points.ids[:5])
+    Network(2 images, 5 points (5 tie), 10 rays, 0 ranges)
     """
     require_separable(network)
+    points = np.array([network.point_number(point) for point in points], dtype=np.int64)
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)
@@ -441,7 +460,7 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
         control = left.stereo.without(gone)
         left = replace(left, stereo=control)
         seen[control.surface >= 0] = True
-    return part(left, np.flatnonzero(seen))
+    return select_points(left, np.flatnonzero(seen))
 
 
 def without_points(network: Network, ids: Sequence[str]) -> Network | None:
@@ -449,4 +468,4 @@ def without_points(network: Network, ids: Sequence[str]) -> Network | None:
     there = network.points.ids.find(ids)
     kept = np.ones(len(network.points), dtype=bool)
     kept[there[there >= 0]] = False
-    return part(network, np.flatnonzero(kept)) if np.any(kept) else None
+    return select_points(network, np.flatnonzero(kept)) if np.any(kept) else None

@@ -17,7 +17,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import with_definitions
-from mgsgraph.network.parts import KnownImage, image_columns, joined, part
+from mgsgraph.network.parts import KnownImage, image_columns, joined, select_points
 from mgsgraph.planning.coverage import ImageCoverage, OrientedImage, even_places
 from mgsgraph.planning.state import ReducedNetwork
 from mgsgraph.record import Record
@@ -133,7 +133,7 @@ def _new_ties(
     if network is None:
         return None
     kept = ReducedNetwork(network, coverage.state.settings, coverage.state.values, points).determined
-    return part(network, np.flatnonzero(kept)) if np.any(kept) else None
+    return select_points(network, np.flatnonzero(kept)) if np.any(kept) else None
 
 
 def _tie_places(coverage: ImageCoverage, view: OrientedImage, other: OrientedImage, ties: PlannedTies) -> Array:

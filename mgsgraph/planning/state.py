@@ -29,8 +29,8 @@ from mgsgraph.network.parts import (
     alone,
     joined,
     known_images,
-    part,
     require_separable,
+    select_points,
     unknowns,
     with_images,
 )
@@ -121,7 +121,7 @@ def network_state(
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
     used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     used = used.with_rejected(None, None)
-    left = with_images(part(used, kept), known_images(network))
+    left = with_images(select_points(used, kept), known_images(network))
     return NetworkState(left, settings, values, places[kept])
 
 
@@ -331,7 +331,7 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
     ids = dict.fromkeys(name for one in additions for name in one.points.ids)
     again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
     again = np.unique(again)
-    before = part(state.network, again) if again.size else None
+    before = select_points(state.network, again) if again.size else None
     network = with_definitions(together([*([before] if before else []), *additions]), definitions(state.network))
     places = network.points.places.copy()
     places[: again.size] = state.places[again]

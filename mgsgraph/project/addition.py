@@ -24,7 +24,7 @@ from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
-from mgsgraph.network.parts import KnownImage, joined, known_images, part, with_images
+from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
 from mgsgraph.project.project import Measure, Project, all_set_aside
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
@@ -371,7 +371,7 @@ def unknown_alone(
         shifts = ProfileShifts(shifts.names, np.where(known, -1, shifts.profile), shifts.sigmas)
     left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     with_rows = np.unique(np.concatenate([left.rays.point, left.ranges.point]))
-    return part(replace(left, points=points, shifts=shifts), with_rows)
+    return select_points(replace(left, points=points, shifts=shifts), with_rows)
 
 
 def _repeated_rays(

@@ -22,7 +22,7 @@ from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges, Surface
-from mgsgraph.network.parts import image_columns, joined, part
+from mgsgraph.network.parts import image_columns, joined, select_points
 from mgsgraph.project.addition import on_terrain
 from mgsgraph.project.changes import incremental, is_solved, note, put_waiting
 from mgsgraph.project.project import Measure, PointState, Project, last_state, state_of
@@ -84,7 +84,7 @@ def _network_of(project: Project, point: str) -> Network | None:
     if members is None:
         return None
     network = store.bundle(members).network
-    return part(network, network.points.ids.find([point]))
+    return select_points(network, network.points.ids.find([point]))
 
 
 # --- changes

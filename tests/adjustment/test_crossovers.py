@@ -23,7 +23,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, Network, PointClass, ProfileShifts, SharedUnknown
 from mgsgraph.network.effects import footprint_motion
-from mgsgraph.network.parts import part
+from mgsgraph.network.parts import select_points
 from mgsgraph.network.records import Crossovers, crossovers
 from mgsgraph.results.archive import read_solution, write_archive
 
@@ -190,4 +190,4 @@ def test_what_they_cannot_be() -> None:
     with pytest.raises(InputError, match="crossovers"):
         replace(net, crossovers=replace(net.crossovers, shots=np.zeros((6, 4))))
     with pytest.raises(InputError, match="crossovers of laser profiles"):
-        part(replace(net, shared=()), np.arange(5))
+        select_points(replace(net, shared=()), np.arange(5))

@@ -25,7 +25,7 @@ from mgsgraph.geometry.image import PolynomialTrajectory, PushbroomImage, fit_po
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import PositionTable
 from mgsgraph.network import TERRAIN, Network, PointClass, ProfileShifts, SharedKind
-from mgsgraph.network.parts import bundles, joined, part
+from mgsgraph.network.parts import bundles, joined, select_points
 from mgsgraph.network.shared import ground_shift, image_effect
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken
 from mgsgraph.simulation.observations import NoiseSettings
@@ -405,11 +405,11 @@ def test_both_forms_agree(considered: tuple[str, ...]) -> None:
 def test_parts_of_a_network_keep_what_they_consider() -> None:
     net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
     ties, shots = (np.flatnonzero(net.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
-    parts = part(net, ties), part(net, shots)
+    parts = select_points(net, ties), select_points(net, shots)
     assert [one.considered for one in parts] == [(TERRAIN,), ("profile",)]
     assert set(joined(parts).considered) == {"profile", TERRAIN}
     with pytest.raises(InputError, match="profile"):
-        joined([part(net, shots[:2]), part(replace(net, considered=()), shots[2:])])
+        joined([select_points(net, shots[:2]), select_points(replace(net, considered=()), shots[2:])])
 
 
 def test_without_its_terrain_a_network_considers_the_rest() -> None:

@@ -25,7 +25,7 @@ from mgsgraph.geometry.body import east_north_up, from_planetocentric, planetoce
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, GroundPoints, Network, PointClass, Surface
-from mgsgraph.network.parts import part
+from mgsgraph.network.parts import select_points
 from mgsgraph.results.archive import read_solution, write_archive
 from mgsgraph.results.ground import control_section
 from mgsgraph.units import ARCSEC, DEG
@@ -172,7 +172,7 @@ def test_groups_scale_their_own_sigmas() -> None:
 def test_what_is_kept_image_by_image_cannot_hold_them() -> None:
     net = with_tilting_surface(network(pair()))
     with pytest.raises(InputError, match="unknown height or tilt"):
-        part(net, np.arange(3))
+        select_points(net, np.arange(3))
 
 
 def test_a_tilt_needs_a_middle_and_sigmas_are_not_negative() -> None:

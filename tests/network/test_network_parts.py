@@ -27,7 +27,7 @@ from mgsgraph.network.parts import (
     bundles,
     joined,
     known_images,
-    part,
+    select_points,
     unknowns,
     with_images,
     without_images,
@@ -156,7 +156,7 @@ def test_shots_on_stereo_surfaces_keep_them() -> None:
         assert rows(joined(list(parts.values()))) == rows(one)
         shots = next(members for members, one in parts.items() if "SHOT00002" in one.points.ids)
         assert shots == (*(Unknown("image", image.name) for image in net.images), Unknown("shift", "profile"))
-    assert rows(with_images(part(net, np.array([14, 15])), known_images(net)[::-1])) == rows(net, [14, 15])
+    assert rows(with_images(select_points(net, np.array([14, 15])), known_images(net)[::-1])) == rows(net, [14, 15])
     left = without_images(net, {net.images[1].name})
     assert left is not None
     assert left.stereo is None
@@ -178,13 +178,13 @@ def test_part_has_the_rows_of_its_points(seed: int, data: st.DataObject) -> None
     net = measured_once(random_network(seed))
     seen = sorted({*net.rays.point.tolist(), *net.ranges.point.tolist()})
     chosen = np.array(data.draw(st.lists(st.sampled_from(seen), min_size=1, unique=True)))
-    mine = part(net, chosen)
+    mine = select_points(net, chosen)
     assert mine.points.ids == tuple(net.points.ids[i] for i in chosen)
     assert rows(mine) == rows(net, chosen.tolist())
     of = {name for _, name, *_ in (*rows(mine).get("rays", []), *rows(mine).get("ranges", []))}
     assert list(images(mine)) == [image.name for image in net.images if image.name in of]
     assert images(mine).items() <= images(net).items()
-    assert rows(part(mine, np.arange(chosen.size))) == rows(mine)
+    assert rows(select_points(mine, np.arange(chosen.size))) == rows(mine)
 
 
 @ANY

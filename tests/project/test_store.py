@@ -22,7 +22,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import ImageTimes
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import TERRAIN, Network, PointClass
-from mgsgraph.network.parts import KnownImage, Members, bundles, joined, part, with_images, without_images
+from mgsgraph.network.parts import KnownImage, Members, bundles, joined, select_points, with_images, without_images
 from mgsgraph.project.addition import (
     Addition,
     ImageArgument,
@@ -162,7 +162,7 @@ def test_equal_grids_are_one(store: ProjectStore) -> None:
     assert net.surface is not None
     copy = replace(net, surface=replace(net.surface, grid=replace(net.surface.grid)))
     with pytest.raises(ValueError, match="terrain model"):
-        joined([part(net, np.arange(3)), part(copy, np.arange(3, 6))])
+        joined([select_points(net, np.arange(3)), select_points(copy, np.arange(3, 6))])
     own = store.with_known_grids(copy)
     assert own.surface is not None
     assert store.terrain is not None
@@ -341,7 +341,8 @@ def test_a_measure_that_contradicts_is_not_dropped(lacking: ProjectStore) -> Non
 
 def test_new_ties_lie_on_the_terrain_model_of_the_project(lacking: ProjectStore) -> None:
     net = whole()
-    bare = replace(part(net, np.flatnonzero(net.points.classes == PointClass.TIE)), surface=None, considered=())
+    ties = np.flatnonzero(net.points.classes == PointClass.TIE)
+    bare = replace(select_points(net, ties), surface=None, considered=())
     on = on_terrain(bare, lacking)
     assert on.surface is not None
     assert on.considered == (TERRAIN,)
@@ -349,7 +350,7 @@ def test_new_ties_lie_on_the_terrain_model_of_the_project(lacking: ProjectStore)
     assert on.surface.grid is lacking.terrain[0]
     assert on.surface.sigmas.min() == 25.0  # of a tie by itself; of m that share posts 25 m times the root of m
     assert set(np.round((on.surface.sigmas / 25.0) ** 2, 6)) <= {1.0, 2.0, 3.0, 4.0}
-    laser = replace(part(net, np.flatnonzero(net.points.classes == PointClass.LASER)), surface=None)
+    laser = replace(select_points(net, np.flatnonzero(net.points.classes == PointClass.LASER)), surface=None)
     assert on_terrain(laser, lacking).surface is None
 
 

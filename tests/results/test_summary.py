@@ -23,7 +23,7 @@ from mgsgraph.network.connectivity import (
     connectivity_json,
     connectivity_statements,
 )
-from mgsgraph.network.parts import part
+from mgsgraph.network.parts import select_points
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
 from mgsgraph.results.results import _constant_residuals, solution_json, statements, summary_table, write_results
@@ -38,7 +38,7 @@ LRO = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.
 
 def without(network: Network, *classes: PointClass) -> Network:
     """The network without the points of some classes."""
-    return part(network, np.flatnonzero(~np.isin(network.points.classes, classes)))
+    return select_points(network, np.flatnonzero(~np.isin(network.points.classes, classes)))
 
 
 def said(solution: Solution, *words: str) -> str:

@@ -22,7 +22,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network
-from mgsgraph.network.parts import part, pass_unknowns, without_images
+from mgsgraph.network.parts import pass_unknowns, select_points, without_images
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
@@ -213,10 +213,10 @@ def begun() -> tuple[Network, Network]:
     """A network of shots on a stereo surface, one a blunder, one as on level ground; and ties that come later."""
     net = stereo_network(pair(24, 24))
     sooner = np.setdiff1d(np.arange(len(net.points)), LATER)
-    first = part(net, sooner)
+    first = select_points(net, sooner)
     assert first.stereo is not None
     blunder, level = (np.arange(len(first.points)) == len(first.points) - k for k in (3, 5))
-    return replace(first, stereo=replace(first.stereo, rejected=blunder, level=level)), part(net, LATER)
+    return replace(first, stereo=replace(first.stereo, rejected=blunder, level=level)), select_points(net, LATER)
 
 
 def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> None:
