@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (835, 13280, 18),
     "single files": (814, 9443, 10),
     "scripts": (5405, 86033, 41),
-    "tests": (34132, 513436, 187),
+    "tests": (34189, 514464, 188),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -1,6 +1,4 @@
-"""The program that a user of GTSAM wrote with README, docs and help alone: two images, twenty points, a distance of their
-own, iSAM2, marginals, a solution and its export.
-"""
+"""What a user of GTSAM wrote with README, docs and help alone: two images, twenty points, own factor, iSAM2, export."""
 
 from collections.abc import Iterable
 from pathlib import Path
