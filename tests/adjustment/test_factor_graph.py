@@ -79,6 +79,17 @@ def test_marginals_are_the_covariances_of_the_adjustment(name: str) -> None:
         assert np.abs(off / sigmas / sigmas[:, None]).max() < 10.0 * share
 
 
+def test_joint_covariances_are_those_of_gtsam() -> None:
+    """Of points with one another and with an image, in the order asked for."""
+    graph, values, keys = mgsgraph.factor_graph(adjusted("pair"))
+    asked = [keys.point(3), keys.image(1), keys.point(0)]
+    found = mgsgraph.Marginals(graph, values).covariance(*asked)
+    joint = gtsam.Marginals(graph, values).jointMarginalCovariance(gtsam.KeyVector(asked))
+    right = np.block([[joint.at(one, other) for other in asked] for one in asked])
+    sigmas = np.sqrt(np.diag(right))
+    assert np.abs((found - right) / sigmas / sigmas[:, None]).max() < 1e-6
+
+
 def test_isam2_comes_to_its_threshold() -> None:
     graph, values, keys = mgsgraph.factor_graph(NETWORKS["pair"]())
     parameters = gtsam.ISAM2Params()
@@ -164,7 +175,12 @@ def test_a_factor_of_ones_own_on_points() -> None:
     assert with_it.converged, with_it.message
     assert np.linalg.norm(with_it.places[1] - with_it.places[0]) == pytest.approx(before + 5.0, abs=0.05)
     assert with_it.cost_final > solution.cost_final
-    assert np.trace(with_it.covariances[0]) < np.trace(solution.covariances[0])
+    marginals = gtsam.Marginals(graph, found.values)
+    for i in (0, 1, 7):
+        right = marginals.marginalCovariance(keys.point(i))
+        np.testing.assert_allclose(with_it.covariances[i], right, rtol=0.0, atol=1e-6 * right.max())
+    right = marginals.marginalCovariance(keys.image(1))
+    np.testing.assert_allclose(with_it.joint_covariance.block(1, 1), right, rtol=1e-4, atol=1e-6 * right.max())
     assert not mgsgraph.solution_of(solution, found.values).converged  # without it the minimum is elsewhere
 
 
@@ -186,6 +202,9 @@ def test_a_factor_of_ones_own_in_the_fast_form() -> None:
     off = solution.joint_covariance.block(0, 0) - right
     assert np.abs(off / sigmas / sigmas[:, None]).max() < 1e-5
     assert mgsgraph.factor_graph(anew).graph.size() == graph.size()
+    elsewhere = mgsgraph.with_factors(net, [factors.at(0), factors.at(1)], found.values)
+    for one, other in zip(anew.linear, elsewhere.linear, strict=True):  # linear factors are the same everywhere
+        np.testing.assert_allclose(one.target, other.target, rtol=0.0, atol=1e-6)
     with pytest.raises(InputError, match="key p0"):
         mgsgraph.with_factors(net, [distance(keys.point(0), keys.point(1), 1.0, 1.0)])
 
