@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from mgsgraph.errors import InputError
 from mgsgraph.factors.records import Array, PushbroomImage
 
 STATE = 13
@@ -85,10 +86,12 @@ def orientation_polynomial(key: int, degree: int, lines: float) -> PolynomialEff
     >>> mgsgraph.factors.orientation_polynomial(X(0), 2, 5000.0).widths
     (18,)
     """
+    if degree < 0:
+        raise InputError("orientation polynomial", f"degree {degree}", "0, 1, 2, ...")
     terms = degree + 1
     coefficients = np.zeros((terms, STATE, 6 * terms))
     coefficients[:, :6] = np.eye(6 * terms).reshape(terms, 6, 6 * terms)
-    return PolynomialEffect((key,), coefficients, lines)
+    return PolynomialEffect((int(key),), coefficients, lines)
 
 
 def constant(key: int, rows: slice, matrix: Array) -> PolynomialEffect:
@@ -101,7 +104,7 @@ def constant(key: int, rows: slice, matrix: Array) -> PolynomialEffect:
     """
     coefficients = np.zeros((1, STATE, matrix.shape[1]))
     coefficients[0, rows] = matrix
-    return PolynomialEffect((key,), coefficients)
+    return PolynomialEffect((int(key),), coefficients)
 
 
 def profile_shift(key: int, position: Array) -> PolynomialEffect:

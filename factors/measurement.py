@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import gtsam
 
 AT_REST = np.zeros(STATE)
+LOSSES = ("huber", "cauchy", "tukey")
 _KEPT = 4
 """Lines: the measured one, the predicted one, and those of the step before."""
 Vector = tuple[float, ...]
@@ -124,6 +125,7 @@ def measurement_factor(
     }
     keys, ends = list(widths), np.cumsum([0, *widths.values()]).tolist()
     columns = [slice(*edges) for edges in pairwise(ends)]
+    point = _key_or_position(point, label)
     if isinstance(point, int) and point in widths:
         raise InputError(label, f"key {gtsam_name(point)} of an unknown and of the point", "a key of its own for each")
     instruments = [_Instrument(mine, dict(zip(keys, ends, strict=False)), ends[-1]) for mine in effects]
@@ -152,6 +154,15 @@ def measurement_factor(
     return gtsam.CustomFactor(noise, [*keys, point] if isinstance(point, int) else keys, error)
 
 
+def _key_or_position(point: int | Array, label: str) -> int | Array:
+    """A key, of NumPy, too; or a position (3,)."""
+    if np.ndim(point) == 0 and isinstance(point, int | np.integer):
+        return int(point)
+    if np.shape(point) != (3,):
+        raise InputError(label, f"point: {point}", "a GTSAM key, or a position (3,) in m")
+    return np.asarray(point, dtype=np.float64)
+
+
 def _of_other_length(label: str, widths: dict[int, int], values: gtsam.Values) -> InputError:
     key = next(key for key, width in widths.items() if values.atVector(key).size != width)
     name, size = gtsam_name(key), values.atVector(key).size
@@ -167,7 +178,7 @@ def gtsam_name(key: int) -> str:
 
 def point_names(point: int | Array) -> list[str]:
     """What messages call a point that has a key; nothing of a known one."""
-    return [f"point {gtsam_name(point)}"] if isinstance(point, int) else []
+    return [f"point {gtsam_name(int(point))}"] if isinstance(point, int | np.integer) else []
 
 
 def noise_model(
@@ -187,5 +198,7 @@ def noise_model(
     diagonal = gtsam.noiseModel.Diagonal.Sigmas(every)
     if robust is None:
         return diagonal
+    if not (isinstance(robust, tuple) and len(robust) == 2 and robust[0] in LOSSES and robust[1] > 0.0):
+        raise InputError(where, f"robust: {robust!r}", f"None, or one of {', '.join(LOSSES)} with its width in sigmas")
     estimator = getattr(gtsam.noiseModel.mEstimator, robust[0].capitalize())
     return gtsam.noiseModel.Robust.Create(estimator.Create(robust[1]), diagonal)

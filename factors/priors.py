@@ -30,6 +30,8 @@ def orientation_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
     >>> prior = mgsgraph.factors.orientation_prior(X(0), network.priors[0].sigmas)
     """
     every = np.asarray(sigmas, dtype=np.float64).ravel()
+    if np.ndim(sigmas) == 0:
+        raise InputError("orientation prior", f"one sigma, {sigmas}", "one of each coefficient")
     if not np.all(every > 0.0):
         raise InputError("orientation prior", f"sigma {every[~(every > 0.0)][0]:g}", "positive sigmas")
     precisions = np.where(np.isinf(every), 0.0, 1.0 / every**2)

@@ -202,7 +202,7 @@ def with_factors(
     >>> gps = gtsam.PriorFactorVector(keys.image("SIM/A"), np.zeros(18), gtsam.noiseModel.Isotropic.Sigma(18, 5.0))
     >>> solution = mgsgraph.adjust_network(mgsgraph.with_factors(network, [gps]))
     """
-    keys, at, widths = Keys(network), gtsam.Values() if values is None else gtsam.Values(values), _widths(network)
+    keys, at, widths = Keys(network), gtsam.Values() if values is None else gtsam.Values(values), network.widths
     rows = list(network.linear)
     for factor in factors:
         keys_of = list(factor.keys())
@@ -248,7 +248,7 @@ def nominal_selection(network: Network) -> Selected:
     for i in np.flatnonzero(used & ~np.all(np.isfinite(places), axis=1)).tolist():
         k = int(np.flatnonzero(rays.point == i)[0])
         places[i] = network.images[rays.image[k]].image_to_ground(*rays.places[[k]].T)[0][0]
-    values = [np.zeros(width) for width in _widths(network)]
+    values = [np.zeros(width) for width in network.widths]
     begin, on_stereo = places, np.zeros(n, dtype=bool)
     if network.stereo is not None:
         on_stereo = used & (network.stereo.surface >= 0)
@@ -265,18 +265,10 @@ def _of_solution(solution: Adjusted) -> Selected:
     )  # fmt: skip
 
 
-def _widths(network: Network) -> list[int]:
-    """Of all variables of a network."""
-    images = [prior.sigmas.size for prior in network.priors]
-    shifts = [len(terms) for terms in network.shift_terms]
-    passes = [int(width) for one in network.passes for width in one.widths]
-    return [*images, *shifts, *(one.kind.width for one in network.shared), *passes]
-
-
 def _adjusted(network: Network) -> list[int]:
     """Variables that are unknown."""
     images = np.flatnonzero(network.with_polynomial).tolist()
-    return [*images, *range(len(network.images), len(_widths(network)))]
+    return [*images, *range(len(network.images), len(network.widths))]
 
 
 # --- factors

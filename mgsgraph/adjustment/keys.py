@@ -64,6 +64,10 @@ class Keys:
         kind = int(np.searchsorted(ends, number, side="right")) - 1
         return int(gtsam.symbol("osun"[kind], number - ends[kind]))
 
+    def width(self, key: int) -> int:
+        """How many numbers a variable has: 3 of a point."""
+        return 3 if self.is_point(key) else self._network.widths[self._number(key)]
+
     @staticmethod
     def is_point(key: int) -> bool:
         """Whether a key is of a ground point: a Point3; all others are Vectors."""
@@ -85,7 +89,7 @@ class Keys:
         number = firsts[kind] + symbol.index() if kind in firsts else -1
         if not 0 <= number < network.first_of_passes[-1] or self.variable(number) != key:
             found = f"key {gtsam.DefaultKeyFormatter(key)}"
-            raise InputError("factor graph", found, "a key of an image, profile, shared unknown or orientation image")
+            raise InputError("factor graph", found, "a key of the network, and of no point")
         return number
 
     def name(self, key: int) -> str:

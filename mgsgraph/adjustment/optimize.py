@@ -87,6 +87,7 @@ class _Structure:
                 raise InputError("values", found, "one of each variable of the graph")
         for i in range(graph.size()):
             if not np.isfinite(graph.at(i).error(values)):
+                graph.at(i).linearize(values)  # says why, where a point is not seen
                 where = f"factor {i} on {', '.join(map(gtsam.DefaultKeyFormatter, graph.at(i).keys()))}"
                 raise InputError(where, "an error that is not finite", "values where every factor is defined")
         self.sizes = {key: int(zeros.at(key).size) for key in self.keys}
@@ -253,7 +254,7 @@ def optimize(
     InputError
         Where a variable has no value, or a factor has no finite error.
     WeakNetwork
-        No factor depends on some variable.
+        Nothing depends on some variable of the graph.
 
     Examples
     --------
@@ -262,8 +263,8 @@ def optimize(
     >>> found.converged
     True
     """
-    cost, damping, history = graph.error(values), _FIRST_DAMPING, list[Iteration]()
     structure = _Structure(graph, values)
+    cost, damping, history = graph.error(values), _FIRST_DAMPING, list[Iteration]()
     linear = _Linearized(structure, graph, values)
     while len(history) < max_iterations:
         factor = linear.factored(damping)
@@ -303,6 +304,7 @@ def steps_left(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float
 
 class Marginals:
     """Covariances of a graph's variables at values, for sigma0 = 1: those of `gtsam.Marginals`, for units of any size.
+    Considered unknowns of a network are held in its graph: only a Solution carries what is not known of them.
 
     Parameters
     ----------

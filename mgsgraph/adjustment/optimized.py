@@ -20,6 +20,8 @@ from mgsgraph.files.networks.tie_points import PointKind
 
 _CONVERGED = 0.01
 """Posterior sigmas from the minimum within which what was optimized elsewhere counts as converged."""
+_FOREIGN = 1e-6
+"""Share by which a graph may cost less than the measurements of its network."""
 
 
 def solution_of(
@@ -34,9 +36,9 @@ def solution_of(
     values : gtsam.Values
         Of its keys; further ones are of no account.
     graph : gtsam.NonlinearFactorGraph, optional
-        What was optimized, where factors of one's own were added: final cost and covariances are then its own.
-        Residuals, their statistics and tests are those of the network's measurements, and so is the cost before. A
-        solution does not keep such factors: `factor_graph(solution)` is the network's graph.
+        What was optimized, where factors of one's own were added: costs and covariances are then its own. Residuals,
+        their statistics and tests are those of the network's measurements. A solution does not keep such factors:
+        `factor_graph(solution)` is the network's graph.
     name : str, optional
         What to call it in reports; the source's own when absent.
 
@@ -48,7 +50,8 @@ def solution_of(
     Raises
     ------
     InputError
-        Where a key of the source has no value.
+        Where values or graph lack an unknown of the source, or a value has another length; for a graph of a network
+        with considered unknowns.
     WeakNetwork
         Some direction of the unknowns is not determined.
 
@@ -61,40 +64,69 @@ def solution_of(
     """
     network, settings = network_and_settings(source)
     clock, keys, left_in = Clock(), Keys(network), None
+    of_network = factor_graph(source).graph
+    whole = of_network if graph is None else graph
+    _require_all(of_network, whole, values, keys)
+    if graph is not None and network.considered:
+        raise InputError("graph", "considered unknowns, which it holds", "a network without them", "leave `graph` out")
     if isinstance(source, Solution):
         marks = {"rays": source.rays_rejected, "ranges": source.ranges_rejected, "stereo": source.stereo_rejected}
         left_in = replace(all_rows(network), **{name: ~mark for name, mark in marks.items() if mark is not None})
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
-    initial, nominal = BundleGraph(layout).cost(before), nominal_state(layout, before)
-    network_graph = factor_graph(source).graph
-    whole = network_graph if graph is None else graph
-    for key in network_graph.keyVector():
-        if not values.exists(key):
-            raise InputError("values", f"none of {keys.name(key)}", "one of each unknown of the network")
-    known = [
-        values.atVector(keys.variable(v)) if first >= 0 else np.zeros(0)
-        for v, first in enumerate(layout.variables.first.tolist())
-    ]
+    nominal, first = nominal_state(layout, before), layout.variables.first.tolist()
+    known = [values.atVector(keys.variable(v)) if at >= 0 else np.zeros(0) for v, at in enumerate(first)]
     orientation = layout.variables.joined(known)
     reduction = BundleGraph(layout, selection.rows(layout)).reduction(orientation)
     layout, reduction = relinearized(layout, selection, reduction, own=True)
-    points = reduction.points.copy()
+    points, begin = reduction.points.copy(), gtsam.Values(values)
     for k, i in enumerate(layout.point_order.tolist()):
         if values.exists(keys.point(i)):
             points[k] = values.atPoint3(keys.point(i))
-    far = steps_left(whole, values)
-    message = f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."
-    if (more := whole.size() - network_graph.size()) > 0:
-        message += f" The cost counts {more} factors that are not the network's, sigma0 does not."
-    if graph is None and far >= _CONVERGED:
-        message += " Are the values of this network? With factors of your own pass their graph, too."
-    outcome = Outcome(orientation, initial, whole.error(values), far < _CONVERGED, message, ())
+            begin.update(keys.point(i), nominal.places[i])
+    for v in layout.variables.adjusted():
+        begin.update(keys.variable(int(v)), np.zeros(int(layout.variables.width[v])))
+    cost, far = whole.error(values), steps_left(whole, values)
+    foreign = cost < (1.0 - _FOREIGN) * of_network.error(values)
+    message = _message(far, whole.size() - of_network.size(), foreign, graph is None)
+    outcome = Outcome(orientation, whole.error(begin), cost, far < _CONVERGED and not foreign, message, ())
     rows = selection.rows(layout)
-    solved = Solved(layout, outcome, (), initial, orientation, points, rows, selection, reduction, 1)
+    solved = Solved(layout, outcome, (), whole.error(begin), orientation, points, rows, selection, reduction, 1)
     clock.stop("solve")
     own = getattr(source, "name", "adjustment") if name is None else name
     found = read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
     return found if graph is None else _with_marginals(found, layout, Marginals(graph, values), keys)
+
+
+def _require_all(
+    of_network: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Keys
+) -> None:
+    """Raise InputError where values or graph lack an unknown of the network, or one has another length."""
+    there, widths = set(graph.keyVector()), _of_lengths(values)
+    for key in of_network.keyVector():
+        if key not in widths:
+            raise InputError("values", f"none of {keys.name(key)}", "one of each unknown of the network")
+        if key not in there:
+            raise InputError("graph", f"no factor on {keys.name(key)}", "the network's graph, with factors added")
+        if widths[key] != (wanted := keys.width(key)):
+            raise InputError("values", f"{widths[key]} numbers of {keys.name(key)}", str(wanted))
+
+
+def _of_lengths(values: gtsam.Values) -> dict[int, int]:
+    zeros, every = values.zeroVectors(), list(values.keys())
+    return {key: int(zeros.at(key).size) for key in every}
+
+
+def _message(far: float, more: int, foreign: bool, alone: bool) -> str:
+    """How far from the minimum, and what is odd."""
+    found = [f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."]
+    if foreign:
+        found.append("The graph is of another network: its cost is below that of this network's measurements.")
+    elif more > 0:
+        what = "1 factor that is" if more == 1 else f"{more} factors that are"
+        found.append(f"The costs count {what} not the network's; sigma0 does not.")
+    if alone and far >= _CONVERGED:
+        found.append("Are the values of this network? With factors of your own pass their graph, too.")
+    return " ".join(found)
 
 
 def _with_marginals(solution: Solution, layout: Layout, marginals: Marginals, keys: Keys) -> Solution:

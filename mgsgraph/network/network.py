@@ -347,6 +347,14 @@ class Network(Record):
         return _kept(self.first_shared + len(self.shared) + before)
 
     @property
+    def widths(self) -> list[int]:
+        """Numbers of each variable: images, shifts, shared unknowns, orientation images."""
+        images = [prior.sigmas.size for prior in self.priors]
+        shifts = [len(terms) for terms in self.shift_terms]
+        passes = [int(width) for one in self.passes for width in one.widths]
+        return [*images, *shifts, *(one.kind.width for one in self.shared), *passes]
+
+    @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:
         """Each strip with the variable of its first node."""
         return list(zip(self.passes, self.first_of_passes[:-1].tolist(), strict=True))

@@ -254,6 +254,43 @@ def test_values_that_lack_an_unknown() -> None:
         mgsgraph.solution_of(net, values)
 
 
+def test_a_graph_that_is_another_network_s() -> None:
+    """Its values fit, its cost does not: not converged, and the message says so. One that lacks a point is refused."""
+    net, factors = NETWORKS["pair"](), gtsam.NonlinearFactorGraph()
+    graph, values, keys = mgsgraph.factor_graph(net)
+    other = replace(net, rays=replace(net.rays, places=net.rays.places + 5.0, sigmas=10.0 * net.rays.sigmas))
+    foreign = mgsgraph.factor_graph(other).graph
+    found = mgsgraph.solution_of(net, mgsgraph.optimize(foreign, values).values, foreign)
+    assert not found.converged
+    assert "another network" in found.message
+    for i in range(graph.size()):
+        if keys.point(2) not in graph.at(i).keys():
+            factors.add(graph.at(i))
+    with pytest.raises(InputError, match=f"no factor on point {net.points.ids[2]}"):
+        mgsgraph.solution_of(net, values, factors)
+    values.erase(keys.image(0))
+    values.insert(keys.image(0), np.zeros(12))
+    with pytest.raises(InputError, match=f"12 numbers of image {net.images[0].name}; expected 18"):
+        mgsgraph.solution_of(net, values)
+
+
+def test_what_no_graph_is_made_of() -> None:
+    with pytest.raises(InputError, match="a str; expected a Case, Network or Solution"):
+        mgsgraph.factor_graph("case.toml")
+    with pytest.raises(InputError, match="no factors"):
+        mgsgraph.optimize(gtsam.NonlinearFactorGraph(), gtsam.Values())
+    graph, values, keys = mgsgraph.factor_graph(NETWORKS["pair"]())
+    left = gtsam.Values(values)
+    left.erase(keys.point(0))
+    with pytest.raises(InputError, match="none of variable p0"):
+        mgsgraph.optimize(graph, left)
+    values.insert(gtsam.symbol("z", 5), np.zeros(3))  # a further variable stays as it is
+    assert mgsgraph.optimize(graph, values).values.exists(gtsam.symbol("z", 5))
+    values.update(keys.point(0), 3.0 * values.atPoint3(keys.point(0)))
+    with pytest.raises(InputError, match=f"point {NETWORKS['pair']().points.ids[0]}.*doesn't see"):
+        mgsgraph.optimize(graph, values)
+
+
 def test_an_unknown_that_nothing_determines_is_named() -> None:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gtsam.PriorFactorVector(0, np.zeros(2), gtsam.noiseModel.Diagonal.Precisions(np.array([1.0, 0.0]))))

@@ -255,11 +255,25 @@ def test_derivatives_of_a_stereo_height() -> None:
         (lambda: factors.ground_prior(L(0), seen()[0], -np.eye(3)), "point l0.*positive definite"),
         (lambda: factors.laser_range(L(0), L(0), IMAGE, 3.0, 4e5, 1.0), "key l0 of an unknown and of the point"),
         (lambda: factors.terrain_height(L(0), terrain(NET).spline(), 0.0), "sigma 0"),
+        (lambda: factors.terrain_height(np.zeros(2), terrain(NET).spline(), 1.0), "a GTSAM key, or a position"),
+        (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0, 1.0)), "line and sample"),
+        (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0), [1.0, 1.0, 1.0]), "3 sigmas"),
+        (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0), robust="huber"), "one of huber"),
+        (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0), degree=-1), "degree -1"),
+        (lambda: factors.orientation_prior(X(0), 1.0), "one of each coefficient"),
+        (lambda: factors.ground_prior(L(0), seen()[0], np.ones(3)), "shape"),
     ],
 )
 def test_what_cannot_be_is_refused(make: Callable[[], Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         make()
+
+
+def test_keys_may_be_numbers_of_numpy_and_coefficients_have_their_length() -> None:
+    factor = factors.pushbroom_projection(np.uint64(X(0)), np.array([L(0)])[0], IMAGE, seen()[1])
+    assert list(factor.keys()) == [X(0), L(0)]
+    with pytest.raises(InputError, match="12 numbers of variable x0; expected 18"):
+        factor.error(values_at(seen()[0], np.zeros(12)))
 
 
 def test_a_point_behind_the_camera_is_named() -> None:
