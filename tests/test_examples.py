@@ -63,6 +63,8 @@ def public() -> dict[str, Any]:
 
 PUBLIC = public()
 SETUP = blocks(API)[0][1]
+CLUSTER = "mgsgraph.open_cluster"
+"""Starts processes, which under load takes its time."""
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +126,9 @@ def names_for(code: str, request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 # above two seconds: a dozen of the examples solve, match or serve an archive
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == CLUSTER else ()) for name in PUBLIC]
+)
 @pytest.mark.usefixtures("light_figures")
 def test_every_public_name_has_an_example_that_runs(name: str, request: pytest.FixtureRequest) -> None:
     text = inspect.getdoc(PUBLIC[name]) or ""
