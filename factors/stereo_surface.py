@@ -52,23 +52,30 @@ class _Sighting:
 
     def __init__(self, image: PushbroomImage, angles: str, near: tuple[float, float] | None) -> None:
         self._image, self._angles = image, angles
-        self._at = near or (0.5 * image.lines, 0.5 * image.samples)
-        self._ray = self._from(self._at)
+        self._begin = near or (0.5 * image.lines, 0.5 * image.samples)
+        self._at, self._ray = self._begin, self._from(self._begin)
 
     def _from(self, pixel: tuple[float, float]) -> ImageRay:
         return ImageRay(self._image, pixel, "predicted", self._angles, None)
 
     def __call__(self, state_at: StateAt, point: Array) -> Linear | None:
-        """Pixel, and its derivatives."""
+        """Pixel, and its derivatives; looked for from where the point was last, or else from where it began."""
+        found = self._followed(state_at, point)
+        if found is None and self._at != self._begin:
+            self._at, self._ray = self._begin, self._from(self._begin)
+            found = self._followed(state_at, point)
+        return found
+
+    def _followed(self, state_at: StateAt, point: Array) -> Linear | None:
         for _ in range(_TURNS):
             rows = self._ray(state_at, point)
-            if rows is None or np.abs(rows.residual).max() < _NEAR:
-                break
+            if rows is None:
+                return None
+            if np.abs(rows.residual).max() < _NEAR:
+                return Linear(self._at - rows.residual, -rows.by_point, -rows.by_state, rows.lines)
             self._at = (self._at[0] - float(rows.residual[0]), self._at[1] - float(rows.residual[1]))
             self._ray = self._from(self._at)
-        if rows is None:
-            return None
-        return Linear(self._at - rows.residual, -rows.by_point, -rows.by_state, rows.lines)
+        return None
 
     def towards(self, state_at: StateAt, line: float, point: Array) -> Array:
         """(3,) from the point to the camera, of unit length."""

@@ -33,7 +33,7 @@ Cases and their adjustment
 The factor graph, in GTSAM's hands
     factor_graph            a case or a solution as a graph, values and keys by name
     factors                 its factors one by one: pushbroom_projection, laser_range, ground_prior ...
-    optimize                Levenberg-Marquardt over any graph, in time linear in the number of factors
+    optimize                Levenberg-Marquardt over any graph, in time about linear in the number of factors
     Marginals               covariances of any variables, whatever their units
     solution_of             what any optimizer found, as a Solution
     with_factors            a network with factors of your own on its shared unknowns, for adjust

@@ -1,7 +1,8 @@
 """A network as a GTSAM factor graph: one factor per measurement, priors on what images and profiles share.
 
 The explicit form, for GTSAM's own optimizers, iSAM2 and Marginals, for factors of one's own, and as a reference for the
-bundle form that `adjust` takes: it shares nothing with the compiled kernel but the equations of `factors`.
+bundle form that `adjust` takes: it shares no line with the compiled kernel and its layout. Both take the equations of
+`factors`, the images of `geometry`, and what shared unknowns do from `network.effects`.
 
     case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
 """
@@ -188,6 +189,7 @@ def with_factors(
         What they are to be added to.
     factors : iterable of gtsam.NonlinearFactor
         On keys of `Keys` but those of points: a factor on a point is for `factor_graph`, `optimize`, `solution_of`.
+        Robust ones keep the weights that they have where they are linearized.
     values : gtsam.Values, optional
         Where they are linearized; the nominal orientation when absent. Linear factors need none.
 
@@ -199,8 +201,10 @@ def with_factors(
     Examples
     --------
     >>> graph, values, keys = mgsgraph.factor_graph(network)
-    >>> gps = gtsam.PriorFactorVector(keys.image("SIM/A"), np.zeros(18), gtsam.noiseModel.Isotropic.Sigma(18, 5.0))
-    >>> solution = mgsgraph.adjust_network(mgsgraph.with_factors(network, [gps]))
+    >>> sigmas = np.tile([5.0, 5.0, 5.0, 1e-3, 1e-3, 1e-3], 3)  # m and rad
+    >>> noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    >>> orientation = gtsam.PriorFactorVector(keys.image("SIM/A"), np.zeros(18), noise)
+    >>> solution = mgsgraph.adjust_network(mgsgraph.with_factors(network, [orientation]))
     """
     keys, at, widths = Keys(network), gtsam.Values() if values is None else gtsam.Values(values), network.widths
     rows = list(network.linear)

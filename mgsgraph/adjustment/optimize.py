@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt and marginal covariances of any GTSAM graph, in time linear in the number of factors.
+"""Levenberg-Marquardt and marginal covariances of any GTSAM graph, in time about linear in the number of factors.
 
 GTSAM's optimizers hand each Python factor a copy of all values: their time grows with the square of the number of
 variables. `graph.linearize(values)` doesn't. And GTSAM's Cholesky takes columns of m and of rad beside each other for
@@ -20,6 +20,8 @@ from mgsgraph.record import Record, card
 from mgsgraph.workers import no_progress
 
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
+_HARDLY_DAMPED = 1e-6
+"""Up to which a step says how far the minimum is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +243,8 @@ def optimize(
     max_iterations : int
         The most steps to try.
     cost_tolerance : float
-        Stop when a step lowers the cost, or promises to, by less than this share of it.
+        Stop when a step lowers the cost, or promises to, by less than this share of it; the last one may raise it by
+        as much.
     step_tolerance : float
         Stop when the step is shorter than this many posterior sigmas.
 
@@ -284,7 +287,8 @@ def optimize(
         progress(last)
         if accepted:
             values, cost, damping = trial, new, max(0.1 * damping, _LEAST)
-        if length < step_tolerance or max(predicted, abs(last.decrease)) <= cost_tolerance * cost:
+        small = length < step_tolerance or max(predicted, abs(last.decrease)) <= cost_tolerance * cost
+        if small and damping <= _HARDLY_DAMPED:
             return Optimized(values, cost, True, f"Converged after {len(history)} iterations.", tuple(history))
         if accepted:
             linear = _Linearized(structure, graph, values)
@@ -337,6 +341,8 @@ class Marginals:
     def covariance(self, *keys: int) -> Array:
         """Joint covariance of some variables, in the order asked for, m^2, m rad, rad^2."""
         linear, structure = self._linear, self._linear.structure
+        if not keys:
+            return np.zeros((0, 0))
         columns = np.concatenate([np.arange(structure.columns)[structure.columns_of(key)] for key in keys])
         scales = linear.scales[columns]
         return np.asarray(linear.undamped.covariance(columns, structure) * scales * scales[:, None])

@@ -37,8 +37,8 @@ def solution_of(
         Of its keys; further ones are of no account.
     graph : gtsam.NonlinearFactorGraph, optional
         What was optimized, where factors of one's own were added: costs and covariances are then its own. Residuals,
-        their statistics and tests are those of the network's measurements. A solution does not keep such factors:
-        `factor_graph(solution)` is the network's graph.
+        their statistics and tests are those of the network's measurements, and so is what `Posterior` answers. A
+        solution does not keep such factors: `factor_graph(solution)` is the network's graph.
     name : str, optional
         What to call it in reports; the source's own when absent.
 
@@ -71,7 +71,7 @@ def solution_of(
         raise InputError("graph", "considered unknowns, which it holds", "a network without them", "leave `graph` out")
     if isinstance(source, Solution):
         marks = {"rays": source.rays_rejected, "ranges": source.ranges_rejected, "stereo": source.stereo_rejected}
-        left_in = replace(all_rows(network), **{name: ~mark for name, mark in marks.items() if mark is not None})
+        left_in = replace(all_rows(network), **{rows: ~mark for rows, mark in marks.items() if mark is not None})
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
     nominal, first = nominal_state(layout, before), layout.variables.first.tolist()
     known = [values.atVector(keys.variable(v)) if at >= 0 else np.zeros(0) for v, at in enumerate(first)]
@@ -87,7 +87,7 @@ def solution_of(
         begin.update(keys.variable(int(v)), np.zeros(int(layout.variables.width[v])))
     cost, far = whole.error(values), steps_left(whole, values)
     foreign = cost < (1.0 - _FOREIGN) * of_network.error(values)
-    message = _message(far, whole.size() - of_network.size(), foreign, graph is None)
+    message = _message(far, None if graph is None else graph.size(), of_network.size(), foreign)
     outcome = Outcome(orientation, whole.error(begin), cost, far < _CONVERGED and not foreign, message, ())
     rows = selection.rows(layout)
     solved = Solved(layout, outcome, (), whole.error(begin), orientation, points, rows, selection, reduction, 1)
@@ -116,15 +116,14 @@ def _of_lengths(values: gtsam.Values) -> dict[int, int]:
     return {key: int(zeros.at(key).size) for key in every}
 
 
-def _message(far: float, more: int, foreign: bool, alone: bool) -> str:
-    """How far from the minimum, and what is odd."""
+def _message(far: float, given: int | None, size: int, foreign: bool) -> str:
+    """How far from the minimum, and what the costs count where another graph than the network's was given."""
     found = [f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."]
     if foreign:
         found.append("The graph is of another network: its cost is below that of this network's measurements.")
-    elif more > 0:
-        what = "1 factor that is" if more == 1 else f"{more} factors that are"
-        found.append(f"The costs count {what} not the network's; sigma0 does not.")
-    if alone and far >= _CONVERGED:
+    elif given is not None:
+        found.append(f"The costs are those of the given graph of {given} factors, sigma0 of the network's {size}.")
+    if given is None and far >= _CONVERGED:
         found.append("Are the values of this network? With factors of your own pass their graph, too.")
     return " ".join(found)
 
