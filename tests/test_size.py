@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13593, 18),
     "single files": (814, 9443, 10),
     "scripts": (5405, 86033, 41),
-    "tests": (34252, 515562, 188),
+    "tests": (34260, 515709, 188),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import gtsam
 import numpy as np
 import pytest
 from explicit_form import by_gtsam
@@ -148,7 +149,15 @@ def test_rows_alone_are_the_least_squares_solution_by_hand() -> None:
     found = prior_covariance(layout)
     assert found is not None
     np.testing.assert_allclose(found.dense(), np.linalg.inv(layout.prior.normal()), rtol=1e-6, atol=1e-12)
-    assert sum(1 for _ in prior_factors(layout.network, Keys(layout.network))) == len(layout.variables.adjusted()) + 6
+    graph, values, keys, order = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(net), gtsam.Ordering()
+    for factor in prior_factors(net, keys):
+        graph.add(factor)
+    for v in layout.variables.adjusted():
+        values.insert(keys.variable(int(v)), np.zeros(int(layout.variables.width[v])))
+        order.push_back(keys.variable(int(v)))
+    assert graph.size() == len(layout.variables.adjusted()) + 6
+    normal = graph.linearize(values).hessian(order)[0]
+    np.testing.assert_allclose(layout.prior.normal(), normal, rtol=1e-9, atol=1e-12 * np.abs(normal).max())
     state = np.random.default_rng(3).normal(size=layout.columns) * layout.scales
     step = 1e-3 * layout.scales
     numeric = [
