@@ -4,8 +4,8 @@
 
     factors.pushbroom_projection    image coordinates of a ground point                     Yoon & Shan 2005, Eq. 1, 2
     factors.laser_range             range from the camera's place to a footprint            Eq. 3
-    factors.ground_prior            a ground point that is known beforehand                 Eq. 4
-    factors.orientation_prior       EO coefficients that are known beforehand               Eq. 4
+    factors.ground_prior            a-priori position of a ground point                     Eq. 4
+    factors.orientation_prior       a-priori sigmas of EO coefficients                      Eq. 4
     factors.terrain_height          height of a ground point above a terrain model          Ebner et al. 2004
     factors.stereo_height           height of a ground point above the surface of a stereo pair
     factors.linear_prior            whitened rows on several unknowns

@@ -166,7 +166,7 @@ def time_bias(key: int, image: PushbroomImage, period: float) -> PolynomialEffec
     rates = np.hstack([pose.velocity, pose.angular_rate]) / period
     coefficients = np.zeros((3, STATE, 1))
     coefficients[:, :6, 0] = np.linalg.solve(np.vander([-1.0, 0.0, 1.0], increasing=True), rates)
-    return PolynomialEffect((key,), coefficients, float(image.lines))
+    return PolynomialEffect((int(key),), coefficients, float(image.lines))
 
 
 class OrientationImagesEffect(NamedTuple):

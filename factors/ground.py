@@ -1,4 +1,4 @@
-"""A ground point known beforehand, moved as a whole with its profile (Yoon & Shan 2005, Eq. 4).
+"""A-priori position of a ground point, moved as a whole with its profile (Yoon & Shan 2005, Eq. 4).
 
     r = U (P - P0 - s),    Q = (U'U)^-1        predicted minus known, whitened
 
@@ -55,7 +55,7 @@ class GroundPrior:
 def ground_prior(
     point_key: int, position: Array, covariance: Array, moved: Sequence[Effect] = ()
 ) -> "gtsam.CustomFactor":
-    """A ground point that is known beforehand (Yoon & Shan 2005, Eq. 4).
+    """A-priori position of a ground point (Yoon & Shan 2005, Eq. 4).
 
     Parameters
     ----------

@@ -1,9 +1,6 @@
 """One measurement as a GTSAM factor on the unknowns that move its instrument and on its ground point.
 
-What unknowns do to a measurement is its *state*, thirteen numbers: of the instrument's position (3, m), its attitude
-(3, rad), what a pixel looks along (3, m: x, y, focal length), and what a measured distance is too long (1, m). It is
-linear in the unknowns, and a function of the image line: state(l) = sum_e E_e(l) x_e (Yoon & Shan 2005, Eq. 2). Each
-E_e is an *effect* (`factors.effects`).
+The unknowns act through the *state* of the instrument, and each through its *effect*: `factors.effects`.
 """
 
 from __future__ import annotations

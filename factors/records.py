@@ -37,7 +37,7 @@ class Interior(Protocol):
 
     @property
     def focal_length(self) -> float:
-        """In m."""
+        """Focal length, m."""
         ...
 
     def focal_plane(self, samples: Array) -> tuple[Array, Array]:
@@ -50,7 +50,7 @@ class PushbroomImage(Protocol):
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the image, which messages state."""
         ...
 
     @property
@@ -65,7 +65,7 @@ class PushbroomImage(Protocol):
 
     @property
     def interior(self) -> Interior:
-        """Camera constants."""
+        """Interior orientation of its camera."""
         ...
 
     def pose(self, lines: Array) -> Pose:

@@ -45,7 +45,7 @@ from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
-from mgsgraph.network.effects import SharedEffects, acting_on, crossover_rows, footprint_motion
+from mgsgraph.network.effects import SharedEffects, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import SharedKind
@@ -142,7 +142,7 @@ def network_and_settings(source: Any) -> tuple[Network, SolverSettings]:
 
 
 def factor_graph(source: Source) -> FactorGraph:
-    """The whole network as a GTSAM graph: one factor per measurement, priors on what is known beforehand.
+    """The whole network as a GTSAM graph: one factor per measurement, priors on the unknowns.
 
     Parameters
     ----------
@@ -321,9 +321,7 @@ def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam
         if network.terrain_moves:
             motion = surface.directions(selected.nominal[[i]])[0]
             moved = [constant(keys.variable(network.first_shared - 1), POSITION, motion.T)]
-        fixed = network.points.kinds[i] == PointKind.FIXED
-        point = network.points.places[i] if fixed else keys.point(i)
-        yield terrain_height(point, spline, float(surface.sigmas[i]), moved)
+        yield terrain_height(_point(network, keys, i), spline, float(surface.sigmas[i]), moved)
 
 
 def _stereo_heights(
@@ -341,7 +339,7 @@ def _stereo_heights(
                 raise InputError(f"ground point {network.points.ids[i]}", found, expected)
             flat = control.level is not None and control.level[i]
             yield stereo_height(
-                network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i),
+                _point(network, keys, i),
                 control.surfaces[s],
                 [_Mounted.of(network, j) for j in numbers],
                 [moves[j].of_ray(*pixel) for j, pixel in zip(numbers, near, strict=True)],
@@ -354,6 +352,11 @@ def _stereo_heights(
             )
 
 
+def _point(network: Network, keys: Keys, i: int) -> int | Array:
+    """Key of a point, or its position where that is known."""
+    return network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i)
+
+
 def _robust(settings: SolverSettings) -> tuple[str, float] | None:
     if settings.loss == "none":
         return None
@@ -363,34 +366,33 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 def _rays(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    rays, fixed = network.rays, network.points.kinds == PointKind.FIXED
+    rays = network.rays
     for j in range(len(network.images)):
         mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
         for k in mine.tolist():
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
-            point = network.points.places[i] if fixed[i] else keys.point(i)
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
             yield pushbroom_projection(
-                None, point, image, place, rays.sigmas[k], shared=moves[j].of_ray(*place), line=settings.line,
-                angles=settings.angles, near=selected.nominal[i], robust=_robust(settings), label=label,
+                None, _point(network, keys, i), image, place, rays.sigmas[k], shared=moves[j].of_ray(*place),
+                line=settings.line, angles=settings.angles, near=selected.nominal[i], robust=_robust(settings),
+                label=label,
             )  # fmt: skip
 
 
 def _ranges(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    ranges, fixed = network.ranges, network.points.kinds == PointKind.FIXED
+    ranges = network.ranges
     for j in np.unique(ranges.image).tolist():
         image = network.images[j]
         mine = np.flatnonzero(selected.ranges & (ranges.image == j))
         lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
         for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
             i = int(ranges.point[k])
-            point = network.points.places[i] if fixed[i] else keys.point(i)
             yield laser_range(
-                None, point, image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
+                None, _point(network, keys, i), image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
                 shared=moves[j].of_range(line, float(ranges.times[k])), robust=_robust(settings),
                 label=f"shot {network.points.ids[i]}, image {image.name}",
             )  # fmt: skip
@@ -475,13 +477,13 @@ class _Moves:
 
     def of_ray(self, line: float, sample: float) -> list[Effect]:
         found = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
-        for k in acting_on(self._network, "rays")[self._j]:
+        for k in self._shared.acting["rays"][self._j]:
             found.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
         return found
 
     def of_range(self, line: float, time: float) -> list[Effect]:
         found = [*self._own, *self._nodes(line, line)]
-        for k in acting_on(self._network, "ranges")[self._j]:
+        for k in self._shared.acting["ranges"][self._j]:
             bias = self._network.shared[k].kind is SharedKind.RANGE_BIAS
             found.append(range_bias(self._keys.shared(k)) if bias else self._pose[k])
         return found

@@ -87,11 +87,10 @@ class _Structure:
             if not values.exists(key):
                 found = f"none of variable {gtsam.DefaultKeyFormatter(key)}"
                 raise InputError("values", found, "one of each variable of the graph")
-        for i in range(graph.size()):
-            if not np.isfinite(graph.at(i).error(values)):
-                graph.at(i).linearize(values)  # says why, where a point is not seen
-                where = f"factor {i} on {', '.join(map(gtsam.DefaultKeyFormatter, graph.at(i).keys()))}"
-                raise InputError(where, "an error that is not finite", "values where every factor is defined")
+        self.cost = float(graph.error(values))
+        """Of the graph where it began."""
+        if not np.isfinite(self.cost):
+            _require_finite(graph, values)
         self.sizes = {key: int(zeros.at(key).size) for key in self.keys}
         ends = np.cumsum([0, *self.sizes.values()])
         self.first = dict(zip(self.keys, ends.tolist(), strict=False))
@@ -114,6 +113,15 @@ class _Structure:
     def columns_of(self, key: int) -> slice:
         """Columns of a variable."""
         return slice(self.first[key], self.first[key] + self.sizes[key])
+
+
+def _require_finite(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    """Raise InputError, naming the first factor whose error is not finite."""
+    for i in range(graph.size()):
+        if not np.isfinite(graph.at(i).error(values)):
+            graph.at(i).linearize(values)  # says why, where a point is not seen
+            where = f"factor {i} on {', '.join(map(gtsam.DefaultKeyFormatter, graph.at(i).keys()))}"
+            raise InputError(where, "an error that is not finite", "values where every factor is defined")
 
 
 class _Factored:
@@ -267,7 +275,7 @@ def optimize(
     True
     """
     structure = _Structure(graph, values)
-    cost, damping, history = graph.error(values), _FIRST_DAMPING, list[Iteration]()
+    cost, damping, history = structure.cost, _FIRST_DAMPING, list[Iteration]()
     linear = _Linearized(structure, graph, values)
     while len(history) < max_iterations:
         factor = linear.factored(damping)
@@ -297,13 +305,6 @@ def optimize(
             if damping > _MOST:
                 return Optimized(values, cost, False, "Stopped: no step lowers the cost.", tuple(history))
     return Optimized(values, cost, False, f"Stopped after {max_iterations} iterations.", tuple(history))
-
-
-def steps_left(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """Posterior sigmas from values to the minimum, by the graph's linearization there."""
-    linear = _Linearized(_Structure(graph, values), graph, values)
-    step = linear.undamped.solve(-linear.gradient)
-    return float(np.sqrt(max(-float(linear.gradient @ step), 0.0)))
 
 
 class Marginals:
@@ -337,6 +338,11 @@ class Marginals:
 
     def _repr_html_(self) -> str:
         return card(repr(self))
+
+    def steps_left(self) -> float:
+        """Posterior sigmas from the values to the minimum, by the graph's linearization there."""
+        step = self._linear.undamped.solve(-self._linear.gradient)
+        return float(np.sqrt(max(-float(self._linear.gradient @ step), 0.0)))
 
     def covariance(self, *keys: int) -> Array:
         """Joint covariance of some variables, in the order asked for, m^2, m rad, rad^2."""

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.keys import Keys
 from mgsgraph.adjustment.marginals import dense_covariance
-from mgsgraph.adjustment.optimize import Marginals, steps_left
+from mgsgraph.adjustment.optimize import Marginals
 from mgsgraph.adjustment.rounds import Solved, all_rows, relinearized
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
@@ -85,16 +85,17 @@ def solution_of(
             begin.update(keys.point(i), nominal.places[i])
     for v in layout.variables.adjusted():
         begin.update(keys.variable(int(v)), np.zeros(int(layout.variables.width[v])))
-    cost, far = whole.error(values), steps_left(whole, values)
+    marginals = Marginals(whole, values)
+    initial, cost, far = whole.error(begin), whole.error(values), marginals.steps_left()
     foreign = cost < (1.0 - _FOREIGN) * of_network.error(values)
     message = _message(far, None if graph is None else graph.size(), of_network.size(), foreign)
-    outcome = Outcome(orientation, whole.error(begin), cost, far < _CONVERGED and not foreign, message, ())
+    outcome = Outcome(orientation, initial, cost, far < _CONVERGED and not foreign, message, ())
     rows = selection.rows(layout)
-    solved = Solved(layout, outcome, (), whole.error(begin), orientation, points, rows, selection, reduction, 1)
+    solved = Solved(layout, outcome, (), initial, orientation, points, rows, selection, reduction, 1)
     clock.stop("solve")
     own = getattr(source, "name", "adjustment") if name is None else name
     found = read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
-    return found if graph is None else _with_marginals(found, layout, Marginals(graph, values), keys)
+    return found if graph is None else _with_marginals(found, layout, marginals, keys)
 
 
 def _require_all(

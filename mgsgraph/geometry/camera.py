@@ -37,7 +37,7 @@ class Distortion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NoDistortion:
-    """Ideal optics."""
+    """A lens without distortion: measured places are the ideal ones."""
 
     def undistort(self, place: Array) -> Bent:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2): the same places."""

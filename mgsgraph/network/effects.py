@@ -31,10 +31,11 @@ class SharedEffects:
 
     def __init__(self, network: Network, angles: Angles) -> None:
         self._network = network
-        self._mine = {what: acting_on(network, what) for what in ("rays", "ranges")}
+        self.acting = {what: acting_on(network, what) for what in ("rays", "ranges")}
+        """Of each image the shared unknowns that its rays, or its ranges, depend on."""
         self._kinds = {
             what: [[network.shared[k].kind for k in mine] for mine in of_images]
-            for what, of_images in self._mine.items()
+            for what, of_images in self.acting.items()
         }
         self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
         self.of_instrument = {
@@ -67,7 +68,7 @@ class SharedEffects:
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
         pass.
         """
-        mine = self._mine["rays"][image]
+        mine = self.acting["rays"][image]
         kinds = [self._network.shared[k].kind for k in mine]
         width = 9 if any(kind.is_interior for kind in kinds) else 6
         found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
@@ -83,11 +84,11 @@ class SharedEffects:
 
     def acts_on_rays(self, image: int) -> bool:
         """Whether shared unknowns act on an image's rays."""
-        return bool(self._mine["rays"][image])
+        return bool(self.acting["rays"][image])
 
     def bends(self, image: int) -> bool:
         """Whether shared unknowns change the slope of an image's detector line."""
-        return any(bends(self._network, k, image) for k in self._mine["rays"][image])
+        return any(bends(self._network, k, image) for k in self.acting["rays"][image])
 
     def slopes(self, image: int, samples: Array, values: Sequence[Array]) -> Array:
         """(n, 2) m per sample, of an image's detector line where all variables have `values`, in the axes of its
@@ -99,7 +100,7 @@ class SharedEffects:
             look, along = look @ axes, along @ axes
         scale = interior.focal_length / look[:, 2:]
         look, along = look * scale, along * scale
-        for k in self._mine["rays"][image]:
+        for k in self.acting["rays"][image]:
             if self._network.shared[k].kind.is_interior:
                 moved, turned = self.of_interior(image, k, samples)
                 value = values[self._network.first_shared + k]

@@ -346,13 +346,13 @@ class Network(Record):
         before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         return _kept(self.first_shared + len(self.shared) + before)
 
-    @property
-    def widths(self) -> list[int]:
+    @cached_property
+    def widths(self) -> tuple[int, ...]:
         """Numbers of each variable: images, shifts, shared unknowns, orientation images."""
         images = [prior.sigmas.size for prior in self.priors]
         shifts = [len(terms) for terms in self.shift_terms]
         passes = [int(width) for one in self.passes for width in one.widths]
-        return [*images, *shifts, *(one.kind.width for one in self.shared), *passes]
+        return (*images, *shifts, *(one.kind.width for one in self.shared), *passes)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:

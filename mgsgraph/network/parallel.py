@@ -13,7 +13,7 @@ _MOST = 0.01
 
 
 def parallel(network: Network, angles: Array) -> Mask:
-    """(n,) free points, held by nothing but rays, whose nominal rays are parallel within what is known beforehand.
+    """(n,) free points, held by nothing but rays, whose nominal rays are parallel within their a-priori sigmas.
 
     `angles` (n,) are those between the outermost nominal rays, in rad. Rays that may as well part as cross put a point
     anywhere between the camera and far below the ground; the equations, linear in the distance, have no meaning there.

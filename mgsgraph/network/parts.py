@@ -152,7 +152,10 @@ def select_points(network: Network, points: Index | Sequence[str]) -> Network:
     Network(2 images, 5 points (5 tie), 10 rays, 0 ranges)
     """
     require_separable(network)
-    points = np.array([network.point_number(point) for point in points], dtype=np.int64)
+    if not (isinstance(points, np.ndarray) and np.issubdtype(points.dtype, np.integer)):
+        points = np.array([network.point_number(point) for point in points], dtype=np.int64)
+    for number in points[(points < 0) | (points >= len(network.points))][:1].tolist():
+        network.point_number(number)  # says which numbers there are
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     rays, ranges = np.flatnonzero(place[network.rays.point] >= 0), np.flatnonzero(place[network.ranges.point] >= 0)

@@ -70,7 +70,7 @@ def numbers(
 
 
 class Solving(Protocol):
-    """Factored equations."""
+    """Normal equations that are factored, ready for right sides."""
 
     def solve(self, right: Array) -> Array:
         """Solution (columns,), m and rad, for a right side per m and rad."""

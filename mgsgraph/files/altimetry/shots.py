@@ -206,7 +206,7 @@ class _Rows:
         return fits[0] if fits else None
 
     def _bytes(self, column: Column) -> NDArray[np.uint8]:
-        """(n, size)."""
+        """(n, size) bytes of a column, shot by shot."""
         whole = self._rows.view(np.uint8).reshape(self._rows.size, -1)
         return np.ascontiguousarray(whole[:, column.start : column.start + column.size])
 
