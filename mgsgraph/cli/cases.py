@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mgsgraph.cli.options import (
+    DETAILS,
     NO_FIGURES,
     PAIR,
     PATH,
@@ -63,6 +64,7 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
+@DETAILS
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
 def adjust(
@@ -73,6 +75,7 @@ def adjust(
     two_steps: bool,
     ties: Path | None,
     overrides: "Overrides",
+    details: bool,
     verbose: bool,
 ) -> None:
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
@@ -80,14 +83,15 @@ def adjust(
     Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
     blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
 
-    Exit status: 0 converged, 1 not converged, or to what is no result: most of a kind of observations left out, an
-    absurd sigma0, orientations beyond 100 a-priori sigmas (results are written); 2 bad input.
+    The first line says whether the result is valid, SUSPECT (a test found what the stated sigmas don't explain) or
+    INVALID. Exit status: 0 valid or suspect; 1 invalid: not converged, most of a kind of observations left out, an
+    absurd sigma0, orientations beyond 100 prior sigmas (results are written); 2 bad input.
     """
     from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster.connection import open_cluster
     from mgsgraph.adjustment.cluster.workers import parse_cluster
     from mgsgraph.analysis.process_strengths import estimated_strengths
-    from mgsgraph.analysis.soundness import is_result
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.files.output.folders import require_replaceable
@@ -118,11 +122,11 @@ def adjust(
             solution, said = adjust_network(read.network, settings, read.name, bar, workers), []
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
-    print_solution(solution)
+    print_solution(solution, details)
     for sentence in said:
         click.echo(sentence)
     click.echo(f"Results are in {out}")
-    ctx.exit(0 if is_result(solution) else 1)
+    ctx.exit(0 if is_valid(solution) else 1)
 
 
 def _in_two_steps(
@@ -135,7 +139,7 @@ def _in_two_steps(
 ) -> bool:
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
-    from mgsgraph.analysis.soundness import is_result
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.results.results import write_results
@@ -153,7 +157,7 @@ def _in_two_steps(
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
     click.echo(two_steps_section(statistics).text(None))
     click.echo(f"Results are in {out}")
-    return steps.converged and is_result(steps.fitted)
+    return steps.converged and is_valid(steps.fitted)
 
 
 @click.command()
@@ -368,9 +372,9 @@ def _coregistered_project(folder: Path, settings: "ReliefSettings", workers: int
 
 def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
     """Print what a registration by relief has found; whether it converged."""
-    from mgsgraph.analysis.soundness import is_result
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.results.relief import coregistration_section
 
     click.echo(coregistration_section(registration).text())
     click.echo(f"Results are in {out}")
-    return is_result(registration.solution)
+    return is_valid(registration.solution)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
+DETAILS = click.option("--details", is_flag=True, help="Print all tables and sentences.")
 NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
 TABLES = click.option(
     "--tables", type=click.Choice(["csv", "parquet"]),
@@ -77,10 +78,14 @@ def print_sentences(sentences: Iterable[str]) -> None:
         click.echo(f"- {sentence}")
 
 
-def print_solution(solution: "Solution") -> None:
-    """Print what an adjustment has found: the table and the sentences."""
+def print_solution(solution: "Solution", details: bool = False) -> None:
+    """Print what an adjustment has found in a few lines; with details all tables and sentences."""
     from mgsgraph.results.results import sentences_of, solution_sections, summary_table
+    from mgsgraph.results.summary import summary
 
+    if not details:
+        click.echo("\n".join(summary(solution)))
+        return
     sections = solution_sections(solution)
     click.echo(summary_table(solution, sections))
     print_sentences(sentences_of(sections))

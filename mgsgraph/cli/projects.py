@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mgsgraph.cli.options import (
+    DETAILS,
     DEVICE,
     NO_FIGURES,
     PATH,
@@ -251,18 +252,19 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
 @NO_FIGURES
 @TABLES
 @DEVICE
+@DETAILS
 @click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
 @click.pass_context
 def solve(
     ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", device: "Device | None",
-    verbose: bool,
+    details: bool, verbose: bool,
 ) -> None:  # fmt: skip
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
-    Exit status: 0 converged, 1 not converged or to what is no result (results are written), 2 bad input (nothing has
+    Exit status: 0 converged, 1 invalid (results are written), 2 bad input (nothing has
     changed).
     """
-    from mgsgraph.analysis.soundness import is_result
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.project.changes import solve_project
     from mgsgraph.project.project import open_project
@@ -272,11 +274,11 @@ def solve(
         iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_project(opened, not no_figures, tables, bar, device)
-    print_solution(solved.solution)
+    print_solution(solved.solution, details)
     if solved.closing is not None:
         click.echo(f"- {solved.closing.sentence}")
     click.echo(f"Results are in {solved.folder}")
-    ctx.exit(0 if is_result(solved.solution) else 1)
+    ctx.exit(0 if is_valid(solved.solution) else 1)
 
 
 @click.command()

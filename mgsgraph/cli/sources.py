@@ -57,7 +57,7 @@ def demo(
     left out without it. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.analysis.soundness import is_result
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.case.reading import Case
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
@@ -76,7 +76,7 @@ def demo(
     click.echo("\nWhat was wrong, and what is right now")
     click.echo("\n".join(closing))
     click.echo(f"Inputs and results are in {out}")
-    ctx.exit(0 if is_result(solution) else 1)
+    ctx.exit(0 if is_valid(solution) else 1)
 
 
 @click.command()

@@ -162,6 +162,28 @@ def select_points(network: Network, points: Index | Sequence[str]) -> Network:
     return _part(network, points, rays, ranges, place)
 
 
+def thinned(network: Network, points: Index) -> Network:
+    """Some points (m,) of a network with their measurements, beside all of its images and shared unknowns; without
+    crossovers and rows of the user's own.
+    """
+    place = np.full(len(network.points), -1)
+    place[points] = np.arange(points.size)
+    own, shifts, surface = network.points, network.shifts, network.surface
+    rays, ranges = (part.chosen(place[part.point] >= 0) for part in (network.rays, network.ranges))
+    covariances = chosen_rows(own.covariances, points)
+    return replace(
+        network,
+        points=GroundPoints(own.ids[points], own.classes[points], own.kinds[points], own.places[points], covariances),
+        rays=replace(rays, point=place[rays.point]),
+        ranges=replace(ranges, point=place[ranges.point]),
+        shifts=None if shifts is None else replace(shifts, profile=shifts.profile[points]),
+        surface=None if surface is None else replace(surface, sigmas=surface.sigmas[points]),
+        stereo=None if network.stereo is None else network.stereo.chosen(points),
+        crossovers=None,
+        linear=(),
+    )
+
+
 def _part(network: Network, points: Index, rays: Index, ranges: Index, place: Index) -> Network:
     """The same, of points whose rays and ranges are known; `place` (n,) has the new number of each of these points."""
     stereo = None if network.stereo is None else network.stereo.chosen(points)

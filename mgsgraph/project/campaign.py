@@ -28,7 +28,7 @@ import msgspec
 
 from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
 from mgsgraph.adjustment.cluster.workers import parse_cluster
-from mgsgraph.analysis.soundness import is_result
+from mgsgraph.analysis.verdict import is_valid
 from mgsgraph.atomic_write import resolved, sweep
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import adjust, read_case
@@ -39,7 +39,7 @@ from mgsgraph.files.output.folders import RECORD as RESULT
 from mgsgraph.files.output.folders import require_replaceable
 from mgsgraph.files.writing import claim
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
-from mgsgraph.results.soundness import soundness_section
+from mgsgraph.results.verdict import reason_sentences, verdict
 from mgsgraph.text import many
 from mgsgraph.workers import no_progress, read_apart
 
@@ -61,7 +61,7 @@ class CampaignEntry(msgspec.Struct, frozen=True):
     folder: str
     """Name of the folder with its results."""
     status: Status
-    """no result: it came to rest on what proves nothing (`analysis.soundness`); not converged: results are written in
+    """no result: it converged to what is invalid (`analysis.verdict`); not converged: results are written in
     both; failed: there are none of this run."""
     message: str
     """Reason why the adjustment ended."""
@@ -376,8 +376,8 @@ def _adjusted(task: CaseTask) -> dict[str, Any]:
     solution = adjust(dataclasses.replace(case, settings=task.overrides.over(case.settings)))
     write_results(solution, target, task.overrides.figures, task.case, case.networks, task.overrides.tables)
     return {
-        "status": "not converged" if not solution.converged else "done" if is_result(solution) else "no result",
-        "message": " ".join([*soundness_section(solution).sentences, solution.message]),
+        "status": "not converged" if not solution.converged else "done" if is_valid(solution) else "no result",
+        "message": " ".join([*reason_sentences(verdict(solution).reasons), solution.message]),
         "converged": solution.converged,
         "sigma0": solution.sigma0 if math.isfinite(solution.sigma0) else None,
         "cost": solution.cost_final,

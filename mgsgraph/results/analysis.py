@@ -23,7 +23,7 @@ from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
-from mgsgraph.results.soundness import linearity_section
+from mgsgraph.results.verdict import linearity_section
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
 

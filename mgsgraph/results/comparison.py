@@ -20,7 +20,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.results import figures_of_merit
 from mgsgraph.results.section import Section, columns_of, drawn, table_of
-from mgsgraph.results.soundness import state_of
+from mgsgraph.results.verdict import state_of
 from mgsgraph.text import many, root_mean_square, some
 
 _POINTS = "points_compared"

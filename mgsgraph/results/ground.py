@@ -28,7 +28,7 @@ def points_section(solution: Solution) -> Section:
     there = [point_class for point_class, _ in solution.network.of_class()]
     record = {row.pop("kind"): row for row in table.records()}
     shown = table.take(np.array(there, dtype=np.int64))
-    return Section("points", sentences=_left_out(solution), tables=[shown], numbers=record)
+    return Section("points", sentences=left_out(solution), tables=[shown], numbers=record)
 
 
 def classes_table(solution: Solution) -> Table:
@@ -40,7 +40,7 @@ def classes_table(solution: Solution) -> Table:
     }, found)  # fmt: skip
 
 
-def _left_out(solution: Solution) -> list[str]:
+def left_out(solution: Solution) -> list[str]:
     """Points, rays, ranges and heights that took no part."""
     network, found = solution.network, []
     there = solution.determined

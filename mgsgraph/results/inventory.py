@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.adjust import Prediction, predict
+from mgsgraph.analysis.geometry_checks import convergence
 from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
@@ -18,7 +19,6 @@ from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.footprint import footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
@@ -36,7 +36,7 @@ from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section, table_of
-from mgsgraph.results.soundness import beyond_priors_statements, range_statements, reading_statements
+from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.text import many, root_mean_square, some, some_of, span
 from mgsgraph.units import DEG, KM, MRAD
@@ -275,7 +275,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
          "laser points have no range (no simultaneous image)"),
     ):  # fmt: skip
         found += [f"{mine.size} {what}: {some_of(points.ids, mine, _NAMED)}"] if mine.size else []
-    angle = _convergence(network)
+    angle = convergence(network, np.flatnonzero(points.classes == PointClass.TIE))
     if np.any(angle < _NARROW):
         found.append(
             f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than "
@@ -319,17 +319,6 @@ def _poor_images(network: Network) -> list[str]:
         )
         if found
     ]
-
-
-def _convergence(network: Network) -> Array:
-    """Angle (rad) between the outermost rays of each tie point with two rays or more."""
-    rays = network.rays
-    origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
-    for j, image in enumerate(network.images):
-        mine = rays.image == j
-        origins[mine], directions[mine], _, _ = image.rays(*rays.places[mine].T)
-    _, _, angle = intersect_rays(origins, directions, rays.point, len(network.points))
-    return np.asarray(angle[(network.points.classes == PointClass.TIE) & (network.ray_counts >= 2)])
 
 
 def mounting_warnings(network: Network) -> list[str]:

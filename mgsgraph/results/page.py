@@ -20,7 +20,7 @@ from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
 from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.section import Section
-from mgsgraph.results.soundness import state_of
+from mgsgraph.results.verdict import state_of
 from mgsgraph.results.tables import points_table, residuals_table
 
 _TEMPLATE = "results/templates/report.html"

@@ -5,14 +5,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from mgsgraph.adjustment.settings import Device, Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.residual_tests import ODDS
 from mgsgraph.analysis.statistics import (
     ORIENTATION,
     PLACES,
@@ -34,23 +32,17 @@ from mgsgraph.results.archive import ARCHIVE, write_archive
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
-from mgsgraph.results.soundness import (
+from mgsgraph.results.verdict import (
     drivers_section,
-    fits_section,
-    implausible_section,
     linearity_section,
     reading_statements,
-    soundness_section,
     state_of,
+    verdict_section,
 )
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
 from mgsgraph.text import many, short, some
 from mgsgraph.units import ARCSEC
 
-_PIXELS = 0.5
-"""Size of a mean residual below which it does no harm."""
-_FEW_RAYS = 8
-"""Fewer rays don't show how they scatter."""
 _NOTE = (
     "Residuals: rms of the measurements that were used, measured minus predicted. Corrections: adjusted minus nominal, "
     f"mean over {PLACES} lines; positions along the body-fixed axes, rotations about the camera's own axes. Sigmas are "
@@ -69,7 +61,6 @@ def images_section(solution: Solution) -> Section:
                 f"(rms of {many(count, 'ray')})."
             )
     record = [_image(solution, j, rays) for j in range(len(solution.network.images))]
-    said += _constant_residuals(solution, rays)
     return Section("images", sentences=said, tables=[images_table(solution)], numbers=record)
 
 
@@ -122,38 +113,15 @@ def _orientation(solution: Solution, j: int) -> dict[str, Any]:
     return record
 
 
-def _constant_residuals(solution: Solution, rays: RayStatistics) -> list[str]:
-    """Mean residuals of a class in an image that are too large for noise: its coordinates contradict the rest."""
-    names, enough, found = [image.name for image in solution.network.images], rays.count >= _FEW_RAYS, list[str]()
-    size, noise = np.abs(np.nan_to_num(rays.mean)), np.nan_to_num(rays.standard_errors)
-    # noise exceeds the limit once in 1 / ODDS solutions, of all means together
-    limit = NormalDist().inv_cdf(1.0 - 0.5 * ODDS / max(2 * int(enough.sum()), 1))
-    marked = enough[:, :, None] & (size > limit * noise) & (size > _PIXELS)
-    for point_class in PointClass:
-        rows = np.argwhere(marked[:, point_class])
-        worst = rows[np.argsort(-size[rows[:, 0], point_class, rows[:, 1]], kind="stable")].tolist()
-        parts = [f"{rays.mean[j, point_class, c]:+.1f} {('lines', 'samples')[c]} in {names[j]}" for j, c in worst]
-        if parts:
-            found.append(
-                f"{point_class.name.capitalize()} image points keep a constant residual of {some(parts, len(parts))}: "
-                "no noise, but their image coordinates disagree with ranges, ground places or ties; no sigma covers it."
-            )
-    return found
-
-
-
-
 def solution_sections(solution: Solution, connected: Connectivity | None = None) -> list[Section]:
     """Findings in the order in which they are read; `connected` saves finding it anew. Those with a name are in
     solution.json.
     """
     connected = connected or solution_connectivity(solution)
     return [
+        verdict_section(solution),
         Section("", sentences=_ending(solution)),
-        soundness_section(solution),
         drivers_section(solution),
-        fits_section(solution),
-        implausible_section(solution),
         linearity_section(solution.linearity),
         minima_section(solution.minima),
         images_section(solution),
@@ -186,14 +154,8 @@ def summary_table(solution: Solution, sections: Sequence[Section] | None = None)
 
 
 def _ending(solution: Solution) -> list[str]:
-    steps = many(solution.iterations, "iteration")
     cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
-    if solution.converged:
-        return [f"{solution.message} It took {steps}; {cost}."]
-    return [
-        f"NOT CONVERGED after {steps}; {cost}. {solution.message}",
-        "Nothing below is a result. Look at the largest residuals for blunders, and at the a-priori sigmas.",
-    ]
+    return [f"{solution.message} It took {many(solution.iterations, 'iteration')}; {cost}."]
 
 
 def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:

@@ -1,10 +1,8 @@
-"""Whether an adjustment that came to rest is a result: what it left out, and whether its sigma0 and its orientations
-can be.
+"""Sanity checks: observations that were left out, and residuals with the nominal orientation beyond what priors explain.
 
-An optimiser comes to rest on whatever is left to it. Robust estimates and rejection hold while more than half of the
+An optimizer converges on whatever is left to it. Robust estimates and rejection hold while more than half of the
 observations of a kind are good, and no estimate can hold beyond (breakdown point; Rousseeuw & Leroy 1987, section 1.2):
-where most are left out, those that are left may as well be the wrong ones. And among many measures one wrong image
-hardly shows in sigma0: least squares turns it by hundreds of a-priori sigmas, and bends its neighbours.
+where most are left out, those that are left may as well be the wrong ones.
 """
 
 from enum import StrEnum
@@ -12,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.fit import ABSURD, Strained
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import ray_statistics, rejected_points
 from mgsgraph.files.networks.tie_points import PointKind
@@ -74,34 +71,8 @@ class Loss(NamedTuple):
         return self.total >= _FEWEST and self.share > MANY
 
 
-class Soundness(NamedTuple):
-    """What speaks against a solution."""
-
-    losses: tuple[Loss, ...]
-    """Kinds of observations of which many are lost, the most first."""
-    sigma0: float
-    """A-posteriori standard deviation of unit weight; NaN without redundancy."""
-    impossible: tuple[Strained, ...]
-    """Orientations that no stated sigma allows, the farthest first."""
-
-    @property
-    def absurd(self) -> bool:
-        """Whether sigma0 can't come from sigmas that are merely too small."""
-        return self.sigma0 > ABSURD
-
-    @property
-    def fatal(self) -> tuple[Loss, ...]:
-        """Losses that leave no result."""
-        return tuple(one for one in self.losses if one.fatal)
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing forbids to take the solution for a result."""
-        return not (self.absurd or self.fatal or self.impossible)
-
-
-def soundness(solution: Solution) -> Soundness:
-    """What a solution left out, and whether its sigma0 and its orientations can be."""
+def losses(solution: Solution) -> tuple[Loss, ...]:
+    """Kinds of observations of which many are left out, the most first."""
     network, rays = solution.network, ray_statistics(solution)
     lost, found = rejected_points(solution), list[Loss]()
     for one, kind in _OF_CLASS.items():
@@ -115,14 +86,7 @@ def soundness(solution: Solution) -> Soundness:
     for j, (total, used) in enumerate(zip(rays.total.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
         found.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
     worth = [one for one in found if one.total and (one.fatal or one.large)]
-    impossible = tuple(one for one in solution.strained if one.impossible)
-    return Soundness(tuple(sorted(worth, key=lambda one: -one.share)), solution.sigma0, impossible)
-
-
-def is_result(solution: Solution) -> bool:
-    """Whether a solution may be taken for a result: it came to rest, on observations that prove something."""
-    return solution.converged and soundness(solution).sound
-
+    return tuple(sorted(worth, key=lambda one: -one.share))
 
 
 _BEYOND = 5.0

@@ -1,0 +1,134 @@
+"""Common sense of the geometry: do heights agree with their neighbors', and shots with where the camera looks?
+
+A tie of two different places meets somewhere, far above or below the ground, and least squares moves it there without a
+residual. A laser and a camera of one spacecraft look nearly the same way along the flight: a clock that is wrong by
+seconds, or a profile of another orbit, does not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.analysis.statistics import medians
+from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.body import distances
+from mgsgraph.geometry.intersection import intersect_rays
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.rotation import unit_vectors
+from mgsgraph.network import Network
+
+_NEIGHBORS = 8
+"""Nearest points that a height is compared with."""
+_FAR = 6.0
+"""Standard deviations, of the heights and of the scatter of its neighbors, beyond which a height deviates."""
+_STEEP = 1.5
+"""Height difference over distance beyond which it does: no ground is so steep over the distance of several points."""
+_NORMAL = 1.4826
+"""Standard deviation of a normal variable over its median deviation."""
+_MOST = 20_000
+"""Points that are compared with their neighbors, and among which these are looked for."""
+_APART = 0.05
+"""rad along the flight between a footprint and the camera's line of sight at its time: mountings differ by less."""
+
+
+class DeviatingHeights(NamedTuple):
+    """Points far above or below their neighbors."""
+
+    points: Index
+    """(k,) of the network, the farthest first."""
+    deviations: Array
+    """(k,) m, height minus the median of the neighbors' heights."""
+
+
+def deviating_heights(network: Network, places: Array, covariances: Array) -> DeviatingHeights:
+    """Points whose heights no error within their sigmas and no slope explains, beside their nearest ones.
+
+    Parameters
+    ----------
+    network : Network
+    places : (n, 3) array
+        m, adjusted, or where nominal rays meet; NaN for points without a place.
+    covariances : (n, 3, 3) array
+        m^2.
+    """
+    from scipy.spatial import cKDTree  # slow to import
+
+    there = np.flatnonzero(np.isfinite(places).all(axis=1) & (network.points.kinds != PointKind.FIXED))
+    if there.size <= _NEIGHBORS:
+        return DeviatingHeights(there[:0], np.zeros(0))
+    heights, up = distances(places[there]), unit_vectors(places[there])
+    flat = up * np.median(heights)
+    sigmas = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[there], up), 0.0))
+    chosen = _candidates(flat, heights)
+    known = np.arange(there.size)
+    if there.size > _MOST:
+        known = np.sort(np.random.default_rng(0).choice(there.size, _MOST, replace=False))
+    away, near = cKDTree(flat[known]).query(flat[chosen], k=_NEIGHBORS + 1)
+    near = known[near]
+    itself = near == chosen[:, None]  # else the farthest one is left out
+    itself[~itself.any(axis=1), -1] = True
+    near, away = (part[~itself].reshape(chosen.size, _NEIGHBORS) for part in (near, away))
+    middle = np.median(heights[near], axis=1)
+    scatter = _NORMAL * np.median(np.abs(heights[near] - middle[:, None]), axis=1)
+    spread = np.sqrt(scatter**2 + sigmas[chosen] ** 2 + np.median(sigmas[near], axis=1) ** 2)
+    off = heights[chosen] - middle
+    wild = (np.abs(off) > _FAR * spread) & (np.abs(off) > _STEEP * np.median(away, axis=1))
+    order = np.flatnonzero(wild)[np.argsort(-np.abs(off[wild]), kind="stable")]
+    return DeviatingHeights(there[chosen[order]], off[order])
+
+
+def _candidates(flat: Array, heights: Array) -> Index:
+    """Points (k,) of all (n, 3) that are looked at: of very many those farthest from the median of their cell."""
+    if heights.size <= _MOST:
+        return np.arange(heights.size)
+    edge = np.ptp(flat, axis=0).max() * np.sqrt(100.0 / heights.size)
+    cells = np.floor((flat - flat.min(axis=0)) / edge).astype(np.int64)
+    key = cells @ np.array([1, 1 << 20, 1 << 40])
+    cell = np.unique(key, return_inverse=True)[1].reshape(-1)
+    off = np.abs(heights - medians(heights, cell, int(cell.max()) + 1)[cell])
+    return np.sort(np.argpartition(-off, _MOST)[:_MOST])
+
+
+def convergence(network: Network, points: Index) -> Array:
+    """(k,) rad, angles between the outermost rays of those of some points (m,) that two nominal rays see or more."""
+    place = np.full(len(network.points), -1)
+    place[points] = np.arange(points.size)
+    mine = np.flatnonzero(place[network.rays.point] >= 0)
+    rays = network.rays.chosen(mine)
+    origins, directions = np.empty((mine.size, 3)), np.empty((mine.size, 3))
+    for j in np.unique(rays.image).tolist():
+        here = rays.image == j
+        origins[here], directions[here] = network.images[j].sightlines(*rays.places[here].T)
+    _, _, angles = intersect_rays(origins, directions, place[rays.point], points.size)
+    return np.asarray(angles[network.ray_counts[points] >= 2])
+
+
+class MisplacedProfile(NamedTuple):
+    """Laser shots that lie elsewhere than where their image's camera looked at their times."""
+
+    name: str
+    """Of the image with their ranges."""
+    angle: float
+    """rad along the flight, median."""
+    shots: int
+    """How many."""
+
+
+def misplaced_profiles(network: Network) -> list[MisplacedProfile]:
+    """Images whose laser shots lie far before or behind their lines of sight, along the flight, at the shots' times."""
+    ranges, found = network.ranges, list[MisplacedProfile]()
+    for j in np.unique(ranges.image).tolist():
+        image, mine = network.images[j], np.flatnonzero(ranges.image == j)
+        mine = mine[network.points.kinds[ranges.point[mine]] != PointKind.FREE]
+        if not mine.size:
+            continue
+        pose = image.trajectory.pose(ranges.times[mine] - image.trajectory.epoch)
+        seen = unit_vectors(network.points.places[ranges.point[mine]] - pose.position)
+        line, sample = image.middle
+        looks = unit_vectors(image.sightlines(line, sample)[1]) @ image.pose(line).matrix[0].T  # in the camera's axes
+        looks = np.einsum("c,nck->nk", looks[0], pose.matrix)
+        level = unit_vectors(np.cross(pose.position, np.cross(pose.velocity, pose.position)))
+        angle = float(np.median(np.einsum("nk,nk->n", seen - looks, level)))
+        if abs(angle) > _APART:
+            found.append(MisplacedProfile(image.name, angle, mine.size))
+    return found

@@ -1,0 +1,170 @@
+"""Does every group of observations and of priors fit its stated sigmas? At any redundancy, priors and shared unknowns too.
+
+With right sigmas the whitened residuals v of a group have the covariance C, the group's part of I - A Q A' (Baarda
+1968), and their squares v'v the law of a sum of l_k chi^2_1 with its eigenvalues l_k, 0 to 1, which add up to the
+group's redundancy. The probability of so large a sum is exact for few rows (saddlepoint formula of Lugannani & Rice;
+Kuonen 1999, Biometrika 86, 929), and else that of a multiple of chi-square with the same mean and variance, tr C and
+2 tr C^2 (Satterthwaite 1946).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping
+from mgsgraph.analysis.linearised import PriorRows
+from mgsgraph.analysis.residual_rows import ResidualRows
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import GROUND, IMAGE, RANGE, STEREO, SURFACE
+from mgsgraph.record import Record
+
+UNTESTED = 1e-6
+"""Redundancy of a row, on the average, that is rounding: nothing tests it."""
+_EXACT = 30.0
+"""Redundancy from which on a sum of squares is nearly enough a multiple of chi-square."""
+_MOST_ROWS = 800
+"""Rows whose covariance is taken as a whole."""
+_MOST_NUMBERS = 20_000_000
+"""Numbers of a dense matrix, rows by shared unknowns, beyond which the variance is replaced by its upper bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupTest(Record):
+    """How a group of observations, or of priors, fits its stated sigmas."""
+
+    name: str
+    """Of the group."""
+    rows: int
+    """Scalar observations that were looked at."""
+    redundancy: float
+    """Sum of their redundancy numbers."""
+    squares: float
+    """Sum of the squares of their whitened residuals."""
+    p_value: float
+    """Chance of so large a sum, or of a larger one, if the stated sigmas are right; NaN where nothing tests them."""
+
+    @property
+    def sigma0(self) -> float:
+        """Root of squares over redundancy; NaN where nothing tests the group."""
+        return math.sqrt(self.squares / self.redundancy) if self.tested else math.nan
+
+    @property
+    def tested(self) -> bool:
+        """Whether others control it."""
+        return math.isfinite(self.p_value)
+
+
+def fit_of_groups(rows: ResidualRows, known: PriorRows, grouping: Grouping) -> tuple[GroupTest, ...]:
+    """Tests of all groups of chosen points' rows and of the priors; of image places lines and samples apart.
+
+    Parameters
+    ----------
+    rows : ResidualRows
+    known : PriorRows
+        There.
+    grouping : Grouping
+        Of the same network.
+    """
+    redundancy = np.append(rows.redundancy[: rows.begin_of_priors], 1.0 - known.share)
+    redundancy += np.sum(rows.considered**2, axis=1)
+    number, names = _numbers(rows, grouping)
+    found = list[GroupTest]()
+    for k in np.unique(number).tolist():
+        mine = np.flatnonzero(number == k)
+        own, squares = float(redundancy[mine].sum()), float(rows.residuals[mine] @ rows.residuals[mine])
+        tested = own > UNTESTED * mine.size and BACK_PROJECTED not in names[k]
+        p = _tail(rows, mine, own, squares) if tested else math.nan
+        found.append(GroupTest(names[k], mine.size, own, squares, p))
+    return tuple(found)
+
+
+def _numbers(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
+    """Number (r,) of the group of each row, two for each group of a grouping, and their names."""
+    groups = np.zeros(rows.kind.size, dtype=np.int64)
+    for kind, of, by in (
+        (IMAGE, grouping.rays, rows.measure), (RANGE, grouping.ranges, rows.measure),
+        (GROUND, grouping.ground, rows.point), (SURFACE, grouping.heights, rows.point),
+        (STEREO, grouping.stereo, rows.point),
+    ):  # fmt: skip
+        mine = rows.of_kind(kind)
+        groups[mine] = of[by[mine]]
+    groups[rows.begin_of_priors :] = grouping.of_priors(rows.at.layout)
+    coordinates = np.isin(np.arange(len(grouping.names)), grouping.rays)
+    names = [
+        f"{name}, {way}" if both else name
+        for name, both in zip(grouping.names, coordinates.tolist(), strict=True)
+        for way in ("lines", "samples")
+    ]
+    return 2 * groups + ((rows.kind == IMAGE) & (rows.component == 1)), names
+
+
+def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> float:
+    """Probability of so large a sum of squares of some rows, or of a larger one."""
+    from scipy.stats import chi2  # slow to import
+
+    if mine.size <= _MOST_ROWS and redundancy < _EXACT:
+        weights = np.linalg.eigvalsh(rows.variance(mine, np.eye(mine.size)))
+        return quadratic_tail(squares, weights[weights > 1e-12 * weights.max()])
+    factor = _square_of_covariance(rows, mine, redundancy) / redundancy
+    return float(chi2.sf(squares / factor, redundancy / factor))
+
+
+def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) -> float:
+    """tr C^2 of some rows (q,), C = I - O O' - T S T' + B B' (`ResidualRows`); or tr C, which is more, where that is too
+    large to be formed.
+    """
+    own, through, joint = rows.own[mine], rows.through[mine], rows.at.joint
+    if mine.size * joint.columns > _MOST_NUMBERS:
+        return redundancy
+    spread = np.asarray(through @ joint.square_root.back(np.eye(joint.columns)))
+    parts = own.power(2).sum() + np.sum(spread**2), (own.T @ own).power(2).sum(), np.sum((own.T @ spread) ** 2)
+    found = mine.size - 2.0 * parts[0] + parts[1] + 2.0 * parts[2] + np.sum((spread.T @ spread) ** 2)
+    brought = rows.considered[mine]
+    left = brought - own @ (own.T @ brought) - spread @ (spread.T @ brought)
+    found += 2.0 * np.sum(brought * left) + np.sum((brought.T @ brought) ** 2)
+    return max(float(found), 1e-12)
+
+
+def quadratic_tail(value: float, weights: Array) -> float:
+    """Probability that a sum of squares of independent standard normal variables with weights (n,), of either sign,
+    exceeds a value: the saddlepoint formula of Lugannani & Rice.
+    """
+    from scipy.special import ndtr  # slow to import
+    from scipy.stats import chi2
+
+    if np.ptp(weights) <= 1e-9 * np.abs(weights).max():
+        return float(chi2.sf(value / weights[0], weights.size) if weights[0] > 0.0 else 1.0)
+    mean, spread = float(weights.sum()), math.sqrt(2.0 * float(weights @ weights))
+    if abs(value - mean) < 1e-3 * spread:  # between the two sides, where the formula is 0 / 0
+        low, high = (quadratic_tail(mean + side * 2e-3 * spread, weights) for side in (-1.0, 1.0))
+        return low + (high - low) * (0.5 + (value - mean) / (4e-3 * spread))
+    t = _saddlepoint(value, weights)
+    if not math.isfinite(t):
+        return 1.0 if value < mean else 0.0
+    inner = 1.0 - 2.0 * t * weights
+    w = math.copysign(math.sqrt(max(2.0 * t * value + float(np.sum(np.log(inner))), 1e-300)), t)
+    v = t * math.sqrt(2.0 * float(np.sum((weights / inner) ** 2)))
+    return float(np.clip(ndtr(-(w + math.log(v / w) / w)), 0.0, 1.0))
+
+
+def _saddlepoint(value: float, weights: Array) -> float:
+    """Where the slope of the cumulant function is a value; NaN where no sum is so small, or so large."""
+    from scipy.optimize import brentq
+
+    def slope(t: float) -> float:
+        return float(np.sum(weights / (1.0 - 2.0 * t * weights))) - value
+
+    ends = [0.5 / edge * (1.0 - 1e-10) if edge * side > 0.0 else math.nan
+            for edge, side in ((weights.min(), -1.0), (weights.max(), 1.0))]  # fmt: skip
+    if slope(0.0) > 0.0:
+        low, high = (-1.0 / np.abs(weights).max() if math.isnan(ends[0]) else ends[0]), 0.0
+        while math.isnan(ends[0]) and slope(low) > 0.0:
+            low *= 4.0
+            if low < -1e30:
+                return math.nan
+    else:
+        low, high = 0.0, ends[1]
+    if not (math.isfinite(high) and slope(low) <= 0.0 <= slope(high)):
+        return math.nan
+    return float(brentq(slope, low, high))

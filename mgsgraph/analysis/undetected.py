@@ -1,0 +1,214 @@
+"""What a wrong input could still hide: errors of clock, position, pointing, terrain heights and ranges that the tests
+don't find, and by how much they move the points (external reliability; Baarda 1968, Foerstner & Wrobel 2016, 4.6).
+
+An error of the nominal orientation that corrections can follow, by coefficients c, is the same as if the priors were
+wrong by c: it stands in their rows alone. With b what an error of one unit adds to the whitened residuals before the
+adjustment, its test is w = b'v / sqrt(b'C b) (`residual_rows`), standard normal if the error is zero. It is found with
+probability POWER from the size on that shifts w by its critical value and a quantile; until then it moves the shared
+unknowns by -S T'b a unit, and the points with them.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsgraph.adjustment.covariances import Linearised
+from mgsgraph.adjustment.frames import FLIGHT_NAMES, Frames
+from mgsgraph.analysis.residual_rows import ResidualRows
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import FIXED, OUT, RANGE, SURFACE
+from mgsgraph.network import SharedKind
+from mgsgraph.network.shared import image_effect
+from mgsgraph.record import Record
+
+POWER = 0.999
+"""Probability with which an error of the stated size is found."""
+_POINTS = 100
+"""Points whose motion is computed, evenly spread over the network's."""
+_NOTHING = 1e-3
+"""Share of an error that residuals show, which is rounding, or what is not linear."""
+_MOST_IMAGES = 12
+"""Images up to which errors of single ones are looked at, not only those that all have in common."""
+_CLOCKS = {
+    "clock": (SharedKind.POSITION_TIME, SharedKind.ATTITUDE_TIME),
+    "attitude time": (SharedKind.ATTITUDE_TIME,),
+    "position time": (SharedKind.POSITION_TIME,),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Undetected(Record):
+    """A possible error of an input, and how large it may be without being found."""
+
+    what: str
+    """What is wrong: clock, roll, terrain height ..."""
+    of: str
+    """Of which image, or of all."""
+    unit: str
+    """s, m or rad."""
+    test: float
+    """Test of this error, standard normal if there is none; NaN where nothing tests it."""
+    p_value: float
+    """Chance of a test so large, or larger; NaN where nothing tests it."""
+    size: float
+    """Found with probability `POWER` from this size on; infinite where nothing tests it."""
+    moves: float
+    """m per unit: by how much it moves the points, root of the mean square."""
+    in_sigmas: float
+    """Per unit, the same in stated sigmas of the points."""
+
+    @property
+    def tested(self) -> bool:
+        """Whether anything tests it."""
+        return math.isfinite(self.size)
+
+    @property
+    def effect(self) -> float:
+        """m, by which the points may be off without a sign."""
+        return self.size * self.moves
+
+    @property
+    def effect_in_sigmas(self) -> float:
+        """The same in stated sigmas of the points."""
+        return self.size * self.in_sigmas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Error:
+    """An error of one unit."""
+
+    what: str
+    of: str
+    unit: str
+    rows: Index
+    """(q,) of `ResidualRows`."""
+    column: Array
+    """(q,) what it adds to the whitened residuals there."""
+    kind: int = -1
+    """Of the rows of points, SURFACE or RANGE; -1 of an error of the priors."""
+
+
+def undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
+    """Errors that are looked at, with what is left of each when a test (`critical`, of a standard normal variable)
+    finds nothing.
+    """
+    from scipy.special import ndtr, ndtri  # slow to import
+
+    found, motions = list[Undetected](), _Motions(rows.at)
+    for one in _errors(rows):
+        column = one.column[:, None]
+        variance, whole = float(rows.variance(one.rows, column)[0, 0]), float(one.column @ one.column)
+        test, p, size = math.nan, math.nan, math.inf
+        if variance > _NOTHING * whole:
+            test = float(one.column @ rows.residuals[one.rows]) / math.sqrt(variance)
+            p, size = 2.0 * float(ndtr(-abs(test))), (critical + float(ndtri(POWER))) / math.sqrt(variance)
+        shared = -rows.at.joint.square_root.covariance_times(np.asarray(rows.through[one.rows].T @ column))[:, 0]
+        found.append(Undetected(one.what, one.of, one.unit, test, p, size, *motions.of(shared, one.kind)))
+    return tuple(found)
+
+
+def _errors(rows: ResidualRows) -> Iterator[_Error]:
+    """All errors that are looked at."""
+    network, layout = rows.at.network, rows.at.layout
+    every, frames = layout.prior.every, Frames(layout)
+    priors = rows.begin_of_priors + np.arange(every.shape[0])
+    adjusted = [j for j in range(len(network.images)) if not network.held[j]]
+    owners = [[j] for j in adjusted] if len(adjusted) <= _MOST_IMAGES else []
+    for images in ([adjusted] if len(adjusted) > 1 else []) + owners:
+        of = "all images" if len(images) > 1 else network.images[images[0]].name
+        for what, unit, columns in _of_orientation(rows.at, frames, images):
+            if np.any(column := np.asarray(every @ columns)):
+                yield _Error(what, of, unit, priors, column)
+    for kind, what in ((SURFACE, "terrain height"), (RANGE, "laser range")):
+        mine = rows.of_kind(kind)
+        if mine.size:
+            yield _Error(what, "all", "m", mine, _per_meter(kind, rows.by_point[mine]), kind)
+    if network.terrain_moves:
+        columns = layout.columns_of(len(network.images) + len(network.shift_names) - 1)
+        for term, place in zip(network.shift_terms[-1], range(columns.start, columns.stop), strict=True):
+            unit = np.zeros(layout.columns)
+            unit[place] = 1.0
+            yield _Error(term.name, "terrain model", term.unit, priors, np.asarray(every @ unit))
+
+
+def _of_orientation(at: Linearised, frames: Frames, images: list[int]) -> Iterator[tuple[str, str, Array]]:
+    """Name, unit and coefficients (columns,) of errors that some images have in common: clocks, and the constant terms
+    along the axes of the flight.
+    """
+    network = at.network
+    for what, kinds in _CLOCKS.items():
+        try:
+            effects = {
+                j: np.sum([image_effect(network.images[j], kind, at.settings.angles)[0] for kind in kinds], axis=0)
+                for j in images
+            }
+        except InputError:  # how the body turns is not known, or the image is too long for a polynomial
+            continue
+        yield what, "s", _joined(at, effects)
+    for k, name in enumerate(FLIGHT_NAMES):
+        axes = {j: np.linalg.inv(frames.of(j).turn)[:, k][None] for j in images}
+        yield name if k > 2 else f"{name} position", "rad" if k > 2 else "m", _joined(at, axes)
+
+
+def _joined(at: Linearised, effects: dict[int, Array]) -> Array:
+    """(columns,) coefficients of images' corrections; of a pass its nodes have the constant terms of its first image."""
+    network, layout = at.network, at.layout
+    found = np.zeros(layout.columns)
+    for j, effect in effects.items():
+        if network.pass_of[j] >= 0:
+            continue
+        columns = layout.columns_of(j)
+        terms = min(len(effect), (columns.stop - columns.start) // 6)
+        found[columns.start : columns.start + 6 * terms] = effect[:terms].ravel()
+    for one, first in network.numbered_passes:
+        mine = [effects[j] for j in one.images.tolist() if j in effects]
+        for variable in range(first, first + len(one.nodes)) if mine else ():
+            found[layout.columns_of(variable)] = mine[0][0]
+    return found
+
+
+class _Motions:
+    """What errors do to some points (m,)."""
+
+    def __init__(self, at: Linearised) -> None:
+        index = np.flatnonzero((at.rows.kind != OUT) & (at.rows.kind != FIXED))
+        index = index[:: max(1, index.size // _POINTS)]
+        self._follow = np.zeros((index.size, 3, at.layout.columns))
+        self._lifted = {kind: np.zeros((index.size, 3)) for kind in (SURFACE, RANGE)}
+        covariances = np.zeros((index.size, 3, 3))
+        for k, place in enumerate(index.tolist()):
+            piece = int(at.layout.patterns.piece_of(np.array([place]))[0])
+            pattern, begin = at.rows.piece[piece, :2].tolist()
+            rows = at.rows_inside(piece, np.array([place - begin]))
+            (follows,), (noise,) = rows.eliminated()
+            self._follow[k, :, _columns(at, rows.variables)] = follows.T
+            covariances[k] = noise @ noise.T + follows @ at.joint.of(rows.variables) @ follows.T
+            kinds = at.rows.observation_kind[at.rows.pattern_observation[pattern] + rows.observation]
+            for kind, lifted in self._lifted.items():
+                by_point = rows.by_point[0][kinds == kind]
+                lifted[k] = -noise @ noise.T @ by_point.T @ _per_meter(kind, by_point)
+        self._whitened = np.linalg.inv(np.linalg.cholesky(covariances))
+
+    def of(self, shared: Array, kind: int) -> tuple[float, float]:
+        """m, and in stated sigmas, by which the points move with the shared unknowns (columns,) and, of an error of one
+        unit in rows of a kind, by these; roots of the mean squares.
+        """
+        moved = self._follow @ shared + self._lifted.get(kind, 0.0)
+        whitened = np.einsum("nij,nj->ni", self._whitened, moved)
+        return math.sqrt(np.mean(np.sum(moved**2, axis=1))), math.sqrt(np.mean(whitened**2))
+
+
+def _columns(at: Linearised, variables: tuple[int, ...]) -> Index:
+    """(c,) columns of some variables."""
+    parts = [np.arange(*at.layout.columns_of(v).indices(at.layout.columns)) for v in variables]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
+
+
+def _per_meter(kind: int, by_point: Array) -> Array:
+    """(q,) what an error of 1 m adds to whitened rows of a kind with derivatives (q, 3): a range is measured minus
+    predicted, a height above the terrain predicted minus known.
+    """
+    return np.linalg.norm(by_point, axis=1) * (-1.0 if kind == SURFACE else 1.0)

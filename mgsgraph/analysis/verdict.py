@@ -1,0 +1,363 @@
+"""May a solution be used? One record, from which sentences, exit status, JSON and pages follow.
+
+A solution is *invalid* if it did not converge, or what it converged to proves nothing: half of a kind of observations
+left out, residuals ten times larger than stated, an orientation a hundred prior sigmas from where it was. It is
+*suspect* if a test finds what its stated sigmas don't explain. Tests: the squares of each group of observations and of
+priors; each correction of what points share against its prior; errors that clock, position, pointing, terrain or
+ranges may have in common; constant residuals of each class of points in each image; each observation alone. All of
+them together call a good solution suspect with a probability of LEVEL at most (Bonferroni). Beside them stand checks
+of common sense: heights against their neighbors, observations given twice, laser shots far from where the camera
+looks. *Valid* is what passes, and no more is said than that: what nothing tests is named, and so is what an error of
+an input could still hide (`undetected`).
+
+Of networks of more than MOST_POINTS points a random sample is tested, beside all priors.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from mgsgraph.adjustment.covariances import Linearised
+from mgsgraph.adjustment.fit import ABSURD
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.geometry_checks import deviating_heights, misplaced_profiles
+from mgsgraph.analysis.group_tests import UNTESTED, GroupTest, fit_of_groups
+from mgsgraph.analysis.grouping import group_rows
+from mgsgraph.analysis.linearised import PriorRows, at_solution, at_values, prior_rows, unknown_name
+from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
+from mgsgraph.analysis.sanity import losses, unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.undetected import Undetected, undetected
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.kernel.rows import IMAGE, RANGE
+from mgsgraph.network import PointClass
+from mgsgraph.network.parts import thinned
+from mgsgraph.record import Record
+
+LEVEL = 0.005
+"""Probability that tests call a solution suspect whose stated sigmas are right."""
+MOST_POINTS = 10_000
+"""Points of a network up to which all of its rows are tested."""
+_FAMILIES = 5
+"""Kinds of tests that share the level."""
+_RELEVANT = 1.1
+"""sigma0 of a group from which on it matters: smaller ones change a sigma by less than its second digit."""
+_CONTROLLED = 1e-3
+"""Redundancy number of an observation below which its residual says nothing but rounding."""
+_PIXELS = 0.5
+"""Constant residual in pixels below which it does no harm."""
+_MOST_IMAGES = 50
+"""Images up to which constant residuals are looked at in each."""
+_CORRECTIONS = 10
+"""Corrections that are kept, the most significant ones."""
+
+
+class State(StrEnum):
+    """Whether a solution may be used."""
+
+    VALID = "valid"
+    """All tests passed."""
+    SUSPECT = "suspect"
+    """A test found what the stated sigmas don't explain: look at the input."""
+    INVALID = "invalid"
+    """Not a result."""
+
+
+class Cause(StrEnum):
+    """What a reason is about."""
+
+    NOT_CONVERGED = "not converged"
+    LEFT_OUT = "observations left out"
+    SIGMA0 = "sigma0"
+    ORIENTATION = "orientation beyond its prior"
+    CORRECTION = "correction against its prior"
+    COMMON_ERROR = "common error"
+    GROUP = "group of observations"
+    OFFSET = "constant residual"
+    OBSERVATION = "single observation"
+    NOMINAL = "nominal residuals"
+    PROFILE = "laser shots beside their image"
+    HEIGHT = "height against neighbors"
+    DUPLICATE = "observation given twice"
+
+
+@dataclass(frozen=True, slots=True)
+class Reason(Record):
+    """Why a solution is suspect or invalid."""
+
+    state: State
+    """Suspect or invalid."""
+    cause: Cause
+    """What it is about."""
+    what: str
+    """Of which group, unknown, image or point."""
+    size: float
+    """How much."""
+    unit: str
+    """Of `size`: sigmas, m, px, share, or a factor."""
+    count: int = 1
+    """How many of them."""
+    p_value: float = math.nan
+    """Chance of it, if the stated sigmas are right; NaN of what is no test."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction(Record):
+    """The correction of one unknown that points share, against its prior."""
+
+    name: str
+    """Of the unknown."""
+    unit: str
+    """m, rad or s."""
+    value: float
+    """Correction, in that unit."""
+    in_sigmas: float
+    """Over its prior sigma."""
+    test: float
+    """Over its own expected size, the root of prior variance minus posterior variance: standard normal."""
+    p_value: float
+    """Chance of a correction so large, or larger."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict(Record):
+    """Whether a solution may be used, and why (not).
+
+    Examples
+    --------
+    >>> found = mgsgraph.verdict(solution)
+    >>> found.state.value, len(found.reasons), found.tests > 50
+    ('valid', 0, True)
+    """
+
+    state: State
+    """Valid, suspect or invalid."""
+    reasons: tuple[Reason, ...]
+    """Why, the gravest first."""
+    groups: tuple[GroupTest, ...]
+    """All groups of observations and priors; none where there is no covariance or redundancy."""
+    corrections: tuple[Correction, ...]
+    """The most significant ones."""
+    undetected: tuple[Undetected, ...]
+    """What errors of inputs could still hide."""
+    tests: int
+    """Number of tests."""
+    points: int
+    """Points whose rows were tested."""
+
+    @property
+    def untested(self) -> tuple[str, ...]:
+        """Groups that nothing tests."""
+        return tuple(one.name for one in self.groups if not one.tested)
+
+    def of(self, cause: Cause) -> tuple[Reason, ...]:
+        """Reasons about one thing."""
+        return tuple(one for one in self.reasons if one.cause is cause)
+
+
+_FOUND: "WeakKeyDictionary[Solution, Verdict]" = WeakKeyDictionary()
+"""Verdicts of solutions, which never change: sentences, tables, files and exit status all ask for them."""
+
+
+def verdict(solution: Solution) -> Verdict:
+    """The verdict on a solution."""
+    found = _FOUND.get(solution)
+    if found is None:
+        found = _FOUND[solution] = _verdict(solution)
+    return found
+
+
+def is_valid(solution: Solution) -> bool:
+    """Whether a solution is a result, suspect or not."""
+    return verdict(solution).state is not State.INVALID
+
+
+def _verdict(solution: Solution) -> Verdict:
+    reasons = [*_grave(solution), *_of_common_sense(solution)]
+    rows = _rows(solution)
+    if rows is None:
+        return Verdict(_state(reasons), _sorted(reasons), (), (), (), 0, 0)
+    known = prior_rows(rows.at)
+    groups = fit_of_groups(rows, known, group_rows(rows.at.network))
+    tested = [one for one in groups if one.tested]
+    level = LEVEL / _FAMILIES
+    every, controlled = _corrections(rows.at, known)
+    common = undetected(rows, _critical(level, 1 + 60))
+    reasons += [
+        Reason(State.SUSPECT, Cause.GROUP, one.name, one.sigma0, "factor", p_value=one.p_value)
+        for one in tested if one.p_value < level / len(tested) and one.sigma0 > _RELEVANT
+    ]  # fmt: skip
+    reasons += [
+        Reason(State.SUSPECT, Cause.CORRECTION, one.name, one.in_sigmas, "sigmas", p_value=one.p_value)
+        for one in every if one.p_value < level / controlled
+    ]  # fmt: skip
+    checked = [one for one in common if one.tested]
+    reasons += [
+        Reason(State.SUSPECT, Cause.COMMON_ERROR, f"{one.what} of {one.of}", one.test, "sigmas", p_value=one.p_value)
+        for one in checked if one.p_value < level / len(checked)
+    ]  # fmt: skip
+    offsets = list(_offsets(rows))
+    reasons += [one for one in offsets if one.p_value < level / len(offsets) and abs(one.size) > _PIXELS]
+    reasons += _outliers(rows, level)
+    count = len(tested) + controlled + len(checked) + len(offsets) + rows.begin_of_priors
+    points = np.unique(rows.point[: rows.begin_of_priors]).size
+    return Verdict(_state(reasons), _sorted(reasons), groups, tuple(every[:_CORRECTIONS]), common, count, points)
+
+
+def _state(reasons: list[Reason]) -> State:
+    states = {one.state for one in reasons}
+    return next((one for one in (State.INVALID, State.SUSPECT) if one in states), State.VALID)
+
+
+def _sorted(reasons: list[Reason]) -> tuple[Reason, ...]:
+    """Invalid first, then in the order of causes, and by their p-values."""
+    causes = list(Cause)
+    return tuple(sorted(reasons, key=lambda one: (one.state is not State.INVALID, causes.index(one.cause),
+                                                  np.nan_to_num(one.p_value), -abs(one.size))))  # fmt: skip
+
+
+def _critical(level: float, tests: int) -> float:
+    """What a standard normal variable exceeds in modulus with the probability level / tests."""
+    from scipy.special import ndtri  # slow to import
+
+    return float(-ndtri(0.5 * level / tests))
+
+
+def _rows(solution: Solution) -> ResidualRows | None:
+    """Rows of a converged solution, or of a random sample of its points; None without covariance or redundancy."""
+    network = solution.network
+    if not solution.converged or solution.fit.degrees_of_freedom < 1:
+        return None
+    try:
+        if len(network.points) <= MOST_POINTS:
+            at = at_solution(solution).of_estimator()
+        else:
+            at = _sampled(solution)
+        return residual_rows(at, np.arange(len(at.network.points)))
+    except InputError:  # no covariance, or no point that took part
+        return None
+
+
+def _sampled(solution: Solution) -> Linearised:
+    """Some of the points where they were solved, with the covariance that all of them gave."""
+    network, there = solution.network, np.flatnonzero(solution.determined)
+    chosen = np.sort(np.random.default_rng(0).choice(there, min(MOST_POINTS, there.size), replace=False))
+    used = replace(
+        network,
+        rays=network.rays.chosen(np.flatnonzero(solution.rays_used)),
+        ranges=network.ranges.chosen(np.flatnonzero(solution.ranges_used)),
+    )
+    part = thinned(used, chosen)
+    places = solution.places[chosen]
+    return at_values(part, solution.settings, solution.values, places, joint_of=lambda _: solution.joint_covariance)
+
+
+# --- what is no test
+
+
+def _grave(solution: Solution) -> Iterator[Reason]:
+    """What forbids to take a solution for a result, and what comes near to it."""
+    if not solution.converged:
+        yield Reason(State.INVALID, Cause.NOT_CONVERGED, solution.message, math.nan, "")
+    for one in losses(solution):
+        what = f"{one.kind}{f' of {one.image}' if one.image else ''}"
+        yield Reason(State.INVALID if one.fatal else State.SUSPECT, Cause.LEFT_OUT, what, one.share, "share", one.lost)
+    if solution.sigma0 > ABSURD:
+        yield Reason(State.INVALID, Cause.SIGMA0, "all observations", solution.sigma0, "factor")
+    for moved in solution.strained:
+        state = State.INVALID if moved.impossible else State.SUSPECT
+        name = solution.network.images[moved.image].name
+        yield Reason(state, Cause.ORIENTATION, name, moved.most, "sigmas")
+
+
+def _of_common_sense(solution: Solution) -> Iterator[Reason]:
+    """Checks of the geometry and of the input, before and after."""
+    network = solution.network
+    for found, before, unit in (
+        (unexplained_residuals, solution.residuals_before, "px"),
+        (unexplained_ranges, solution.range_residuals_before, "m"),
+    ):
+        for one in found(network, before):
+            yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[one.image].name, one.size, unit)
+    for profile in misplaced_profiles(network):
+        yield Reason(State.SUSPECT, Cause.PROFILE, profile.name, profile.angle, "rad", profile.shots)
+    heights = deviating_heights(network, solution.places, solution.covariances)
+    for point, height in zip(heights.points.tolist(), heights.deviations.tolist(), strict=True):
+        yield Reason(State.SUSPECT, Cause.HEIGHT, network.points.ids[point], height, "m")
+
+
+# --- tests
+
+
+def _corrections(at: Linearised, known: PriorRows) -> tuple[list[Correction], int]:
+    """Corrections of unknowns that something but their priors tests, most significant first; how many there are."""
+    from scipy.special import ndtr  # slow to import
+
+    redundancy = 1.0 - known.share
+    mine = np.flatnonzero(redundancy > UNTESTED)
+    test = known.misfit[mine] / np.sqrt(redundancy[mine])
+    order = np.argsort(-np.abs(test), kind="stable")[: 5 * _CORRECTIONS]
+    variables = at.layout.variables
+    adjusted = np.array(variables.adjusted(), dtype=np.int64)
+    of_column = np.repeat(adjusted, variables.width[adjusted])
+    found = []
+    for k in order.tolist():
+        row, value = int(mine[k]), float(test[k])
+        column = int(known.about[row])
+        name, unit = unknown_name(at.network, int(of_column[column]), column - int(variables.first[of_column[column]]))
+        corrected = float(at.orientation[column])
+        p = 2.0 * float(ndtr(-abs(value)))
+        found.append(Correction(name, unit, corrected, float(known.misfit[row]), value, p))
+    return found, mine.size
+
+
+def _offsets(rows: ResidualRows) -> Iterator[Reason]:
+    """Constant residuals of each class of points in each image, of the ranges of each, and of heights: reasons, whether
+    significant or not.
+    """
+    network = rows.at.network
+    if len(network.images) > _MOST_IMAGES:
+        return
+    image = np.full(rows.kind.size, -1)
+    seen, ranges = rows.of_kind(IMAGE), rows.of_kind(RANGE)
+    image[seen], image[ranges] = network.rays.image[rows.measure[seen]], network.ranges.image[rows.measure[ranges]]
+    classes = np.where(rows.point >= 0, network.points.classes[rows.point], -1)
+    for j, picture in enumerate(network.images):
+        for one in PointClass:
+            for component, way in enumerate(("lines", "samples")):
+                mine = np.flatnonzero((rows.kind == IMAGE) & (image == j) & (classes == one)
+                                      & (rows.component == component))  # fmt: skip
+                yield from _offset(rows, mine, rows.scale[mine], f"{one.name.lower()} points' {way} in {picture.name}",
+                                   "px")  # fmt: skip
+
+
+def _offset(rows: ResidualRows, mine: Index, column: Array, what: str, unit: str) -> Iterator[Reason]:
+    """The score test of a constant that some rows (q,) have in common, whitened (q,) per unit."""
+    from scipy.special import ndtr  # slow to import
+
+    if not mine.size:
+        return
+    variance, score = float(rows.variance(mine, column[:, None])[0, 0]), float(column @ rows.residuals[mine])
+    if variance > _CONTROLLED * float(column @ column):
+        p = 2.0 * float(ndtr(-abs(score) / math.sqrt(variance)))
+        yield Reason(State.SUSPECT, Cause.OFFSET, what, score / variance, unit, mine.size, p)
+
+
+def _outliers(rows: ResidualRows, level: float) -> Iterator[Reason]:
+    """Observations whose own test none of so many good ones would exceed, as one reason."""
+    from scipy.special import ndtr  # slow to import
+
+    redundancy = rows.redundancy[: rows.begin_of_priors]
+    mine = np.flatnonzero(redundancy > _CONTROLLED)
+    test = np.abs(rows.residuals[mine]) / np.sqrt(redundancy[mine])
+    over = mine[test > _critical(level, max(mine.size, 1))]
+    if over.size:
+        points = np.unique(rows.point[over])
+        worst = int(mine[np.argmax(test)])
+        name = rows.at.network.points.ids[int(rows.point[worst])]
+        size = float(test.max())
+        yield Reason(State.SUSPECT, Cause.OBSERVATION, name, size, "sigmas", points.size, 2.0 * float(ndtr(-size)))

@@ -1,0 +1,82 @@
+"""An adjustment in at most fifteen lines: the verdict first, then how good the points are, and where the rest stands."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.geometry_checks import convergence
+from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_statistics
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, PointClass
+from mgsgraph.results.ground import laser_section, left_out
+from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences, verdict
+from mgsgraph.text import many, root_mean_square, short
+from mgsgraph.units import DEG, KM
+
+_FLAT = 5.0 * DEG
+"""Convergence of rays below which heights are poorly known."""
+_UNKNOWN = 1.0 * KM
+"""Median sigma of heights from which on no height is known: a body's relief is hardly larger."""
+_MOST_POINTS = 20_000
+"""Points whose rays are intersected anew."""
+
+
+def summary(solution: Solution) -> list[str]:
+    """Lines for the terminal."""
+    found = verdict(solution)
+    said = [*reason_sentences(found.reasons), *_figures(solution), *_points(solution), *left_out(solution)]
+    if solution.linearity is not None and not solution.linearity.linear:
+        said += linearity_section(solution.linearity).sentences
+    if solution.minima is not None and solution.minima.several:
+        said.append(f"SEVERAL MINIMA ({len(solution.minima.each)}): sigmas are those of their mixture.")
+    said += laser_section(solution).sentences
+    said += tested_sentences(found, solution)
+    steps = many(solution.iterations, "iteration")
+    return [f"{short(solution.name, 60)}: {state_of(solution)} ({steps})", *(f"- {one}" for one in said)]
+
+
+def _figures(solution: Solution) -> Iterator[str]:
+    """Cost and sigma0; how many observations, and how they fit."""
+    network, fit, found = solution.network, solution.fit, verdict(solution)
+    cautious = [one for one in found.groups if one.tested and one.sigma0 < 0.5 and one.p_value > 0.999]
+    sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
+    remark = ""
+    if cautious and len(cautious) == len([one for one in found.groups if one.tested and one.redundancy > 1.0]):
+        remark = "; residuals are far smaller than stated, so that sigmas are cautious"
+    yield (
+        f"Cost {solution.cost_initial:.4g} -> {solution.cost_final:.4g}, {sigma0} with "
+        f"{many(fit.degrees_of_freedom, 'degree')} of freedom{remark}."
+    )
+    rays, ranges = ray_statistics(solution), range_statistics(solution)
+    line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
+    said = f"{many(len(network.images), 'image')}, {many(network.rays.point.size, 'image measurement')} "
+    said += f"(residuals {line:.2g} lines, {sample:.2g} samples rms)"
+    if ranges.count:
+        said += f", {many(ranges.count, 'range')} (rms {ranges.rms_before:.2g} -> {ranges.rms:.2g} m)"
+    yield f"{said}."
+
+
+def _points(solution: Solution) -> Iterator[str]:
+    """Median sigmas of each class of points, horizontally and in height, and how far it moved."""
+    for one, mine in solution.network.of_class():
+        there = mine[solution.determined[mine]]
+        if not there.size:
+            continue
+        sigmas = np.median(local_sigmas(solution.covariances[there], solution.places[there]), axis=0)
+        moved = root_mean_square(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1))
+        level = float(np.hypot(*sigmas[:2]))
+        said = f"{one.name.capitalize()} points ({there.size}): median sigma {level:.2g} m horizontally, "
+        said += f"{sigmas[2]:.2g} m in height; moved by {moved:.2g} m rms."
+        yield said + (_geometry(solution.network, there, float(sigmas[2])) if one is PointClass.TIE else "")
+
+
+def _geometry(network: Network, ties: Index, height_sigma: float) -> str:
+    """What convergence means for the heights of tie points, where it is small."""
+    chosen = ties if ties.size <= _MOST_POINTS else ties[:: -(-ties.size // _MOST_POINTS)]
+    angles: Array = convergence(network, chosen)
+    if not angles.size or float(np.median(angles)) >= _FLAT:
+        return ""
+    span = f"rays converge by {angles.min() / DEG:.2g} to {angles.max() / DEG:.2g} deg"
+    return f" NO HEIGHT IS KNOWN: {span}." if height_sigma > _UNKNOWN else f" Heights are weak: {span}."

@@ -1,0 +1,244 @@
+"""The verdict in words: whether a solution may be used and why (not), what was not tested, what could still hide; what
+drives an adjustment that did not converge, linearity, and what readers of images decided.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import chain
+
+import numpy as np
+
+from mgsgraph.adjustment.covariances import Linearity
+from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis import grouping as groups
+from mgsgraph.analysis.sanity import unexplained_ranges, unexplained_residuals
+from mgsgraph.analysis.undetected import POWER, Undetected
+from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, verdict
+from mgsgraph.files.output.table import Table
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.records import Array
+from mgsgraph.network import Network
+from mgsgraph.results.section import Section, record_of, table_of
+from mgsgraph.text import listed, many, some, some_of
+from mgsgraph.units import ARCSEC, KM
+
+_KEYS = {
+    "tie image points": "sigma_factor in [ties]",
+    "laser image points": "image_sigma_px",
+    "control image points": "those in the file of ground control",
+    groups.RANGES: "range_sigma_m",
+    groups.GROUND_PRIORS: "ground_sigma_m, or those of ground control",
+    groups.HEIGHTS: "vertical_sigma_m in [terrain]",
+    groups.STEREO_HEIGHTS: "sigma_m in [[altimetry]] or vertical_sigma_m in [terrain]",
+    groups.POSITION: "position_sigma_m in [orientation]",
+    groups.POINTING: "angle_sigma_mrad in [orientation]",
+    groups.SHIFTS: "shift_sigma_m",
+}
+"""Where a case states the sigmas of a group."""
+
+
+_MOST_REASONS = 4
+"""Reasons that are told; solution.json has all."""
+_MOST_HIDDEN = 3
+"""Errors of inputs that are told, with what they could hide."""
+_SHOWN = {
+    State.VALID: "valid",
+    State.SUSPECT: "SUSPECT",
+    State.INVALID: "INVALID",
+}
+
+
+def state_of(solution: Solution) -> str:
+    """Valid, SUSPECT or INVALID, and whether it converged."""
+    return f"{_SHOWN[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
+
+
+def verdict_section(solution: Solution) -> Section:
+    """Reasons, what was not tested, and what could still hide."""
+    found = verdict(solution)
+    table = group_tests_table(found)
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution)]
+    return Section("verdict", sentences=said, tables=[table], numbers={
+        **record_of("verdict", found),
+        "level": LEVEL,
+        "reasons": [record_of("reason", one) for one in found.reasons],
+        "groups": [record_of("group_test", one) for one in found.groups],
+        "corrections": [record_of("correction", one) for one in found.corrections],
+        "undetected": [record_of("undetected", one) for one in found.undetected],
+        "power": POWER,
+    })  # fmt: skip
+
+
+def group_tests_table(found: Verdict) -> Table:
+    """One row per group of observations or priors: how it fits its stated sigmas."""
+    marked = {one.what for one in found.of(Cause.GROUP)}
+    return table_of("group_tests", {
+        "state": ["WORSE than stated" if one.name in marked else "" if one.tested else "not tested"
+                  for one in found.groups],
+    }, found.groups)  # fmt: skip
+
+
+def reason_sentences(reasons: Sequence[Reason], most: int | None = _MOST_REASONS) -> list[str]:
+    """One for each reason, so many at the most."""
+    said = [_reason(one) for one in reasons[:most]]
+    if len(reasons) > len(said):
+        said.append(f"{many(len(reasons) - len(said), 'more reason')} in solution.json.")
+    return said
+
+
+def _reason(one: Reason) -> str:
+    chance = f" (p = {one.p_value:.1g})" if math.isfinite(one.p_value) else ""
+    size, key = abs(one.size), _KEYS.get(one.what.split(",")[0])
+    return {
+        Cause.NOT_CONVERGED: one.what,
+        Cause.LEFT_OUT: f"{one.count} {one.what} ({size:.0%}) were left out or rejected: look for a common cause.",
+        Cause.SIGMA0: f"Residuals are {size:.3g} times larger than stated: an input is wrong (images, columns, a unit, "
+        "a camera), or there are gross blunders (--reject 4).",
+        Cause.ORIENTATION: f"{one.what}: its orientation moved by {size:.2g} prior sigmas. An input is wrong, or "
+        "these sigmas are too small.",
+        Cause.CORRECTION: f"The {one.what} is corrected by {size:.2g} prior sigmas{chance}: its input or its prior is "
+        "wrong, or something that it makes up for.",
+        Cause.COMMON_ERROR: f"Something is wrong that looks like an error of {one.what} ({size:.1f} sigmas{chance}).",
+        Cause.GROUP: f"{one.what[0].upper()}{one.what[1:]} fit {size:.2g} times worse than stated{chance}: look for "
+        f"blunders (--reject 4), or enlarge {key or 'their sigmas'}.",
+        Cause.OFFSET: f"The {one.what} keep a constant residual of {one.size:+.2g} {one.unit}{chance}: no noise.",
+        Cause.OBSERVATION: f"{many(one.count, 'point')} with residuals beyond their sigmas, the largest {one.what} "
+        f"with {size:.1f} sigmas{chance}: reject blunders (--reject 4).",
+        Cause.NOMINAL: f"{one.what}: nominal residuals of {one.size:.3g} {one.unit} exceed what priors explain.",
+        Cause.PROFILE: f"{one.what}: {many(one.count, 'laser shot')} lie {math.degrees(size):.1f} deg along the flight "
+        "from the camera's view at their times: a wrong clock or profile.",
+        Cause.HEIGHT: f"Point {one.what} lies {one.size:+.3g} m from its neighbors' heights: a false match?",
+        Cause.DUPLICATE: f"{one.count} {one.what}: sigmas shrink as if they were independent.",
+    }[one.cause]  # fmt: skip
+
+
+def tested_sentences(found: Verdict, solution: Solution) -> list[str]:
+    """What was tested, what was not, and what errors of inputs could hide."""
+    if not found.groups:
+        freedom = solution.fit.degrees_of_freedom
+        return [f"Nothing was tested ({many(freedom, 'degree')} of freedom): sigmas rest on the stated ones alone."]
+    of = len(solution.network.points)
+    sample = f" of {found.points:,} of {of:,} points" if found.points < 0.9 * of else ""
+    head = f"{found.tests:,} tests{sample}, {LEVEL:.1%} false alarms in all"
+    untested = f"; not tested: {listed(list(found.untested))}" if found.untested else ""
+    said = [f"{head}{untested}."]
+    return said + ([hidden] if (hidden := hidden_sentence(found.undetected)) else [])
+
+
+def hidden_sentence(found: Sequence[Undetected]) -> str:
+    """The errors of inputs that could move points most without being found, of each kind the worst."""
+    worst = dict[str, Undetected]()
+    for one in sorted(found, key=lambda one: (one.tested, -(one.effect_in_sigmas if one.tested else one.in_sigmas))):
+        worst.setdefault(one.what, one)
+    said = [
+        f"{one.what} of {one.of}, {_amount(one.size, one.unit)} ({one.effect:.2g} m, {one.effect_in_sigmas:.1f} sigmas)"
+        for one in worst.values() if one.tested
+    ][:_MOST_HIDDEN]  # fmt: skip
+    bare = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in worst.values() if not one.tested]
+    return " ".join(filter(None, (
+        f"Errors up to these could hide: {'; '.join(said)}." if said else "",
+        f"Nothing tests {some(bare, len(bare), _MOST_HIDDEN)}." if bare else "",
+    )))  # fmt: skip
+
+
+def _amount(size: float, unit: str) -> str:
+    return f"{size / ARCSEC:.2g} arcsec" if unit == "rad" else f"{size:.2g} {unit}"
+
+
+def _per_unit(one: Undetected) -> str:
+    """How far an error of one unit moves points."""
+    factor, unit = (ARCSEC, "arcsec") if one.unit == "rad" else (1.0, one.unit)
+    return f"{one.moves * factor:.2g} m per {unit}"
+
+
+def linearity_section(found: Linearity | None) -> Section:
+    """What a solution's linearity means."""
+    if found is None:
+        return Section("linearity")
+    drawn = f"(cost ratio {found.ratio:.3g} over {found.draws} samples of {found.unknowns} unknowns)"
+    said = f"Linearity check passed {drawn}." if found.linear else (
+        f"NOT LINEAR {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
+        "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
+    )
+    return Section("linearity", sentences=[said], numbers=record_of("linearity", found))  # fmt: skip
+
+
+# --- what drives it
+
+
+def drivers_section(solution: Solution) -> Section:
+    """Which images and points drive an adjustment that did not converge; nothing of one that did."""
+    found = solution.drivers
+    if found is None:
+        return Section("drivers")
+    said = " ".join(driver_sentences(found, solution.network))
+    if solution.settings.loss == "tukey":
+        said += " With the loss tukey the end depends on the start: begin with huber, or give better orientations."
+    table = drivers_table(solution)
+    return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
+        **record_of("drivers", found),
+        "outstanding": [
+            {
+                "quantity": str(one.quantity), "kind": str(one.kind), "count": one.outstanding, "of": one.of,
+                "share": one.share, "names": _names(solution, one)[: min(one.outstanding, one.members.size)],
+            }
+            for one in found.outstanding
+        ],
+    })  # fmt: skip
+
+
+def drivers_table(solution: Solution) -> Table:
+    """One row per image or point and quantity, those that stand out and others with the largest shares."""
+    every = () if solution.drivers is None else solution.drivers.contributions
+    rows = [(one, rank) for one in every for rank in range(one.members.size)]
+    return table_of("drivers", {
+        "quantity": [str(one.quantity) for one, _ in rows], "kind": [str(one.kind) for one, _ in rows],
+        "name": list(chain.from_iterable(_names(solution, one) for one in every)),
+        "share": np.concatenate([np.zeros(0), *(one.shares for one in every)]),
+        "stands_out": ["yes" if rank < one.outstanding else "" for one, rank in rows],
+    })  # fmt: skip
+
+
+def _names(solution: Solution, one: Contributions) -> list[str]:
+    network = solution.network
+    if one.kind == Kind.IMAGE:
+        return [network.images[j].name for j in one.members.tolist()]
+    return [network.points.ids[i] for i in one.members.tolist()]
+
+
+# --- the input
+
+
+def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
+    """One sentence for each remark of the readers of images, with the images that it is of."""
+    names = [image.name for image in images]
+    of_remark = dict[str, list[int]]()
+    for j, image in enumerate(images):
+        for remark in image.remarks:
+            of_remark.setdefault(remark, []).append(j)
+    return [f"As read, {some_of(names, np.array(members))}: {remark}." for remark, members in of_remark.items()]
+
+
+def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
+    """Images whose residuals (k, 2) with the nominal orientation no error within the a-priori sigmas explains."""
+    found = [
+        f"{network.images[one.image].name} {one.size:.0f} px (expected {one.expected:.2g})"
+        for one in unexplained_residuals(network, residuals)
+    ]
+    return found and [
+        "residuals with the nominal orientation are larger than a-priori sigmas explain, median of "
+        f"{some(found, len(found))}: images, lines and samples, or labels may be interchanged, or sigmas too small"
+    ]
+
+
+def range_statements(network: Network, residuals: Array) -> list[str]:
+    """Images whose range residuals (r,) with the nominal orientation no error within the a-priori sigmas explains."""
+    found = [
+        f"{network.images[one.image].name} {one.size:+.4g} m (expected {one.expected:.2g})"
+        for one in unexplained_ranges(network, residuals)
+    ]
+    return found and [
+        "laser ranges minus the distances to their footprints have a mean that no a-priori sigma explains, "
+        f"{some(found, len(found))}: look at the ranges, the footprints' radii and the orbit first"
+    ]
