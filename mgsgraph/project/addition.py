@@ -1,6 +1,7 @@
 """What is to be added to a project: images from their files, and the measures of ties and shots that name them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
@@ -57,7 +59,7 @@ class Addition:
     networks: tuple[Path, ...] = ()
     """Files of tie points."""
     notes: tuple[str, ...] = ()
-    """What of these was left out, in sentences."""
+    """What of these was left out, or is given twice, in sentences."""
     definitions: Definitions = field(default_factory=Definitions)
     """Passes and shared unknowns that new images join or begin."""
 
@@ -160,6 +162,7 @@ def read_addition(
         unlinked = tuple(_names(new))
         return Addition(tuple(new), None, files, unlinked, tuple(sources), tuple(notes), united(brought))
     network = joined(networks)
+    notes += _given_again(network, store)
     named = [image.name for image in network.images]
     pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
     linked = _linked(network, store)
@@ -181,6 +184,16 @@ def _taken_along(known: Definitions, images: Sequence[PushbroomImage], store: Pr
                     f"--pass {one.name!r} puts it on that trajectory."
                 )
     return found
+
+
+def _given_again(network: Network, store: ProjectStore) -> list[str]:
+    """Sentences about measures that the project, in the same images, or the addition has under another name, too."""
+    near = dict.fromkeys(members for image in network.images for members in store.seen_by(image.name))
+    known = [with_definitions(store.bundle(members).network, Definitions()) for members in near]
+    with suppress(InputError):  # a contradiction is refused where it is put in
+        there = sum(len(one.points) for one in known)
+        return [f"{one.sentence}." for one in duplicates(joined([*known, network]), there)]
+    return []
 
 
 def _linked(network: Network, store: ProjectStore) -> set[str]:

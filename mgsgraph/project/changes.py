@@ -16,6 +16,7 @@ from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.network import Network
+from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage, images_alone, images_of_case
@@ -244,7 +245,7 @@ class NewProject(NamedTuple):
     waits: bool
     """Whether its images wait for tie points."""
     notes: tuple[str, ...] = ()
-    """What of its case's files was left out, in sentences."""
+    """What of its case's files was left out, or is given twice, in sentences."""
 
 
 def create_project(
@@ -287,7 +288,8 @@ def create_project(
         files, notes = tuple[Path, ...](), tuple[str, ...]()
         if decode(case).measured:
             images, read = images_of_case(case)
-            network, called, files, notes = read.network, read.name, read.networks, read.notes
+            network, called, files = read.network, read.name, read.networks
+            notes = (*read.notes, *(f"{one.sentence}." for one in duplicates(network)))
         else:
             images, called = images_alone(case)
         chosen = settings_of_case(case)

@@ -31,6 +31,7 @@ from mgsgraph.network.connectivity import (
     network_footprints,
 )
 from mgsgraph.network.corrections import support_of, useful_rays
+from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.footprints import crossings, footprints_in_images
 from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
@@ -262,7 +263,7 @@ def _points(network: Network, prediction: Prediction) -> Section:
 def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     points, shots, lost = network.points, network.ranges.point, network.undetermined
-    found = connectivity_warnings(connected)
+    found = [one.sentence for one in duplicates(network)] + connectivity_warnings(connected)
     found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
     found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
     for mine, what in (

@@ -324,3 +324,24 @@ def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pyte
         network = opened.store.network()
         mine = network.rays.point == network.points.ids.tolist().index("HAND1")
         assert network.rays.places[mine].tolist() == [[100.5, 50.0], [102.0, 51.0]]
+
+
+def test_shots_given_again_are_said_when_they_are_added(
+    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lidar = json.loads(case_file.with_name("lidar.json").read_text(encoding="utf-8"))
+    for point in lidar["points"][:5]:
+        point["id"] += "again"
+    lidar["points"] = lidar["points"][:6]
+    path = case_file.with_name("again.json")
+    path.write_text(json.dumps(lidar), encoding="utf-8")
+    capsys.readouterr()
+    for more in (("--dry-run",), ()):
+        assert call("add", project, "--shots", path, *more) == 0
+        assert re.search(r"5 \S+ \S+ of 13 .*again", capsys.readouterr().out)
+    both = case_file.with_name("both.json")
+    every = json.loads(case_file.with_name("lidar.json").read_text(encoding="utf-8"))
+    both.write_text(json.dumps(every | {"points": every["points"] + lidar["points"][:5]}), encoding="utf-8")
+    case_file.write_text(case_file.read_text(encoding="utf-8").replace("lidar.json", "both.json"), encoding="utf-8")
+    call("init", case_file.parent / "project", "--case", case_file)
+    assert re.search(r"5 \S+ \S+ of 13 .*again", capsys.readouterr().out)
