@@ -1,4 +1,4 @@
-"""Does every group of observations and of priors fit its stated sigmas? At any redundancy, priors and shared unknowns too.
+"""Does every group of observations and of priors fit its stated sigmas, at any redundancy?
 
 With right sigmas the whitened residuals v of a group have the covariance C, the group's part of I - A Q A' (Baarda
 1968), and their squares v'v the law of a sum of l_k chi^2_1 with its eigenvalues l_k, 0 to 1, which add up to the
@@ -111,8 +111,8 @@ def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) ->
 
 
 def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) -> float:
-    """tr C^2 of some rows (q,), C = I - O O' - T S T' + B B' (`ResidualRows`); or tr C, which is more, where that is too
-    large to be formed.
+    """Trace of C^2 of some rows (q,), C = I - O O' - T S T' + B B' (`ResidualRows`); or of C, which is more, where
+    that is too large to be formed.
     """
     own, through, joint = rows.own[mine], rows.through[mine], rows.at.joint
     if mine.size * joint.columns > _MOST_NUMBERS:

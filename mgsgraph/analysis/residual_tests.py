@@ -15,7 +15,7 @@ import numpy as np
 from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.grouping import BACK_PROJECTED, Grouping, group_rows
+from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index

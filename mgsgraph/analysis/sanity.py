@@ -1,4 +1,4 @@
-"""Sanity checks: observations that were left out, and residuals with the nominal orientation beyond what priors explain.
+"""Sanity checks: observations that were left out, and nominal residuals beyond what priors explain.
 
 An optimizer converges on whatever is left to it. Robust estimates and rejection hold while more than half of the
 observations of a kind are good, and no estimate can hold beyond (breakdown point; Rousseeuw & Leroy 1987, section 1.2):

@@ -127,11 +127,11 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
         if mine.size:
             yield _Error(what, "all", "m", mine, _per_meter(kind, rows.by_point[mine]), kind)
     if network.terrain_moves:
-        columns = layout.columns_of(len(network.images) + len(network.shift_names) - 1)
-        for term, place in zip(network.shift_terms[-1], range(columns.start, columns.stop), strict=True):
-            unit = np.zeros(layout.columns)
-            unit[place] = 1.0
-            yield _Error(term.name, "terrain model", term.unit, priors, np.asarray(every @ unit))
+        first = layout.columns_of(len(network.images) + len(network.shift_names) - 1).start
+        for k, term in enumerate(network.shift_terms[-1]):
+            shift = np.zeros(layout.columns)
+            shift[first + k] = 1.0
+            yield _Error(term.name, "terrain model", term.unit, priors, np.asarray(every @ shift))
 
 
 def _of_orientation(at: Linearised, frames: Frames, images: list[int]) -> Iterator[tuple[str, str, Array]]:
@@ -142,19 +142,19 @@ def _of_orientation(at: Linearised, frames: Frames, images: list[int]) -> Iterat
     for what, kinds in _CLOCKS.items():
         try:
             effects = {
-                j: np.sum([image_effect(network.images[j], kind, at.settings.angles)[0] for kind in kinds], axis=0)
+                j: sum(image_effect(network.images[j], kind, at.settings.angles)[0] for kind in kinds)
                 for j in images
             }
         except InputError:  # how the body turns is not known, or the image is too long for a polynomial
             continue
         yield what, "s", _joined(at, effects)
     for k, name in enumerate(FLIGHT_NAMES):
-        axes = {j: np.linalg.inv(frames.of(j).turn)[:, k][None] for j in images}
+        axes: dict[int, Array] = {j: np.asarray(np.linalg.inv(frames.of(j).turn)[:, k][None]) for j in images}
         yield name if k > 2 else f"{name} position", "rad" if k > 2 else "m", _joined(at, axes)
 
 
 def _joined(at: Linearised, effects: dict[int, Array]) -> Array:
-    """(columns,) coefficients of images' corrections; of a pass its nodes have the constant terms of its first image."""
+    """(columns,) coefficients of images' corrections; the nodes of a pass have the constant terms of its first."""
     network, layout = at.network, at.layout
     found = np.zeros(layout.columns)
     for j, effect in effects.items():
@@ -211,4 +211,4 @@ def _per_meter(kind: int, by_point: Array) -> Array:
     """(q,) what an error of 1 m adds to whitened rows of a kind with derivatives (q, 3): a range is measured minus
     predicted, a height above the terrain predicted minus known.
     """
-    return np.linalg.norm(by_point, axis=1) * (-1.0 if kind == SURFACE else 1.0)
+    return np.asarray(np.linalg.norm(by_point, axis=1) * (-1.0 if kind == SURFACE else 1.0))

@@ -35,6 +35,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE, RANGE
 from mgsgraph.network import PointClass
+from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.parts import thinned
 from mgsgraph.record import Record
 
@@ -196,10 +197,7 @@ def _verdict(solution: Solution) -> Verdict:
         for one in every if one.p_value < level / controlled
     ]  # fmt: skip
     checked = [one for one in common if one.tested]
-    reasons += [
-        Reason(State.SUSPECT, Cause.COMMON_ERROR, f"{one.what} of {one.of}", one.test, "sigmas", p_value=one.p_value)
-        for one in checked if one.p_value < level / len(checked)
-    ]  # fmt: skip
+    reasons += _common_error(checked, level)
     offsets = list(_offsets(rows))
     reasons += [one for one in offsets if one.p_value < level / len(offsets) and abs(one.size) > _PIXELS]
     reasons += _outliers(rows, level)
@@ -233,10 +231,8 @@ def _rows(solution: Solution) -> ResidualRows | None:
     if not solution.converged or solution.fit.degrees_of_freedom < 1:
         return None
     try:
-        if len(network.points) <= MOST_POINTS:
-            at = at_solution(solution).of_estimator()
-        else:
-            at = _sampled(solution)
+        small = len(network.points) <= MOST_POINTS
+        at = at_solution(solution).of_estimator() if small else _sampled(solution)
         return residual_rows(at, np.arange(len(at.network.points)))
     except InputError:  # no covariance, or no point that took part
         return None
@@ -283,6 +279,8 @@ def _of_common_sense(solution: Solution) -> Iterator[Reason]:
     ):
         for one in found(network, before):
             yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[one.image].name, one.size, unit)
+    for twice in duplicates(network):
+        yield Reason(State.SUSPECT, Cause.DUPLICATE, twice.sentence, twice.count / twice.total, "share", twice.count)
     for profile in misplaced_profiles(network):
         yield Reason(State.SUSPECT, Cause.PROFILE, profile.name, profile.angle, "rad", profile.shots)
     heights = deviating_heights(network, solution.places, solution.covariances)
@@ -313,6 +311,16 @@ def _corrections(at: Linearised, known: PriorRows) -> tuple[list[Correction], in
         p = 2.0 * float(ndtr(-abs(value)))
         found.append(Correction(name, unit, corrected, float(known.misfit[row]), value, p))
     return found, mine.size
+
+
+def _common_error(checked: list[Undetected], level: float) -> list[Reason]:
+    """The most significant one: others that look like it go with it."""
+    over = [one for one in checked if one.p_value < level / len(checked)]
+    if not over:
+        return []
+    one = max(over, key=lambda each: abs(each.test))
+    what = f"{one.what} of {one.of}"
+    return [Reason(State.SUSPECT, Cause.COMMON_ERROR, what, one.test, "sigmas", len(over), one.p_value)]
 
 
 def _offsets(rows: ResidualRows) -> Iterator[Reason]:

@@ -139,8 +139,8 @@ def _in_two_steps(
 ) -> bool:
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
-    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
+    from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.results.results import write_results
     from mgsgraph.results.two_steps import two_steps_section, write_two_steps

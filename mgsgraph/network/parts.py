@@ -169,7 +169,8 @@ def thinned(network: Network, points: Index) -> Network:
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     own, shifts, surface = network.points, network.shifts, network.surface
-    rays, ranges = (part.chosen(place[part.point] >= 0) for part in (network.rays, network.ranges))
+    rays, ranges = (network.rays.chosen(place[network.rays.point] >= 0),
+                    network.ranges.chosen(place[network.ranges.point] >= 0))
     covariances = chosen_rows(own.covariances, points)
     return replace(
         network,

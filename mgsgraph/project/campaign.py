@@ -28,7 +28,7 @@ import msgspec
 
 from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
 from mgsgraph.adjustment.cluster.workers import parse_cluster
-from mgsgraph.analysis.verdict import is_valid
+from mgsgraph.analysis.verdict import is_valid, verdict
 from mgsgraph.atomic_write import resolved, sweep
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import adjust, read_case
@@ -39,7 +39,7 @@ from mgsgraph.files.output.folders import RECORD as RESULT
 from mgsgraph.files.output.folders import require_replaceable
 from mgsgraph.files.writing import claim
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
-from mgsgraph.results.verdict import reason_sentences, verdict
+from mgsgraph.results.verdict import reason_sentences
 from mgsgraph.text import many
 from mgsgraph.workers import no_progress, read_apart
 

@@ -37,8 +37,8 @@ from mgsgraph.network.joining import mounting_angles
 from mgsgraph.network.observations import coverage
 from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section, table_of
-from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.results.tables import connectivity_table
+from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import many, root_mean_square, some, some_of, span
 from mgsgraph.units import DEG, KM, MRAD
 

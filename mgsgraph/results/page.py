@@ -20,8 +20,8 @@ from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
 from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
 from mgsgraph.results.section import Section
-from mgsgraph.results.verdict import state_of
 from mgsgraph.results.tables import points_table, residuals_table
+from mgsgraph.results.verdict import state_of
 
 _TEMPLATE = "results/templates/report.html"
 _SECTIONS = ("map", "orientation", "residuals", "comparison")

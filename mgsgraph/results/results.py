@@ -32,6 +32,7 @@ from mgsgraph.results.archive import ARCHIVE, write_archive
 from mgsgraph.results.ground import control_section, laser_section, minima_section, points_section, ranges_section
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
+from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
 from mgsgraph.results.verdict import (
     drivers_section,
     linearity_section,
@@ -39,8 +40,7 @@ from mgsgraph.results.verdict import (
     state_of,
     verdict_section,
 )
-from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
-from mgsgraph.text import many, short, some
+from mgsgraph.text import many, short
 from mgsgraph.units import ARCSEC
 
 _NOTE = (

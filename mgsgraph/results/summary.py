@@ -1,4 +1,4 @@
-"""An adjustment in at most fifteen lines: the verdict first, then how good the points are, and where the rest stands."""
+"""An adjustment in at most fifteen lines: the verdict first, then how good the points are, and what was not tested."""
 
 import math
 from collections.abc import Iterator
@@ -8,10 +8,11 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.geometry_checks import convergence
 from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_statistics
+from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.ground import laser_section, left_out
-from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences, verdict
+from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
 from mgsgraph.text import many, root_mean_square, short
 from mgsgraph.units import DEG, KM
 

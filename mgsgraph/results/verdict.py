@@ -21,7 +21,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, some, some_of
-from mgsgraph.units import ARCSEC, KM
+from mgsgraph.units import ARCSEC
 
 _KEYS = {
     "tie image points": "sigma_factor in [ties]",
@@ -109,7 +109,7 @@ def _reason(one: Reason) -> str:
         Cause.PROFILE: f"{one.what}: {many(one.count, 'laser shot')} lie {math.degrees(size):.1f} deg along the flight "
         "from the camera's view at their times: a wrong clock or profile.",
         Cause.HEIGHT: f"Point {one.what} lies {one.size:+.3g} m from its neighbors' heights: a false match?",
-        Cause.DUPLICATE: f"{one.count} {one.what}: sigmas shrink as if they were independent.",
+        Cause.DUPLICATE: f"{one.what}.",
     }[one.cause]  # fmt: skip
 
 
