@@ -14,17 +14,17 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
-    "cli": (1379, 14012, 11),
+    "cli": (1380, 14018, 11),
     "studio": (1895, 28285, 13),
     "fetch": (1366, 16353, 9),
     "project": (2429, 32299, 14),
     "export": (2651, 38091, 17),
     "simulation": (3698, 55835, 26),
-    "results": (4215, 62994, 35),
+    "results": (4256, 63663, 35),
     "registration": (1683, 25687, 12),
     "planning": (886, 13924, 6),
     "case": (2094, 30826, 11),
-    "analysis": (4253, 66237, 22),
+    "analysis": (4323, 67762, 23),
     "adjustment": (7389, 112366, 43),
     "matching": (2094, 34449, 13),
     "network": (2805, 44564, 14),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13596, 18),
     "single files": (814, 9443, 10),
     "scripts": (5405, 86033, 41),
-    "tests": (34260, 515709, 188),
+    "tests": (34352, 517506, 188),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
