@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.neighbours import predicted_heights
 from mgsgraph.analysis.posterior import Posterior
+from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import (
     Ellipsoid,
@@ -219,13 +221,14 @@ def _no_overlap(names: Sequence[str]) -> InputError:
     return InputError("sigma raster", f"no ground that two of {', '.join(names[:4])} see", "images that overlap")
 
 
-
 _RELIEF = 0.1
 """m by which a ray may meet the terrain before a place on it, which is seen all the same (posts' edges, rounding)."""
 _EDGE = 1e-6
 """px by which a place may lie beyond an edge that it is on (rounding)."""
 _REACH = np.array([0.5, 2.0])
 """Share of the lines and samples beyond an image's edges at which its geometry still means something."""
+_ROUNDS = 3
+"""Of height and place of a ray: the second moves by the first times the ray's slant, relief by a share of that."""
 
 
 class State(StrEnum):
@@ -297,7 +300,7 @@ class View:
 
     def on_ground(
         self, pixels: Array, height: Array | float = 0.0, radius: Array | None = None,
-        terrain: TerrainGrid | None = None,
+        terrain: TerrainGrid | None = None, sigma: Array | float = 0.0,
     ) -> Places:  # fmt: skip
         """Where the rays of image places meet the ground.
 
@@ -310,7 +313,9 @@ class View:
         radius : (n,), optional
             m from the body's centre, in place of the height.
         terrain : TerrainGrid, optional
-            In place of both.
+            In place of both; with its own sigma and that of its shift, where they are known.
+        sigma : float or (n,)
+            m, of the height or radius.
         """
         size = np.array([self.image.lines, self.image.samples])
         states = np.full(len(pixels), State.OUTSIDE, dtype=object)
@@ -318,6 +323,7 @@ class View:
         near = np.all((pixels >= -_REACH * size) & (pixels <= (1.0 + _REACH) * size), axis=1)
         states[~near] = State.FAR_OUTSIDE
         points, slopes = np.full((len(pixels), 3), np.nan), np.full((len(pixels), 3, 2), np.nan)
+        rise, doubt = np.full((len(pixels), 3), np.nan), np.array(np.broadcast_to(sigma, len(pixels)), dtype=np.float64)
         rays = self.image.rays(pixels[near, 0], pixels[near, 1], self.correction)
         origins, directions, d_origins, d_directions = rays
         body, level = self.image.body, np.broadcast_to(height, len(pixels))[near]
@@ -326,17 +332,63 @@ class View:
         if terrain is None:
             points[near], by_origin, by_direction = intersect_ellipsoid(origins, directions, body, level)
             slopes[near] = by_origin @ d_origins + by_direction @ d_directions
+            normals = upward(points[near], body)
         else:
             points[near] = meet_terrain(origins, directions, terrain)
             slopes[near] = terrain_slopes(points[near], origins, directions, d_origins, d_directions, terrain)
+            normals = _terrain_normals(points[near], terrain)
+            doubt[near] = self._terrain_sigmas(points[near], normals, terrain)
+        rise[near] = directions / np.einsum("ni,ni->n", normals, directions)[:, None]  # m along the ray per m of height
         met = np.all(np.isfinite(points), axis=1)
         states[near & ~met] = State.NO_GROUND
         covariances = None
         if self.solution is not None:
             covariances = np.full((len(points), 3, 3), np.nan)
             spread = self._spread(points[met], pixels[met])
+            moved = rise[met] * doubt[met, None]
             covariances[met] = slopes[met] @ spread @ np.swapaxes(slopes[met], 1, 2)
+            covariances[met] += moved[:, :, None] * moved[:, None]
         return Places(pixels, points, tuple(states), covariances)
+
+    def ground_heights(self, pixels: Array) -> tuple[Array, Array]:
+        """(n,) m above the ellipsoid of the ground that image places (n, 2) show, by the solution's adjusted points
+        about them, and its sigmas (n,) in m.
+        """
+        bare, near, sigmas = View(self.image, self.correction), np.zeros(len(pixels)), np.zeros(len(pixels))
+        for _ in range(_ROUNDS):
+            near, sigmas = self.heights_at(bare.on_ground(pixels, near).points)
+        return near, sigmas
+
+    def heights_at(self, places: Array) -> tuple[Array, Array]:
+        """(n,) m, the same at ground places (n, 3) in m, whose own heights don't matter.
+
+        Raises
+        ------
+        InputError
+            Where there is no adjusted point.
+        """
+        adjusted = np.flatnonzero(self.solution.determined) if self.solution is not None else np.zeros(0)
+        if self.solution is None or not adjusted.size:
+            raise InputError(
+                self.image.name, "neither a terrain model nor adjusted points to say how high its ground is",
+                "the ground's height", "give --height M, --radius M, --terrain FILE or --ellipsoid",
+            )  # fmt: skip
+        points = self.solution.places[adjusted]
+        sigmas = local_sigmas(self.solution.covariances[adjusted], points)[:, 2]
+        return predicted_heights(points, geodetic(points, self.image.body)[:, 2], sigmas, places)
+
+    def _terrain_sigmas(self, points: Array, normals: Array, terrain: TerrainGrid) -> Array:
+        """(n,) m, of a terrain model's height: its own, and of the solution's model what its shift, lift and tilt do,
+        which are not applied. A sigma that the model doesn't know counts as zero.
+        """
+        own: Array = np.nan_to_num(terrain.height_sigmas(points), posinf=0.0)
+        surface = self.solution.network.surface if self.solution is not None else None
+        if self.solution is None or surface is None or surface.grid is not terrain or not surface.terms:
+            return own
+        moved = np.einsum("ni,nki->nk", normals, surface.directions(points))
+        value = self.solution.shift_values[-1]
+        spread = self.solution.shift_spread(len(self.solution.shifts) - 1) + np.outer(value, value)
+        return np.asarray(np.sqrt(own**2 + np.einsum("nk,kl,nl->n", moved, spread, moved)))
 
     def _inside(self, pixels: Array) -> Mask:
         size = np.array([self.image.lines, self.image.samples])
@@ -372,20 +424,31 @@ def _squares(body: Ellipsoid) -> Array:
     return np.array([body.equatorial, body.equatorial, body.polar]) ** 2
 
 
+def upward(points: Array, body: Ellipsoid) -> Array:
+    """(n, 3) unit vectors, upward from an ellipsoid."""
+    across = points / _squares(body)
+    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True))
+
+
 def terrain_slopes(
     points: Array, origins: Array, directions: Array, d_origins: Array, d_directions: Array, terrain: TerrainGrid
 ) -> Array:
     """(n, 3, 2) m per px, how places on a terrain model move over it with line and sample."""
-    longitude, latitude, radius = planetocentric(points).T
-    _, by_longitude, by_latitude = terrain.radius(longitude, latitude)
-    axes = east_north_up(points)  # the normal is the gradient of the radius less that of the bilinear surface
-    normal = axes[:, 2] - (by_longitude / (radius * np.cos(latitude)))[:, None] * axes[:, 0]
-    normal -= (by_latitude / radius)[:, None] * axes[:, 1]
+    normal = _terrain_normals(points, terrain)
     distance = np.einsum("ni,ni->n", points - origins, directions) / np.einsum("ni,ni->n", directions, directions)
     moved = d_origins + distance[:, None, None] * d_directions
     fall = np.einsum("ni,ni->n", normal, directions)
     back = np.einsum("ni,nij->nj", normal, moved) / fall[:, None]
     return np.asarray(moved - directions[:, :, None] * back[:, None, :])
+
+
+def _terrain_normals(points: Array, terrain: TerrainGrid) -> Array:
+    """(n, 3) gradients of the radius less that of the bilinear surface, at places on it (n, 3) in m."""
+    longitude, latitude, radius = planetocentric(points).T
+    _, by_longitude, by_latitude = terrain.radius(longitude, latitude)
+    axes = east_north_up(points)
+    normal = axes[:, 2] - (by_longitude / (radius * np.cos(latitude)))[:, None] * axes[:, 0]
+    return np.asarray(normal - (by_latitude / radius)[:, None] * axes[:, 1])
 
 
 def on_surface(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     help="A ground place to project into the image, planetocentric degrees, east; may be repeated.",
 )  # fmt: skip
 @click.option("--isis", is_flag=True, help="Count lines and samples from 1, at the first pixel's centre.")
-@click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid.  [default: 0]")
+@click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid.")
 @click.option("--radius", type=float, metavar="M", help="Of the ground from the body's centre.")
 @click.option("--terrain", type=PATH, metavar="FILE", help="Terrain model; that of CASE or RESULT when absent.")
 @click.option("--reference-radius", type=float, metavar="M", help="Above which a GeoTIFF's heights are.")
@@ -38,8 +38,9 @@ def project(
     terrain: Path | None, reference_radius: float | None, ellipsoid: bool, out: Path | None,
 ) -> None:
     """Project ground places into IMAGE, or places in IMAGE onto the ground: the terrain model of CASE or RESULT if it
-    has one, a sphere or the ellipsoid else. The orientation is the adjusted one of RESULT (with sigmas, from its
-    covariance) or PROJECT, the nominal one of CASE. IMAGE may be a part of a name that no other image has.
+    has one, else the height of RESULT's adjusted points about each place; `height_from` says which. The orientation is
+    the adjusted one of RESULT or PROJECT, the nominal one of CASE; of the former there are sigmas, with that of the
+    height, and numbers have two digits of theirs. IMAGE may be a part of a name that no other image has.
 
     Columns of the CSV: isis_line and isis_sample (the first pixel's centre is (1, 1)) or line and sample (it is (0.5,
     0.5)), perhaps with height_m or radius_m of their ground; or x_m, y_m, z_m; longitude_deg, latitude_deg, radius_m;
@@ -47,7 +48,7 @@ def project(
     and places that IMAGE doesn't show are marked in its column `state`, not left out. Where there is a terrain model,
     its relief may hide ground places, too, that have a height of their own; those beneath it are taken to lie on it.
 
-    Exit status: 0, wherever the places are; 2 bad input.
+    Exit status: 0, wherever the places are; 2 bad input, or neither a height nor anything to take it from.
     """
     import numpy as np
 
@@ -78,7 +79,8 @@ def project(
             )  # fmt: skip
     else:
         given = PlaceTable.of_pixels(np.array(pixels), isis) if pixels else PlaceTable.of_surface(np.array(places))
-    table, said = project_places(view, given, Surface(grid, radius, height or 0.0), isis or bool(given.isis))
+    ground = Surface(grid, radius, 0.0 if ellipsoid else height)
+    table, said = project_places(view, given, ground, isis or bool(given.isis))
     if warning:
         click.echo(f"- {warning}", err=True)
     if out is not None:

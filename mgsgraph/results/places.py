@@ -1,13 +1,14 @@
 """Places that were projected, and laser shots over images, as tables."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.analysis.places import Places, State, View, on_surface
-from mgsgraph.analysis.statistics import local_sigmas
+from mgsgraph.analysis.places import Places, State, View, on_surface, upward
+from mgsgraph.analysis.statistics import local_sigmas, sigmas_along
 from mgsgraph.errors import require
 from mgsgraph.files.csv_columns import AXES, CARTESIAN, GEODETIC, ISIS, OURS, PLANETOCENTRIC, RADIAL
 from mgsgraph.files.output.table import Column, Table, numbers
@@ -31,17 +32,32 @@ class Surface(NamedTuple):
     """A terrain model."""
     radius: float | None = None
     """m, of a sphere about the body's centre."""
-    height: float = 0.0
+    height: float | None = None
     """m, by which the ellipsoid's radii are larger."""
+
+    @property
+    def height_from(self) -> str:
+        """Where heights come from; without any of these, from the adjusted points about a place."""
+        if self.terrain is not None:
+            return "terrain"
+        return "neighbours" if self.radius is None and self.height is None else "given"
 
 
 _DAY = 86400.0
 _MINUTES = "%Y-%m-%dT%H:%M"
 PLACES = begins(
     "a table of mgsgraph project",
-    r"([^\n]*,)?state,(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
+    r"([^\n]*,)?state,(height_from,)?(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
 )
 """Tables that the verb writes, by the columns that it adds."""
+_LEAST = 1e-3
+"""m or px, least sigma of which two digits are written, and that of what has none."""
+_SIGMA_OF = {
+    **dict(zip((*PLANETOCENTRIC, *CARTESIAN), (*RADIAL, *AXES), strict=True)), "geodetic_latitude_deg": RADIAL[1],
+    "height_m": "sigma_height_m", "line": "sigma_line_px", "sample": "sigma_sample_px",
+    "isis_line": "sigma_line_px", "isis_sample": "sigma_sample_px",
+}  # fmt: skip
+"""Which sigma each number of a table has."""
 _GIVEN = "given_"
 """What the name of a given column gets before it where a projected one has the same."""
 
@@ -53,26 +69,30 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
     stands before the surface.
     """
     body, image = view.image.body, view.image.name
-    level = np.array([body.equatorial + surface.height if surface.radius is None else surface.radius])
+    height, said_by = surface.height or 0.0, surface.height_from
+    level = np.array([body.equatorial + height if surface.radius is None else surface.radius])
     require(np.all(np.isfinite(level)), "the ground", f"{level[0]}", "a finite number of metres")
     require_near(level, body, lambda _: "the ground")
     if places.sort == "image":
         own = places.heights is not None or places.radii is not None
         radii = None if surface.radius is None or own else np.full(len(places.pixels), surface.radius)
+        said_by = "given" if own else said_by
+        heights, sigmas = view.ground_heights(places.pixels) if said_by == "neighbours" else (height, 0.0)
         found = view.on_ground(
-            places.pixels, surface.height if places.heights is None else places.heights,
-            places.radii if places.radii is not None else radii, None if own else surface.terrain,
+            places.pixels, heights if places.heights is None else places.heights,
+            places.radii if places.radii is not None else radii, None if own else surface.terrain, sigmas,
         )  # fmt: skip
         said = _statement(found, "image place", f"of {image} on the ground")
-        return ground_places_table(found, body, places.columns), said
+        return ground_places_table(found, body, places.columns, said_by), said
     if len(places.directions):
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
         longitude, latitude = places.directions.T
-        points = on_surface(longitude, latitude, sphere, surface.height, surface.terrain)
-        found = view.seen(points, surface.terrain)
+        points = on_surface(longitude, latitude, sphere, height, surface.terrain)
+        found = _by_neighbours(view, points) if said_by == "neighbours" else view.seen(points, surface.terrain)
     else:
+        said_by = "given"
         found = _beside_relief(view, places.points, surface.terrain)
-    return image_places_table(found, isis, places.columns), _statement(found, "ground place", f"in {image}")
+    return image_places_table(found, isis, places.columns, said_by), _statement(found, "ground place", f"in {image}")
 
 
 def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
@@ -88,17 +108,27 @@ def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Pl
     ))  # fmt: skip
 
 
-def image_places_table(found: Places, isis: bool, given: Mapping[str, list[str]]) -> Table:
+def _by_neighbours(view: View, ground: Array) -> Places:
+    """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
+    heights, doubt = view.heights_at(ground)
+    up = ground / np.linalg.norm(ground, axis=1, keepdims=True)
+    found, above = (view.seen(ground + (heights + more)[:, None] * up) for more in (0.0, 1.0))
+    moved = (above.pixels - found.pixels) * doubt[:, None]
+    assert found.covariances is not None
+    return found._replace(covariances=found.covariances + moved[:, :, None] * moved[:, None])
+
+
+def image_places_table(found: Places, isis: bool, given: Mapping[str, list[str]], height_from: str) -> Table:
     """Ground places in an image: line and sample, counted from 1 as in ISIS or from the first pixel's corner."""
     names, offset = (ISIS, ISIS_OFFSET) if isis else (OURS, 0.0)
     values = dict(zip(names, (found.pixels + offset).T, strict=True))
     if found.covariances is not None:
         sigmas = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
         values |= dict(zip(("sigma_line_px", "sigma_sample_px"), sigmas.T, strict=True))
-    return _table("Ground places in the image", found, values, given)
+    return _table("Ground places in the image", found, values, given, height_from)
 
 
-def ground_places_table(found: Places, body: Ellipsoid, given: Mapping[str, list[str]]) -> Table:
+def ground_places_table(found: Places, body: Ellipsoid, given: Mapping[str, list[str]], height_from: str) -> Table:
     """Image places on the ground: planetocentric, geodetic and body-fixed; longitudes 0 .. 360 degrees east."""
     longitude, latitude, radius = planetocentric(found.points).T
     _, upright, height = geodetic(found.points, body).T
@@ -107,23 +137,46 @@ def ground_places_table(found: Places, body: Ellipsoid, given: Mapping[str, list
     values |= dict(zip(CARTESIAN, found.points.T, strict=True))
     if found.covariances is not None:
         values |= dict(zip(RADIAL, local_sigmas(found.covariances, found.points).T, strict=True))
+        values["sigma_height_m"] = sigmas_along(upward(found.points, body)[:, None], found.covariances)[:, 0]
         values |= dict(zip(AXES, np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2)).T, strict=True))
-    return _table("Image places on the ground", found, values, given)
+    return _table("Image places on the ground", found, values, given, height_from)
 
 
-def _table(title: str, found: Places, values: Mapping[str, np.ndarray], given: Mapping[str, list[str]]) -> Table:
-    taken = {*values, "state"}
+def _table(
+    title: str, found: Places, values: Mapping[str, Array], given: Mapping[str, list[str]], height_from: str
+) -> Table:
+    """Numbers to two digits of their sigmas; those of angles are lengths on the ground."""
+    taken, radius = {*values, "state", "height_from"}, np.linalg.norm(found.points, axis=1)
     kept = [Column(_GIVEN + name if name in taken else name, list(texts)) for name, texts in given.items()]
-    made = [Column(name, np.asarray(column), scale=1.0) for name, column in values.items()]
+    made = []
+    for name, column in values.items():
+        sigma = np.fmax(values.get(_SIGMA_OF.get(name, name), np.full(len(column), np.nan)), _LEAST)
+        if name.endswith("_deg"):
+            sigma = sigma / (radius * DEG)
+        if name == PLANETOCENTRIC[0]:
+            sigma = sigma / np.maximum(np.cos(values[PLANETOCENTRIC[1]] * DEG), _LEAST)
+        made.append(Column(name, [_two_digits(*pair) for pair in zip(column.tolist(), sigma.tolist(), strict=True)]))
     state = Column("state", [str(one) for one in found.states])
-    return Table("places", title, (*kept, state, *made))
+    return Table("places", title, (*kept, state, Column("height_from", [height_from] * len(found.states)), *made))
+
+
+def _two_digits(value: float, sigma: float) -> str:
+    """To two digits of a sigma; empty where it is none."""
+    if not (math.isfinite(value) and math.isfinite(sigma)):
+        return ""
+    decimals = 1 - math.floor(math.log10(sigma))
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
 def places_text(table: Table) -> list[str]:
-    """Lines of a few places: a name and its value in each."""
+    """Lines of a few places: a name and its value in each, with its sigma, which of angles is a length."""
     lines = []
     for row in table.records():
-        lines += [f"{name} = {'none' if value is None else value}" for name, value in row.items()]
+        for name, value in row.items():
+            sigma, unit = row.get(_SIGMA_OF.get(name, "")), " m" if name.endswith("_deg") else ""
+            after = f" +- {sigma}{unit}" if sigma is not None else ""
+            if name not in _SIGMA_OF.values():
+                lines.append(f"{name} = {'none' if value is None else value}{after}")
         lines.append("")
     return lines[:-1]
 

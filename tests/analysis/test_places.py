@@ -4,6 +4,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -15,16 +16,19 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.places import State, View, on_surface, sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
+from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.place_table import PlaceTable
-from mgsgraph.geometry.body import from_planetocentric, planetocentric
+from mgsgraph.geometry.body import east_north_up, from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
+from mgsgraph.network import Surface as ControlSurface
 from mgsgraph.results.places import Surface, project_places
 from mgsgraph.simulation.camera import narrow_image
+from mgsgraph.simulation.files import write_pair
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.orbit import HEADING, MARS, CircularPass
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
@@ -36,8 +40,6 @@ PIXEL = 1e-6
 
 @pytest.fixture(scope="module")
 def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
-    from mgsgraph.simulation.files import write_pair
-
     folder = tmp_path_factory.mktemp("pair")
     path = write_pair(simulate_pair(PairSettings(ties=20, shots=8), seed=1), folder)
     return mgsgraph.adjust(mgsgraph.read_case(Path(path)))
@@ -134,6 +136,109 @@ def test_relief_hides_places_with_heights_of_their_own_but_not_those_beneath_it(
     assert "behind relief" not in states(ground, None)
     beneath = np.array(states(ground * (1.0 - 50.0 / 3.39e6), terrain)) == "behind relief"
     np.testing.assert_array_equal(beneath, np.array(hidden) == "behind relief")
+
+
+# --- heights by the adjusted points about a place, by terrain models; what they do to places
+
+
+def left_out(solution: Solution, number: int) -> tuple[Array, Array, Array, Array]:
+    """Of ties (n) that an image shows: their errors and sigmas (n, 3) in m, east, north and up, of places projected by
+    the other points; the ties' own sigmas upward (n,), and the heights' excess (n,) over the span of all.
+    """
+    network = solution.network
+    ties = network.points.classes[network.rays.point] == PointClass.TIE
+    errors, sigmas, own, beyond = [], [], [], []
+    low, high = np.nanmin(heights := geodetic(solution.places, network.images[0].body)[:, 2]), np.nanmax(heights)
+    for k in np.flatnonzero((network.rays.image == number) & solution.rays_used & ties):
+        point = network.rays.point[k]
+        others = solution.determined & (np.arange(len(network.points)) != point)
+        view = View.adjusted(replace(solution, determined=others), number)
+        height, sigma = view.ground_heights(network.rays.places[k][None])
+        found = view.on_ground(network.rays.places[k][None], height, sigma=sigma)
+        assert found.covariances is not None
+        errors.append(east_north_up(found.points)[0] @ (found.points[0] - solution.places[point]))
+        sigmas.append(local_sigmas(found.covariances, found.points)[0])
+        own.append(local_sigmas(solution.covariances[point][None], found.points)[0, 2])
+        beyond.append(max(low - height[0], height[0] - high))
+    return np.array(errors), np.array(sigmas), np.array(own), np.array(beyond)
+
+
+def checked(solution: Solution, number: int, most: float) -> None:
+    errors, sigmas, own, beyond = left_out(solution, number)
+    assert np.all(np.abs(errors) < 3.0 * np.hypot(sigmas, own[:, None]))
+    normalised = errors[:, 2] / np.hypot(sigmas[:, 2], own)
+    assert 0.2 < np.sqrt(np.mean(normalised**2)) < 1.3
+    assert np.median(sigmas[:, 2]) < most
+    assert np.all(beyond <= 0.0)
+
+
+# above two seconds: LRO's pair is adjusted; field case 14 was 505 m off with a stated sigma of 3.4 m
+def test_places_of_a_real_pair_lie_at_the_heights_about_them(shared_data: Path) -> None:
+    assert shared_data.is_dir()
+    case = Path(__file__).resolve().parents[2] / "scripts" / "cases" / "lro_nac_lola.toml"
+    found = mgsgraph.adjust(mgsgraph.read_case(case))
+    for number in (0, 1):
+        checked(found, number, 100.0)
+    view = View.adjusted(found, 0)
+    table, _ = project_places(view, PlaceTable.of_pixels(np.array([[20000.0, 2000.0]]), False), Surface(), isis=False)
+    row = table.records()[0]
+    assert row["height_from"] == "neighbours"
+    assert -2619.0 < float(row["height_m"]) < -1802.0
+    assert 7.0 < float(row["sigma_height_m"]) < 100.0
+
+
+def test_heights_about_a_place_are_honest_against_a_truth() -> None:
+    pair = simulate_pair(PairSettings(ties=150, shots=60), seed=2)
+    with TemporaryDirectory() as folder:
+        found = mgsgraph.adjust(mgsgraph.read_case(Path(write_pair(pair, Path(folder)))))
+    checked(found, 0, 100.0)
+    view, true = View.adjusted(found, 0), geodetic(pair.true_ties, found.network.images[0].body)[:, 2]
+    normalised = []
+    for k in range(len(true)):
+        others = replace(found, determined=found.determined & (np.arange(len(found.places)) != k))
+        height, sigma = replace(view, solution=others).heights_at(found.places[k][None])
+        normalised.append((height[0] - true[k]) / sigma[0])
+    assert np.sqrt(np.mean(np.square(normalised))) < 1.3
+    far = view.heights_at(found.places[:1] + np.array([0.0, 0.0, 2e5]))[1][0]  # far beyond them nothing is known
+    assert far > 10.0 * np.median(view.heights_at(found.places[:20])[1])
+
+
+def test_a_height_moves_places_along_their_rays(solution: Solution) -> None:
+    view, pixels = View.adjusted(solution, 1), np.array([[100.0, 100.0]])
+    for terrain in (None, replace(relief(view), vertical_sigma=30.0)):
+        held = view.on_ground(pixels, 50.0, terrain=terrain and replace(terrain, vertical_sigma=None))
+        known = view.on_ground(pixels, 50.0, terrain=terrain, sigma=30.0)
+        grid = terrain and replace(terrain, radii=terrain.radii + 1.0)
+        moved = view.on_ground(pixels, 51.0, terrain=grid).points - held.points
+        assert known.covariances is not None
+        assert held.covariances is not None
+        np.testing.assert_allclose(
+            known.covariances - held.covariances, 900.0 * moved[:, :, None] * moved[:, None], rtol=1e-2, atol=1.0
+        )
+
+
+def test_what_moves_a_terrain_model_is_in_the_sigma_of_its_heights() -> None:
+    """A lift that is found and not applied, and its sigma; a shift acts where the model slopes."""
+    net = network(pair())
+    grid = relief(View(net.images[0]), 0.0)
+    ties = np.where(net.points.classes == PointClass.TIE, 25.0, np.inf)
+    found = adjust_network(replace(net, surface=ControlSurface(grid, ties, 150.0, 40.0)), SolverSettings())
+    view, pixels = View.adjusted(found, 0), places(View(net.images[0]))
+    assert found.lift is not None
+    known = view.on_ground(pixels, terrain=grid)
+    given = view.on_ground(pixels, terrain=replace(grid))  # a file of the same: counts as exact
+    assert known.covariances is not None
+    assert given.covariances is not None
+    wanted = found.shift_spread(0)[2, 2] + found.lift[0] ** 2
+    added = local_sigmas(known.covariances, known.points)[:, 2] ** 2
+    added -= local_sigmas(given.covariances, given.points)[:, 2] ** 2
+    np.testing.assert_allclose(added, wanted, rtol=1e-3)
+
+
+def test_without_a_height_nor_points_it_is_refused(solution: Solution) -> None:
+    view, pixel = View(solution.network.images[0]), PlaceTable.of_pixels(np.array([[5.0, 5.0]]), False)
+    with pytest.raises(InputError, match="--height"):
+        project_places(view, pixel, Surface(), isis=False)
 
 
 # --- sigmas over an overlap
