@@ -26,6 +26,19 @@ def three(values: Array) -> str:
     return ", ".join(f"{value:.3g}" if value < 1e3 else f"{value:.0f}" for value in values)
 
 
+def two(value: float) -> str:
+    """A number in two significant digits, without an exponent: a sigma."""
+    if not math.isfinite(value) or value == 0.0:
+        return "0" if value == 0.0 else "-" if math.isnan(value) else "unlimited"
+    decimals = 1 - math.floor(math.log10(abs(float(f"{value:.1e}"))))
+    return f"{round(value, decimals):,.{max(decimals, 0)}f}"
+
+
+def length(value: float) -> str:
+    """A length in m in two significant digits; in km from 10 km on."""
+    return f"{two(1e-3 * value)} km" if abs(value) >= 1e4 else f"{two(value)} m"
+
+
 def span(values: Array) -> str:
     """Least to largest value, or the one that all have."""
     low, high = float(values.min()), float(values.max())

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsgraph.analysis.statistics import medians
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.body import distances
+from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
@@ -54,9 +54,11 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     from scipy.spatial import cKDTree  # slow to import
 
     there = np.flatnonzero(np.isfinite(places).all(axis=1) & (network.points.kinds != PointKind.FIXED))
-    if there.size <= _NEIGHBORS:
+    heights, body = distances(places[there]), network.images[0].body
+    # in a frame that is not body-fixed nothing is known of heights
+    if there.size <= _NEIGHBORS or not _near(float(np.median(heights)), body):
         return DeviatingHeights(there[:0], np.zeros(0))
-    heights, up = distances(places[there]), unit_vectors(places[there])
+    up = unit_vectors(places[there])
     flat = up * np.median(heights)
     sigmas = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[there], up), 0.0))
     chosen = _candidates(flat, heights)
@@ -75,6 +77,11 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     wild = (np.abs(off) > _FAR * spread) & (np.abs(off) > _STEEP * np.median(away, axis=1))
     order = np.flatnonzero(wild)[np.argsort(-np.abs(off[wild]), kind="stable")]
     return DeviatingHeights(there[chosen[order]], off[order])
+
+
+def _near(radius: float, body: Ellipsoid) -> bool:
+    """Whether places of a radius in m lie on a body."""
+    return body.polar / nearness(body) < radius < body.equatorial * nearness(body)
 
 
 def _candidates(flat: Array, heights: Array) -> Index:

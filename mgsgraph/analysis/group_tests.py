@@ -25,7 +25,7 @@ _EXACT = 30.0
 """Redundancy from which on a sum of squares is nearly enough a multiple of chi-square."""
 _MOST_ROWS = 800
 """Rows whose covariance is taken as a whole."""
-_MOST_NUMBERS = 20_000_000
+_MOST_NUMBERS = 2_000_000
 """Numbers of a dense matrix, rows by shared unknowns, beyond which the variance is replaced by its upper bound."""
 
 

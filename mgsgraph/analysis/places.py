@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.neighbours import predicted_heights
+from mgsgraph.analysis.neighbors import predicted_heights
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.errors import InputError

@@ -41,7 +41,7 @@ from mgsgraph.record import Record
 
 LEVEL = 0.005
 """Probability that tests call a solution suspect whose stated sigmas are right."""
-MOST_POINTS = 10_000
+MOST_POINTS = 5_000
 """Points of a network up to which all of its rows are tested."""
 _FAMILIES = 5
 """Kinds of tests that share the level."""

@@ -2,7 +2,7 @@
 shrink by up to the square root of two.
 
 Values are compared to within their rounding. What is only near (another feature half a pixel away, the five spots of a
-LOLA shot, two tracks that cross) is another observation.
+LOLA shot, two tracks that cross) is another observation. (One image under two names is refused when it is read.)
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from mgsgraph.geometry.image import twins
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
@@ -21,8 +20,8 @@ _PIXELS = 0.02
 """By which pixels of one measurement differ, in line and in sample: twice what rounding to two decimals does."""
 _SECONDS = 5e-3
 """By which times of one shot differ: LOLA's next one follows after 36 ms, MOLA's after 100 ms."""
-_METRES = 0.1
-"""By which ranges of one shot differ: rounding to decimetres."""
+_METERS = 0.1
+"""By which ranges of one shot differ: rounding to decimeters."""
 _ROUNDED = 0.01
 """By which a-priori places of one shot differ, in distances between shots: five decimals of a degree are 0.4 m at most,
 0.2 m on the Moon, and MOLA's shots are 300 m apart, LOLA's spots 25 m."""
@@ -50,7 +49,6 @@ class DuplicateKind(StrEnum):
     TIE = "tie point"
     SHOT = "laser shot"
     CONTROL = "control point"
-    IMAGE = "image"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +58,13 @@ class Duplicates(Record):
     kind: DuplicateKind
     """Of which kind."""
     first: Index
-    """(p,) ground point, or image, that stands first of those that are one."""
+    """(p,) ground point that stands first of those that are one."""
     again: Index
     """(p,) the same under another name: each stands here once, so that p are superfluous."""
     names: tuple[tuple[str, str], ...]
     """Of some of them: the first, and again."""
     total: int
-    """Of how many: points of the class, or images."""
+    """Of how many points of the class."""
 
     @property
     def count(self) -> int:
@@ -102,10 +100,6 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         first, again = first[again >= since], again[again >= since]
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
         found.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
-    images = [image.name for image in network.images]
-    first, again = joined_pairs(np.array(twins(network.images), dtype=np.int64).reshape(-1, 2))
-    names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
-    found.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
     return tuple(one for one in found if one.count)
 
 
@@ -171,7 +165,7 @@ def _shots(network: Network) -> Index:
     placed = np.isnan(later) & (apart <= _ROUNDED / _PROCESSED)
     if np.count_nonzero(placed) <= _CHANCE * np.count_nonzero(network.points.classes == PointClass.LASER):
         placed &= apart == 0.0
-    return np.asarray(pairs[placed | ((later <= _SECONDS) & (farther <= _METRES))])
+    return np.asarray(pairs[placed | ((later <= _SECONDS) & (farther <= _METERS))])
 
 
 def _control(network: Network) -> Index:

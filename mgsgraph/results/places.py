@@ -40,7 +40,7 @@ class Surface(NamedTuple):
         """Where heights come from; without any of these, from the adjusted points about a place."""
         if self.terrain is not None:
             return "terrain"
-        return "neighbours" if self.radius is None and self.height is None else "given"
+        return "neighbors" if self.radius is None and self.height is None else "given"
 
 
 _DAY = 86400.0
@@ -77,7 +77,7 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
         own = places.heights is not None or places.radii is not None
         radii = None if surface.radius is None or own else np.full(len(places.pixels), surface.radius)
         said_by = "given" if own else said_by
-        heights, sigmas = view.ground_heights(places.pixels) if said_by == "neighbours" else (height, 0.0)
+        heights, sigmas = view.ground_heights(places.pixels) if said_by == "neighbors" else (height, 0.0)
         found = view.on_ground(
             places.pixels, heights if places.heights is None else places.heights,
             places.radii if places.radii is not None else radii, None if own else surface.terrain, sigmas,
@@ -88,7 +88,7 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
         longitude, latitude = places.directions.T
         points = on_surface(longitude, latitude, sphere, height, surface.terrain)
-        found = _by_neighbours(view, points) if said_by == "neighbours" else view.seen(points, surface.terrain)
+        found = _by_neighbors(view, points) if said_by == "neighbors" else view.seen(points, surface.terrain)
     else:
         said_by = "given"
         found = _beside_relief(view, places.points, surface.terrain)
@@ -108,7 +108,7 @@ def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Pl
     ))  # fmt: skip
 
 
-def _by_neighbours(view: View, ground: Array) -> Places:
+def _by_neighbors(view: View, ground: Array) -> Places:
     """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
     heights, doubt = view.heights_at(ground)
     up = ground / np.linalg.norm(ground, axis=1, keepdims=True)

@@ -13,13 +13,15 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.ground import laser_section, left_out
 from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
-from mgsgraph.text import many, root_mean_square, short
+from mgsgraph.text import length, many, root_mean_square, short, two
 from mgsgraph.units import DEG, KM
 
 _FLAT = 5.0 * DEG
 """Convergence of rays below which heights are poorly known."""
 _UNKNOWN = 1.0 * KM
 """Median sigma of heights from which on no height is known: a body's relief is hardly larger."""
+_CAUTIOUS, _MANY = 0.5, 20
+"""sigma0 below which, and degrees of freedom from which on, stated sigmas are too large."""
 _MOST_POINTS = 20_000
 """Points whose rays are intersected anew."""
 
@@ -40,12 +42,11 @@ def summary(solution: Solution) -> list[str]:
 
 def _figures(solution: Solution) -> Iterator[str]:
     """Cost and sigma0; how many observations, and how they fit."""
-    network, fit, found = solution.network, solution.fit, verdict(solution)
-    cautious = [one for one in found.groups if one.tested and one.sigma0 < 0.5 and one.p_value > 0.999]
+    network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
     remark = ""
-    if cautious and len(cautious) == len([one for one in found.groups if one.tested and one.redundancy > 1.0]):
-        remark = "; residuals are far smaller than stated, so that sigmas are cautious"
+    if fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY:
+        remark = f" (residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are cautious)"
     yield (
         f"Cost {solution.cost_initial:.4g} -> {solution.cost_final:.4g}, {sigma0} with "
         f"{many(fit.degrees_of_freedom, 'degree')} of freedom{remark}."
@@ -53,9 +54,9 @@ def _figures(solution: Solution) -> Iterator[str]:
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
     said = f"{many(len(network.images), 'image')}, {many(network.rays.point.size, 'image measurement')} "
-    said += f"(residuals {line:.2g} lines, {sample:.2g} samples rms)"
+    said += f"(residuals {two(line)} lines, {two(sample)} samples rms)"
     if ranges.count:
-        said += f", {many(ranges.count, 'range')} (rms {ranges.rms_before:.2g} -> {ranges.rms:.2g} m)"
+        said += f", {many(ranges.count, 'range')} (rms {two(ranges.rms_before)} -> {two(ranges.rms)} m)"
     yield f"{said}."
 
 
@@ -68,8 +69,8 @@ def _points(solution: Solution) -> Iterator[str]:
         sigmas = np.median(local_sigmas(solution.covariances[there], solution.places[there]), axis=0)
         moved = root_mean_square(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1))
         level = float(np.hypot(*sigmas[:2]))
-        said = f"{one.name.capitalize()} points ({there.size}): median sigma {level:.2g} m horizontally, "
-        said += f"{sigmas[2]:.2g} m in height; moved by {moved:.2g} m rms."
+        said = f"{one.name.capitalize()} points ({there.size}): median sigma {length(level)} horizontally, "
+        said += f"{length(float(sigmas[2]))} in height; moved by {length(moved)} rms."
         yield said + (_geometry(solution.network, there, float(sigmas[2])) if one is PointClass.TIE else "")
 
 
@@ -79,5 +80,5 @@ def _geometry(network: Network, ties: Index, height_sigma: float) -> str:
     angles: Array = convergence(network, chosen)
     if not angles.size or float(np.median(angles)) >= _FLAT:
         return ""
-    span = f"rays converge by {angles.min() / DEG:.2g} to {angles.max() / DEG:.2g} deg"
+    span = f"rays converge by {two(angles.min() / DEG)} to {two(angles.max() / DEG)} deg"
     return f" NO HEIGHT IS KNOWN: {span}." if height_sigma > _UNKNOWN else f" Heights are weak: {span}."

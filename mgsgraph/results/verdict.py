@@ -20,8 +20,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import listed, many, some, some_of
-from mgsgraph.units import ARCSEC
+from mgsgraph.text import length, listed, many, some, some_of, two
+from mgsgraph.units import ARCSEC, DEG
 
 _KEYS = {
     "tie image points": "sigma_factor in [ties]",
@@ -38,10 +38,6 @@ _KEYS = {
 """Where a case states the sigmas of a group."""
 
 
-_MOST_REASONS = 4
-"""Reasons that are told; solution.json has all."""
-_MOST_HIDDEN = 3
-"""Errors of inputs that are told, with what they could hide."""
 _SHOWN = {
     State.VALID: "valid",
     State.SUSPECT: "SUSPECT",
@@ -79,36 +75,41 @@ def group_tests_table(found: Verdict) -> Table:
     }, found.groups)  # fmt: skip
 
 
-def reason_sentences(reasons: Sequence[Reason], most: int | None = _MOST_REASONS) -> list[str]:
-    """One for each reason, so many at the most."""
-    said = [_reason(one) for one in reasons[:most]]
-    if len(reasons) > len(said):
-        said.append(f"{many(len(reasons) - len(said), 'more reason')} in solution.json.")
+def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
+    """One for each cause, of its gravest reason, with the number of others."""
+    of_cause = dict[Cause, list[Reason]]()
+    for one in reasons:
+        of_cause.setdefault(one.cause, []).append(one)
+    said = []
+    for every in of_cause.values():
+        more = f" ({len(every) - 1} more like it.)" if len(every) > 1 else ""
+        said.append(_reason(every[0]) + more)
     return said
 
 
 def _reason(one: Reason) -> str:
-    chance = f" (p = {one.p_value:.1g})" if math.isfinite(one.p_value) else ""
-    size, key = abs(one.size), _KEYS.get(one.what.split(",")[0])
+    chance = f" (p = {max(one.p_value, 1e-99):.0e})" if math.isfinite(one.p_value) else ""
+    size, key = two(abs(one.size)), _KEYS.get(one.what.split(",")[0])
     return {
         Cause.NOT_CONVERGED: one.what,
-        Cause.LEFT_OUT: f"{one.count} {one.what} ({size:.0%}) were left out or rejected: look for a common cause.",
-        Cause.SIGMA0: f"Residuals are {size:.3g} times larger than stated: an input is wrong (images, columns, a unit, "
-        "a camera), or there are gross blunders (--reject 4).",
-        Cause.ORIENTATION: f"{one.what}: its orientation moved by {size:.2g} prior sigmas. An input is wrong, or "
-        "these sigmas are too small.",
-        Cause.CORRECTION: f"The {one.what} is corrected by {size:.2g} prior sigmas{chance}: its input or its prior is "
-        "wrong, or something that it makes up for.",
-        Cause.COMMON_ERROR: f"Something is wrong that looks like an error of {one.what} ({size:.1f} sigmas{chance}).",
-        Cause.GROUP: f"{one.what[0].upper()}{one.what[1:]} fit {size:.2g} times worse than stated{chance}: look for "
+        Cause.LEFT_OUT: f"{one.count} {one.what} ({one.size:.0%}) were left out or rejected: look for a common cause.",
+        Cause.SIGMA0: f"Residuals are {size} times larger than stated: an input is wrong (images, columns, a unit, a "
+        "camera), or there are gross blunders (--reject 4).",
+        Cause.ORIENTATION: f"The orientation of {one.what} moved by {size} prior sigmas: an input is wrong, or these "
+        "sigmas are too small.",
+        Cause.CORRECTION: f"The {one.what} is corrected by {size} prior sigmas{chance}: look at this input and its "
+        "prior, and at what depends on it.",
+        Cause.COMMON_ERROR: f"Residuals and corrections look like an error of {one.what}: {size} sigmas{chance}.",
+        Cause.GROUP: f"{one.what[0].upper()}{one.what[1:]} fit {size} times worse than stated{chance}: look for "
         f"blunders (--reject 4), or enlarge {key or 'their sigmas'}.",
-        Cause.OFFSET: f"The {one.what} keep a constant residual of {one.size:+.2g} {one.unit}{chance}: no noise.",
-        Cause.OBSERVATION: f"{many(one.count, 'point')} with residuals beyond their sigmas, the largest {one.what} "
-        f"with {size:.1f} sigmas{chance}: reject blunders (--reject 4).",
-        Cause.NOMINAL: f"{one.what}: nominal residuals of {one.size:.3g} {one.unit} exceed what priors explain.",
-        Cause.PROFILE: f"{one.what}: {many(one.count, 'laser shot')} lie {math.degrees(size):.1f} deg along the flight "
-        "from the camera's view at their times: a wrong clock or profile.",
-        Cause.HEIGHT: f"Point {one.what} lies {one.size:+.3g} m from its neighbors' heights: a false match?",
+        Cause.OFFSET: f"The {one.what} have a constant residual of {one.size:+.2g} {one.unit}{chance}.",
+        Cause.OBSERVATION: f"{many(one.count, 'point')} with outliers, the largest {one.what} with "
+        f"{size} sigmas{chance}: --reject 4 rejects blunders.",
+        Cause.NOMINAL: f"Nominal residuals of {one.what} are {two(one.size)} {one.unit}, more than priors explain.",
+        Cause.PROFILE: f"{many(one.count, 'laser shot')} of {one.what} lie {math.degrees(abs(one.size)):.1f} deg along "
+        "the flight from where the camera looked: a wrong clock or a wrong profile.",
+        Cause.HEIGHT: f"Point {one.what} lies {length(abs(one.size))} {'above' if one.size > 0.0 else 'below'} its "
+        "neighbors: a false match, or a wrong measurement.",
         Cause.DUPLICATE: f"{one.what}.",
     }[one.cause]  # fmt: skip
 
@@ -120,36 +121,52 @@ def tested_sentences(found: Verdict, solution: Solution) -> list[str]:
         return [f"Nothing was tested ({many(freedom, 'degree')} of freedom): sigmas rest on the stated ones alone."]
     of = len(solution.network.points)
     sample = f" of {found.points:,} of {of:,} points" if found.points < 0.9 * of else ""
-    head = f"{found.tests:,} tests{sample}, {LEVEL:.1%} false alarms in all"
-    untested = f"; not tested: {listed(list(found.untested))}" if found.untested else ""
-    said = [f"{head}{untested}."]
-    return said + ([hidden] if (hidden := hidden_sentence(found.undetected)) else [])
+    untested = f" Not tested: {listed(list(found.untested))}." if found.untested else ""
+    said = f"{found.tests:,} tests{sample} (false alarms: {LEVEL:.1%} of good solutions).{untested}"
+    return [said, *hidden_sentences(found.undetected)]
 
 
-def hidden_sentence(found: Sequence[Undetected]) -> str:
-    """The errors of inputs that could move points most without being found, of each kind the worst."""
-    worst = dict[str, Undetected]()
-    for one in sorted(found, key=lambda one: (one.tested, -(one.effect_in_sigmas if one.tested else one.in_sigmas))):
-        worst.setdefault(one.what, one)
-    said = [
-        f"{one.what} of {one.of}, {_amount(one.size, one.unit)} ({one.effect:.2g} m, {one.effect_in_sigmas:.1f} sigmas)"
-        for one in worst.values() if one.tested
-    ][:_MOST_HIDDEN]  # fmt: skip
-    bare = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in worst.values() if not one.tested]
-    return " ".join(filter(None, (
-        f"Errors up to these could hide: {'; '.join(said)}." if said else "",
-        f"Nothing tests {some(bare, len(bare), _MOST_HIDDEN)}." if bare else "",
-    )))  # fmt: skip
+_OF_KIND = {
+    "clock": ("clock", "attitude time", "position time"),
+    "position": ("along position", "across position", "radial position"),
+    "pointing": ("roll", "pitch", "yaw"),
+    "laser": ("laser range",),
+    "terrain": ("terrain height", "east shift", "north shift", "upward shift"),
+}
+"""Errors of inputs by kind: of each the one that moves points most is told."""
+
+
+_LARGE = {"s": 10.0, "m": 1e3, "rad": DEG}
+"""Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
+
+
+def hidden_sentences(found: Sequence[Undetected]) -> list[str]:
+    """The errors of inputs that could move points most without being found; those that nothing tests."""
+    worst, bare = list[Undetected](), list[Undetected]()
+    for names in _OF_KIND.values():
+        mine = [one for one in found if one.what in names and one.moves > 0.0]
+        tested = [one for one in mine if one.tested]
+        if tested:
+            worst.append(max(tested, key=lambda one: one.effect_in_sigmas))
+        harmful = [one for one in mine if not one.tested and one.in_sigmas * _LARGE[one.unit] > 1.0]
+        bare += sorted(harmful, key=lambda one: -one.in_sigmas)[:1]
+    could = [
+        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} (moves points by {length(one.effect)}, "
+        f"{two(one.effect_in_sigmas)} sigmas)" for one in worst
+    ]  # fmt: skip
+    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare]
+    said = [f"Could still be wrong unnoticed: {'; '.join(could)}."] if could else []
+    return said + ([f"Nothing tests an error of {'; '.join(nothing)}."] if nothing else [])
 
 
 def _amount(size: float, unit: str) -> str:
-    return f"{size / ARCSEC:.2g} arcsec" if unit == "rad" else f"{size:.2g} {unit}"
+    return f"{two(size / ARCSEC)} arcsec" if unit == "rad" else length(size) if unit == "m" else f"{two(size)} {unit}"
 
 
 def _per_unit(one: Undetected) -> str:
     """How far an error of one unit moves points."""
     factor, unit = (ARCSEC, "arcsec") if one.unit == "rad" else (1.0, one.unit)
-    return f"{one.moves * factor:.2g} m per {unit}"
+    return f"moves points by {two(one.moves * factor)} m per {unit}"
 
 
 def linearity_section(found: Linearity | None) -> Section:

@@ -182,7 +182,7 @@ def test_places_of_a_real_pair_lie_at_the_heights_about_them(shared_data: Path) 
     view = View.adjusted(found, 0)
     table, _ = project_places(view, PlaceTable.of_pixels(np.array([[20000.0, 2000.0]]), False), Surface(), isis=False)
     row = table.records()[0]
-    assert row["height_from"] == "neighbours"
+    assert row["height_from"] == "neighbors"
     assert -2619.0 < float(row["height_m"]) < -1802.0
     assert 7.0 < float(row["sigma_height_m"]) < 100.0
 

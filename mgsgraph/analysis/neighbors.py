@@ -4,7 +4,7 @@ import numpy as np
 
 from mgsgraph.geometry.records import Array
 
-_NEIGHBOURS = 16
+_NEIGHBORS = 16
 """Points by which a height is predicted."""
 _BATCH = 4096
 """Places predicted at a time."""
@@ -13,14 +13,14 @@ _GROWTH = 1.5
 _MEDIAN = 0.455
 """Median of the square of a standard normal number."""
 _SLOPE = 0.1
-"""Rise per metre that counts as one pair of neighbours: few of them, or even ones, don't say that ground is level."""
+"""Rise per meter that counts as one pair of neighbors: few of them, or even ones, don't say that ground is level."""
 
 
 def predicted_heights(points: Array, heights: Array, sigmas: Array, places: Array) -> tuple[Array, Array]:
     """Heights at places by those of the nearest points: ordinary kriging.
 
     The mean square of height differences is taken to grow with the power 1.5 of distance, as relief's does, by a factor
-    from the neighbours' own differences. Errors of their heights are taken to be common, for orientation makes them:
+    from the neighbors' own differences. Errors of their heights are taken to be common, for orientation makes them:
     they do not average out.
 
     Parameters
@@ -28,20 +28,20 @@ def predicted_heights(points: Array, heights: Array, sigmas: Array, places: Arra
     points : (p, 3)
         m.
     heights, sigmas : (p,)
-        m, of the points; what a sigma has beyond the middle one of the neighbours makes its point count less.
+        m, of the points; what a sigma has beyond the middle one of the neighbors makes its point count less.
     places : (n, 3)
         m; distances are those between directions.
 
     Returns
     -------
     heights, sigmas : (n,)
-        m, within the neighbours' span; NaN where a place is.
+        m, within the neighbors' span; NaN where a place is.
     """
     from scipy.spatial import cKDTree  # takes half a second
 
     radius = float(np.median(np.linalg.norm(points, axis=1)))
     known, asked = (radius * p / np.linalg.norm(p, axis=1, keepdims=True) for p in (points, places))
-    there, count = np.flatnonzero(np.all(np.isfinite(asked), axis=1)), min(_NEIGHBOURS, len(points))
+    there, count = np.flatnonzero(np.all(np.isfinite(asked), axis=1)), min(_NEIGHBORS, len(points))
     tree, found = cKDTree(known), np.full((2, len(places)), np.nan)
     for start in range(0, there.size, _BATCH):
         some = there[start : start + _BATCH]
@@ -51,7 +51,7 @@ def predicted_heights(points: Array, heights: Array, sigmas: Array, places: Arra
 
 
 def _kriged(points: Array, heights: Array, sigmas: Array, distances: Array) -> tuple[Array, Array]:
-    """Heights and sigmas (m,) in m, by neighbours (m, k, 3) of each place, their heights, sigmas and distances."""
+    """Heights and sigmas (m,) in m, by neighbors (m, k, 3) of each place, their heights, sigmas and distances."""
     count, scale = heights.shape[1], np.maximum(distances.mean(axis=1), 1.0)  # distances in this unit: no number is odd
     first, second = np.triu_indices(count, 1)
     apart = (np.linalg.norm(points[:, :, None] - points[:, None], axis=3) / scale[:, None, None]) ** _GROWTH
