@@ -2,8 +2,12 @@
 
 At each frequency a cosine and a sine of a turn are fitted to an image's residuals by least squares (Lomb 1976),
 together with a polynomial of time, most of which any adjustment has taken up; rays need not be even in time. The fit
-knows what share of a move residuals show (`residual_series`), so that amplitudes are those of the camera. Sums over
-rays are fast Fourier transforms of sums over short bins of time (Press & Rybicki 1989).
+knows what share of a move points leave in each residual (`residual_series`). Sums over rays are fast Fourier transforms
+of sums over short bins of time (Press & Rybicki 1989).
+
+The surest frequency is then judged without these shortcuts: by the drop of the cost that its cosine and sine, added to
+the adjustment's linear model, bring about, q = v' G (G' C G)^-1 G' v with the covariance C of all residuals
+(`ResidualRows`). Amplitudes are those of the camera. What G' C G has less than a hundredth of G' G is not seen at all.
 
 Neighbouring rays have errors in common, and how large errors are is seldom well known: so the floor is taken from the
 spectrum itself, as the median of the test over the frequencies round about. Against it a test is F with two degrees of
@@ -59,14 +63,32 @@ class Series(NamedTuple):
     """(k,) per px^2."""
 
     @property
-    def share(self) -> float:
-        """Of a move that residuals show, mean over the rays."""
-        return float(self.shares.mean())
-
-    @property
     def duration(self) -> float:
         """s, from the first to the last ray."""
         return float(np.ptp(self.times))
+
+    def waves(self, frequencies: Array) -> Array:
+        """(k, 2 f) px, moves by cosines, then by sines, of frequencies (f,) in Hz and of 1 px."""
+        phase = 2.0 * np.pi * self.times[:, None] * frequencies
+        return np.concatenate([np.cos(phase), np.sin(phase)], axis=1) * self.moves[:, None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wave:
+    """A wave of a camera, added to the adjustment's linear model."""
+
+    frequency: float
+    """Hz."""
+    values: Array
+    """(2,) px, cosine and sine."""
+    normal: Array
+    """(2, 2) per px^2: G' C G."""
+    drop: float
+    """Of twice the cost, by it."""
+    share: float
+    """Of it that residuals show."""
+    shown: Array
+    """(r,) px, what residuals show of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +104,28 @@ class Residuals:
 
     def shown(self, one: Series, moved: Array) -> Array:
         """(r,) px, what residuals show of rays of a series that lie off by `moved` (k,) px."""
-        off, scale, own = np.zeros(self.values.size), self.rows.scale, self.rows.own
-        off[one.own] = moved * scale[one.own]
-        return _pixels(self.rows, off - own @ (own.T @ off))
+        return _pixels(self.rows, self.rows.explained(one.own, (self.rows.scale[one.own] * moved)[:, None])[:, 0])
+
+    def share(self, one: Series, frequencies: Array) -> float:
+        """Of waves of a series that residuals show, mean over frequencies (f,) in Hz: what neither points nor shared
+        unknowns follow.
+        """
+        columns = self.rows.scale[one.own, None] * one.waves(frequencies)
+        whole = float(np.sum(columns**2))
+        return float(np.trace(self.rows.variance(one.own, columns))) / whole if whole > 0.0 else 0.0
+
+    def wave(self, one: Series, frequencies: Array, residuals: Array) -> Wave:
+        """Of a series, fitted to residuals (r,) in px by their covariance: the clearest of frequencies (f,) in Hz."""
+        waves, f = one.waves(frequencies), frequencies.size
+        columns = self.rows.scale[one.own, None] * waves
+        normal = np.einsum("ifjf->fij", self.rows.variance(one.own, columns).reshape(2, f, 2, f))
+        right = ((one.weights * residuals[one.own]) @ waves).reshape(2, f).T
+        values = np.einsum("fij,fj->fi", _inverse_normal(normal), right)
+        drops = np.einsum("fi,fi->f", values, right)
+        k = int(np.argmax(drops))
+        share = float(np.trace(normal[k]) / np.sum(columns[:, k::f] ** 2))
+        shown = self.shown(one, waves[:, k::f] @ values[k])
+        return Wave(float(frequencies[k]), values[k], normal[k], float(drops[k]), share, shown)
 
 
 def _pixels(rows: ResidualRows, whitened: Array) -> Array:
@@ -146,6 +187,10 @@ _EFFICIENCY = 0.5
 """Degrees of freedom of the floor per degree of freedom of the tests in its median, about."""
 _BINS = 32.0
 """In a period of the highest frequency."""
+_LEAST = 1e-12
+"""Of a test, its floor: residuals may have no noise."""
+_SAMPLED = 8
+"""Frequencies over which the share that residuals show is taken."""
 _DEGREE = 7
 """Of the polynomials of time beside the waves: adjustments have taken up the cubic ones, and may leave more of drifts.
 """
@@ -162,7 +207,7 @@ class Peak:
     sigma: float
     """px, of the amplitude."""
     test: float
-    """Chi-square of two degrees of freedom, were it noise."""
+    """Drop of the cost over the floor: chi-square of two degrees of freedom, were it noise."""
     probability: float
     """That noise alone shows one like it at any frequency."""
 
@@ -188,17 +233,7 @@ class WaveFits:
 
     def near(self, frequency: float, resolution: float) -> float:
         """Largest test within a resolution (Hz) of a frequency (Hz); 0 where there is none."""
-        close = np.abs(self.frequencies - frequency) < resolution
-        return float(self.tests[close].max()) if close.any() else 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Wave:
-    """A vibration fitted."""
-
-    peak: Peak
-    moved: Array
-    """(k,) px of each ray."""
+        return float(max(self.tests[np.abs(self.frequencies - frequency) < resolution], default=0.0))
 
 
 class SeriesSpectrum:
@@ -206,9 +241,8 @@ class SeriesSpectrum:
 
     def __init__(self, series: Series) -> None:
         self.series = series
-        once = 1.0 / series.duration
+        self.resolution = once = 1.0 / series.duration
         highest = max(min(series.times.size / _PER_WAVE, _MOST_FREQUENCIES), 2.0 * _LOWEST)
-        self.resolution = once
         # times are put into bins so short that a wave of the highest frequency keeps its amplitude to 0.2 %
         bins = int(_BINS * highest)
         self._bin = np.minimum((series.times / series.duration + 0.5) * bins, bins - 1).astype(np.int64)
@@ -252,19 +286,6 @@ class SeriesSpectrum:
         beside = np.stack([self._transformed(self._root * column, self._numbers) for column in self._basis.T], axis=2)
         return np.asarray(normal - beside @ np.swapaxes(beside, 1, 2))
 
-    def _directly(self, residuals: Array, frequencies: Array) -> tuple[Array, Array, Array]:
-        """Values (f, 2), covariances (f, 2, 2) and tests (f,) at a few frequencies (f,)."""
-        one = self.series
-        phase = 2.0 * np.pi * frequencies[:, None] * one.times
-        waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
-        right = waves @ (one.weights * one.moves * residuals)
-        whole = waves * self._root
-        beside = whole @ self._basis
-        normal = whole @ np.swapaxes(whole, 1, 2) - beside @ np.swapaxes(beside, 1, 2)
-        covariance = _inverse_normal(normal)
-        values = np.einsum("fij,fj->fi", covariance, right)
-        return values, covariance, np.einsum("fi,fi->f", values, right)
-
     def _floor(self, tests: Array) -> tuple[Array, float]:
         """(f,) running median of the tests over that of chi-square with two degrees of freedom, and its own freedom."""
         from scipy.ndimage import median_filter  # slow to import
@@ -272,29 +293,18 @@ class SeriesSpectrum:
         size = min(2 * round(_ROUND_ABOUT * _FINE) + 1, tests.size)
         floor = median_filter(tests, size=size, mode="reflect") / (2.0 * math.log(2.0))
         freedom = max(2.0 * _EFFICIENCY * size / _FINE, 4.0)
-        return np.maximum(floor, 1e-12 * max(float(tests.max()), 1e-300)), freedom
+        return np.maximum(floor, max(_LEAST * float(tests.max()), np.finfo(np.float64).tiny)), freedom
 
-    def wave(self, residuals: Array, fits: WaveFits) -> Wave:
-        """The largest of fits, its frequency refined; how sure it is by the floor that it leaves, being taken out."""
-        best = int(np.argmax(fits.tests))
-        step = self.resolution / _FINE
-        near = fits.frequencies[best] + step * np.linspace(-1.0, 1.0, _ZOOM)
-        values, covariance, tests = self._directly(residuals, near)
-        k = int(np.argmax(tests))
-        phase = 2.0 * np.pi * near[k] * self.series.times
-        moved = self.series.moves * (values[k, 0] * np.cos(phase) + values[k, 1] * np.sin(phase))
-        floor = float(self.fits(residuals - self.series.shares * moved).floor[best])
-        amplitude = float(np.hypot(*values[k]))
-        along = values[k] / amplitude
-        test = float(tests[k]) / floor
-        peak = Peak(
-            frequency=float(near[k]),
-            amplitude=amplitude,
-            sigma=math.sqrt(floor * float(along @ covariance[k] @ along)),
-            test=test,
-            probability=chance(test, self.width, fits.freedom),
-        )
-        return Wave(peak, moved)
+    def peak(self, wave: Wave, left: Array) -> Peak:
+        """How sure a wave is, by the floor of the residuals (k,) in px that it leaves."""
+        fits, at = self.fits(left), int(np.argmin(np.abs(self.grid - wave.frequency)))
+        # the floor is of tests that count what points follow alone, the drop counts all unknowns
+        counted = 0.5 * float(np.trace(fits.covariance[at] @ wave.normal))
+        floor = max(float(fits.floor[at]) / counted, _LEAST * wave.drop)
+        amplitude, test = float(np.hypot(*wave.values)), wave.drop / floor
+        along = wave.values / amplitude
+        sigma = math.sqrt(floor * float(along @ _inverse_normal(wave.normal[None])[0] @ along))
+        return Peak(wave.frequency, amplitude, sigma, test, chance(test, self.width, fits.freedom))
 
 
 def _inverse_normal(normal: Array) -> Array:
@@ -313,17 +323,14 @@ def chance(test: float, width: float, freedom: float) -> float:
 
 def level_of_test(probability: float, width: float, freedom: float) -> float:
     """The test that noise alone exceeds at any frequency with a probability."""
-    low, high = 0.0, 1e4
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if chance(middle, width, freedom) > probability else (low, middle)
-    return high
+    from scipy.optimize import brentq  # slow to import
+
+    return float(brentq(lambda test: chance(test, width, freedom) - probability, 0.0, 1e9, xtol=1e-12))
 
 
 
 BLIND = 0.01
-"""Share of a move, on the average, below which residuals count as not showing it: what they show then is of other
-turns, or nothing."""
+"""Share of a wave below which residuals count as not showing it: what they show then is of other turns, or nothing."""
 _FEWEST = 60
 """Rays of an image without which nothing is asked."""
 _MOST_NAMED = 12
@@ -380,11 +387,11 @@ class ImageSpectrum:
     turn: str
     """pitch, roll or yaw."""
     share: float
-    """Of a move along it that residuals show, mean over the rays."""
+    """Of waves along it that residuals show, mean over frequencies."""
     frequencies: Array
     """(f,) Hz, increasing."""
     amplitudes: Array
-    """(f,) px, before anything was taken out."""
+    """(f,) px, before anything was taken out; like floor and level empty where it is blind."""
     floor: Array
     """(f,) px, rms of what noise alone shows."""
     level: Array
@@ -398,9 +405,9 @@ class ImageSpectrum:
         return self.share < BLIND
 
     @property
-    def limit(self) -> float:
-        """px, amplitude from which on a vibration would be named, median over the frequencies."""
-        return float(np.median(self.level))
+    def limit(self) -> float | None:
+        """px, amplitude from which on a vibration would be named, median over the frequencies; None where blind."""
+        return None if self.blind else float(np.median(self.level))
 
 
 @dataclass(frozen=True, slots=True)
@@ -445,7 +452,7 @@ def residual_vibrations(
     while len(found.waves) < _MOST_NAMED and found.next():
         progress(len(found.waves), _MOST_NAMED)
     progress(_MOST_NAMED, _MOST_NAMED)
-    return ResidualVibrations(found.spectra(), tuple(found.vibrations))
+    return ResidualVibrations(tuple(map(found.spectrum, range(len(able)))), tuple(found.vibrations))
 
 
 class _Found:
@@ -454,67 +461,79 @@ class _Found:
     def __init__(self, residuals: Residuals, able: Sequence[SeriesSpectrum], false_alarms: float) -> None:
         self._residuals, self._able, self._false_alarms = residuals, able, false_alarms
         self._values = residuals.values
-        self._first = self._fits()
-        self._now = self._first
+        sampled = [np.linspace(one.grid[0], one.grid[-1], _SAMPLED) for one in able]
+        self._shares = [residuals.share(one.series, at) for one, at in zip(able, sampled, strict=True)]
+        self._seeing = [k for k, share in enumerate(self._shares) if share >= BLIND]
+        self._searched = set(self._seeing)
+        self._first = self._now = self._fits()
         self.vibrations = list[Vibration]()
-        self.waves = list[tuple[int, Wave]]()
-        """Of each the number of its search; with traces."""
+        self.waves = list[tuple[int, Peak, bool]]()
+        """Of each the number of its search, and whether it is named: traces are not."""
 
-    def _fits(self) -> list[WaveFits]:
-        return [one.fits(self._values[one.series.own]) for one in self._able]
+    def _fits(self) -> dict[int, WaveFits]:
+        return {k: self._able[k].fits(self._values[self._able[k].series.own]) for k in self._seeing}
 
     def next(self) -> bool:
-        """Name the surest, and take it out; False where there is none."""
-        seeing = [k for k, one in enumerate(self._able) if one.series.share >= BLIND]
-        best = min(seeing, key=lambda k: self._now[k].probability, default=-1)
+        """Name the surest and take it out, or search its series no more; False where there is none."""
+        best = min(self._searched, key=lambda k: self._now[k].probability, default=-1)
         if best < 0 or self._now[best].probability > self._false_alarms:
             return False
-        one = self._able[best]
-        wave = one.wave(self._values[one.series.own], self._now[best])
-        trace = any(self._traces(one, wave, *before) for before in self.waves)
-        near = [each.near(wave.peak.frequency, one.resolution) for each in self._now]
-        self._values = self._values - self._residuals.shown(one.series, wave.moved)
+        one, fits = self._able[best], self._now[best]
+        near = fits.frequencies[np.argmax(fits.tests)] + one.resolution / _FINE * np.linspace(-1.0, 1.0, _ZOOM)
+        wave = self._residuals.wave(one.series, near, self._values)
+        left = self._values - wave.shown
+        if wave.share >= BLIND and self._confirmed(best, peak := one.peak(wave, left[one.series.own])):
+            self._take_out(best, peak, left)
+        else:
+            self._searched.discard(best)
+        return True
+
+    def _confirmed(self, number: int, peak: Peak) -> bool:
+        """Whether the cost drops enough, and neither does a frequency recur nor an amplitude grow: taking waves out of
+        this series then doesn't help.
+        """
+        before, near = [each for k, each, _ in self.waves if k == number], self._able[number].resolution
+        recurs = any(abs(each.frequency - peak.frequency) < near for each in before)
+        grows = any(each.amplitude < peak.amplitude for each in before[-1:])
+        return peak.probability <= self._false_alarms and not recurs and not grows
+
+    def _take_out(self, best: int, peak: Peak, left: Array) -> None:
+        """Leave residuals (r,) px, and name what is no trace of another."""
+        one, before = self._able[best], self._now
+        near = {k: before[k].near(peak.frequency, one.resolution) for k in self._seeing}
+        self._values = left
         self._now = self._fits()
         # what was as clear in another image, and has gone with it, may as well be that image's
         alike = tuple(
-            f"{self._able[k].series.name} ({self._able[k].series.turn})" for k in seeing
+            f"{self._able[k].series.name} ({self._able[k].series.turn})" for k in self._seeing
             if self._able[k].series.image != one.series.image and near[k] > _ALIKE * near[best]
-            and self._now[k].near(wave.peak.frequency, one.resolution) < _TRACE * near[k]
+            and self._now[k].near(peak.frequency, one.resolution) < _TRACE * near[k]
         )  # fmt: skip
-        self.waves.append((best, wave))
+        # beside a clearer one of the same turn it is a trace of that
+        trace = any(
+            abs(peak.frequency - each.frequency) < _NEAR * one.resolution and peak.test < _TRACE * each.test
+            for k, each, _ in self.waves if self._able[k].series.turn == one.series.turn
+        )  # fmt: skip
         if not trace:
-            self.vibrations.append(_vibration(one.series, wave.peak, alike))
-        return True
+            self.vibrations.append(_vibration(one.series, peak, alike))
+        self.waves.append((best, peak, not trace))
 
-    def _traces(self, one: SeriesSpectrum, wave: Wave, number: int, before: Wave) -> bool:
-        """Whether a wave is a trace of one that was named before it."""
-        near = abs(wave.peak.frequency - before.peak.frequency) < _NEAR * one.resolution
-        same = self._able[number].series.turn == one.series.turn
-        return near and same and wave.peak.test < _TRACE * before.peak.test
-
-    def spectra(self) -> tuple[ImageSpectrum, ...]:
-        """Before anything was taken out."""
-        named = {(one.image, one.turn, one.frequency) for one in self.vibrations}
-        return tuple(
-            _spectrum(one, self._first[k], [wave.peak for j, wave in self.waves if j == k], named, self._false_alarms)
-            for k, one in enumerate(self._able)
-        )
+    def spectrum(self, number: int) -> ImageSpectrum:
+        """Of a series, before anything was taken out."""
+        one, none = self._able[number], np.zeros(0)
+        what = one.series.name, one.series.turn, self._shares[number], one.grid
+        if number not in self._first:
+            return ImageSpectrum(*what, none, none, none, ())
+        fits = self._first[number]
+        amplitudes, needed = np.hypot(*fits.values.T), level_of_test(self._false_alarms, one.width, fits.freedom)
+        floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
+        level = floor.copy()  # of any phase, where none was found
+        np.divide(amplitudes, np.sqrt(fits.tests), out=level, where=fits.tests > 0.0)
+        mine = tuple(peak for k, peak, named in self.waves if k == number and named)
+        return ImageSpectrum(*what, amplitudes, floor, level * math.sqrt(needed), mine)
 
 
 def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vibration:
     spread = math.sqrt(3.0) * peak.sigma / (math.pi * series.duration * peak.amplitude)
-    return Vibration(
-        series.name, series.turn, peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability, alternatives
-    )
-
-
-def _spectrum(
-    one: SeriesSpectrum, fits: WaveFits, peaks: Sequence[Peak], named: set[tuple[str, str, float]], false_alarms: float
-) -> ImageSpectrum:
-    amplitudes, (image, turn) = np.hypot(*fits.values.T), (one.series.name, one.series.turn)
-    needed = level_of_test(false_alarms, one.width, fits.freedom)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        level = np.where(fits.tests > 0.0, amplitudes * np.sqrt(needed / fits.tests), np.inf)
-    floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
-    mine = tuple(peak for peak in peaks if (image, turn, peak.frequency) in named)
-    return ImageSpectrum(image, turn, one.series.share, one.grid, amplitudes, floor, level, mine)
+    found = peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability
+    return Vibration(series.name, series.turn, *found, alternatives)

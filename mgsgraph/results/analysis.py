@@ -330,8 +330,8 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     table = vibrations_table(found)
     seen = [
         {
-            "image": one.image, "turn": one.turn, "share_shown": one.share, "named_from_px": None if one.blind else
-            one.limit, "highest_frequency_hz": float(one.frequencies[-1]),
+            "image": one.image, "turn": one.turn, "share_shown": one.share, "named_from_px": one.limit,
+            "highest_frequency_hz": float(one.frequencies[-1]),
         }
         for one in found.spectra
     ]  # fmt: skip
