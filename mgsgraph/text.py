@@ -36,6 +36,8 @@ def two(value: float) -> str:
 
 def length(value: float) -> str:
     """A length in m in two significant digits; in km from 10 km on."""
+    if not math.isfinite(value):
+        return two(value)
     return f"{two(1e-3 * value)} km" if abs(value) >= 1e4 else f"{two(value)} m"
 
 

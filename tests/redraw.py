@@ -4,6 +4,7 @@ Every orientation coefficient, shift, shared unknown and row is drawn from its s
 estimation errors of the adjustment must average to one: the test of whether its sigmas are honest.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +56,13 @@ class Draw:
         ])  # fmt: skip
 
 
-def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera") -> Draw:
+Change = Callable[[int, OrientationCorrection], OrientationCorrection]
+"""Of an image, by its number: its true correction, as drawn, with an error of its nominal orientation in it."""
+
+
+def redraw(
+    network: Network, rng: np.random.Generator, angles: Angles = "camera", change: Change | None = None
+) -> Draw:
     """Draw a network anew.
 
     Parameters
@@ -66,6 +73,8 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
     rng : Generator
     angles : str
         What the rotation part of the coefficients is.
+    change : callable, optional
+        What is wrong with nominal orientations beyond their priors.
 
     Raises
     ------
@@ -73,6 +82,8 @@ def redraw(network: Network, rng: np.random.Generator, angles: Angles = "camera"
         When a coefficient has no finite a-priori sigma, or a point isn't seen where it was.
     """
     own = _drawn_corrections(network, rng, angles)
+    if change is not None:
+        own = tuple(change(j, one) for j, one in enumerate(own))
     shared = tuple(rng.standard_normal(one.sigmas.size) * one.sigmas for one in network.shared)
     corrections = _with_shared(network, own, shared, angles)
     terrain = _drawn_terrain(network.surface, rng)

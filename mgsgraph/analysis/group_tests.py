@@ -25,8 +25,9 @@ _EXACT = 30.0
 """Redundancy from which on a sum of squares is nearly enough a multiple of chi-square."""
 _MOST_ROWS = 800
 """Rows whose covariance is taken as a whole."""
-_MOST_NUMBERS = 2_000_000
-"""Numbers of a dense matrix, rows by shared unknowns, beyond which the variance is replaced by its upper bound."""
+_MOST_COLUMNS, _MOST_NUMBERS = 1_000, 5_000_000
+"""Shared unknowns, and numbers of a dense matrix of rows by these, beyond which the variance is replaced by its upper
+bound: p-values are too large then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,22 @@ class GroupTest(Record):
     """Sum of the squares of their whitened residuals."""
     p_value: float
     """Chance of so large a sum, or of a larger one, if the stated sigmas are right; NaN where nothing tests them."""
+    spread: float = math.nan
+    """Ratio tr C^2 / tr C, 0 to 1: how much of their own errors the residuals show."""
+
+    def hidden_factor(self, level: float, power: float) -> float:
+        """Errors larger than stated by this factor are found with a power by a test of a level; infinite where nothing
+        tests the group.
+
+        With errors k times larger the residuals have the covariance C + (k^2 - 1) C^2.
+        """
+        from scipy.stats import chi2  # slow to import
+
+        if not self.tested:
+            return math.inf
+        freedom = self.redundancy / self.spread
+        ratio = float(chi2.isf(level, freedom) / chi2.isf(power, freedom))
+        return math.sqrt(1.0 + max(ratio - 1.0, 0.0) / self.spread)
 
     @property
     def sigma0(self) -> float:
@@ -74,8 +91,8 @@ def fit_of_groups(rows: ResidualRows, known: PriorRows, grouping: Grouping) -> t
         mine = np.flatnonzero(number == k)
         own, squares = float(redundancy[mine].sum()), float(rows.residuals[mine] @ rows.residuals[mine])
         tested = own > UNTESTED * mine.size and BACK_PROJECTED not in names[k]
-        p = _tail(rows, mine, own, squares) if tested else math.nan
-        found.append(GroupTest(names[k], mine.size, own, squares, p))
+        p, spread = _tail(rows, mine, own, squares) if tested else (math.nan, math.nan)
+        found.append(GroupTest(names[k], mine.size, own, squares, p, spread))
     return tuple(found)
 
 
@@ -99,15 +116,16 @@ def _numbers(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
     return 2 * groups + ((rows.kind == IMAGE) & (rows.component == 1)), names
 
 
-def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> float:
-    """Probability of so large a sum of squares of some rows, or of a larger one."""
+def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> tuple[float, float]:
+    """Probability of so large a sum of squares of some rows, or of a larger one; tr C^2 / tr C."""
     from scipy.stats import chi2  # slow to import
 
     if mine.size <= _MOST_ROWS and redundancy < _EXACT:
         weights = np.linalg.eigvalsh(rows.variance(mine, np.eye(mine.size)))
-        return quadratic_tail(squares, weights[weights > 1e-12 * weights.max()])
+        spread = float(weights @ weights / weights.sum())
+        return quadratic_tail(squares, weights[weights > 1e-12 * weights.max()]), spread
     factor = _square_of_covariance(rows, mine, redundancy) / redundancy
-    return float(chi2.sf(squares / factor, redundancy / factor))
+    return float(chi2.sf(squares / factor, redundancy / factor)), factor
 
 
 def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) -> float:
@@ -115,7 +133,7 @@ def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) ->
     that is too large to be formed.
     """
     own, through, joint = rows.own[mine], rows.through[mine], rows.at.joint
-    if mine.size * joint.columns > _MOST_NUMBERS:
+    if joint.columns > _MOST_COLUMNS or mine.size * joint.columns > _MOST_NUMBERS:
         return redundancy
     spread = np.asarray(through @ joint.square_root.back(np.eye(joint.columns)))
     parts = own.power(2).sum() + np.sum(spread**2), (own.T @ own).power(2).sum(), np.sum((own.T @ spread) ** 2)

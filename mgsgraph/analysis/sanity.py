@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.statistics import ray_statistics, rejected_points
+from mgsgraph.analysis.statistics import counts, medians, ray_statistics, rejected_points
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, SharedKind, SharedUnknown
@@ -91,6 +91,8 @@ def losses(solution: Solution) -> tuple[Loss, ...]:
 
 _BEYOND = 5.0
 """Expected sizes beyond which residuals are named; of 10,000 images none is by chance."""
+_MOST_RAYS = 200_000
+"""Rays from which medians are taken."""
 _FEWEST_MEASURES = 3
 """Measures of an image without which nothing is said of it."""
 
@@ -110,20 +112,20 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
     """Images whose residuals (k, 2), pixels, with the nominal orientation, are too large for the a-priori sigmas of
     orientation, of passes and of the unknowns that images share.
     """
-    expected = np.array([_pixels(network, j) for j in range(len(network.images))])
+    images, rays = len(network.images), network.rays
+    expected = np.array([_pixels(network, j) for j in range(images)])
     whole = float(np.sqrt(np.sum(expected**2)))
-    found = list[Unexplained]()
-    rays, size = network.rays, np.linalg.norm(residuals, axis=1)
-    ground = np.hypot(_place_sigmas(network), _shift_sigmas(network))[rays.point]
-    for j in range(len(network.images)):
-        mine = np.flatnonzero((rays.image == j) & np.isfinite(size))
-        if mine.size < _FEWEST_MEASURES:
-            continue
-        sigma = np.hypot(whole, float(np.median(np.linalg.norm(rays.sigmas[mine], axis=1))))
-        sigma = float(np.hypot(sigma, np.median(ground[mine]) / _scale(network, j)[0]))
-        median = float(np.median(size[mine]))
-        if median > _BEYOND * sigma:
-            found.append(Unexplained(j, median, sigma))
+    rows = np.flatnonzero(np.isfinite(residuals[:, 0]))[:: -(-residuals.shape[0] // _MOST_RAYS) or 1]
+    image, point = rays.image[rows], rays.point[rows]
+    ground = np.hypot(_position_sigmas(network)[point], _shift_sigmas(network)[point])
+    size, noise, control = (
+        medians(values, image, images)
+        for values in (np.linalg.norm(residuals[rows], axis=1), np.linalg.norm(rays.sigmas[rows], axis=1), ground)
+    )
+    scale = np.array([_scale(network, j)[0] for j in range(images)])
+    sigma = np.sqrt(whole**2 + noise**2 + (control / scale) ** 2)
+    beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))
+    found = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
     return tuple(sorted(found, key=lambda one: -one.size))
 
 
@@ -134,7 +136,7 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained,
     Nothing is said of images that share unknowns by which ranges change.
     """
     ranges, points, found = network.ranges, network.points, list[Unexplained]()
-    places, shifts = _place_sigmas(network), _shift_sigmas(network)
+    places, shifts = _position_sigmas(network), _shift_sigmas(network)
     felt = [one for one in network.shared if one.kind.acts_on_ranges or one.kind.moves_footprints]
     moved = {j for one in felt for j in one.images.tolist()}
     for j in np.unique(ranges.image).tolist():
@@ -151,7 +153,7 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained,
     return tuple(sorted(found, key=lambda one: -abs(one.size)))
 
 
-def _place_sigmas(network: Network) -> Array:
+def _position_sigmas(network: Network) -> Array:
     """(n,) m, of the a-priori places of points, all axes together."""
     return np.asarray(np.sqrt(np.trace(network.points.covariances, axis1=1, axis2=2)))
 

@@ -10,7 +10,7 @@ unknowns by -S T'b a unit, and the points with them.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from mgsgraph.adjustment.covariances import Linearised
 from mgsgraph.adjustment.frames import FLIGHT_NAMES, Frames
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.rows import FIXED, OUT, RANGE, SURFACE
+from mgsgraph.kernel.rows import FIXED, GROUND, OUT, RANGE, SURFACE
 from mgsgraph.network import SharedKind
 from mgsgraph.network.shared import image_effect
 from mgsgraph.record import Record
@@ -28,8 +29,12 @@ POWER = 0.999
 """Probability with which an error of the stated size is found."""
 _POINTS = 100
 """Points whose motion is computed, evenly spread over the network's."""
+SHIFTS = ("eastward shift", "northward shift", "upward shift")
+"""Errors of control."""
 _NOTHING = 1e-3
 """Share of an error that residuals show, which is rounding, or what is not linear."""
+_MORE = 1.5
+"""Factor from which on it matters what a terrain model adds to a test."""
 _MOST_IMAGES = 12
 """Images up to which errors of single ones are looked at, not only those that all have in common."""
 _CLOCKS = {
@@ -59,6 +64,10 @@ class Undetected(Record):
     """m per unit: by how much it moves the points, root of the mean square."""
     in_sigmas: float
     """Per unit, the same in stated sigmas of the points."""
+    size_without_terrain: float = math.nan
+    """The same as `size` should the relief of a terrain model fit at a wrong place; NaN where that changes little."""
+    effect_without_terrain: float = math.nan
+    """m, by which the points may be off then."""
 
     @property
     def tested(self) -> bool:
@@ -87,17 +96,39 @@ class _Error:
     """(q,) of `ResidualRows`."""
     column: Array
     """(q,) what it adds to the whitened residuals there."""
-    kind: int = -1
-    """Of the rows of points, SURFACE or RANGE; -1 of an error of the priors."""
+    control: tuple[int, int] = (-1, 0)
+    """Kind of the rows of points, and axis of a shift; kind -1 of an error of the priors."""
 
 
-def undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
-    """Errors that are looked at, with what is left of each when a test (`critical`, of a standard normal variable)
-    finds nothing.
+def undetected(
+    rows: ResidualRows, critical: float, without_terrain: ResidualRows | None = None
+) -> tuple[Undetected, ...]:
+    """Errors that are looked at, with what is left of each when its test finds nothing.
+
+    Parameters
+    ----------
+    rows : ResidualRows
+    critical : float
+        Value that a standard normal variable has to exceed to be significant.
+    without_terrain : ResidualRows, optional
+        The same as if the terrain model weren't there. Its relief tests small errors alone: after large ones it may fit
+        at a wrong place.
     """
+    found = _undetected(rows, critical)
+    if without_terrain is None:
+        return found
+    bare = {(one.what, one.of): one for one in _undetected(without_terrain, critical)}
+    return tuple(
+        replace(one, size_without_terrain=other.size, effect_without_terrain=other.size * other.moves)
+        if (other := bare.get((one.what, one.of))) is not None and other.size > _MORE * one.size else one
+        for one in found
+    )  # fmt: skip
+
+
+def _undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
     from scipy.special import ndtr, ndtri  # slow to import
 
-    found, motions = list[Undetected](), _Motions(rows.at)
+    found, motions = list[Undetected](), Motions(rows.at)
     for one in _errors(rows):
         column = one.column[:, None]
         variance, whole = float(rows.variance(one.rows, column)[0, 0]), float(one.column @ one.column)
@@ -106,7 +137,7 @@ def undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
             test = float(one.column @ rows.residuals[one.rows]) / math.sqrt(variance)
             p, size = 2.0 * float(ndtr(-abs(test))), (critical + float(ndtri(POWER))) / math.sqrt(variance)
         shared = -rows.at.joint.square_root.covariance_times(np.asarray(rows.through[one.rows].T @ column))[:, 0]
-        found.append(Undetected(one.what, one.of, one.unit, test, p, size, *motions.of(shared, one.kind)))
+        found.append(Undetected(one.what, one.of, one.unit, test, p, size, *motions.of(shared, one.control)))
     return tuple(found)
 
 
@@ -122,16 +153,11 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
         for what, unit, columns in _of_orientation(rows.at, frames, images):
             if np.any(column := np.asarray(every @ columns)):
                 yield _Error(what, of, unit, priors, column)
-    for kind, what in ((SURFACE, "terrain height"), (RANGE, "laser range")):
+    for kind, of in ((GROUND, "laser shots and control"), (SURFACE, "the terrain model"), (RANGE, "the laser")):
         mine = rows.of_kind(kind)
-        if mine.size:
-            yield _Error(what, "all", "m", mine, _per_meter(kind, rows.by_point[mine]), kind)
-    if network.terrain_moves:
-        first = layout.columns_of(len(network.images) + len(network.shift_names) - 1).start
-        for k, term in enumerate(network.shift_terms[-1]):
-            shift = np.zeros(layout.columns)
-            shift[first + k] = 1.0
-            yield _Error(term.name, "terrain model", term.unit, priors, np.asarray(every @ shift))
+        for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if mine.size else ():
+            up = rows.at.layout.network_order(rows.at.points)[rows.point[mine]]
+            yield _Error(what, of, "m", mine, _per_meter(kind, axis, rows.by_point[mine], up), (kind, axis))
 
 
 def _of_orientation(at: Linearised, frames: Frames, images: list[int]) -> Iterator[tuple[str, str, Array]]:
@@ -170,34 +196,47 @@ def _joined(at: Linearised, effects: dict[int, Array]) -> Array:
     return found
 
 
-class _Motions:
-    """What errors do to some points (m,)."""
+class Motions:
+    """What errors do to some points, by their places in the layout (m,); evenly spread ones when absent."""
 
-    def __init__(self, at: Linearised) -> None:
-        index = np.flatnonzero((at.rows.kind != OUT) & (at.rows.kind != FIXED))
-        index = index[:: max(1, index.size // _POINTS)]
-        self._follow = np.zeros((index.size, 3, at.layout.columns))
-        self._lifted = {kind: np.zeros((index.size, 3)) for kind in (SURFACE, RANGE)}
+    def __init__(self, at: Linearised, index: Index | None = None) -> None:
+        if index is None:
+            index = np.flatnonzero((at.rows.kind != OUT) & (at.rows.kind != FIXED))
+            index = index[:: max(1, index.size // _POINTS)]
+        self.follow: Array = np.zeros((index.size, 3, at.layout.columns))
+        """(m, 3, columns) m per m and rad of the shared unknowns."""
+        self.noise: Array = np.zeros((index.size, 3, 3))
+        """(m, 3, 3) m^2, covariances with the shared unknowns known."""
+        self._control = {
+            (kind, axis): np.zeros((index.size, 3)) for kind in (GROUND, SURFACE, RANGE) for axis in range(len(SHIFTS))
+        }
         covariances = np.zeros((index.size, 3, 3))
         for k, place in enumerate(index.tolist()):
             piece = int(at.layout.patterns.piece_of(np.array([place]))[0])
             pattern, begin = at.rows.piece[piece, :2].tolist()
             rows = at.rows_inside(piece, np.array([place - begin]))
-            (follows,), (noise,) = rows.eliminated()
-            self._follow[k, :, _columns(at, rows.variables)] = follows.T
-            covariances[k] = noise @ noise.T + follows @ at.joint.of(rows.variables) @ follows.T
+            try:
+                (follows,), (noise,) = rows.eliminated()
+            except np.linalg.LinAlgError:  # nearly parallel rays: it moves anywhere
+                covariances[k] = np.eye(3)
+                continue
+            self.follow[k, :, _columns(at, rows.variables)] = follows.T
+            self.noise[k] = noise @ noise.T
+            covariances[k] = self.noise[k] + follows @ at.joint.of(rows.variables) @ follows.T
             kinds = at.rows.observation_kind[at.rows.pattern_observation[pattern] + rows.observation]
-            for kind, lifted in self._lifted.items():
+            for (kind, axis), moved in self._control.items():
                 by_point = rows.by_point[0][kinds == kind]
-                lifted[k] = -noise @ noise.T @ by_point.T @ _per_meter(kind, by_point)
-        self._whitened = np.linalg.inv(np.linalg.cholesky(covariances))
+                up = np.broadcast_to(at.points[place], by_point.shape)
+                moved[k] = -self.noise[k] @ by_point.T @ _per_meter(kind, axis, by_point, up)
+        self.whitening: Array = np.linalg.inv(np.linalg.cholesky(covariances))
+        """(m, 3, 3) inverse roots of their covariances."""
 
-    def of(self, shared: Array, kind: int) -> tuple[float, float]:
-        """m, and in stated sigmas, by which the points move with the shared unknowns (columns,) and, of an error of one
-        unit in rows of a kind, by these; roots of the mean squares.
+    def of(self, shared: Array, control: tuple[int, int]) -> tuple[float, float]:
+        """m, and in stated sigmas, by which the points move with the shared unknowns (columns,) and with control of a
+        kind that is off by 1 m along an axis; roots of the mean squares.
         """
-        moved = self._follow @ shared + self._lifted.get(kind, 0.0)
-        whitened = np.einsum("nij,nj->ni", self._whitened, moved)
+        moved = self.follow @ shared + self._control.get(control, 0.0)
+        whitened = np.einsum("nij,nj->ni", self.whitening, moved)
         return math.sqrt(np.mean(np.sum(moved**2, axis=1))), math.sqrt(np.mean(whitened**2))
 
 
@@ -207,8 +246,10 @@ def _columns(at: Linearised, variables: tuple[int, ...]) -> Index:
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
-def _per_meter(kind: int, by_point: Array) -> Array:
-    """(q,) what an error of 1 m adds to whitened rows of a kind with derivatives (q, 3): a range is measured minus
-    predicted, a height above the terrain predicted minus known.
+def _per_meter(kind: int, axis: int, by_point: Array, places: Array) -> Array:
+    """(q,) what an error of 1 m adds to whitened rows of a kind with derivatives (q, 3) at places (q, 3): a range is
+    measured minus predicted, control of places and heights predicted minus known.
     """
-    return np.asarray(np.linalg.norm(by_point, axis=1) * (-1.0 if kind == SURFACE else 1.0))
+    if kind == RANGE:
+        return np.asarray(np.linalg.norm(by_point, axis=1))
+    return -np.asarray(np.einsum("qc,qc->q", by_point, east_north_up(places)[:, axis]))

@@ -14,7 +14,7 @@ Of networks of more than MOST_POINTS points a random sample is tested, beside al
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from weakref import WeakKeyDictionary
@@ -39,12 +39,14 @@ from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.parts import thinned
 from mgsgraph.record import Record
 
-LEVEL = 0.005
-"""Probability that tests call a solution suspect whose stated sigmas are right."""
+LEVEL = 0.015
+"""Probability that tests call a solution suspect whose stated sigmas are right, at most."""
 MOST_POINTS = 5_000
 """Points of a network up to which all of its rows are tested."""
-_FAMILIES = 5
-"""Kinds of tests that share the level."""
+_SHARES = {"groups": 0.4, "corrections": 0.2, "common errors": 0.2, "offsets": 0.1, "observations": 0.1}
+"""Of the level, of each kind of tests: the first ones stand for what harms most."""
+_COMMON_ERRORS = 60
+"""Possible errors, about, among which one is to be found."""
 _RELEVANT = 1.1
 """sigma0 of a group from which on it matters: smaller ones change a sigma by less than its second digit."""
 _CONTROLLED = 1e-3
@@ -84,6 +86,7 @@ class Cause(StrEnum):
     PROFILE = "laser shots beside their image"
     HEIGHT = "height against neighbors"
     DUPLICATE = "observation given twice"
+    UNTESTED = "not tested"
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,31 +182,40 @@ def is_valid(solution: Solution) -> bool:
 
 def _verdict(solution: Solution) -> Verdict:
     reasons = [*_grave(solution), *_of_common_sense(solution)]
-    rows = _rows(solution)
+    try:
+        rows = _rows(solution)
+    except (InputError, np.linalg.LinAlgError):
+        rows = None
+        reasons.append(Reason(State.SUSPECT, Cause.UNTESTED, "no covariance of all points", math.nan, ""))
     if rows is None:
         return Verdict(_state(reasons), _sorted(reasons), (), (), (), 0, 0)
     known = prior_rows(rows.at)
     groups = fit_of_groups(rows, known, group_rows(rows.at.network))
-    tested = [one for one in groups if one.tested]
-    level = LEVEL / _FAMILIES
-    every, controlled = _corrections(rows.at, known)
-    common = undetected(rows, _critical(level, 1 + 60))
-    reasons += [
-        Reason(State.SUSPECT, Cause.GROUP, one.name, one.sigma0, "factor", p_value=one.p_value)
-        for one in tested if one.p_value < level / len(tested) and one.sigma0 > _RELEVANT
-    ]  # fmt: skip
+    corrections, tested = _corrections(rows.at, known)
+    common = undetected(rows, _critical(_level("common errors", _COMMON_ERRORS)), _without_terrain(solution))
+    offsets = list(_offsets(rows))
+    reasons += _of_groups(groups)
     reasons += [
         Reason(State.SUSPECT, Cause.CORRECTION, one.name, one.in_sigmas, "sigmas", p_value=one.p_value)
-        for one in every if one.p_value < level / controlled
+        for one in corrections if one.p_value < _level("corrections", tested)
     ]  # fmt: skip
-    checked = [one for one in common if one.tested]
-    reasons += _common_error(checked, level)
-    offsets = list(_offsets(rows))
-    reasons += [one for one in offsets if one.p_value < level / len(offsets) and abs(one.size) > _PIXELS]
-    reasons += _outliers(rows, level)
-    count = len(tested) + controlled + len(checked) + len(offsets) + rows.begin_of_priors
+    reasons += _common_error([one for one in common if math.isfinite(one.p_value)])
+    level = _level("offsets", len(offsets))
+    reasons += [one for one in offsets if one.p_value < level and abs(one.size) > _PIXELS]
+    reasons += _outliers(rows)
+    count = sum(one.tested for one in groups) + tested + len(common) + len(offsets) + rows.begin_of_priors
     points = np.unique(rows.point[: rows.begin_of_priors]).size
-    return Verdict(_state(reasons), _sorted(reasons), groups, tuple(every[:_CORRECTIONS]), common, count, points)
+    return Verdict(_state(reasons), _sorted(reasons), groups, tuple(corrections[:_CORRECTIONS]), common, count, points)
+
+
+def _level(kind: str, tests: int) -> float:
+    """Of a single test of a kind of which there are so many."""
+    return LEVEL * _SHARES[kind] / max(tests, 1)
+
+
+def level_of_groups(groups: Sequence[GroupTest]) -> float:
+    """Of the test of each of some groups."""
+    return _level("groups", sum(one.tested for one in groups))
 
 
 def _state(reasons: list[Reason]) -> State:
@@ -218,24 +230,20 @@ def _sorted(reasons: list[Reason]) -> tuple[Reason, ...]:
                                                   np.nan_to_num(one.p_value), -abs(one.size))))  # fmt: skip
 
 
-def _critical(level: float, tests: int) -> float:
-    """What a standard normal variable exceeds in modulus with the probability level / tests."""
+def _critical(level: float) -> float:
+    """What a standard normal variable exceeds in modulus with a probability."""
     from scipy.special import ndtri  # slow to import
 
-    return float(-ndtri(0.5 * level / tests))
+    return float(-ndtri(0.5 * level))
 
 
 def _rows(solution: Solution) -> ResidualRows | None:
-    """Rows of a converged solution, or of a random sample of its points; None without covariance or redundancy."""
-    network = solution.network
+    """Rows of a converged solution, or of a random sample of its points; None without redundancy."""
     if not solution.converged or solution.fit.degrees_of_freedom < 1:
         return None
-    try:
-        small = len(network.points) <= MOST_POINTS
-        at = at_solution(solution).of_estimator() if small else _sampled(solution)
-        return residual_rows(at, np.arange(len(at.network.points)))
-    except InputError:  # no covariance, or no point that took part
-        return None
+    small = len(solution.network.points) <= MOST_POINTS
+    at = at_solution(solution).of_estimator() if small else _sampled(solution)
+    return residual_rows(at, np.arange(len(at.network.points)))
 
 
 def _sampled(solution: Solution) -> Linearised:
@@ -288,7 +296,28 @@ def _of_common_sense(solution: Solution) -> Iterator[Reason]:
         yield Reason(State.SUSPECT, Cause.HEIGHT, network.points.ids[point], height, "m")
 
 
+def _without_terrain(solution: Solution) -> ResidualRows | None:
+    """Rows of a solution as if its terrain model weren't there; None where there is none, or nothing else holds it."""
+    network = solution.network
+    if network.surface is None or len(network.points) > MOST_POINTS:
+        return None
+    values = list(solution.values)
+    if network.terrain_moves:
+        del values[len(network.images) + len(network.shift_names) - 1]
+    at = at_values(replace(network, surface=None), solution.settings, values, solution.places)
+    return residual_rows(at, np.arange(len(network.points)))
+
+
 # --- tests
+
+
+def _of_groups(groups: Sequence[GroupTest]) -> list[Reason]:
+    """Groups that fit worse than stated."""
+    level = level_of_groups(groups)
+    return [
+        Reason(State.SUSPECT, Cause.GROUP, one.name, one.sigma0, "factor", p_value=one.p_value)
+        for one in groups if one.tested and one.p_value < level and one.sigma0 > _RELEVANT
+    ]  # fmt: skip
 
 
 def _corrections(at: Linearised, known: PriorRows) -> tuple[list[Correction], int]:
@@ -313,9 +342,9 @@ def _corrections(at: Linearised, known: PriorRows) -> tuple[list[Correction], in
     return found, mine.size
 
 
-def _common_error(checked: list[Undetected], level: float) -> list[Reason]:
+def _common_error(checked: Sequence[Undetected]) -> list[Reason]:
     """The most significant one: others that look like it go with it."""
-    over = [one for one in checked if one.p_value < level / len(checked)]
+    over = [one for one in checked if one.p_value < _level("common errors", len(checked))]
     if not over:
         return []
     one = max(over, key=lambda each: abs(each.test))
@@ -355,14 +384,14 @@ def _offset(rows: ResidualRows, mine: Index, column: Array, what: str, unit: str
         yield Reason(State.SUSPECT, Cause.OFFSET, what, score / variance, unit, mine.size, p)
 
 
-def _outliers(rows: ResidualRows, level: float) -> Iterator[Reason]:
+def _outliers(rows: ResidualRows) -> Iterator[Reason]:
     """Observations whose own test none of so many good ones would exceed, as one reason."""
     from scipy.special import ndtr  # slow to import
 
     redundancy = rows.redundancy[: rows.begin_of_priors]
     mine = np.flatnonzero(redundancy > _CONTROLLED)
     test = np.abs(rows.residuals[mine]) / np.sqrt(redundancy[mine])
-    over = mine[test > _critical(level, max(mine.size, 1))]
+    over = mine[test > _critical(_level("observations", mine.size))]
     if over.size:
         points = np.unique(rows.point[over])
         worst = int(mine[np.argmax(test)])

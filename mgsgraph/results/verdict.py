@@ -13,8 +13,8 @@ from mgsgraph.adjustment.drivers import Contributions, Kind, driver_sentences
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis import grouping as groups
 from mgsgraph.analysis.sanity import unexplained_ranges, unexplained_residuals
-from mgsgraph.analysis.undetected import POWER, Undetected
-from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, verdict
+from mgsgraph.analysis.undetected import POWER, SHIFTS, Undetected
+from mgsgraph.analysis.verdict import LEVEL, Cause, Reason, State, Verdict, level_of_groups, verdict
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -38,6 +38,8 @@ _KEYS = {
 """Where a case states the sigmas of a group."""
 
 
+_LOOSE = 5.0
+"""Factor from which on it is told that stated sigmas may be too small by it."""
 _SHOWN = {
     State.VALID: "valid",
     State.SUSPECT: "SUSPECT",
@@ -59,7 +61,11 @@ def verdict_section(solution: Solution) -> Section:
         **record_of("verdict", found),
         "level": LEVEL,
         "reasons": [record_of("reason", one) for one in found.reasons],
-        "groups": [record_of("group_test", one) for one in found.groups],
+        "groups": [
+            {**record_of("group_test", one),
+             "may_be_too_small_by": one.hidden_factor(level_of_groups(found.groups), POWER)}
+            for one in found.groups
+        ],
         "corrections": [record_of("correction", one) for one in found.corrections],
         "undetected": [record_of("undetected", one) for one in found.undetected],
         "power": POWER,
@@ -111,6 +117,7 @@ def _reason(one: Reason) -> str:
         Cause.HEIGHT: f"Point {one.what} lies {length(abs(one.size))} {'above' if one.size > 0.0 else 'below'} its "
         "neighbors: a false match, or a wrong measurement.",
         Cause.DUPLICATE: f"{one.what}.",
+        Cause.UNTESTED: f"Nothing could be tested: {one.what}.",
     }[one.cause]  # fmt: skip
 
 
@@ -122,6 +129,11 @@ def tested_sentences(found: Verdict, solution: Solution) -> list[str]:
     of = len(solution.network.points)
     sample = f" of {found.points:,} of {of:,} points" if found.points < 0.9 * of else ""
     untested = f" Not tested: {listed(list(found.untested))}." if found.untested else ""
+    level = level_of_groups(found.groups)
+    factors = {one.name: one.hidden_factor(level, POWER) for one in found.groups if one.tested}
+    hidden = [f"{name} ({two(factor)} times)" for name, factor in factors.items() if factor > _LOOSE]
+    if hidden:
+        untested += f" Stated sigmas that may be too small unnoticed: {some(hidden, len(hidden))}."
     said = f"{found.tests:,} tests{sample} (false alarms: {LEVEL:.1%} of good solutions).{untested}"
     return [said, *hidden_sentences(found.undetected)]
 
@@ -130,8 +142,8 @@ _OF_KIND = {
     "clock": ("clock", "attitude time", "position time"),
     "position": ("along position", "across position", "radial position"),
     "pointing": ("roll", "pitch", "yaw"),
-    "laser": ("laser range",),
-    "terrain": ("terrain height", "east shift", "north shift", "upward shift"),
+    "laser": ("range",),
+    "control": SHIFTS,
 }
 """Errors of inputs by kind: of each the one that moves points most is told."""
 
@@ -154,12 +166,22 @@ def hidden_sentences(found: Sequence[Undetected]) -> list[str]:
         f"{one.what} of {one.of} by {_amount(one.size, one.unit)} (moves points by {length(one.effect)}, "
         f"{two(one.effect_in_sigmas)} sigmas)" for one in worst
     ]  # fmt: skip
-    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare]
     said = [f"Could still be wrong unnoticed: {'; '.join(could)}."] if could else []
-    return said + ([f"Nothing tests an error of {'; '.join(nothing)}."] if nothing else [])
+    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare]
+    said += [f"Nothing tests an error of {'; '.join(nothing)}."] if nothing else []
+    loose = max(found, key=lambda one: np.nan_to_num(one.effect_without_terrain, posinf=1e99, nan=-1.0))
+    if loose.size_without_terrain > 0.0:
+        said.append(
+            "Should the terrain's relief fit at a wrong place, larger errors could be unnoticed: "
+            f"{loose.what} of {loose.of} by {_amount(loose.size_without_terrain, loose.unit)} "
+            f"({length(loose.effect_without_terrain)})."
+        )
+    return said
 
 
 def _amount(size: float, unit: str) -> str:
+    if not math.isfinite(size):
+        return "any size"
     return f"{two(size / ARCSEC)} arcsec" if unit == "rad" else length(size) if unit == "m" else f"{two(size)} {unit}"
 
 
