@@ -67,14 +67,11 @@ class FlightFrame:
 def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFrame:
     """Axes of one image from its nominal orientation."""
     line, sample = image.middle
-    pose = image.pose(line)
-    level = flight_axes(pose.position[0], pose.velocity[0])
+    pose, long = image.pose(line), _is_long(image)
+    level, about, turn = axes_of_flight(image, angles)
     matrix = pose.matrix[0]
-    correction = OrientationCorrection(np.zeros((1, 6)), angles)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = np.eye(3) if (long := _is_long(image)) else level
-    about = camera_axes(matrix @ level[0])
-    turn[3:, 3:] = about @ correction.axes(pose, image.moments(line))[0]
+    if long:
+        turn[:3, :3] = np.eye(3)
     origin, look = image.sightlines(line, sample)
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
@@ -89,6 +86,19 @@ def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFram
         np.full((2, 6), np.nan) if long else level[:2] @ moved,
         np.array([1.0, 1.0, 1.0, distance, distance, width]),
     )
+
+
+def axes_of_flight(image: PushbroomImage, angles: Angles = "camera") -> tuple[Array, Array, Array]:
+    """Level axes (3, 3) of the flight at mid-image, axes (3, 3) of roll, pitch and yaw in the camera's frame, and how
+    six components of a coefficient become amounts along them (6, 6).
+    """
+    line, _ = image.middle
+    pose = image.pose(line)
+    level = flight_axes(pose.position[0], pose.velocity[0])
+    about, turn = camera_axes(pose.matrix[0] @ level[0]), np.zeros((6, 6))
+    turn[:3, :3] = level
+    turn[3:, 3:] = about @ OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, image.moments(line))[0]
+    return level, about, turn
 
 
 def flight_axes(position: Array, velocity: Array) -> Array:

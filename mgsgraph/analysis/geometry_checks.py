@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.analysis.statistics import medians
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness
 from mgsgraph.geometry.intersection import intersect_rays
@@ -60,13 +59,15 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
         return DeviatingHeights(there[:0], np.zeros(0))
     up = unit_vectors(places[there])
     flat = up * np.median(heights)
-    sigmas = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[there], up), 0.0))
     chosen = _candidates(flat, heights)
     known = np.arange(there.size)
     if there.size > _MOST:
         known = np.sort(np.random.default_rng(0).choice(there.size, _MOST, replace=False))
     away, near = cKDTree(flat[known]).query(flat[chosen], k=_NEIGHBORS + 1)
     near = known[near]
+    looked_at = np.union1d(chosen, known)
+    sigmas, to = np.zeros(there.size), up[looked_at]
+    sigmas[looked_at] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", to, covariances[there[looked_at]], to), 0.0))
     itself = near == chosen[:, None]  # else the farthest one is left out
     itself[~itself.any(axis=1), -1] = True
     near, away = (part[~itself].reshape(chosen.size, _NEIGHBORS) for part in (near, away))
@@ -89,11 +90,13 @@ def _candidates(flat: Array, heights: Array) -> Index:
     if heights.size <= _MOST:
         return np.arange(heights.size)
     edge = np.ptp(flat, axis=0).max() * np.sqrt(100.0 / heights.size)
-    cells = np.floor((flat - flat.min(axis=0)) / edge).astype(np.int64)
-    key = cells @ np.array([1, 1 << 20, 1 << 40])
-    cell = np.unique(key, return_inverse=True)[1].reshape(-1)
-    off = np.abs(heights - medians(heights, cell, int(cell.max()) + 1)[cell])
-    return np.sort(np.argpartition(-off, _MOST)[:_MOST])
+    cells = np.floor((flat - flat.min(axis=0)) / edge)
+    cell = cells @ np.cumprod([1.0, cells[:, 0].max() + 1.0, cells[:, 1].max() + 1.0])
+    order = np.argsort(cell + 0.5 * (heights - heights.min()) / (np.ptp(heights) + 1.0))  # within a cell by height
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1.0))
+    count = np.diff(np.append(first, order.size))
+    off = np.abs(heights[order] - np.repeat(heights[order[first + count // 2]], count))  # from the cell's median
+    return np.sort(order[np.argpartition(-off, _MOST)[:_MOST]])
 
 
 def convergence(network: Network, points: Index) -> Array:

@@ -113,7 +113,8 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
     orientation, of passes and of the unknowns that images share.
     """
     images, rays = len(network.images), network.rays
-    expected = np.array([_pixels(network, j) for j in range(images)])
+    scale = np.array([_scale(network, j) for j in range(images)])
+    expected = np.array([_pixels(network, j, *scale[j].tolist()) for j in range(images)])
     whole = float(np.sqrt(np.sum(expected**2)))
     rows = np.flatnonzero(np.isfinite(residuals[:, 0]))[:: -(-residuals.shape[0] // _MOST_RAYS) or 1]
     image, point = rays.image[rows], rays.point[rows]
@@ -122,8 +123,7 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
         medians(values, image, images)
         for values in (np.linalg.norm(residuals[rows], axis=1), np.linalg.norm(rays.sigmas[rows], axis=1), ground)
     )
-    scale = np.array([_scale(network, j)[0] for j in range(images)])
-    sigma = np.sqrt(whole**2 + noise**2 + (control / scale) ** 2)
+    sigma = np.sqrt(whole**2 + noise**2 + (control / scale[:, 0]) ** 2)
     beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))
     found = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
     return tuple(sorted(found, key=lambda one: -one.size))
@@ -174,10 +174,9 @@ def _sigmas(network: Network, image: int) -> Array:
     return np.asarray(one.prior.own_sigmas(one.nodes).max(axis=0)[None])
 
 
-def _pixels(network: Network, image: int) -> float:
+def _pixels(network: Network, image: int, spacing: float, away: float) -> float:
     """pixels, by which an image's places are off by one sigma of all that moves them together, at most."""
     sigmas = np.zeros((1, 6)) if network.held[image] else _sigmas(network, image)
-    spacing, away = _scale(network, image)
     own = np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing
     shared = [_shared_pixels(network, image, one, spacing) for one in network.shared]
     return float(np.hypot(own, np.linalg.norm(shared)))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsgraph.adjustment.covariances import Linearised
-from mgsgraph.adjustment.frames import FLIGHT_NAMES, Frames
+from mgsgraph.adjustment.frames import FLIGHT_NAMES, axes_of_flight
 from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
@@ -37,11 +37,6 @@ _MORE = 1.5
 """Factor from which on it matters what a terrain model adds to a test."""
 _MOST_IMAGES = 12
 """Images up to which errors of single ones are looked at, not only those that all have in common."""
-_CLOCKS = {
-    "clock": (SharedKind.POSITION_TIME, SharedKind.ATTITUDE_TIME),
-    "attitude time": (SharedKind.ATTITUDE_TIME,),
-    "position time": (SharedKind.POSITION_TIME,),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,13 +139,13 @@ def _undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
 def _errors(rows: ResidualRows) -> Iterator[_Error]:
     """All errors that are looked at."""
     network, layout = rows.at.network, rows.at.layout
-    every, frames = layout.prior.every, Frames(layout)
+    every = layout.prior.every
     priors = rows.begin_of_priors + np.arange(every.shape[0])
     adjusted = [j for j in range(len(network.images)) if not network.held[j]]
     owners = [[j] for j in adjusted] if len(adjusted) <= _MOST_IMAGES else []
     for images in ([adjusted] if len(adjusted) > 1 else []) + owners:
         of = "all images" if len(images) > 1 else network.images[images[0]].name
-        for what, unit, columns in _of_orientation(rows.at, frames, images):
+        for what, unit, columns in _of_orientation(rows.at, images):
             if np.any(column := np.asarray(every @ columns)):
                 yield _Error(what, of, unit, priors, column)
     for kind, of in ((GROUND, "laser shots and control"), (SURFACE, "the terrain model"), (RANGE, "the laser")):
@@ -160,23 +155,26 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
             yield _Error(what, of, "m", mine, _per_meter(kind, axis, rows.by_point[mine], up), (kind, axis))
 
 
-def _of_orientation(at: Linearised, frames: Frames, images: list[int]) -> Iterator[tuple[str, str, Array]]:
+def _of_orientation(at: Linearised, images: list[int]) -> Iterator[tuple[str, str, Array]]:
     """Name, unit and coefficients (columns,) of errors that some images have in common: clocks, and the constant terms
     along the axes of the flight.
     """
     network = at.network
-    for what, kinds in _CLOCKS.items():
-        try:
-            effects = {
-                j: sum(image_effect(network.images[j], kind, at.settings.angles)[0] for kind in kinds)
-                for j in images
-            }
-        except InputError:  # how the body turns is not known, or the image is too long for a polynomial
-            continue
-        yield what, "s", _joined(at, effects)
+    try:
+        times = [
+            {j: image_effect(network.images[j], kind, at.settings.angles)[0] for j in images}
+            for kind in (SharedKind.ATTITUDE_TIME, SharedKind.POSITION_TIME)
+        ]
+    except InputError:  # how the body turns is not known, or the image is too long for a polynomial
+        times = []
+    parts = [_joined(at, effects) for effects in times]
+    if parts:
+        yield from (("clock", "s", parts[0] + parts[1]), ("attitude time", "s", parts[0]))
+        yield "position time", "s", parts[1]
+    axes = {j: np.linalg.inv(axes_of_flight(network.images[j], at.settings.angles)[2]) for j in images}
     for k, name in enumerate(FLIGHT_NAMES):
-        axes: dict[int, Array] = {j: np.asarray(np.linalg.inv(frames.of(j).turn)[:, k][None]) for j in images}
-        yield name if k > 2 else f"{name} position", "rad" if k > 2 else "m", _joined(at, axes)
+        along = _joined(at, {j: np.asarray(one[:, k][None]) for j, one in axes.items()})
+        yield name if k > 2 else f"{name} position", "rad" if k > 2 else "m", along
 
 
 def _joined(at: Linearised, effects: dict[int, Array]) -> Array:

@@ -10,7 +10,7 @@ of common sense: heights against their neighbors, observations given twice, lase
 looks. *Valid* is what passes, and no more is said than that: what nothing tests is named, and so is what an error of
 an input could still hide (`undetected`).
 
-Of networks of more than MOST_POINTS points a random sample is tested, beside all priors.
+Of networks of more than MOST_POINTS points a random sample of these is tested, beside all priors.
 """
 
 import math
@@ -43,6 +43,8 @@ LEVEL = 0.015
 """Probability that tests call a solution suspect whose stated sigmas are right, at most."""
 MOST_POINTS = 5_000
 """Points of a network up to which all of its rows are tested."""
+_SAMPLE = 1_000
+"""Points of a larger one that are tested."""
 _SHARES = {"groups": 0.4, "corrections": 0.2, "common errors": 0.2, "offsets": 0.1, "observations": 0.1}
 """Of the level, of each kind of tests: the first ones stand for what harms most."""
 _COMMON_ERRORS = 60
@@ -249,13 +251,8 @@ def _rows(solution: Solution) -> ResidualRows | None:
 def _sampled(solution: Solution) -> Linearised:
     """Some of the points where they were solved, with the covariance that all of them gave."""
     network, there = solution.network, np.flatnonzero(solution.determined)
-    chosen = np.sort(np.random.default_rng(0).choice(there, min(MOST_POINTS, there.size), replace=False))
-    used = replace(
-        network,
-        rays=network.rays.chosen(np.flatnonzero(solution.rays_used)),
-        ranges=network.ranges.chosen(np.flatnonzero(solution.ranges_used)),
-    )
-    part = thinned(used, chosen)
+    chosen = np.sort(np.random.default_rng(0).choice(there, min(_SAMPLE, there.size), replace=False))
+    part = thinned(network, chosen, solution.rays_used, solution.ranges_used)
     places = solution.places[chosen]
     return at_values(part, solution.settings, solution.values, places, joint_of=lambda _: solution.joint_covariance)
 

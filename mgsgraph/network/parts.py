@@ -162,21 +162,21 @@ def select_points(network: Network, points: Index | Sequence[str]) -> Network:
     return _part(network, points, rays, ranges, place)
 
 
-def thinned(network: Network, points: Index) -> Network:
-    """Some points (m,) of a network with their measurements, beside all of its images and shared unknowns; without
-    crossovers and rows of the user's own.
+def thinned(network: Network, points: Index, rays: Mask, ranges: Mask) -> Network:
+    """Some points (m,) of a network with those of some rays (k,) and ranges (r,) that are theirs, beside all of its
+    images and shared unknowns; without crossovers and rows of the user's own.
     """
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     own, shifts, surface = network.points, network.shifts, network.surface
-    rays, ranges = (network.rays.chosen(place[network.rays.point] >= 0),
-                    network.ranges.chosen(place[network.ranges.point] >= 0))
+    seen = network.rays.chosen(np.flatnonzero((place[network.rays.point] >= 0) & rays))
+    shot = network.ranges.chosen(np.flatnonzero((place[network.ranges.point] >= 0) & ranges))
     covariances = chosen_rows(own.covariances, points)
     return replace(
         network,
         points=GroundPoints(own.ids[points], own.classes[points], own.kinds[points], own.places[points], covariances),
-        rays=replace(rays, point=place[rays.point]),
-        ranges=replace(ranges, point=place[ranges.point]),
+        rays=replace(seen, point=place[seen.point]),
+        ranges=replace(shot, point=place[shot.point]),
         shifts=None if shifts is None else replace(shifts, profile=shifts.profile[points]),
         surface=None if surface is None else replace(surface, sigmas=surface.sigmas[points]),
         stereo=None if network.stereo is None else network.stereo.chosen(points),

@@ -12,6 +12,7 @@ the laser for ranges, which are not felt by one another.
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
 
@@ -287,11 +288,15 @@ def _fitted(image: PushbroomImage, kind: SharedKind, u: Array, effect: Array) ->
             f"image {image.name}, {kind}", f"an effect that no polynomial of degree {DEGREE} describes",
             "a shorter image", "leave this image out of it",
         )
-    plain = np.zeros((DEGREE + 1, values.shape[1]))
-    for column in range(values.shape[1]):
-        powers = np.polynomial.legendre.leg2poly(fitted[:, column])
-        plain[: powers.size, column] = powers
+    plain = _powers_of_legendre() @ fitted
     return np.moveaxis(plain.reshape(DEGREE + 1, effect.shape[0], 6), 1, 0)
+
+
+@cache
+def _powers_of_legendre() -> Array:
+    """(DEGREE + 1, DEGREE + 1) coefficients of u^0, u^1, ... of Legendre's polynomials, a column each."""
+    columns = [np.polynomial.legendre.leg2poly(row) for row in np.eye(DEGREE + 1)]
+    return np.stack([np.pad(one, (0, DEGREE + 1 - one.size)) for one in columns], axis=1)
 
 
 def beam_motion(image: PushbroomImage, times: Array, footprints: Array) -> Array:
