@@ -45,6 +45,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from redraw import Change, redraw
 from redraw import Draw as Redrawn
 
+_POINTS = 60
+"""Of each class, whose errors are looked at."""
 RUNS = 12_000
 """Of so many good runs one has errors as large as count as harmful."""
 _SITES = {"gusev": "gusev, rigorous", "isidis": "isidis, rigorous", "eos": "eos, rigorous",
@@ -468,7 +470,7 @@ def _errors(solution: Solution, draw: Redrawn, of: PointClass) -> tuple[float, f
     n = len(draw.network.points)
     mine = np.flatnonzero((solution.network.points.classes[:n] == of) & solution.determined[:n])
     index = at.layout.patterns.point_index[mine]
-    mine, index = mine[at.rows.kind[index] != OUT], index[at.rows.kind[index] != OUT]
+    mine, index = (part[at.rows.kind[index] != OUT][:: max(1, mine.size // _POINTS)] for part in (mine, index))
     if not mine.size:
         return float("nan"), 1.0
     motions = Motions(at, index)

@@ -110,7 +110,7 @@ def solution(case: Path) -> Solution:
 
 def test_check_says_the_mounting_of_r(case: Path) -> None:
     """Half a turn about the optical axis: 179.6 degrees, 3.134 rad."""
-    done = run("check", case)
+    done = run("check", case, "--details")
     assert done.returncode == 0, done.stderr
     assert "2009-07-13" in done.stdout
     line = next(line for line in done.stdout.splitlines() if "mounted at" in line)

@@ -21,7 +21,7 @@ _OBJECT = re.compile(r"(?:mgsgraph\.)?(?:\w+\.)*\w+")
 
 
 def source_of(text: str) -> Path | None:
-    """The file of a module named as `factors/pose`, `analysis.soundness` or `mgsgraph.results.figures.sheet`."""
+    """The file of a module named as `factors/pose`, `analysis.verdict` or `mgsgraph.results.figures.sheet`."""
     if not _MODULE.fullmatch(text):
         return None
     parts = text.replace(".", "/").removeprefix("mgsgraph/")

@@ -40,7 +40,7 @@ class DeviatingHeights(NamedTuple):
 
 
 def deviating_heights(network: Network, places: Array, covariances: Array) -> DeviatingHeights:
-    """Points whose heights no error within their sigmas and no slope explains, beside their nearest ones.
+    """Points whose heights no error within their sigmas and no slope explains, beside their nearest ones of a class.
 
     Parameters
     ----------
@@ -50,24 +50,32 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     covariances : (n, 3, 3) array
         m^2.
     """
+    found = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
+    for _, mine in network.of_class():
+        there = mine[np.isfinite(places[mine]).all(axis=1) & (network.points.kinds[mine] != PointKind.FIXED)]
+        # in a frame that is not body-fixed nothing is known of heights
+        if there.size > _NEIGHBORS and _near(float(np.median(distances(places[there]))), network.images[0].body):
+            points, deviations = _deviating(places[there], covariances[there])
+            found.append(DeviatingHeights(there[points], deviations))
+    points, deviations = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.argsort(-np.abs(deviations), kind="stable")
+    return DeviatingHeights(points[order], deviations[order])
+
+
+def _deviating(places: Array, covariances: Array) -> tuple[Index, Array]:
+    """Which of some places (n, 3) with covariances (n, 3, 3) deviate, and by how much (k,)."""
     from scipy.spatial import cKDTree  # slow to import
 
-    there = np.flatnonzero(np.isfinite(places).all(axis=1) & (network.points.kinds != PointKind.FIXED))
-    heights, body = distances(places[there]), network.images[0].body
-    # in a frame that is not body-fixed nothing is known of heights
-    if there.size <= _NEIGHBORS or not _near(float(np.median(heights)), body):
-        return DeviatingHeights(there[:0], np.zeros(0))
-    up = unit_vectors(places[there])
-    flat = up * np.median(heights)
+    heights, up = distances(places), unit_vectors(places)
+    flat, known = up * np.median(heights), np.arange(heights.size)
     chosen = _candidates(flat, heights)
-    known = np.arange(there.size)
-    if there.size > _MOST:
-        known = np.sort(np.random.default_rng(0).choice(there.size, _MOST, replace=False))
+    if known.size > _MOST:
+        known = np.sort(np.random.default_rng(0).choice(known.size, _MOST, replace=False))
     away, near = cKDTree(flat[known]).query(flat[chosen], k=_NEIGHBORS + 1)
     near = known[near]
     looked_at = np.union1d(chosen, known)
-    sigmas, to = np.zeros(there.size), up[looked_at]
-    sigmas[looked_at] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", to, covariances[there[looked_at]], to), 0.0))
+    sigmas, to = np.zeros(heights.size), up[looked_at]
+    sigmas[looked_at] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", to, covariances[looked_at], to), 0.0))
     itself = near == chosen[:, None]  # else the farthest one is left out
     itself[~itself.any(axis=1), -1] = True
     near, away = (part[~itself].reshape(chosen.size, _NEIGHBORS) for part in (near, away))
@@ -76,8 +84,7 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     spread = np.sqrt(scatter**2 + sigmas[chosen] ** 2 + np.median(sigmas[near], axis=1) ** 2)
     off = heights[chosen] - middle
     wild = (np.abs(off) > _FAR * spread) & (np.abs(off) > _STEEP * np.median(away, axis=1))
-    order = np.flatnonzero(wild)[np.argsort(-np.abs(off[wild]), kind="stable")]
-    return DeviatingHeights(there[chosen[order]], off[order])
+    return chosen[wild], off[wild]
 
 
 def _near(radius: float, body: Ellipsoid) -> bool:

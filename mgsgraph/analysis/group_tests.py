@@ -8,7 +8,7 @@ Kuonen 1999, Biometrika 86, 929), and else that of a multiple of chi-square with
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -44,8 +44,8 @@ class GroupTest(Record):
     """Sum of the squares of their whitened residuals."""
     p_value: float
     """Chance of so large a sum, or of a larger one, if the stated sigmas are right; NaN where nothing tests them."""
-    spread: float = math.nan
-    """Ratio tr C^2 / tr C, 0 to 1: how much of their own errors the residuals show."""
+    weights: Array = field(default_factory=lambda: np.zeros(0), repr=False, compare=False)
+    """(k,) eigenvalues of their residuals' covariance C, or of many of them tr C^2 / tr C alone."""
 
     def hidden_factor(self, level: float, power: float) -> float:
         """Errors larger than stated by this factor are found with a power by a test of a level; infinite where nothing
@@ -53,13 +53,23 @@ class GroupTest(Record):
 
         With errors k times larger the residuals have the covariance C + (k^2 - 1) C^2.
         """
-        from scipy.stats import chi2  # slow to import
+        from scipy.optimize import brentq  # slow to import
+        from scipy.stats import chi2
 
         if not self.tested:
             return math.inf
-        freedom = self.redundancy / self.spread
-        ratio = float(chi2.isf(level, freedom) / chi2.isf(power, freedom))
-        return math.sqrt(1.0 + max(ratio - 1.0, 0.0) / self.spread)
+        if self.weights.size == 1:
+            freedom, share = self.redundancy / self.weights[0], float(self.weights[0])
+            ratio = float(chi2.isf(level, freedom) / chi2.isf(power, freedom))
+            return math.sqrt(1.0 + max(ratio - 1.0, 0.0) / share)
+        mean = float(self.weights.sum())
+        critical = brentq(lambda value: quadratic_tail(value, self.weights) - level, mean, 1e3 * mean)
+
+        def missed(logarithm: float) -> float:
+            larger = self.weights * (1.0 + (math.exp(2.0 * logarithm) - 1.0) * self.weights)
+            return power - quadratic_tail(critical, larger)
+
+        return math.exp(brentq(missed, 0.0, 30.0, xtol=1e-3))
 
     @property
     def sigma0(self) -> float:
@@ -85,18 +95,18 @@ def fit_of_groups(rows: ResidualRows, known: PriorRows, grouping: Grouping) -> t
     """
     redundancy = np.append(rows.redundancy[: rows.begin_of_priors], 1.0 - known.share)
     redundancy += np.sum(rows.considered**2, axis=1)
-    number, names = _numbers(rows, grouping)
+    number, names = numbers_of_groups(rows, grouping)
     found = list[GroupTest]()
     for k in np.unique(number).tolist():
         mine = np.flatnonzero(number == k)
         own, squares = float(redundancy[mine].sum()), float(rows.residuals[mine] @ rows.residuals[mine])
         tested = own > UNTESTED * mine.size and BACK_PROJECTED not in names[k]
-        p, spread = _tail(rows, mine, own, squares) if tested else (math.nan, math.nan)
-        found.append(GroupTest(names[k], mine.size, own, squares, p, spread))
+        p, weights = _tail(rows, mine, own, squares) if tested else (math.nan, np.zeros(0))
+        found.append(GroupTest(names[k], mine.size, own, squares, p, weights))
     return tuple(found)
 
 
-def _numbers(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
+def numbers_of_groups(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
     """Number (r,) of the group of each row, two for each group of a grouping, and their names."""
     groups = np.zeros(rows.kind.size, dtype=np.int64)
     for kind, of, by in (
@@ -116,16 +126,16 @@ def _numbers(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
     return 2 * groups + ((rows.kind == IMAGE) & (rows.component == 1)), names
 
 
-def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> tuple[float, float]:
-    """Probability of so large a sum of squares of some rows, or of a larger one; tr C^2 / tr C."""
+def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> tuple[float, Array]:
+    """Probability of so large a sum of squares of some rows, or of a larger one; `GroupTest.weights`."""
     from scipy.stats import chi2  # slow to import
 
     if mine.size <= _MOST_ROWS and redundancy < _EXACT:
         weights = np.linalg.eigvalsh(rows.variance(mine, np.eye(mine.size)))
-        spread = float(weights @ weights / weights.sum())
-        return quadratic_tail(squares, weights[weights > 1e-12 * weights.max()]), spread
+        weights = weights[weights > 1e-9 * weights.max()]
+        return quadratic_tail(squares, weights), weights
     factor = _square_of_covariance(rows, mine, redundancy) / redundancy
-    return float(chi2.sf(squares / factor, redundancy / factor)), factor
+    return float(chi2.sf(squares / factor, redundancy / factor)), np.array([factor])
 
 
 def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) -> float:

@@ -27,7 +27,7 @@ from mgsgraph.record import Record
 
 POWER = 0.999
 """Probability with which an error of the stated size is found."""
-_POINTS = 100
+_POINTS = 50
 """Points whose motion is computed, evenly spread over the network's."""
 SHIFTS = ("eastward shift", "northward shift", "upward shift")
 """Errors of control."""

@@ -234,7 +234,7 @@ class Unexplained(Record):
     def sentences(self) -> list[str]:
         """What was found, one for each effect."""
         if not self.effects:
-            return [f"{self.tests} tests of the residuals by time, sample, slope, height and neighbours find nothing."]
+            return [f"{self.tests} tests by time, sample, slope, height and neighbors find no significant effect."]
         return [one.sentence for one in self.effects]
 
 
@@ -252,7 +252,7 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
     --------
     >>> found = mgsgraph.unexplained(solution)
     >>> print(*found.sentences, sep="\n")
-    203 tests of the residuals by time, sample, slope, height and neighbours find nothing.
+    203 tests of the residuals by time, sample, slope, height and neighbors find no significant effect.
     """
     if not 0.0 < level < 1.0:
         raise InputError("tests of the residuals, level", f"{level}", "a probability between 0 and 1")

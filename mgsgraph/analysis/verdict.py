@@ -33,7 +33,7 @@ from mgsgraph.analysis.sanity import losses, unexplained_ranges, unexplained_res
 from mgsgraph.analysis.undetected import Undetected, undetected
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.rows import IMAGE, RANGE
+from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.network import PointClass
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.parts import thinned
@@ -55,6 +55,8 @@ _CONTROLLED = 1e-3
 """Redundancy number of an observation below which its residual says nothing but rounding."""
 _PIXELS = 0.5
 """Constant residual in pixels below which it does no harm."""
+_FEW = 8
+"""Fewer residuals don't show how they scatter."""
 _MOST_IMAGES = 50
 """Images up to which constant residuals are looked at in each."""
 _CORRECTIONS = 10
@@ -350,28 +352,25 @@ def _common_error(checked: Sequence[Undetected]) -> list[Reason]:
 
 
 def _offsets(rows: ResidualRows) -> Iterator[Reason]:
-    """Constant residuals of each class of points in each image, of the ranges of each, and of heights: reasons, whether
-    significant or not.
-    """
+    """Constant residuals of each class of points in each image: reasons, whether significant or not."""
     network = rows.at.network
     if len(network.images) > _MOST_IMAGES:
         return
-    image = np.full(rows.kind.size, -1)
-    seen, ranges = rows.of_kind(IMAGE), rows.of_kind(RANGE)
-    image[seen], image[ranges] = network.rays.image[rows.measure[seen]], network.ranges.image[rows.measure[ranges]]
-    classes = np.where(rows.point >= 0, network.points.classes[rows.point], -1)
+    seen = rows.of_kind(IMAGE)
+    image, classes = network.rays.image[rows.measure[seen]], network.points.classes[rows.point[seen]]
     for j, picture in enumerate(network.images):
         for one in PointClass:
             for component, way in enumerate(("lines", "samples")):
-                mine = np.flatnonzero((rows.kind == IMAGE) & (image == j) & (classes == one)
-                                      & (rows.component == component))  # fmt: skip
-                yield from _offset(rows, mine, rows.scale[mine], f"{one.name.lower()} points' {way} in {picture.name}",
-                                   "px")  # fmt: skip
+                mine = seen[(image == j) & (classes == one) & (rows.component[seen] == component)]
+                what = f"{way} of {one.name.lower()} points in {picture.name}"
+                yield from _offset(rows, mine, rows.scale[mine], what, "px")
 
 
 def _offset(rows: ResidualRows, mine: Index, column: Array, what: str, unit: str) -> Iterator[Reason]:
-    """The score test of a constant that some rows (q,) have in common, whitened (q,) per unit."""
-    from scipy.special import ndtr  # slow to import
+    """The score test of a constant that some rows (q,) have in common, whitened (q,) per unit; and the test of their
+    mean by their own scatter, which finds it behind stated sigmas that are too large.
+    """
+    from scipy.special import ndtr, stdtr  # slow to import
 
     if not mine.size:
         return
@@ -379,6 +378,11 @@ def _offset(rows: ResidualRows, mine: Index, column: Array, what: str, unit: str
     if variance > _CONTROLLED * float(column @ column):
         p = 2.0 * float(ndtr(-abs(score) / math.sqrt(variance)))
         yield Reason(State.SUSPECT, Cause.OFFSET, what, score / variance, unit, mine.size, p)
+    values = rows.residuals[mine] / column
+    if mine.size >= _FEW and np.ptp(values) > 0.0:
+        mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(mine.size)
+        p = 2.0 * float(stdtr(mine.size - 1, -abs(mean) / error))
+        yield Reason(State.SUSPECT, Cause.OFFSET, what, mean, unit, mine.size, p)
 
 
 def _outliers(rows: ResidualRows) -> Iterator[Reason]:

@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 @click.argument("case", type=PATH)
 @click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
 @TIES
-def check(case: Path, no_laser: bool, ties: Path | None) -> None:
-    """Read and validate CASE and everything that it names; print what is there and where it is weak. Solves nothing.
+@DETAILS
+def check(case: Path, no_laser: bool, ties: Path | None, details: bool) -> None:
+    """Read and validate CASE and everything that it names; print where it is weak and what is there. Solves nothing.
 
     Of a CASE without measures, the images, which of them overlap, and whether `match` can find tie points.
     """
@@ -49,7 +50,7 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     with word_of_compiling():
         said = images_inventory(case) if ties is None else None
         try:
-            said = said or inventory(read_case(case, not no_laser, ties))
+            said = said or inventory(read_case(case, not no_laser, ties), details)
         except Unmeasured as error:
             said = images_inventory(case, error) if ties is None else None
             if said is None:

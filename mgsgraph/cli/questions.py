@@ -8,7 +8,7 @@ import click
 from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences
 
 _SUMMARY = 10
-"""Rows of the table by suspicion when nothing in particular is asked."""
+"""Rows of the table by suspicion with --details."""
 _WEAK = 5
 _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alpha", "power")
 """Parameters that say more of a question and are none."""
@@ -40,7 +40,7 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 @click.option("--cell-m", type=float, help="Side of the raster's cells.")
 @click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
 @click.option("--unexplained", is_flag=True, help="What the adjustment can't explain, by name, with the term to add.")
-@click.option("--components", is_flag=True, help="Are the sigmas honest? Global test, variance components, residuals.")
+@click.option("--components", is_flag=True, help="Are the sigmas consistent? Global test, variance components.")
 @click.option("--iterate", is_flag=True, help="Variance components until they converge: adjusts again and again.")
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."
@@ -51,28 +51,32 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
     "--likelihood", multiple=True, metavar="NAME",
     help="Intervals of an image's, shift's or shared unknown's numbers by the likelihood, without linear propagation.",
 )  # fmt: skip
-@click.option("--weak", type=click.IntRange(1), metavar="N", help="N directions of which least was learnt, in words.")
+@click.option("--weak", type=click.IntRange(1), metavar="N", help="N least-constrained directions, in words.")
+@click.option("--outliers", is_flag=True, help="A row per image: its measurements, rejected ones, and largest tests.")
+@click.option("--details", is_flag=True, help="All tests with their tables.")
 @click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
 @NO_FIGURES
 def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) -> None:
     """Ask the covariance of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project).
 
-    Without a question: what the adjustment cannot explain, the global test, variance components, the most suspicious
-    measures, and what is weak. Sigmas are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is
-    changed.
+    Without a question: the verdict of all tests in at most ten lines, and what is significant; with --details the
+    tables, too. Sigmas are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is changed.
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
     from mgsgraph.analysis.measures import Levels
     from mgsgraph.analysis.posterior import Pixel
     from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
-    from mgsgraph.project.reading import read_posterior
-    from mgsgraph.results.analysis import Wanted, analysed, require_used, write_analysis
+    from mgsgraph.project.reading import read_posterior, results_of
+    from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
     from mgsgraph.results.answers import Questions
+    from mgsgraph.results.archive import read_solution
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    nothing = not any(value for name, value in asked.items() if name not in _DETAILS)
+    details = asked.pop("details")
+    nothing = not details and not any(value for name, value in asked.items() if name not in _DETAILS)
+    every = details or (nothing and out is not None)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
     about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
     given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
@@ -82,7 +86,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
         ("--probability", given["probability"], points or pixels, "--point or --pixel"),
         ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
-        ("--alpha, --power", given["alpha"] or given["power"], nothing or asked["reliability"], "--reliability"),
+        ("--alpha, --power", given["alpha"] or given["power"], details or asked["reliability"], "--reliability"),
         ("--no-figures", no_figures, out, "--out FOLDER"),
     ):  # fmt: skip
         require_used(option, bool(stated), bool(useful), of)
@@ -93,18 +97,22 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
     wanted = Wanted(
         questions, asked["curves"], asked["images"] if raster else None, asked["cell_m"], sigma,
-        asked["unexplained"] or nothing, asked["components"] or asked["iterate"] or nothing, asked["likelihood"],
-        asked["iterate"], asked["reliability"] or (_SUMMARY if nothing else 0),
-        asked["weak"] or (_WEAK if nothing else 0), levels,
+        asked["unexplained"] or every, asked["components"] or asked["iterate"] or every, asked["likelihood"],
+        asked["iterate"], asked["reliability"] or (_SUMMARY if every else 0),
+        asked["weak"] or (_WEAK if every else 0), asked["outliers"] or every, levels,
     )  # fmt: skip
+    if nothing:
+        click.echo("\n".join(brief(read_solution(results_of(adjusted).folder))))
+        if out is None:
+            return
     name, posterior, warning = read_posterior(adjusted)
     if warning:
         click.echo(f"- {warning}")
     sections = analysed(posterior, wanted, name)
     if out is not None:
-        sections = iter(every := list(sections))
-        write_analysis(name, every, out, figures=not no_figures)  # before anything is said: a reader may go away
-    for section in sections:
+        sections = iter(found := list(sections))
+        write_analysis(name, found, out, figures=not no_figures)  # before anything is said: a reader may go away
+    for section in () if nothing else sections:
         click.echo(section.text(None))
     if out is not None:
         click.echo(f"The analysis is in {out}")

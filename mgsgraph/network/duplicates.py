@@ -2,7 +2,7 @@
 shrink by up to the square root of two.
 
 Values are compared to within their rounding. What is only near (another feature half a pixel away, the five spots of a
-LOLA shot, two tracks that cross) is another observation. (One image under two names is refused when it is read.)
+LOLA shot, two tracks that cross) is another observation.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from mgsgraph.geometry.image import twins
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
@@ -49,6 +50,7 @@ class DuplicateKind(StrEnum):
     TIE = "tie point"
     SHOT = "laser shot"
     CONTROL = "control point"
+    IMAGE = "image"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,13 +60,13 @@ class Duplicates(Record):
     kind: DuplicateKind
     """Of which kind."""
     first: Index
-    """(p,) ground point that stands first of those that are one."""
+    """(p,) ground point, or image, that stands first of those that are one."""
     again: Index
     """(p,) the same under another name: each stands here once, so that p are superfluous."""
     names: tuple[tuple[str, str], ...]
     """Of some of them: the first, and again."""
     total: int
-    """Of how many points of the class."""
+    """Of how many: points of the class, or images."""
 
     @property
     def count(self) -> int:
@@ -100,6 +102,10 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         first, again = first[again >= since], again[again >= since]
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
         found.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
+    images = [image.name for image in network.images]
+    first, again = joined_pairs(np.array(twins(network.images), dtype=np.int64).reshape(-1, 2))
+    names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
+    found.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
     return tuple(one for one in found if one.count)
 
 

@@ -7,15 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import Components, components, iterated_components
 from mgsgraph.analysis.likelihood import LEVELS, Profile, linearity_of
-from mgsgraph.analysis.measures import Levels
+from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, Suspect, reliability, suspects
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
 from mgsgraph.analysis.residual_tests import ResidualStatistics, chi_square_test, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
+from mgsgraph.analysis.verdict import verdict
 from mgsgraph.analysis.weak import weakest
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
@@ -23,7 +25,7 @@ from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
-from mgsgraph.results.verdict import linearity_section
+from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import MRAD
 
@@ -68,6 +70,26 @@ def suspects_table(found: Reliability, worst: Sequence[Suspect]) -> Table:
     table = reliability_table(found, np.concatenate([np.zeros(0, dtype=np.int64), *groups]))
     named = Column("name", names, label="measurement (=: inseparable from the one above)", text="<", gap=2)
     return replace(table, columns=(*table.columns, named))
+
+
+def outliers_section(found: Reliability) -> Section:
+    """A row per image: its measurements, those left out, tests over the critical value, and the largest one."""
+    network, table = found.at.network, found.measures
+    rays = np.flatnonzero(table.kind == MeasureKind.RAY)
+    image, size = table.image[rays], np.nan_to_num(np.abs(table.test[rays]))
+    every, total = len(network.images), np.bincount(network.rays.image, minlength=len(network.images))
+    order = np.lexsort((size, image))
+    last = np.flatnonzero(np.diff(image[order], append=-1))
+    largest, worst = np.zeros(every), [""] * every
+    for k in order[last].tolist():
+        largest[image[k]], worst[image[k]] = size[k], network.points.ids[table.point[rays[k]]]
+    shown = table_of("outliers", {
+        "image": [one.name for one in network.images], "measurements": total,
+        "left_out": total - np.bincount(image, minlength=every) // 2,
+        "over": np.bincount(image[size > found.critical], minlength=every),
+        "expected": found.levels.alpha * np.bincount(image, minlength=every), "largest": largest, "point": worst,
+    })  # fmt: skip
+    return Section("outliers", tables=[shown], numbers=shown.records(), csv=[shown])
 
 
 def reliability_table(found: Reliability, rows: Index | None = None) -> Table:
@@ -116,6 +138,8 @@ class Wanted:
     """Rows of the table by suspicion; 0 for no reliability."""
     weak: int = 0
     """Weak directions to be named."""
+    outliers: bool = False
+    """A row per image of its largest tests."""
     levels: Levels = field(default_factory=Levels)
     """Sizes of tests."""
 
@@ -123,6 +147,27 @@ class Wanted:
         for what, value in (("--sigma-px", self.sigma), ("--cell-m", 1.0 if self.cell is None else self.cell)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(what, f"{value}", "a positive number")
+
+
+_MOST_LINES = 9
+"""Of the verdict."""
+_MOST_EFFECTS = 2
+"""Effects, and vibrations, that are told without details."""
+
+
+def brief(solution: Solution) -> list[str]:
+    """The verdict and what is significant, in at most ten lines."""
+    found = verdict(solution)
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution)]
+    if found.groups:
+        effects = unexplained(solution)
+        said += effects.sentences[:_MOST_EFFECTS]
+        try:
+            shown = residual_vibrations(solution).vibrations[:_MOST_EFFECTS]
+        except InputError:  # too few rays
+            shown = ()
+        said += [one.sentence for one in shown]
+    return [f"{solution.name}: {state_of(solution)}", *(f"- {one}" for one in said[:_MOST_LINES])]
 
 
 def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:
@@ -154,8 +199,12 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
         yield likelihood_section(posterior, wanted.likelihood)
     if wanted.iterated:
         yield _iterated(posterior)
-    if wanted.suspects:
-        yield reliability_section(reliability(posterior.linearised, wanted.levels), wanted.suspects)
+    if wanted.suspects or wanted.outliers:
+        measures = reliability(posterior.linearised, wanted.levels)
+        if wanted.suspects:
+            yield reliability_section(measures, wanted.suspects)
+        if wanted.outliers:
+            yield outliers_section(measures)
     if wanted.weak:
         yield _weak(posterior, wanted.weak)
         if posterior.network.passes:

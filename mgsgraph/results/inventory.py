@@ -1,13 +1,14 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mgsgraph.adjustment.adjust import Prediction, predict
-from mgsgraph.analysis.geometry_checks import convergence
+from mgsgraph.analysis.geometry_checks import convergence, deviating_heights, misplaced_profiles
+from mgsgraph.analysis.statistics import local_sigmas
 from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
@@ -39,7 +40,7 @@ from mgsgraph.results.places import crossings_section
 from mgsgraph.results.section import ROWS, Section, table_of
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
-from mgsgraph.text import many, root_mean_square, some, some_of, span
+from mgsgraph.text import length, many, root_mean_square, some, some_of, span, two
 from mgsgraph.units import DEG, KM, MRAD
 
 _FEW_POINTS = 6
@@ -54,32 +55,60 @@ _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
 _NAMED = 5
 """How many of a kind are named."""
+_WARNINGS = 7
+"""Weak spots that are told without details."""
 
 
-def inventory(case: Case) -> str:
-    """Images and their coverage, points, shots, connectivity, and expected weak spots; several lines of text."""
-    network = case.network
-    head = (
-        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
-        f"measurements, {network.ranges.point.size} ranges"
-    )
-    images = Section("", head, case.notes, [_images_table(network.images, network)])
-    read = Section("", sentences=reading_statements(network.images))
-    unknowns = Section("", tables=[_unknowns_table(network)])
-    weak = list[str]()
+def inventory(case: Case, details: bool = True) -> str:
+    """What a case holds and where it is weak, as text: weak spots and figures in a few lines, or with all tables."""
+    network, weak = case.network, list[str]()
     try:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
         weak.append(str(error))
         prediction = predict(_with_priors(network), case.settings)
     connected = connectivity(network, network_footprints(network, prediction.places))
+    weak += _weak_spots(network, prediction, connected)
+    head = (
+        f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
+        f"measurements, {network.ranges.point.size} ranges"
+    )
+    points = _points(network, prediction)
+    if not details:
+        read = [*case.notes, *reading_statements(network.images)]
+        remarks = [f"{many(len(read), 'remark')} on the input: --details."] if read else []
+        ranges = points.sentences if network.ranges.point.size else []
+        said = [*_expected(network, prediction), *ranges, *link_statement(connected), *remarks]
+        weak = weak[:_WARNINGS] + ([f"{len(weak) - _WARNINGS} more: --details"] if len(weak) > _WARNINGS else [])
+        return _text([Section("", f"{head}\n", [f"WEAK: {one}" for one in weak] or ["No weak spots seen."]),
+                      Section("", "", said)]).replace("\n\n", "\n")  # fmt: skip
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
-    links = Section("", "Connections (points in common)", link_statement(connected), [pairs])
-    weak += _weak_spots(network, prediction, connected)
-    terrain = Section("", sentences=_terrain(network, prediction.places))
-    return _text([images, read, _points(network, prediction), links, unknowns, terrain,
-                  Section("", "Weak spots", weak or ["none seen"])])  # fmt: skip
+    return _text([
+        Section("", head, case.notes, [_images_table(network.images, network)]),
+        Section("", sentences=reading_statements(network.images)),
+        points,
+        Section("", "Connections (points in common)", link_statement(connected), [pairs]),
+        Section("", tables=[_unknowns_table(network)]),
+        Section("", sentences=_terrain(network, prediction.places)),
+        Section("", "Weak spots", weak or ["none seen"]),
+    ])  # fmt: skip
+
+
+def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
+    """How well each class of points will be known, and its nominal residuals."""
+    for one, mine in network.of_class():
+        there = mine[np.all(np.isfinite(prediction.covariances[mine]), axis=(1, 2))]
+        if not there.size:
+            continue
+        sigmas = np.median(local_sigmas(prediction.covariances[there], prediction.places[there]), axis=0)
+        misfit = prediction.residuals[np.isin(network.rays.point, there)]
+        seen = misfit[np.all(np.isfinite(misfit), axis=1)]
+        fit = "; nominal residuals {} lines, {} samples rms".format(*map(two, root_mean_square(seen, 0).tolist()))
+        yield (
+            f"{mine.size} {one.name.lower()} points, expected median sigma {length(float(np.hypot(*sigmas[:2])))} "
+            f"horizontally, {length(float(sigmas[2]))} in height{fit if seen.size else ''}."
+        )
 
 
 def _text(sections: Iterable[Section]) -> str:
@@ -276,12 +305,22 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
          "laser points have no range (no simultaneous image)"),
     ):  # fmt: skip
         found += [f"{mine.size} {what}: {some_of(points.ids, mine, _NAMED)}"] if mine.size else []
+    heights = deviating_heights(network, prediction.places, prediction.covariances)
+    if heights.points.size:
+        farthest = length(abs(float(heights.deviations[0])))
+        found.append(
+            f"{many(heights.points.size, 'point')} far above or below their neighbors, by up to {farthest}: "
+            f"{some_of(points.ids, heights.points, _NAMED)}: false matches, or wrong measurements"
+        )
+    found += [
+        f"{many(one.shots, 'laser shot')} of {one.name} lie {abs(one.angle) / DEG:.1f} deg along the flight from where "
+        "the camera looked: a wrong clock, or a wrong profile" for one in misplaced_profiles(network)
+    ]  # fmt: skip
     angle = convergence(network, np.flatnonzero(points.classes == PointClass.TIE))
     if np.any(angle < _NARROW):
         found.append(
-            f"{np.count_nonzero(angle < _NARROW)} tie points have rays that converge by less than "
-            f"{_NARROW / DEG:.0f} deg (least {angle.min() / DEG:.2f} deg): "
-            "expect their sigma along the line of sight to be large"
+            f"rays of {np.count_nonzero(angle < _NARROW)} tie points converge by less than {_NARROW / DEG:.0f} deg "
+            f"(least {angle.min() / DEG:.2f} deg): their heights are poorly known"
         )
     controlled = network.surface is not None or network.stereo is not None
     if not (controlled or np.any(points.kinds != PointKind.FREE) or np.any(network.held)):

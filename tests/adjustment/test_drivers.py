@@ -17,7 +17,7 @@ from mgsgraph.adjustment.fit import ABSURD, fit, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.analysis.soundness import is_result, soundness
+from mgsgraph.analysis.verdict import Cause, State, is_valid, verdict
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import SolverError
 from mgsgraph.geometry import rotation
@@ -103,7 +103,7 @@ def planted(
 @pytest.mark.parametrize(("seed", "iterations"), [(1, PLAIN.max_iterations), (2, 3)])
 def test_what_is_planted_is_named(plant: Callable[..., Planted], seed: int, iterations: int) -> None:
     (net, images, points), solution = planted(plant, seed, iterations)
-    assert (solution.drivers is None) == is_result(solution)
+    assert (solution.drivers is None) == is_valid(solution)
     assert solution.drivers is not None or plant is mismatched  # else this would prove nothing
     if solution.drivers is not None:
         assert set(_named(solution.drivers, net)) & {*images, *points}
@@ -115,8 +115,8 @@ def test_a_wrong_image_that_hides_in_sigma0_is_no_result(plant: Callable[..., Pl
     (net, (name,), _), solution = planted(plant, 1)
     assert solution.converged
     assert solution.sigma0 < ABSURD
-    assert not is_result(solution)
-    assert net.images[soundness(solution).impossible[0].image].name == name
+    assert not is_valid(solution)
+    assert [one.what for one in verdict(solution).of(Cause.ORIENTATION) if one.state is State.INVALID][0] == name
     assert solution.drivers is not None
     assert _named(solution.drivers, net)[0] == name
 

@@ -40,7 +40,9 @@ def result(pair_solution: Solution, pair_case: Case, tmp_path: Path) -> Path:
 
 def test_the_summary_says_what_is_wrong_and_what_is_weak(result: Path, tmp_path: Path, said_by: Said) -> None:
     said = said_by("analyze", result, "--out", tmp_path / "analysis", "--no-figures")
-    assert "Global test" in said
+    assert ": valid" in said.splitlines()[0]
+    assert len(said_by("analyze", result).splitlines()) <= 10
+    assert "Global test" in said_by("analyze", result, "--details")
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert {"unexplained", "honesty", "reliability", "weak"} <= set(record)
     tested = (tmp_path / "analysis" / "unexplained.csv").read_text(encoding="utf-8").splitlines()
@@ -102,7 +104,7 @@ def test_new_places_and_their_raster(result: Path, tmp_path: Path, said_by: Said
 
 def test_a_project_answers_as_its_solution_does(case_file: Path, tmp_path: Path) -> None:
     call("init", tmp_path / "project", "--case", case_file)
-    assert "a project without a solution" in refusal("analyze", tmp_path / "project")
+    assert "without a batch solution" in refusal("analyze", tmp_path / "project")
     call("solve", tmp_path / "project", "--no-figures")
     solution = read_solution(tmp_path / "project" / "solutions" / "0001")
     point = solution.network.points.ids[0]
@@ -128,7 +130,8 @@ def test_what_can_not_be_answered_is_said_in_one_line(result: Path, tmp_path: Pa
         "line nan": (result, "--pose", image, "nan"),
         "line 1e": (result, "--pose", image, 1e9),
         "the same point twice": (result, "--pair", "TIE00001", "TIE00001"),
-        "levels, alpha": (result, "--alpha", 0.7),
+        "levels, alpha": (result, "--reliability", 3, "--alpha", 0.7),
+        "--alpha, --power: no --reliability": (result, "--alpha", 0.01),
         "another kind of result": (result, "--out", result),
         "no such file": (tmp_path / "nothing",),
         "neither solution.npz nor project.sqlite": (tmp_path / "empty",),
@@ -250,14 +253,14 @@ def test_results_have_the_adjusted_orientation_and_sigmas(
 
     adjusted, nominal, there = shown(out, "--ellipsoid"), shown(case_file, "--ellipsoid"), shown(out)
     assert " +- " not in nominal["latitude_deg"]
-    assert [adjusted["height_from"], there["height_from"]] == ["given", "neighbours"]
+    assert [adjusted["height_from"], there["height_from"]] == ["given", "neighbors"]
     assert adjusted["longitude_deg"].split(" +- ")[0] != nominal["longitude_deg"]
     value, sigma = there["height_m"].split(" +- ")  # two digits of the sigma
     assert 1.0 < float(sigma) < 300.0
     assert len(sigma.replace(".", "").rstrip("0")) <= 2
     assert len(value.partition(".")[2]) == len(sigma.partition(".")[2])
     back = shown(out, way=("--place", *(there[name].split(" +- ")[0] for name in ("longitude_deg", "latitude_deg"))))
-    assert back["height_from"] == "neighbours"
+    assert back["height_from"] == "neighbors"
     for name, place in (("line", 100.0), ("sample", 20.0)):
         found, spread = map(float, back[name].split(" +- "))
         assert abs(found - place) < spread

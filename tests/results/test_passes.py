@@ -159,11 +159,11 @@ def test_the_curve_passes_through_its_nodes(solution: Solution) -> None:
 def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = write_block(tmp_path)
     nodes = len(block().network.passes[1].nodes)
-    assert call("check", path) == 0
+    assert call("check", path, "--details") == 0
     said = capsys.readouterr().out
     assert "  pass HRSC/01\n" in said
     assert f", {nodes} orientation images (lagrange) every " in said
-    assert call("adjust", path, "--out", tmp_path / "out") == 0
+    assert call("adjust", path, "--out", tmp_path / "out", "--details") == 0
     said = capsys.readouterr().out
     assert re.search(rf"^  HRSC/01 +{nodes} ", said, re.MULTILINE)
     assert " are 50 m in position and 0.442 mrad in rotation" in said  # 28 and 3 mgon together

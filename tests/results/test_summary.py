@@ -26,8 +26,8 @@ from mgsgraph.network.connectivity import (
 from mgsgraph.network.parts import select_points
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.inventory import images_inventory
-from mgsgraph.results.results import _constant_residuals, solution_json, statements, summary_table, write_results
-from mgsgraph.results.soundness import drivers_section, reading_statements
+from mgsgraph.results.results import solution_json, statements, summary_table, write_results
+from mgsgraph.results.verdict import drivers_section, reading_statements
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.orbit import MARS
