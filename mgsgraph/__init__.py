@@ -46,6 +46,7 @@ The solution and its covariance
     sigma_grid              sigmas of new points all over the overlap of images
 
 Checks of a solution
+    verdict                 whether it may be used: what was tested, what was not, what could hide
     reliability             Baarda's w-tests, minimal detectable blunders, external reliability
     MeasureKind             kind of a measurement in these: ray, range, prior ...
     components              variance components: are the a-priori sigmas right?
@@ -150,6 +151,7 @@ if TYPE_CHECKING:
     from mgsgraph.analysis.statistics import pass_reports as pass_reports
     from mgsgraph.analysis.two_step_statistics import two_step_statistics as two_step_statistics
     from mgsgraph.analysis.unexplained import unexplained as unexplained
+    from mgsgraph.analysis.verdict import verdict as verdict
     from mgsgraph.analysis.weak import weak_directions as weak_directions
     from mgsgraph.case.reading import Case as Case
     from mgsgraph.case.reading import adjust as adjust
@@ -275,6 +277,7 @@ _HOME = {
     "to_xarray": "mgsgraph.export.frames",
     "two_step_statistics": "mgsgraph.analysis.two_step_statistics",
     "unexplained": "mgsgraph.analysis.unexplained",
+    "verdict": "mgsgraph.analysis.verdict",
     "weak_directions": "mgsgraph.analysis.weak",
     "with_factors": "mgsgraph.adjustment.factor_graph",
     "write_coregistration": "mgsgraph.results.relief",

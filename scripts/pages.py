@@ -50,9 +50,9 @@ from mgsgraph.results.places import selection_table
 from mgsgraph.results.plan import judged_table
 from mgsgraph.results.registration import discrepancy_table, registration_table
 from mgsgraph.results.relief import profiles_table, relief_shots_table
-from mgsgraph.results.verdict import drivers_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
 from mgsgraph.results.terrain_model import shots_table
+from mgsgraph.results.verdict import drivers_table
 from mgsgraph.simulation.demo.demonstration import disagreement_table
 from mgsgraph.simulation.files import write_pair, write_site
 from mgsgraph.simulation.orbit import MARS

@@ -37,7 +37,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import OUT
 from mgsgraph.names import Names
-from mgsgraph.network import Network, PointClass, SharedKind
+from mgsgraph.network import Network, Pass, PointClass, SharedKind
 from mgsgraph.network.shared import image_effect
 from mgsgraph.units import ARCMIN
 
@@ -75,28 +75,35 @@ class Kind(NamedTuple):
 
 def _constant(axis: int, every: bool) -> Callable[[Network, float], Change]:
     """An error along an axis of the flight, of the first image or of all."""
+
     def wrong(network: Network, size: float) -> Change:
         def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
             if not (every or j == 0 or network.pass_of[j] >= 0):
                 return one
             return _added(one, size * np.linalg.inv(flight_frame(network.images[j]).turn)[:, axis][None])
+
         return change
+
     return wrong
 
 
 def _clock(kinds: tuple[SharedKind, ...], every: bool) -> Callable[[Network, float], Change]:
     """An error of time, of the first image or of all."""
+
     def wrong(network: Network, size: float) -> Change:
         def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
             if not (every or j == 0 or network.pass_of[j] >= 0):
                 return one
             return _added(one, size * sum(image_effect(network.images[j], kind, "camera")[0] for kind in kinds))
+
         return change
+
     return wrong
 
 
 def _drift(axis: int) -> Callable[[Network, float], Change]:
     """An error along an axis that grows from -size to size along the first image."""
+
     def wrong(network: Network, size: float) -> Change:
         def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
             if j or network.pass_of[j] >= 0:
@@ -104,7 +111,9 @@ def _drift(axis: int) -> Callable[[Network, float], Change]:
             rows = np.zeros((2, 6))
             rows[1] = size * np.linalg.inv(flight_frame(network.images[j]).turn)[:, axis]
             return _added(one, rows)
+
         return change
+
     return wrong
 
 
@@ -120,17 +129,19 @@ def _added(one: OrientationCorrection, rows: Array) -> OrientationCorrection:
 
 def _priors(factor_of: Callable[[float], float]) -> Callable[[Network, float, Rng], Network]:
     """Stated sigmas of orientations times a factor (the truth is drawn from the right ones)."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         factor = factor_of(size)
         return replace(
             network, priors=tuple(replace(one, sigmas=one.sigmas * factor) for one in network.priors),
-            passes=tuple(one.scaled(np.full(6, factor), np.full(one.prior.trend_sigmas.size and 6, factor))
-                         if False else _scaled_pass(one, factor) for one in network.passes),
+            passes=tuple(_scaled_pass(one, factor) for one in network.passes),
         )  # fmt: skip
+
     return wrong
 
 
-def _scaled_pass(one, factor):  # type: ignore[no-untyped-def]
+def _scaled_pass(one: Pass, factor: float) -> Pass:
+    """A pass with its prior sigmas times a factor."""
     trend = one.prior.trend_sigmas.size
     return one.scaled(np.full(6, factor), np.full(one.widths[-1], factor) if trend else np.zeros(0))
 
@@ -153,21 +164,25 @@ def _moved(network: Network, rows: Index, by: Array) -> Network:
 
 def _offset(of: tuple[float, float], every: bool = False, ties: bool = False) -> Callable[..., Network]:
     """Lines and samples of the first image, or of all, or of its ties alone, off by a size."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         chosen = np.ones(network.rays.point.size, dtype=bool) if every else network.rays.image == 0
         if ties:
             chosen &= network.points.classes[network.rays.point] == PointClass.TIE
         return _moved(network, np.flatnonzero(chosen), size * np.array(of))
+
     return wrong
 
 
 def _scaled_samples(every: bool) -> Callable[..., Network]:
     """A focal length or pixel size that is wrong by a factor."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         rays = network.rays
         middle = np.array([0.5 * one.samples for one in network.images])[rays.image]
         off = (rays.places[:, 1] - middle) * size * (np.ones(rays.image.size) if every else rays.image == 0)
         return _moved(network, np.arange(off.size), np.column_stack([np.zeros(off.size), off]))
+
     return wrong
 
 
@@ -200,10 +215,12 @@ def _share(rows: Index, share: float, rng: Rng) -> Index:
 
 def _outliers(pixels: float) -> Callable[..., Network]:
     """A share of the ties' places off by some pixels in random directions."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         rows = _share(_ties(network), size, rng)
         angle = 2.0 * np.pi * rng.random(rows.size)
         return _moved(network, rows, pixels * np.column_stack([np.cos(angle), np.sin(angle)]))
+
     return wrong
 
 
@@ -233,6 +250,7 @@ def _interchanged(network: Network, size: float, rng: Rng) -> Network:
 
 def _sigmas(what: str, inverse: bool) -> Callable[..., Network]:
     """Stated sigmas too small by a factor (too large: inverse)."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         factor = size if inverse else 1.0 / size
         if what == "rays":
@@ -244,6 +262,7 @@ def _sigmas(what: str, inverse: bool) -> Callable[..., Network]:
             return replace(network, points=replace(points, covariances=points.covariances * factor**2))
         assert network.surface is not None
         return replace(network, surface=replace(network.surface, sigmas=network.surface.sigmas * factor))
+
     return wrong
 
 
@@ -257,6 +276,7 @@ def _laser(network: Network) -> Index:
 def _ranges(change: Callable[[Array, float], Array]) -> Callable[..., Network]:
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         return replace(network, ranges=replace(network.ranges, values=change(network.ranges.values, size)))
+
     return wrong
 
 
@@ -266,10 +286,12 @@ def _shot_clock(network: Network, size: float, rng: Rng) -> Network:
 
 def _footprints(axis: int, share: float = 1.0) -> Callable[..., Network]:
     """Footprints off by a size eastward, northward or upward: another datum, areoid or radius."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         places, mine = network.points.places.copy(), _share(_laser(network), share, rng)
         places[mine] += size * east_north_up(places[mine])[:, axis]
         return replace(network, points=replace(network.points, places=places))
+
     return wrong
 
 
@@ -297,11 +319,13 @@ def _terrain(change: Callable[[Array, float], Array]) -> Callable[..., Network]:
         assert surface is not None
         return replace(network, surface=replace(surface, grid=replace(surface.grid, radii=change(
             surface.grid.radii, size))))  # fmt: skip
+
     return wrong
 
 
 def _duplicated(of: PointClass) -> Callable[..., Network]:
     """A share of the ties, or shots, given a second time under other names."""
+
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         points, rays, ranges, n = network.points, network.rays, network.ranges, len(network.points)
         mine = _share(np.flatnonzero(points.classes == of), size, rng)
@@ -324,9 +348,12 @@ def _duplicated(of: PointClass) -> Callable[..., Network]:
             shifts=None if shifts is None else replace(shifts, profile=shifts.profile[whole]),
             surface=None if surface is None else replace(surface, sigmas=surface.sigmas[whole]),
         )  # fmt: skip
+
     return wrong
 
 
+_ANGLES = (3.0 * ARCMIN, 10.0 * ARCMIN, 60.0 * ARCMIN)
+_FACTORS = (3.0, 10.0, 30.0)
 _BOTH = (SharedKind.POSITION_TIME, SharedKind.ATTITUDE_TIME)
 KINDS: dict[str, Kind] = {
     **{
@@ -347,14 +374,16 @@ KINDS: dict[str, Kind] = {
         for of, every in (("one image", False), ("all images", True))
     },
     **{
-        f"{name}, {of}": Kind((3.0 * ARCMIN, 10.0 * ARCMIN, 60.0 * ARCMIN), "rad", _constant(k + 3, every), listed=(name,))
+        f"{name}, {of}": Kind(_ANGLES, "rad", _constant(k + 3, every), listed=(name,))
         for k, name in enumerate(FLIGHT_NAMES[3:])
         for of, every in (("one image", False), ("all images", True))
     },
-    "drift of pitch, one image": Kind((ARCMIN, 5.0 * ARCMIN, 30.0 * ARCMIN), "rad", _drift(4), listed=("pitch",)),
+    "drift of pitch, one image": Kind(_ANGLES, "rad", _drift(4), listed=("pitch",)),
     "vibration of one image": Kind((1.0, 5.0, 20.0), "px", network=_vibration),
-    "prior sigmas of orientation too small": Kind((3.0, 10.0, 30.0), "times", network=_priors(lambda size: 1.0 / size), listed=("position", "pointing")),
-    "prior sigmas of orientation too large": Kind((3.0, 10.0, 30.0), "times", network=_priors(lambda size: size)),
+    "prior sigmas of orientation too small": Kind(
+        _FACTORS, "times", network=_priors(lambda size: 1.0 / size), listed=("position", "pointing")
+    ),
+    "prior sigmas of orientation too large": Kind(_FACTORS, "times", network=_priors(lambda size: size)),
     "focal length, all images": Kind((1e-3, 1e-2, 1e-1), "", network=_scaled_samples(True)),
     "focal length, one image": Kind((1e-3, 1e-2, 1e-1), "", network=_scaled_samples(False)),
     "samples off, one image": Kind((3.0, 30.0, 300.0), "px", network=_offset((0.0, 1.0)), listed=("roll",)),
@@ -368,20 +397,22 @@ KINDS: dict[str, Kind] = {
     "cluster of outliers": Kind((5.0, 20.0, 100.0), "px", network=_cluster),
     "false matches": Kind((0.02, 0.1, 0.5), "share", network=_false_matches),
     "images interchanged": Kind((0.02, 0.3, 1.0), "share", network=_interchanged),
-    "image sigmas too small": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("rays", False), listed=("tie image", "laser image")),
-    "image sigmas too large": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("rays", True)),
+    "image sigmas too small": Kind(
+        _FACTORS, "times", network=_sigmas("rays", False), listed=("tie image", "laser image")
+    ),
+    "image sigmas too large": Kind(_FACTORS, "times", network=_sigmas("rays", True)),
     "ties given twice": Kind((0.1, 0.5, 1.0), "share", network=_duplicated(PointClass.TIE)),
     "range bias": Kind((10.0, 100.0, 1e3), "m", network=_ranges(lambda values, size: values + size),
                        listed=("range of the laser",)),
     "unit of ranges": Kind((1e-3, 1e-2, 0.5), "", network=_ranges(lambda values, size: values * (1.0 - size))),
     "clock of the laser": Kind((0.1, 1.0, 10.0), "s", network=_shot_clock, listed=("position time",)),
-    "range sigmas too small": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("ranges", False), listed=("ranges",)),
+    "range sigmas too small": Kind(_FACTORS, "times", network=_sigmas("ranges", False), listed=("ranges",)),
     "footprints eastward": Kind((300.0, 1e3, 5e3), "m", network=_footprints(0), listed=("eastward shift of laser",)),
     "footprints northward": Kind((300.0, 1e3, 5e3), "m", network=_footprints(1), listed=("northward shift of laser",)),
     "footprints upward": Kind((30.0, 300.0, 6e3), "m", network=_footprints(2), listed=("upward shift of laser",)),
     "some footprints upward": Kind((30.0, 300.0, 6e3), "m", network=_footprints(2, 0.1)),
-    "ground sigmas too small": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("ground", False), listed=("ground",)),
-    "ground sigmas too large": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("ground", True)),
+    "ground sigmas too small": Kind(_FACTORS, "times", network=_sigmas("ground", False), listed=("ground",)),
+    "ground sigmas too large": Kind(_FACTORS, "times", network=_sigmas("ground", True)),
     "shots given twice": Kind((0.1, 0.5, 1.0), "share", network=_duplicated(PointClass.LASER)),
     "ranges of other shots": Kind((1.0, 5.0, 20.0), "shots", network=_other_profile),
     "ranges of the other image": Kind((0.1, 0.5, 1.0), "share", network=_other_image),
@@ -394,11 +425,13 @@ KINDS: dict[str, Kind] = {
         lambda radii, size: radii + size * (radii - np.nanmean(radii))), listed=("upward shift of the terrain",)),
     "terrain flat": Kind((0.3, 0.7, 1.0), "share", network=_terrain(
         lambda radii, size: radii - size * (radii - np.nanmean(radii))), listed=("upward shift of the terrain",)),
-    "terrain sigmas too small": Kind((3.0, 10.0, 30.0), "times", network=_sigmas("surface", False), listed=("surface",)),
+    "terrain sigmas too small": Kind(_FACTORS, "times", network=_sigmas("surface", False), listed=("surface",)),
 }  # fmt: skip
 _NEEDS = {"terrain": "surface", "relief": "surface", "range": "ranges", "ranges": "ranges", "footprints": "laser",
           "ground": "laser", "shots": "laser", "laser": "ranges"}  # fmt: skip
-CASES = tuple(f"{site}, {kind}" for site in (*_SITES, "lroc") for kind in KINDS)
+GOOD = "nothing"
+"""What is wrong with good data."""
+CASES = tuple(f"{site}, {kind}" for site in (*_SITES, "lroc") for kind in (*KINDS, GOOD))
 
 
 @cache
@@ -421,6 +454,9 @@ def one_draw(case: str, seed: int) -> Draw:
     """How each size ended, its NEES of ties and laser points, and the chance of errors so large."""
     site, kind = case.split(", ", 1)
     network, settings = prepared(site)
+    if kind == GOOD:
+        found = verdict(adjust_network(redraw(network, np.random.default_rng(seed), settings.angles).network, settings))
+        return {"state": found.state.value, "p": {one.name: one.p_value for one in found.groups if one.tested}}
     found = [_one(network, settings, KINDS[kind], size, seed) for size in KINDS[kind].sizes] if applies(
         network, kind) else []  # fmt: skip
     return {"ends": [end for end, _ in found], "nees": [values for _, values in found]}
@@ -490,6 +526,29 @@ def _errors(solution: Solution, draw: Redrawn, of: PointClass) -> tuple[float, f
 
 
 def judge(every: list[Draw]) -> Blocks:
+    """Of good data how often they are suspect, and whether p-values are uniform; of wrong inputs how they ended."""
+    good = [draw for draw in every if draw["case"].endswith(GOOD)]
+    wrong = [draw for draw in every if not draw["case"].endswith(GOOD)]
+    return ({"good": _of_good(good)} if good else {}) | ({"wrong": _of_wrong(wrong)} if wrong else {})
+
+
+def _of_good(every: list[Draw]) -> list[str]:
+    """A row for each case: states, and of each group Kolmogorov and Smirnov's p-value for uniform p-values."""
+    from scipy.stats import kstest
+
+    rows = []
+    for case in names_of(every):
+        draws = cases(every, case)
+        states = Counter(draw["state"] for draw in draws)
+        names = list(dict.fromkeys(name for draw in draws for name in draw["p"]))
+        uniform = [f"{name} {kstest([draw['p'][name] for draw in draws if name in draw['p']], 'uniform').pvalue:.2g}"
+                   for name in names]  # fmt: skip
+        counts = [str(states[one.value]) for one in State]
+        rows.append([case.split(", ")[0], str(len(draws)), *counts, "; ".join(uniform)])
+    return table(("case", "draws", *(one.value for one in State), "uniform p-values? (KS)"), rows)
+
+
+def _of_wrong(every: list[Draw]) -> list[str]:
     """A row for each kind: at each site and size how many draws were refused, named, harmless, listed, escaped."""
     sites = list(dict.fromkeys(name.split(", ")[0] for name in names_of(every)))
     rows = []
@@ -503,7 +562,7 @@ def judge(every: list[Draw]) -> Blocks:
     ends = Counter(end.split(":")[0] for draw in every for end in draw["ends"])
     total = f"{ends.total()} runs: " + ", ".join(f"{count} {end}" for end, count in ends.most_common())
     head = ("wrong input", "unit", "size", *sites)
-    return {"wrong": [*table(head, rows), "", f"{total}."]}
+    return [*table(head, rows), "", f"{total}."]
 
 
 def _cell(ends: list[str]) -> str:
@@ -514,4 +573,4 @@ def _cell(ends: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "wrong_inputs.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "verdict.md"), one_draw, judge))

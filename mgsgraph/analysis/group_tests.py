@@ -32,7 +32,14 @@ bound: p-values are too large then."""
 
 @dataclass(frozen=True, slots=True)
 class GroupTest(Record):
-    """How a group of observations, or of priors, fits its stated sigmas."""
+    """How a group of observations, or of priors, fits its stated sigmas.
+
+    Examples
+    --------
+    >>> ties = mgsgraph.verdict(solution).groups[0]
+    >>> ties.name, ties.rows, round(ties.sigma0, 1), ties.tested
+    ('tie image points, lines', 40, 1.1, True)
+    """
 
     name: str
     """Of the group."""

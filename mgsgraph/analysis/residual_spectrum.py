@@ -13,10 +13,7 @@ Neighbouring rays have errors in common, and how large errors are is seldom well
 spectrum itself, as the median of the test over the frequencies round about. Against it a test is F with two degrees of
 freedom above, exceeding q / s^2 by chance with (1 + q / (s^2 v))^(-v/2), v from the number of frequencies in the
 median. Of all frequencies the largest counts: those of a spectrum up to a frequency f exceed z = q / (2 s^2) at most as
-often as W sqrt(z) independent ones, W = f sqrt(4 pi var t) (Baluev 2008).
-
-A series is one image's residuals over time: what points do not follow with orientation known (`ResidualRows.own`), in
-a stereo pair half across the epipolar line and nothing along it. Motions of the spacecraft look like turns.
+often as W sqrt(z) independent ones, W = f sqrt(4 pi var t) (Baluev 2008). Motions of the spacecraft look like turns.
 """
 
 import math
@@ -107,9 +104,7 @@ class Residuals:
         return _pixels(self.rows, self.rows.explained(one.own, (self.rows.scale[one.own] * moved)[:, None])[:, 0])
 
     def share(self, one: Series, frequencies: Array) -> float:
-        """Of waves of a series that residuals show, mean over frequencies (f,) in Hz: what neither points nor shared
-        unknowns follow.
-        """
+        """Of waves of a series, what neither points nor shared unknowns follow: mean over frequencies (f,) in Hz."""
         columns = self.rows.scale[one.own, None] * one.waves(frequencies)
         whole = float(np.sum(columns**2))
         return float(np.trace(self.rows.variance(one.own, columns))) / whole if whole > 0.0 else 0.0
@@ -137,10 +132,8 @@ def _pixels(rows: ResidualRows, whitened: Array) -> Array:
 
 
 def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
-    """Residuals of an adjustment as series over time, of images with so many rays that took part; back-projected ones
-    have no noise and don't count.
-
-    Raises InputError where no image has as many.
+    """Residuals of an adjustment as series over time, of images with so many rays that took part, back-projected ones
+    left out; InputError where no image has as many.
     """
     at = at_solution(of) if isinstance(of, Solution) else of
     rays, rows = at.network.rays, residual_rows(at, np.arange(len(at.network.points)))
@@ -314,9 +307,7 @@ def _inverse_normal(normal: Array) -> Array:
 
 
 def chance(test: float, width: float, freedom: float) -> float:
-    """Probability that noise alone shows a test as large at any frequency (Baluev 2008, with a floor of few degrees of
-    freedom).
-    """
+    """Probability that noise alone shows a test as large at any frequency (Baluev 2008; the floor has few degrees)."""
     single = math.exp(-0.5 * freedom * math.log1p(test / freedom))
     return -math.expm1((1.0 + width * math.sqrt(0.5 * test)) * math.log1p(-min(single, 1.0 - 1e-15)))
 
@@ -326,7 +317,6 @@ def level_of_test(probability: float, width: float, freedom: float) -> float:
     from scipy.optimize import brentq  # slow to import
 
     return float(brentq(lambda test: chance(test, width, freedom) - probability, 0.0, 1e9, xtol=1e-12))
-
 
 
 BLIND = 0.01
@@ -427,24 +417,17 @@ class ResidualVibrations(Record):
             found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per turn)."]
         blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
         if blind:
-            found.append(
-                f"Not seen would be vibrations in {some(blind, len(blind))}: points take them up as heights. To see "
-                "them, give control (laser, terrain model) or a third image."
-            )
+            found.append(f"Vibrations in {some(blind, len(blind))} can't be seen: points take them up as heights.")
         return found
 
 
 def residual_vibrations(
-    of: Solution | Linearised,
-    false_alarms: float = FALSE_ALARMS,
-    progress: Count = no_progress,
+    of: Solution | Linearised, false_alarms: float = FALSE_ALARMS, progress: Count = no_progress
 ) -> ResidualVibrations:
     """Search the residuals of all images for vibrations, of which a share of `false_alarms` of calm turns has one.
 
-    Orientation should not be able to follow the vibrations looked for (polynomials, wide nodes): what close nodes have
-    followed is no longer in residuals. `progress` is called with the number of searches done, and of all at most.
-
-    Raises InputError where no image has rays enough.
+    What close orientation images have followed is no longer in residuals. `progress` is called with the number of
+    searches done, and of all at most. Raises InputError where no image has rays enough.
     """
     residuals = residual_series(of, _FEWEST)
     able = [SeriesSpectrum(one) for one in residuals.series]
@@ -489,9 +472,7 @@ class _Found:
         return True
 
     def _confirmed(self, number: int, peak: Peak) -> bool:
-        """Whether the cost drops enough, and neither does a frequency recur nor an amplitude grow: taking waves out of
-        this series then doesn't help.
-        """
+        """Whether the cost drops enough, no frequency recurs and no amplitude grows."""
         before, near = [each for k, each, _ in self.waves if k == number], self._able[number].resolution
         recurs = any(abs(each.frequency - peak.frequency) < near for each in before)
         grows = any(each.amplitude < peak.amplitude for each in before[-1:])

@@ -41,7 +41,14 @@ _MOST_IMAGES = 12
 
 @dataclass(frozen=True, slots=True)
 class Undetected(Record):
-    """A possible error of an input, and how large it may be without being found."""
+    """A possible error of an input, and how large it may be without being found.
+
+    Examples
+    --------
+    >>> clock = mgsgraph.verdict(solution).undetected[0]
+    >>> clock.what, clock.of, clock.unit, clock.effect > 0.0
+    ('clock', 'all images', 's', True)
+    """
 
     what: str
     """What is wrong: clock, roll, terrain height ..."""

@@ -252,7 +252,7 @@ def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
     --------
     >>> found = mgsgraph.unexplained(solution)
     >>> print(*found.sentences, sep="\n")
-    203 tests of the residuals by time, sample, slope, height and neighbors find no significant effect.
+    203 tests by time, sample, slope, height and neighbors find no significant effect.
     """
     if not 0.0 < level < 1.0:
         raise InputError("tests of the residuals, level", f"{level}", "a probability between 0 and 1")

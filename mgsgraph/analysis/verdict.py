@@ -64,7 +64,13 @@ _CORRECTIONS = 10
 
 
 class State(StrEnum):
-    """Whether a solution may be used."""
+    """Whether a solution may be used.
+
+    Examples
+    --------
+    >>> mgsgraph.verdict(solution).state
+    <State.VALID: 'valid'>
+    """
 
     VALID = "valid"
     """All tests passed."""
@@ -75,7 +81,14 @@ class State(StrEnum):
 
 
 class Cause(StrEnum):
-    """What a reason is about."""
+    """What a reason is about.
+
+    Examples
+    --------
+    >>> from mgsgraph.analysis.verdict import Cause
+    >>> mgsgraph.verdict(solution).of(Cause.GROUP)
+    ()
+    """
 
     NOT_CONVERGED = "not converged"
     LEFT_OUT = "observations left out"
@@ -95,7 +108,15 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason(Record):
-    """Why a solution is suspect or invalid."""
+    """Why a solution is suspect or invalid.
+
+    Examples
+    --------
+    >>> stopped = mgsgraph.adjust_network(network, mgsgraph.SolverSettings(max_iterations=1))
+    >>> reason = mgsgraph.verdict(stopped).reasons[0]
+    >>> reason.state.value, reason.cause.value
+    ('invalid', 'not converged')
+    """
 
     state: State
     """Suspect or invalid."""
@@ -115,7 +136,14 @@ class Reason(Record):
 
 @dataclass(frozen=True, slots=True)
 class Correction(Record):
-    """The correction of one unknown that points share, against its prior."""
+    """The correction of one unknown that points share, against its prior.
+
+    Examples
+    --------
+    >>> largest = mgsgraph.verdict(solution).corrections[0]
+    >>> abs(largest.test) < 4.0, 0.0 < largest.p_value < 1.0
+    (True, True)
+    """
 
     name: str
     """Of the unknown."""
@@ -172,7 +200,14 @@ _FOUND: "WeakKeyDictionary[Solution, Verdict]" = WeakKeyDictionary()
 
 
 def verdict(solution: Solution) -> Verdict:
-    """The verdict on a solution."""
+    """The verdict on a solution.
+
+    Examples
+    --------
+    >>> found = mgsgraph.verdict(solution)
+    >>> found.state.value, found.untested
+    ('valid', ())
+    """
     found = _FOUND.get(solution)
     if found is None:
         found = _FOUND[solution] = _verdict(solution)

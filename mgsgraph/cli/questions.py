@@ -67,10 +67,9 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     from mgsgraph.analysis.measures import Levels
     from mgsgraph.analysis.posterior import Pixel
     from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
-    from mgsgraph.project.reading import read_posterior, results_of
+    from mgsgraph.project.reading import read_adjusted, read_posterior
     from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
     from mgsgraph.results.answers import Questions
-    from mgsgraph.results.archive import read_solution
 
     if out is not None:
         require_replaceable(out, ANALYSIS)
@@ -102,7 +101,9 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         asked["weak"] or (_WEAK if every else 0), asked["outliers"] or every, levels,
     )  # fmt: skip
     if nothing:
-        click.echo("\n".join(brief(read_solution(results_of(adjusted).folder))))
+        solution, changed = read_adjusted(adjusted)
+        click.echo("\n".join(brief(solution)))
+        print_sentences([changed] if changed else [])
         if out is None:
             return
     name, posterior, warning = read_posterior(adjusted)

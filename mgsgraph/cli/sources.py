@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
+from mgsgraph.cli.options import DETAILS, NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
 
 if TYPE_CHECKING:
     from mgsgraph.matching.settings import MatchSettings
@@ -44,17 +44,18 @@ def _resumable() -> Iterator[None]:
 @_ATTITUDE_TIME_BIAS
 @click.option("--no-relief", is_flag=True, help="Leave the registration by relief out, which takes most of the time.")
 @NO_FIGURES
+@DETAILS
 @click.pass_context
 def demo(
     ctx: click.Context, site: str, out: Path, seed: int, attitude_time_bias: float | None, no_relief: bool,
-    no_figures: bool,
+    no_figures: bool, details: bool,
 ) -> None:
     """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
     archive, read it back, adjust it with its tie points and laser ranges, and register laser and images by relief.
 
-    All that is wrong with it is drawn from the sigmas that its case states. The closing words say by how much MOLA and
-    MOC disagreed before, and do now, against the truth. Registration by relief needs OpenCV (extra "match"), and is
-    left out without it. Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    Its errors are drawn from the sigmas that its case states. The last lines compare the result with the simulated
+    truth; with --details in tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
+    Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
     from mgsgraph.analysis.verdict import is_valid
@@ -72,9 +73,10 @@ def demo(
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
         solution, closing = write_demo(site, folder, seed, options, adjusting, stages, not no_figures, not no_relief)
-    print_solution(solution)
-    click.echo("\nWhat was wrong, and what is right now")
-    click.echo("\n".join(closing))
+    print_solution(solution, details)
+    sentences = [closing[0], *(line for line in closing[1:] if line.startswith("- "))]
+    click.echo("\nCompared with the simulated truth")
+    click.echo("\n".join(closing if details else sentences))
     click.echo(f"Inputs and results are in {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 

@@ -105,6 +105,15 @@ def _case_of_all(project: Project) -> Path | None:
     return case if names == set(project.store.image_names()) else None
 
 
+def read_adjusted(path: Path) -> tuple[Solution, str]:
+    """The last batch solution of a folder of results or a project, and a warning where that has changed since, else an
+    empty text. InputError where there is none.
+    """
+    _is_project(path)
+    found = results_of(path)
+    return read_solution(found.folder), found.warning
+
+
 def read_state(path: Path) -> tuple[str, NetworkState, str]:
     """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder; and a
     warning where the adjustment has not converged, else an empty one.

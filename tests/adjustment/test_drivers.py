@@ -116,7 +116,7 @@ def test_a_wrong_image_that_hides_in_sigma0_is_no_result(plant: Callable[..., Pl
     assert solution.converged
     assert solution.sigma0 < ABSURD
     assert not is_valid(solution)
-    assert [one.what for one in verdict(solution).of(Cause.ORIENTATION) if one.state is State.INVALID][0] == name
+    assert next(one.what for one in verdict(solution).of(Cause.ORIENTATION) if one.state is State.INVALID) == name
     assert solution.drivers is not None
     assert _named(solution.drivers, net)[0] == name
 

@@ -357,7 +357,8 @@ def test_an_undetected_error_is_what_it_does_to_the_adjustment() -> None:
     (one,) = [one for one in verdict(before).undetected if one.what == "range"]
     moved = np.linalg.norm(after.places - before.places, axis=1)
     assert one.moves == pytest.approx(np.sqrt(np.mean(moved**2)), rel=0.02)
-    places = replace(net.points, places=net.points.places * (1.0 + 1.0 / np.linalg.norm(net.points.places, axis=1))[:, None])
+    radii = np.linalg.norm(net.points.places, axis=1)[:, None]
+    places = replace(net.points, places=net.points.places * (1.0 + 1.0 / radii))
     raised = adjusted(replace(net, points=places))
     (up,) = [one for one in verdict(before).undetected if one.what == "upward shift"]
     moved = np.linalg.norm(raised.places - before.places, axis=1)

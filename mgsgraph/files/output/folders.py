@@ -51,6 +51,7 @@ TABLES = (
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
     ANALYSIS, "unexplained.csv", "vibrations.csv", "components.csv", "components_iterated.csv", "reliability.csv",
+    "outliers.csv",
     "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",  # the last two of versions up to 0.2
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
