@@ -1,4 +1,4 @@
-"""Do the residuals look as their sigmas promise? The global test, and normalised residuals group by group.
+"""Do the residuals look as their sigmas promise? Normalised residuals group by group.
 
 A residual over its own sigma, w = v / sqrt(r) for a whitened residual v with the redundancy number r, is standard
 normal if the sigmas are right and the errors normal. Residuals of a group are correlated: of n of them only as many are
@@ -13,18 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.covariances import Linearised
-from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.grouping import Grouping, group_rows
 from mgsgraph.analysis.linearised import at_solution, prior_rows
-from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.sweep import reliability
 from mgsgraph.record import Record
 from mgsgraph.text import root_mean_square
 
-ALPHA = 0.05
-"""Probability of a false alarm of the tests."""
 LEVELS = (1.0, 2.0, 3.0)
 """Sigmas beyond which residuals are counted."""
 _CONTROLLED = 1e-3
@@ -33,66 +29,6 @@ _FEWEST = 5.0
 """Independent residuals without which no test is made."""
 _MARKS = 200
 """Points of a quantile plot."""
-
-
-@dataclass(frozen=True, slots=True)
-class ChiSquareTest(Record):
-    """The global test: weighted squares of all residuals against their degrees of freedom."""
-
-    squares: float
-    degrees: int
-    alpha: float
-    """Probability of a false alarm."""
-    larger: float
-    """Probability of so large a sum, or a larger one, if all sigmas are right."""
-    smaller: float
-    """Of so small a one, or a smaller one."""
-    bounds: tuple[float, float]
-    """Two-sided bounds of `squares`, at alpha."""
-    upper_bound: float
-    """One-sided upper bound of `squares`, at alpha."""
-
-    @property
-    def two_sided(self) -> float:
-        """p-value of the two-sided test."""
-        return min(1.0, 2.0 * min(self.larger, self.smaller))
-
-    @property
-    def passed(self) -> bool:
-        """Whether the two-sided test finds nothing."""
-        return self.two_sided >= self.alpha
-
-    @property
-    def sentence(self) -> str:
-        """The result in one sentence."""
-        low, high = self.bounds
-        found, advice = "passed", ""
-        if not self.passed:
-            large = self.squares > high
-            found = f"FAILED, too {'large' if large else 'small'}"
-            advice = (
-                ". Residuals are larger than their stated sigmas: look for blunders, then enlarge the sigmas" if large
-                else ". Residuals are smaller than their stated sigmas: no blunder, but reduce the sigmas"
-            ) + " of groups whose factor is far from 1"
-        return (
-            f"Global test {found}: squares {self.squares:.6g} for {self.degrees} degrees of freedom, "
-            f"{low:.6g} to {high:.6g} in {100 * (1 - self.alpha):g}% of cases (p = {self.two_sided:.3g}; one-sided "
-            f"{self.larger:.3g}, up to {self.upper_bound:.6g}){advice}"
-        )
-
-
-def chi_square_test(fit: Fit, alpha: float = ALPHA) -> ChiSquareTest:
-    """The global test at a probability alpha of a false alarm; without redundancy there is none."""
-    from scipy.stats import chi2  # slow to import
-
-    if not 0.0 < alpha < 1.0:
-        raise InputError("global test, alpha", f"{alpha}", "a probability between 0 and 1")
-    degrees = fit.degrees_of_freedom
-    if degrees < 1:
-        raise InputError("global test", f"{degrees} degrees of freedom", "at least 1", "measure more")
-    low, high, upper = chi2.ppf([0.5 * alpha, 1.0 - 0.5 * alpha, 1.0 - alpha], degrees).tolist()
-    larger, smaller = float(chi2.sf(fit.squares, degrees)), float(chi2.cdf(fit.squares, degrees))
-    return ChiSquareTest(fit.squares, degrees, alpha, larger, smaller, (low, high), upper)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,7 +40,7 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 @click.option("--cell-m", type=float, help="Side of the raster's cells.")
 @click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
 @click.option("--unexplained", is_flag=True, help="What the adjustment can't explain, by name, with the term to add.")
-@click.option("--components", is_flag=True, help="Are the sigmas consistent? Global test, variance components.")
+@click.option("--components", is_flag=True, help="Are the sigmas consistent? Variance components.")
 @click.option("--iterate", is_flag=True, help="Variance components until they converge: adjusts again and again.")
 @click.option(
     "--reliability", type=click.IntRange(1), metavar="N", help="Redundancy and tests of all measures, N worst shown."

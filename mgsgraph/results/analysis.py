@@ -14,7 +14,7 @@ from mgsgraph.analysis.measures import Levels, MeasureKind
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.analysis.reliability import Reliability, Suspect, reliability, suspects
 from mgsgraph.analysis.residual_spectrum import ResidualVibrations, residual_vibrations
-from mgsgraph.analysis.residual_tests import ResidualStatistics, chi_square_test, residual_statistics
+from mgsgraph.analysis.residual_tests import ResidualStatistics, residual_statistics
 from mgsgraph.analysis.separability import inseparable
 from mgsgraph.analysis.unexplained import Unexplained, unexplained
 from mgsgraph.analysis.verdict import verdict
@@ -129,7 +129,7 @@ class Wanted:
     unexplained: bool = False
     """Tests of the residuals against time, sample, slope, height and neighbours."""
     honesty: bool = False
-    """Global test, variance components, statistics of residuals; linearity."""
+    """Variance components, statistics of residuals; linearity."""
     likelihood: tuple[str, ...] = ()
     """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
     iterated: bool = False
@@ -231,16 +231,11 @@ def _honesty(posterior: Posterior, name: str) -> Section:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
         text = f"No redundancy ({counts}): nothing tells whether the sigmas are realistic."
         return Section("honesty", sentences=[text], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
-    test, found, statistics = chi_square_test(fit), components(at), residual_statistics(at)
+    found, statistics = components(at), residual_statistics(at)
     residuals = residuals_table(statistics)
-
-    record = {
-        "global_test": record_of("global_test", test),
-        "components": _components_record(found),
-        "residuals": residuals.records(),
-    }  # fmt: skip
+    record = {"components": _components_record(found), "residuals": residuals.records()}
     return Section(
-        "honesty", "Stated sigmas against residuals", [f"{test.sentence}.", *found.sentences], [residuals],
+        "honesty", "Stated sigmas against residuals", found.sentences, [residuals],
         record, [components_table(found)],
         sheets=drawn("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
     )  # fmt: skip

@@ -14,7 +14,6 @@ from stereo_pair import on_surface, stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import Linearised
-from mgsgraph.adjustment.fit import Fit
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.components import (
@@ -29,7 +28,6 @@ from mgsgraph.analysis.measures import Levels
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.analysis.residual_tests import (
     ResidualStatistics,
-    chi_square_test,
     residual_statistics,
 )
 from mgsgraph.errors import InputError
@@ -248,19 +246,6 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
     assert found.components["tie image points"].judgement is Judgement.ZERO
     assert found.components["tie image points"].factor == pytest.approx(0.02)
     assert found.components["laser image points"].consistent
-
-
-def test_the_global_test_has_the_table_s_bounds() -> None:
-    # Abramowitz & Stegun, table 26.8, 10 degrees of freedom
-    found = chi_square_test(Fit(squares=18.3070, observations=15, unknowns=5))
-    assert found.bounds == pytest.approx((3.24697, 20.4831), rel=1e-5)
-    assert found.upper_bound == pytest.approx(18.3070, rel=1e-5)
-    assert found.larger == pytest.approx(0.05, rel=1e-4)
-    assert found.two_sided == pytest.approx(0.1, rel=1e-4)
-    assert found.passed
-    assert "FAILED, too small" in chi_square_test(Fit(1.0, 15, 5)).sentence
-    with pytest.raises(InputError, match="0 degrees of freedom"):
-        chi_square_test(Fit(0.0, 5, 5))
 
 
 @pytest.mark.parametrize("name", ["shift and surface", "a blunder", "stereo"])
