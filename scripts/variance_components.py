@@ -79,7 +79,8 @@ def one_draw(case: str, seed: int) -> Draw:
     return {
         "groups": of_groups(found, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
         "passed": bool(min(larger, 1.0 - larger) >= 0.5 * ALPHA), "larger": larger,
-        "squares": float(fit.squares / fit.degrees_of_freedom), "degrees": int(fit.degrees_of_freedom), "p": [float(one.p_value) for one in residual_statistics(at, grouping)],
+        "squares": float(fit.squares / fit.degrees_of_freedom), "degrees": int(fit.degrees_of_freedom),
+        "p": [float(one.p_value) for one in residual_statistics(at, grouping)],
     }  # fmt: skip
 
 

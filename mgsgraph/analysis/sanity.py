@@ -91,7 +91,7 @@ def losses(solution: Solution) -> tuple[Loss, ...]:
 
 _BEYOND = 5.0
 """Expected sizes beyond which residuals are named; of 10,000 images none is by chance."""
-_MOST_RAYS = 200_000
+_MOST_RAYS = 100_000
 """Rays from which medians are taken."""
 _FEWEST_MEASURES = 3
 """Measures of an image without which nothing is said of it."""

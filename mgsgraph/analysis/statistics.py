@@ -84,13 +84,6 @@ class RayStatistics:
         squares = np.nan_to_num(self.rms) ** 2 * self.count[:, :, None]
         return np.sqrt(_ratio(squares.sum(axis=axis), self.count.sum(axis=axis)))
 
-    @cached_property
-    def standard_errors(self) -> Array:
-        """(images, classes, 2) pixels, of the means; NaN for fewer than two rays."""
-        count = self.count[:, :, None]
-        variance = np.maximum(self.rms**2 - self.mean**2, 0.0)
-        return np.where(count > 1, np.sqrt(variance / np.maximum(count - 1, 1)), np.nan)
-
 
 def ray_statistics(solution: Solution) -> RayStatistics:
     """Image residuals by image and class, in one pass over the rays."""

@@ -15,6 +15,7 @@ Of networks of more than MOST_POINTS points a random sample of these is tested, 
 
 import math
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from weakref import WeakKeyDictionary
@@ -43,7 +44,7 @@ LEVEL = 0.015
 """Probability that tests call a solution suspect whose stated sigmas are right, at most."""
 MOST_POINTS = 5_000
 """Points of a network up to which all of its rows are tested."""
-_SAMPLE = 1_000
+_SAMPLE = 500
 """Points of a larger one that are tested."""
 _SHARES = {"groups": 0.4, "corrections": 0.2, "common errors": 0.2, "offsets": 0.1, "observations": 0.1}
 """Of the level, of each kind of tests: the first ones stand for what harms most."""
@@ -195,7 +196,8 @@ class Verdict(Record):
         return tuple(one for one in self.reasons if one.cause is cause)
 
 
-_FOUND: "WeakKeyDictionary[Solution, Verdict]" = WeakKeyDictionary()
+_UNTESTED = Verdict(State.VALID, (), (), (), (), 0, 0)
+_VERDICTS: "WeakKeyDictionary[Solution, Verdict]" = WeakKeyDictionary()
 """Verdicts of solutions, which never change: sentences, tables, files and exit status all ask for them."""
 
 
@@ -208,43 +210,58 @@ def verdict(solution: Solution) -> Verdict:
     >>> found.state.value, found.untested
     ('valid', ())
     """
-    found = _FOUND.get(solution)
-    if found is None:
-        found = _FOUND[solution] = _verdict(solution)
-    return found
+    known = _VERDICTS.get(solution)
+    if known is None:
+        known = _VERDICTS[solution] = _verdict(solution)
+    return known
 
 
 def is_valid(solution: Solution) -> bool:
-    """Whether a solution is a result, suspect or not."""
+    """Whether a solution is valid or suspect: not invalid."""
     return verdict(solution).state is not State.INVALID
 
 
 def _verdict(solution: Solution) -> Verdict:
-    reasons = [*_grave(solution), *_of_common_sense(solution)]
-    try:
-        rows = _rows(solution)
-    except (InputError, np.linalg.LinAlgError):
-        rows = None
-        reasons.append(Reason(State.SUSPECT, Cause.UNTESTED, "no covariance of all points", math.nan, ""))
-    if rows is None:
-        return Verdict(_state(reasons), _sorted(reasons), (), (), (), 0, 0)
-    known = prior_rows(rows.at)
-    groups = fit_of_groups(rows, known, group_rows(rows.at.network))
-    corrections, tested = _corrections(rows.at, known)
-    common = undetected(rows, _critical(_level("common errors", _COMMON_ERRORS)), _without_terrain(solution))
-    offsets = list(_offsets(rows))
-    reasons += _of_groups(groups)
-    reasons += [
-        Reason(State.SUSPECT, Cause.CORRECTION, one.name, one.in_sigmas, "sigmas", p_value=one.p_value)
-        for one in corrections if one.p_value < _level("corrections", tested)
-    ]  # fmt: skip
-    reasons += _common_error([one for one in common if math.isfinite(one.p_value)])
+    with ThreadPoolExecutor(1) as pool:  # sorts and searches beside linear algebra
+        checks = pool.submit(lambda: [*_grave(solution), *_of_common_sense(solution)])
+        try:
+            tested = _tested(solution)
+        except (InputError, np.linalg.LinAlgError):
+            reason = Reason(State.SUSPECT, Cause.UNTESTED, "no covariance of all points", math.nan, "")
+            tested = replace(_UNTESTED, reasons=(reason,))
+        reasons = [*checks.result(), *tested.reasons]
+    causes = list(Cause)
+    reasons.sort(key=lambda one: (one.state is not State.INVALID, causes.index(one.cause),
+                                  np.nan_to_num(one.p_value), -abs(one.size)))  # fmt: skip
+    states = {one.state for one in reasons}
+    state = next((one for one in (State.INVALID, State.SUSPECT) if one in states), State.VALID)
+    return replace(tested, state=state, reasons=tuple(reasons))
+
+
+def _tested(solution: Solution) -> Verdict:
+    """What the tests find; nothing of a solution that did not converge or has no redundancy."""
+    if not solution.converged or solution.fit.degrees_of_freedom < 1:
+        return _UNTESTED
+    small = len(solution.network.points) <= MOST_POINTS
+    at = at_solution(solution).of_estimator() if small else _sampled(solution)
+    rows, priors = residual_rows(at, np.arange(len(at.network.points))), prior_rows(at)
+    groups = fit_of_groups(rows, priors, group_rows(at.network))
+    corrections, tested = _corrections(at, priors)
+    common, offsets = _common_errors(solution, rows), list(_offsets(rows))
     level = _level("offsets", len(offsets))
-    reasons += [one for one in offsets if one.p_value < level and abs(one.size) > _PIXELS]
-    reasons += _outliers(rows)
-    count = sum(one.tested for one in groups) + tested + len(common) + len(offsets) + rows.begin_of_priors
+    reasons = [
+        *_of_groups(groups),
+        *(Reason(State.SUSPECT, Cause.CORRECTION, one.name, one.in_sigmas, "sigmas", p_value=one.p_value)
+          for one in corrections if one.p_value < _level("corrections", tested)),
+        *_common_error([one for one in common if math.isfinite(one.p_value)]),
+        *(one for one in offsets if one.p_value < level and abs(one.size) > _PIXELS),
+        *(_outliers(rows) if small else _outlying_rays(solution)),
+    ]  # fmt: skip
+    count = sum(one.tested for one in groups) + tested + len(common) + len(offsets)
+    count += rows.begin_of_priors if small else solution.residuals.size
     points = np.unique(rows.point[: rows.begin_of_priors]).size
-    return Verdict(_state(reasons), _sorted(reasons), groups, tuple(corrections[:_CORRECTIONS]), common, count, points)
+    kept = tuple(corrections[:_CORRECTIONS])
+    return Verdict(State.VALID, tuple(reasons), groups, kept, common, count, points)
 
 
 def _level(kind: str, tests: int) -> float:
@@ -257,32 +274,11 @@ def level_of_groups(groups: Sequence[GroupTest]) -> float:
     return _level("groups", sum(one.tested for one in groups))
 
 
-def _state(reasons: list[Reason]) -> State:
-    states = {one.state for one in reasons}
-    return next((one for one in (State.INVALID, State.SUSPECT) if one in states), State.VALID)
-
-
-def _sorted(reasons: list[Reason]) -> tuple[Reason, ...]:
-    """Invalid first, then in the order of causes, and by their p-values."""
-    causes = list(Cause)
-    return tuple(sorted(reasons, key=lambda one: (one.state is not State.INVALID, causes.index(one.cause),
-                                                  np.nan_to_num(one.p_value), -abs(one.size))))  # fmt: skip
-
-
 def _critical(level: float) -> float:
     """What a standard normal variable exceeds in modulus with a probability."""
     from scipy.special import ndtri  # slow to import
 
     return float(-ndtri(0.5 * level))
-
-
-def _rows(solution: Solution) -> ResidualRows | None:
-    """Rows of a converged solution, or of a random sample of its points; None without redundancy."""
-    if not solution.converged or solution.fit.degrees_of_freedom < 1:
-        return None
-    small = len(solution.network.points) <= MOST_POINTS
-    at = at_solution(solution).of_estimator() if small else _sampled(solution)
-    return residual_rows(at, np.arange(len(at.network.points)))
 
 
 def _sampled(solution: Solution) -> Linearised:
@@ -298,7 +294,7 @@ def _sampled(solution: Solution) -> Linearised:
 
 
 def _grave(solution: Solution) -> Iterator[Reason]:
-    """What forbids to take a solution for a result, and what comes near to it."""
+    """What makes a solution invalid, and what comes near to it."""
     if not solution.converged:
         yield Reason(State.INVALID, Cause.NOT_CONVERGED, solution.message, math.nan, "")
     for one in losses(solution):
@@ -315,11 +311,11 @@ def _grave(solution: Solution) -> Iterator[Reason]:
 def _of_common_sense(solution: Solution) -> Iterator[Reason]:
     """Checks of the geometry and of the input, before and after."""
     network = solution.network
-    for found, before, unit in (
+    for exceeding, before, unit in (
         (unexplained_residuals, solution.residuals_before, "px"),
         (unexplained_ranges, solution.range_residuals_before, "m"),
     ):
-        for one in found(network, before):
+        for one in exceeding(network, before):
             yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[one.image].name, one.size, unit)
     for twice in duplicates(network):
         yield Reason(State.SUSPECT, Cause.DUPLICATE, twice.sentence, twice.count / twice.total, "share", twice.count)
@@ -330,16 +326,20 @@ def _of_common_sense(solution: Solution) -> Iterator[Reason]:
         yield Reason(State.SUSPECT, Cause.HEIGHT, network.points.ids[point], height, "m")
 
 
-def _without_terrain(solution: Solution) -> ResidualRows | None:
-    """Rows of a solution as if its terrain model weren't there; None where there is none, or nothing else holds it."""
-    network = solution.network
+def _common_errors(solution: Solution, rows: ResidualRows) -> tuple[Undetected, ...]:
+    """Errors of inputs that observations have in common, with the terrain model and without."""
+    network, critical = solution.network, _critical(_level("common errors", _COMMON_ERRORS))
     if network.surface is None or len(network.points) > MOST_POINTS:
-        return None
+        return undetected(rows, critical)
     values = list(solution.values)
     if network.terrain_moves:
         del values[len(network.images) + len(network.shift_names) - 1]
-    at = at_values(replace(network, surface=None), solution.settings, values, solution.places)
-    return residual_rows(at, np.arange(len(network.points)))
+    try:
+        at = at_values(replace(network, surface=None), solution.settings, values, solution.places)
+        return undetected(rows, critical, residual_rows(at, np.arange(len(network.points))))
+    except (InputError, np.linalg.LinAlgError):  # nothing else holds some of it
+        every = undetected(rows, critical)
+        return tuple(replace(one, size_without_terrain=math.inf, effect_without_terrain=math.inf) for one in every)
 
 
 # --- tests
@@ -354,26 +354,27 @@ def _of_groups(groups: Sequence[GroupTest]) -> list[Reason]:
     ]  # fmt: skip
 
 
-def _corrections(at: Linearised, known: PriorRows) -> tuple[list[Correction], int]:
+def _corrections(at: Linearised, priors: PriorRows) -> tuple[list[Correction], int]:
     """Corrections of unknowns that something but their priors tests, most significant first; how many there are."""
     from scipy.special import ndtr  # slow to import
 
-    redundancy = 1.0 - known.share
-    mine = np.flatnonzero(redundancy > UNTESTED)
-    test = known.misfit[mine] / np.sqrt(redundancy[mine])
+    redundancy = 1.0 - priors.share
+    redundancy[redundancy.size - priors.crossovers :] = 0.0  # those are observations
+    tested = np.flatnonzero(redundancy > UNTESTED)
+    test = priors.misfit[tested] / np.sqrt(redundancy[tested])
     order = np.argsort(-np.abs(test), kind="stable")[: 5 * _CORRECTIONS]
     variables = at.layout.variables
     adjusted = np.array(variables.adjusted(), dtype=np.int64)
     of_column = np.repeat(adjusted, variables.width[adjusted])
-    found = []
+    corrections = []
     for k in order.tolist():
-        row, value = int(mine[k]), float(test[k])
-        column = int(known.about[row])
+        row, value = int(tested[k]), float(test[k])
+        column = int(priors.about[row])
         name, unit = unknown_name(at.network, int(of_column[column]), column - int(variables.first[of_column[column]]))
-        corrected = float(at.orientation[column])
         p = 2.0 * float(ndtr(-abs(value)))
-        found.append(Correction(name, unit, corrected, float(known.misfit[row]), value, p))
-    return found, mine.size
+        in_sigmas = float(priors.misfit[row])
+        corrections.append(Correction(name, unit, float(at.orientation[column]), in_sigmas, value, p))
+    return corrections, tested.size
 
 
 def _common_error(checked: Sequence[Undetected]) -> list[Reason]:
@@ -425,12 +426,28 @@ def _outliers(rows: ResidualRows) -> Iterator[Reason]:
     from scipy.special import ndtr  # slow to import
 
     redundancy = rows.redundancy[: rows.begin_of_priors]
-    mine = np.flatnonzero(redundancy > _CONTROLLED)
-    test = np.abs(rows.residuals[mine]) / np.sqrt(redundancy[mine])
-    over = mine[test > _critical(_level("observations", mine.size))]
+    tested = np.flatnonzero(redundancy > _CONTROLLED)
+    test = np.abs(rows.residuals[tested]) / np.sqrt(redundancy[tested])
+    over = tested[test > _critical(_level("observations", tested.size))]
     if over.size:
         points = np.unique(rows.point[over])
-        worst = int(mine[np.argmax(test)])
+        worst = int(tested[np.argmax(test)])
         name = rows.at.network.points.ids[int(rows.point[worst])]
         size = float(test.max())
         yield Reason(State.SUSPECT, Cause.OBSERVATION, name, size, "sigmas", points.size, 2.0 * float(ndtr(-size)))
+
+
+def _outlying_rays(solution: Solution) -> Iterator[Reason]:
+    """The same of all image measurements of a large network, by their residuals over their own sigmas: these exceed
+    what redundancy leaves of them, so that none is named in vain.
+    """
+    from scipy.special import ndtr  # slow to import
+
+    rays, used = solution.network.rays, solution.rays_used
+    size = np.where(used, np.nan_to_num(np.abs(solution.residuals / rays.sigmas).max(axis=1)), 0.0)
+    over = np.flatnonzero(size > _critical(_level("observations", solution.residuals.size)))
+    if over.size:
+        worst = int(over[np.argmax(size[over])])
+        name, largest = solution.network.points.ids[int(rays.point[worst])], float(size[worst])
+        points = np.unique(rays.point[over]).size
+        yield Reason(State.SUSPECT, Cause.OBSERVATION, name, largest, "sigmas", points, 2.0 * float(ndtr(-largest)))
