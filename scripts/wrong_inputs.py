@@ -155,11 +155,10 @@ def _ties(network: Network) -> Index:
 
 
 def _moved(network: Network, rows: Index, by: Array) -> Network:
-    """Image places of some rays (q,) moved by (q, 2) or (2,) pixels, within the image."""
+    """Image places of some rays (q,) moved by (q, 2) or (2,) pixels; drawn ones may lie beside the image as it is."""
     places = network.rays.places.copy()
     places[rows] += by
-    size = np.array([[one.lines, one.samples] for one in network.images])[network.rays.image]
-    return replace(network, rays=replace(network.rays, places=np.clip(places, 0.0, size)))
+    return replace(network, rays=replace(network.rays, places=places))
 
 
 def _offset(of: tuple[float, float], every: bool = False, ties: bool = False) -> Callable[..., Network]:
@@ -245,7 +244,7 @@ def _interchanged(network: Network, size: float, rng: Rng) -> Network:
     rays, image = network.rays, network.rays.image.copy()
     chosen = np.isin(rays.point, _share(np.unique(rays.point[_ties(network)]), size, rng)) & (image < 2)
     image[chosen] = 1 - image[chosen]
-    return _moved(replace(network, rays=replace(rays, image=image)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    return replace(network, rays=replace(rays, image=image))
 
 
 def _sigmas(what: str, inverse: bool) -> Callable[..., Network]:
