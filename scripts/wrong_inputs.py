@@ -366,7 +366,7 @@ KINDS: dict[str, Kind] = {
         _FACTORS, "times", network=_priors(lambda size: 1.0 / size), listed=("position", "pointing")
     ),
     "prior sigmas of orientation too large": Kind(_FACTORS, "times", network=_priors(lambda size: size)),
-    "focal length, all images": Kind((1e-3, 1e-2, 1e-1), "", network=_scaled_samples),
+    "focal length, all images": Kind((1e-3, 1e-2, 1e-1), "", network=_scaled_samples, listed=("focal length",)),
     "samples off, one image": Kind((3.0, 30.0, 300.0), "px", network=_offset((0.0, 1.0)), listed=("roll",)),
     "lines off, one image": Kind((3.0, 30.0, 300.0), "px", network=_offset((1.0, 0.0)), listed=("pitch",)),
     "half a pixel, all images": Kind((0.5, 1.0, 2.0), "px", network=_offset((1.0, 1.0), True), listed=("pitch",)),

@@ -20,8 +20,8 @@ from mgsgraph.analysis.residual_rows import ResidualRows
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.kernel.rows import FIXED, GROUND, OUT, RANGE, SURFACE
-from mgsgraph.network import SharedKind
+from mgsgraph.kernel.rows import FIXED, GROUND, IMAGE, OUT, RANGE, SURFACE
+from mgsgraph.network import Network, SharedKind
 from mgsgraph.network.shared import image_effect
 from mgsgraph.record import Record
 
@@ -55,7 +55,7 @@ class Undetected(Record):
     of: str
     """Of which image, or of all."""
     unit: str
-    """s, m or rad."""
+    """s, m or rad; empty of a ratio."""
     test: float
     """Test of this error, standard normal if there is none; NaN where nothing tests it."""
     p_value: float
@@ -99,7 +99,7 @@ class _Error:
     column: Array
     """(q,) what it adds to the whitened residuals there."""
     control: tuple[int, int] = (-1, 0)
-    """Kind of the rows of points, and axis of a shift; kind -1 of an error of the priors."""
+    """Kind of the rows of points, and axis of a shift, or image, -1 for all; kind -1 of an error of the priors."""
 
 
 def undetected(
@@ -155,6 +155,11 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
         for what, unit, columns in _of_orientation(rows.at, images):
             if np.any(column := np.asarray(every @ columns)):
                 yield _Error(what, of, unit, priors, column)
+        mine = rows.of_kind(IMAGE)
+        mine = mine[(rows.component[mine] == 1) & np.isin(network.rays.image[rows.measure[mine]], images)]
+        if mine.size:
+            off = rows.scale[mine] * from_middle(network, rows.measure[mine])
+            yield _Error("focal length", of, "", mine, off, (IMAGE, images[0] if len(images) == 1 else -1))
     for kind, of in ((GROUND, "laser shots and control"), (SURFACE, "the terrain model"), (RANGE, "the laser")):
         mine = rows.of_kind(kind)
         for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if mine.size else ():
@@ -201,6 +206,12 @@ def _joined(at: Linearised, effects: dict[int, Array]) -> Array:
     return found
 
 
+def from_middle(network: Network, rays: Index) -> Array:
+    """(q,) px, samples of some rays (q,) from their images' middle: by so much a doubled focal length moves them."""
+    middle = np.array([0.5 * one.samples for one in network.images])
+    return np.asarray(network.rays.places[rays, 1] - middle[network.rays.image[rays]])
+
+
 class Motions:
     """What errors do to some points, by their places in the layout (m,); evenly spread ones when absent."""
 
@@ -215,10 +226,14 @@ class Motions:
         self._control = {
             (kind, axis): np.zeros((index.size, 3)) for kind in (GROUND, SURFACE, RANGE) for axis in range(len(SHIFTS))
         }
+        singles = range(len(at.network.images)) if len(at.network.images) <= _MOST_IMAGES else range(0)
+        self._control |= {(IMAGE, j): np.zeros((index.size, 3)) for j in (-1, *singles)}
+        ray_of = np.full(at.rows.weight.shape[1], -1)
+        ray_of[at.layout.observation_rows.rays] = np.arange(at.network.rays.point.size)
         covariances = np.zeros((index.size, 3, 3))
         for k, place in enumerate(index.tolist()):
             piece = int(at.layout.patterns.piece_of(np.array([place]))[0])
-            pattern, begin = at.rows.piece[piece, :2].tolist()
+            pattern, begin, count, _, among = at.rows.piece[piece].tolist()
             rows = at.rows_inside(piece, np.array([place - begin]))
             try:
                 (follows,), (noise,) = rows.eliminated()
@@ -232,7 +247,15 @@ class Motions:
             for (kind, axis), moved in self._control.items():
                 by_point = rows.by_point[0][kinds == kind]
                 up = np.broadcast_to(at.points[place], by_point.shape)
-                moved[k] = -self.noise[k] @ by_point.T @ _per_meter(kind, axis, by_point, up)
+                if kind != IMAGE:
+                    moved[k] = -self.noise[k] @ by_point.T @ _per_meter(kind, axis, by_point, up)
+            samples = np.flatnonzero((kinds == IMAGE) & (rows.row == 1))
+            rays = ray_of[among + rows.observation[samples] * count + place - begin]
+            off = from_middle(at.network, rays) / at.network.rays.sigmas[rays, 1]
+            each = -np.einsum("ij,rj,r->ri", self.noise[k], rows.by_point[0][samples], off)
+            self._control[IMAGE, -1][k] = each.sum(axis=0)
+            for j in singles:
+                self._control[IMAGE, j][k] = each[at.network.rays.image[rays] == j].sum(axis=0)
         self.whitening: Array = np.linalg.inv(np.linalg.cholesky(covariances))
         """(m, 3, 3) inverse roots of their covariances."""
 

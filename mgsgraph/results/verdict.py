@@ -142,13 +142,14 @@ _OF_KIND = {
     "clock": ("clock", "attitude time", "position time"),
     "position": ("along position", "across position", "radial position"),
     "pointing": ("roll", "pitch", "yaw"),
+    "camera": ("focal length",),
     "laser": ("range",),
     "control": SHIFTS,
 }
 """Errors of inputs by kind: of each the one that moves points most is told."""
 
 
-_LARGE = {"s": 10.0, "m": 1e3, "rad": DEG}
+_LARGE = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
 """Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
 
 
@@ -182,12 +183,14 @@ def hidden_sentences(found: Sequence[Undetected]) -> list[str]:
 def _amount(size: float, unit: str) -> str:
     if not math.isfinite(size):
         return "any size"
+    if not unit:
+        return f"{two(100.0 * size)} %"
     return f"{two(size / ARCSEC)} arcsec" if unit == "rad" else length(size) if unit == "m" else f"{two(size)} {unit}"
 
 
 def _per_unit(one: Undetected) -> str:
     """How far an error of one unit moves points."""
-    factor, unit = (ARCSEC, "arcsec") if one.unit == "rad" else (1.0, one.unit)
+    factor, unit = {"rad": (ARCSEC, "arcsec"), "": (0.01, "%")}.get(one.unit, (1.0, one.unit))
     return f"moves points by {two(one.moves * factor)} m per {unit}"
 
 
