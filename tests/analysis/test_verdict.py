@@ -233,6 +233,21 @@ def test_a_group_is_tested_by_the_law_of_its_squares() -> None:
             assert test.p_value == pytest.approx(larger, abs=0.02), test.name
 
 
+def test_of_many_rows_mean_and_variance_are_those_of_their_squares() -> None:
+    solution = adjusted(network(pair(ties=60, shots=40)))
+    at = at_solution(solution)
+    rows = residual_rows(at, np.arange(len(solution.network.points)))
+    grouping, large = group_rows(solution.network), 0
+    names = np.array(row_names(rows, grouping))
+    for test in fit_of_groups(rows, prior_rows(at), grouping):
+        if test.weights.size == 1 and test.rows > 1:
+            mine = np.flatnonzero(names == test.name)
+            part = rows.variance(mine, np.eye(mine.size))
+            assert test.weights[0] * test.redundancy == pytest.approx(np.sum(part**2), rel=1e-6)
+            large += 1
+    assert large >= 2
+
+
 def row_names(rows: ResidualRows, grouping: Grouping) -> list[str]:
     """Name of the group of each row."""
     number, names = numbers_of_groups(rows, grouping)
