@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
     "scripts": (5758, 92084, 42),
-    "tests": (34778, 525435, 190),
+    "tests": (34778, 525436, 190),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

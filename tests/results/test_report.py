@@ -329,7 +329,7 @@ def test_tables_have_pages(browser: Any, page: Path, solution: Solution) -> None
 @pytest.mark.usefixtures("no_figures")
 def test_unknown_numbers_come_last(browser: Any, solution: Solution, tmp_path: Path) -> None:
     held = replace(solution.network, held=np.array([True, False]))
-    path = write_report(replace(solution, network=held), tmp_path / "r.html")
+    path = write_report(adjust_network(held, solution.settings), tmp_path / "r.html")
     seen = Opened(browser, path)
     c = next(c for c, (heading, _) in enumerate(named(tables(solution), "images").headings) if heading == "σ X")
     button = seen.tab.locator("#table-images thead th").nth(c).locator("button")
