@@ -524,20 +524,44 @@ def _of_good(every: list[Draw]) -> list[str]:
 
 
 def _of_wrong(every: list[Draw]) -> list[str]:
-    """A row for each kind: at each site and size how many draws were refused, named, harmless, listed, escaped."""
+    """A row for each kind: at each site and size how many draws were refused, named, harmless, listed, escaped; and the
+    least size that is found with 99.9 %, by theory.
+    """
     sites = list(dict.fromkeys(name.split(", ")[0] for name in names_of(every)))
     rows = []
     for kind, one in KINDS.items():
-        cells = []
+        cells, scale = [], ARCMIN if one.unit == "rad" else 1.0
         for site in sites:
             draws = [draw for draw in cases(every, f"{site}, {kind}") if draw["ends"]]
-            cells.append("<br>".join(_cell([draw["ends"][k] for draw in draws]) for k in range(3)) if draws else "-")
-        sizes = "<br>".join(f"{size / (ARCMIN if one.unit == 'rad' else 1.0):g}" for size in one.sizes)
+            counts = [_cell([draw["ends"][k] for draw in draws]) for k in range(3)]
+            cells.append("<br>".join([*counts, f"({_least(site, one, kind) / scale:.2g})"]) if draws else "-")
+        sizes = "<br>".join([*(f"{size / scale:g}" for size in one.sizes), "(theory)"])
         rows.append([kind, "arcmin" if one.unit == "rad" else one.unit or "1", sizes, *cells])
     ends = Counter(end.split(":")[0] for draw in every for end in draw["ends"])
     total = f"{ends.total()} runs: " + ", ".join(f"{count} {end}" for end, count in ends.most_common())
     head = ("wrong input", "unit", "size", *sites)
     return [*table(head, rows), "", f"{total}."]
+
+
+def _least(site: str, kind: Kind, name: str) -> float:
+    """The least size that is found with `POWER`, by the verdict on good data; infinite where nothing tests it, and NaN
+    of what is no error of one number.
+    """
+    found = _good(site)
+    if kind.unit == "times":
+        level = level_of_groups(found.groups)
+        factors = [one.hidden_factor(level, POWER) for one in found.groups if one.name.startswith(kind.listed or "-")]
+        return min(factors, default=float("nan"))
+    mine = [one for one in found.undetected if f"{one.what} of {one.of}".startswith(kind.listed or "-")]
+    single = [one.size for one in mine if (one.of == "all images") == ("one image" not in name)]
+    return min(single or [one.size for one in mine], default=float("nan"))
+
+
+@cache
+def _good(site: str) -> Verdict:
+    """The verdict on one draw of good data."""
+    network, settings = prepared(site)
+    return verdict(adjust_network(redraw(network, np.random.default_rng(1), settings.angles).network, settings))
 
 
 def _cell(ends: list[str]) -> str:
