@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.geometric_keys import GRID_LABEL, require_usual
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
-from mgsgraph.files.pvl import Block, files_called, flat_label
+from mgsgraph.files.pvl import Block, files_called, flat_label, texts
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window
@@ -191,6 +192,7 @@ def _usual_offset(kind: TerrainKind) -> float:
 
 def _from_label(path: Path, image: Path) -> _Layout:
     label = flat_label(read_text(path), str(path))
+    require_usual(texts(label), GRID_LABEL, str(path))
     projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
     if projection != "SIMPLE CYLINDRICAL":
         raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")

@@ -17,9 +17,10 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError, errors_from
-from mgsgraph.files.cameras.camera import NaifKeywords, number
+from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
 from mgsgraph.files.decoding import validated
+from mgsgraph.files.geometric_keys import SUPPORT_DATA, require_usual, unread
 from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
 from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
@@ -32,7 +33,12 @@ from mgsgraph.files.support_data.isd_layout import (
     SupportData,
     distortion_of_support,
 )
-from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
+from mgsgraph.files.support_data.second_statements import (
+    contradictions_of_constants,
+    contradictions_of_times,
+    lopsided,
+)
+from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_flight
@@ -40,10 +46,6 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
-_SAME_RADII = 1e-3
-"""Share by which radii may differ from those of the keywords: a sphere does so from Mars by six times that."""
-_SAME_FOCAL_LENGTH = 0.01
-"""Share by which a focal length may: a calibration changes it by less."""
 _ALIKE = 0.8
 """Likeness (difflib) from which on an unknown key is a slip in one that is known and missing."""
 
@@ -80,17 +82,29 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         )  # fmt: skip
     if (model := content.get("name_model", MODEL)) != MODEL:
         raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
-    isd, remarks = repaired(validated(content, SupportData, source), source)
+    require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
+    said = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)
+    remarks = contradictions_of_times(said, source)
+    isd, repairs = repaired(said, source)
+    remarks += lopsided(isd) if isd.line_scan_rate is said.line_scan_rate else ()
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
-    require_own_constants(isd, body, source)
     with errors_from(source):
+        interior = _interior(isd, source)
+        remarks += [*repairs, *contradictions_of_constants(isd, body, source), *_unread(content)]
         trajectory, words = _trajectory(isd, body, aberration, source)
         return PushbroomImage(
-            name=name, lines=isd.image_lines, samples=isd.image_samples, interior=_interior(isd, source),
+            name=name, lines=isd.image_lines, samples=isd.image_samples, interior=interior,
             timing=_timing(isd, source), trajectory=trajectory, body=body, remarks=(*remarks, *words),
         )  # fmt: skip
+
+
+def _unread(content: dict[str, Any]) -> list[str]:
+    names = [f"{key}.{inner}" for key, value in content.items() if isinstance(value, dict) for inner in value]
+    names += [key for key, value in content.items() if not isinstance(value, dict)]
+    found = unread([one for one in names if not one.startswith("naif_keywords")], SUPPORT_DATA)
+    return [f"nothing reads the key {', '.join(found)}"] if found else []
 
 
 def _timing(isd: SupportData, source: str) -> LineTiming:
@@ -135,54 +149,6 @@ def _trajectory(
     pointing = _attitude(isd.instrument_pointing, epoch, f"{source}, instrument_pointing")
     turning = _attitude(isd.body_rotation, epoch, f"{source}, body_rotation")
     return Trajectory(epoch, position, pointing, turning), words
-
-
-# --- support data against what they say a second time, in `naif_keywords`
-
-
-def require_own_constants(isd: SupportData, body: Ellipsoid, source: str) -> None:
-    """Raise InputError where radii, focal length or the detector's width contradict the file's own keywords.
-
-    Parameters
-    ----------
-    isd : SupportData
-        What the file says.
-    body : Ellipsoid
-        By its radii.
-    source : str
-        The file, for messages.
-    """
-    keywords = NaifKeywords(source, isd.naif_keywords)
-    _require_radii(keywords, body, f"{source}, radii")
-    if key := _only(keywords, "INS", "_FOCAL_LENGTH"):
-        stated, found = number(keywords, key), isd.focal_length_model.focal_length
-        if abs(found - stated) > _SAME_FOCAL_LENGTH * abs(stated):
-            where, said = f"{source}, focal_length_model", f"{found:g} mm, where {key} says {stated:g}"
-            raise InputError(where, said, "one focal length", "mend the wrong one")
-    if key := _only(keywords, "INS", "_PIXEL_SAMPLES"):
-        pixels, summing = number(keywords, key), isd.detector_sample_summing
-        if isd.image_samples * summing > pixels + summing:
-            where, said = f"{source}, detector_sample_summing", f"{isd.image_samples} samples of {summing:g} pixels"
-            raise InputError(where, said, f"no more than the {pixels:g} pixels that {key} says", "mend one of them")
-
-
-def _require_radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> None:
-    code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
-    key = f"BODY{code}_RADII" if code is not None else _only(keywords, "BODY", "_RADII")
-    require_possible(body, body_name(code) if code is not None else "", where)
-    if key not in keywords:
-        return
-    stated = keywords.numbers(key, 3) * KM
-    for name, found, said in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
-        if abs(found - said) > _SAME_RADII * abs(said):
-            both = f"{found / KM:.9g} km, where {key} says {said / KM:.9g} km"
-            raise InputError(f"{where}.{name}", both, "one radius", f"mend radii, their unit or {key}")
-
-
-def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
-    """The only keyword with such a beginning and end; empty where there are none, or several."""
-    names = [key for key in keywords.values if key.startswith(begin) and key.endswith(end)]
-    return names[0] if len(names) == 1 else ""
 
 
 # --- geometric positions
@@ -364,8 +330,8 @@ def _boresight_by_isis(isd: SupportData, _: str) -> tuple[SupportData, list[str]
     see the points that they were fixed to (docs/real_networks.md).
     """
     stated = [value for key, value in isd.naif_keywords.items() if key.endswith("_BORESIGHT_SAMPLE")]
-    if stated != [isd.detector_center.sample]:
-        return isd, []
+    if stated != [isd.detector_center.sample] or isd.starting_detector_sample % 1.0 == ISIS_OFFSET:
+        return isd, []  # ALE's files of Kaguya count the first pixel's edge as 0.5, as ISIS does
     centre = structs.replace(isd.detector_center, sample=isd.detector_center.sample - ISIS_OFFSET)
     words = f"detector_center {stated[0]:g} is ISIS's BORESIGHT_SAMPLE, half a pixel too much, which is taken off"
     return structs.replace(isd, detector_center=centre), [words]

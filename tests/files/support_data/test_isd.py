@@ -128,6 +128,7 @@ def test_radial_optics_and_summing(folder: Path, tmp_path: Path) -> None:
     image = with_edits(
         folder, tmp_path / "r.isd", optical_distortion={"radial": {"coefficients": [1e-3, 2e-6, 3e-9]}},
         detector_sample_summing=2, starting_detector_sample=100, detector_line_summing=2,
+        naif_keywords={"INS-99999_LIGHTTIME_CORRECTION": "NONE"},
     )  # fmt: skip
     place, slope = image.interior.focal_plane(np.array([10.0]))
 

@@ -1,0 +1,316 @@
+"""Support data against what they say a second time, in `naif_keywords` and in their own tables.
+
+A contradiction is refused where one of both would move the ground by more than a twentieth of a pixel and nothing tells
+which; smaller and known ones become remarks.
+"""
+
+import re
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.cameras.camera import NaifKeywords, number
+from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
+from mgsgraph.files.support_data.isd_layout import RotationTable, SupportData
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
+from mgsgraph.geometry.records import Array
+from mgsgraph.units import DEG, KM
+
+_SAME = 1e-6
+"""Share by which numbers that are the same may differ: digits."""
+_SAME_RADII = 1e-3
+"""Share by which radii may differ from those of the keywords: a sphere does so from Mars by six times that."""
+_SAME_FOCAL_LENGTH = 0.01
+"""Share by which a focal length may: a calibration changes it by less."""
+_SAME_TIME = 1e-4
+"""s."""
+_LATE = 0.05
+"""Lines by which the first line's two times may differ."""
+_HALF = 0.5
+_TURNED = 0.2
+"""Share by which rates and attitudes of the median interval may contradict each other; between samples rates change."""
+_POLE = 1e-4
+"""rad between the body's rotation and that of its pole and prime meridian."""
+_DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
+_MODELS = {-74021: "radial", -74699: "radial", -85600: "lrolrocnac", -85610: "lrolrocnac"} | dict.fromkeys(
+    (-131351, -131371, *range(-131335, -131330), *range(-131344, -131340)), "kaguyalism"
+)
+"""Models of distortion by the camera's NAIF id."""
+_MOC = (-94031, -94032, -94033)
+"""ALE writes pixel sizes for coefficients of these, which repairs have taken out."""
+
+
+class _Twin(NamedTuple):
+    """Numbers that are stated twice."""
+
+    key: str
+    found: Array
+    keyword: str
+    stated: Array
+    allowed: float
+    """Largest difference of the same numbers."""
+
+
+def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
+    """Remarks on times and tables of support data as they are, before any repair.
+
+    Raises
+    ------
+    InputError
+        Where the first line has two times, a table isn't the one that the file describes, or rates are not those of the
+        attitudes beside them.
+    """
+    if isd.starting_ephemeris_time is not None and max(abs(row[1]) for row in isd.line_scan_rate) < _DAY:
+        _, start, period = isd.line_scan_rate[0]
+        off = isd.center_ephemeris_time + start - isd.starting_ephemeris_time
+        if abs(off) > max(_LATE * period, _SAME * 10.0):
+            found = f"a first line {off:+.6f} s from starting_ephemeris_time"
+            raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
+    for name in ("instrument_position", "instrument_pointing", "body_rotation"):
+        _require_described(getattr(isd, name), f"{source}, {name}")
+    for name in ("instrument_pointing", "body_rotation"):
+        _require_turning(getattr(isd, name), f"{source}, {name}")
+    return list(_clock(isd, source))
+
+
+def _require_described(table: object, where: str) -> None:
+    """Raise InputError where a table is not as long as its file says."""
+    times = np.array(getattr(table, "ephemeris_times"))  # noqa: B009
+    for kind in ("ck", "spk"):
+        for end, found in (("start_time", times[0]), ("end_time", times[-1]), ("original_size", times.size)):
+            stated = getattr(table, f"{kind}_table_{end}", None)
+            if stated is None or abs(stated - found) <= _SAME_TIME or (end == "original_size" and stated > found):
+                continue  # ISIS makes tables smaller
+            raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{found:.12g}, as ephemeris_times say")
+
+
+def _require_turning(table: RotationTable, where: str) -> None:
+    """Raise InputError where attitudes don't turn as their own angular velocities say."""
+    if table.angular_velocities is None or len(table.angular_velocities) != len(table.quaternions):
+        return
+    times, rates = np.array(table.ephemeris_times), np.array(table.angular_velocities)
+    quaternions = np.array(table.quaternions)
+    if times.size != len(quaternions) or times.size < 2 or np.any(np.diff(times) <= 0.0) or not _units(quaternions):
+        return  # the record says so
+    matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
+    step = np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]  # about inertial axes
+    turned = rotation.logarithm(step) / np.diff(times)[:, None]
+    mean = 0.5 * (rates[1:] + rates[:-1])
+    off, size = np.linalg.norm(turned - mean, axis=1), np.linalg.norm(mean, axis=1)
+    if np.median(size) > 0.0 and np.median(off) > _TURNED * np.median(size):
+        found = f"attitudes that turn by {np.median(np.linalg.norm(turned, axis=1)):.3g} rad/s (median)"
+        expected = f"the angular velocities beside them, {np.median(size):.3g} rad/s about the same axis"
+        raise InputError(where, found, expected, "quaternions are scalar first, inertial to frame")
+
+
+def _units(quaternions: Array) -> bool:
+    norms = np.linalg.norm(quaternions, axis=1)
+    return bool(np.all((norms > _HALF) & (norms < 1.0 / _HALF)))
+
+
+def _clock(isd: SupportData, source: str) -> Iterator[str]:
+    """Where the label's clock count, as ISIS computed it, is not the first line's time, nor that of LROC's preroll."""
+    keywords = NaifKeywords(source, isd.naif_keywords)
+    names = [key for key in keywords.values if re.fullmatch(r"CLOCK_ET_.*_COMPUTED", key)]
+    if len(names) != 1 or isd.starting_ephemeris_time is None:
+        return
+    clock, (_, _, period) = keywords.time(names[0]), isd.line_scan_rate[0]
+    late = isd.starting_ephemeris_time - clock
+    code = _only(keywords, "INS", f"_{CORRECTIONS[1]}")
+    usual = [0.0]
+    if code:
+        number_of_camera = int(code[3:].partition("_")[0])
+        factor = 1.0 + number(keywords, f"INS{number_of_camera}_{CORRECTIONS[3]}")
+        usual += [corrected(keywords, number_of_camera, 0.0, one)[0] for one in (period, period / factor)]
+    if min(abs(late - one) for one in usual) > period:
+        yield f"the first line is {late:+.6f} s from the clock count of {names[0]}"
+
+
+def lopsided(isd: SupportData) -> Iterator[str]:
+    """A remark on an image of one line period that does not reach as far after the epoch as before it."""
+    (_, start, period), *others = isd.line_scan_rate
+    if others or start >= 0.0 or abs(start) > _DAY:
+        return
+    beyond = isd.image_lines * period + 2.0 * start
+    if abs(beyond) > 2.0 * period:
+        yield (
+            f"{isd.image_lines} lines of {period:g} s end {isd.image_lines * period + start:.6f} s after "
+            f"center_ephemeris_time, and begin {-start:.6f} s before it"
+        )
+
+
+def contradictions_of_constants(isd: SupportData, body: Ellipsoid, source: str) -> list[str]:
+    """Remarks on constants of support data, after repairs.
+
+    Parameters
+    ----------
+    isd : SupportData
+        What the file says.
+    body : Ellipsoid
+        By its radii.
+    source : str
+        The file, for messages.
+
+    Raises
+    ------
+    InputError
+        Where radii, focal length, detector, distortion or the body's rotation contradict the file's own keywords.
+    """
+    keywords = NaifKeywords(source, isd.naif_keywords)
+    remarks = list(_radii(keywords, body, f"{source}, radii"))
+    remarks += _focal_length(isd, keywords, source)
+    for twin in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
+        if twin.found.shape != twin.stated.shape or np.abs(twin.found - twin.stated).max(initial=0.0) > twin.allowed:
+            _refuse(twin, source)
+    remarks += _center(isd, keywords, source)
+    _require_on_detector(isd, keywords, source)
+    _require_rotation(isd, keywords, source)
+    return remarks
+
+
+def _refuse(twin: _Twin, source: str) -> None:
+    found, stated = (", ".join(f"{one:.9g}" for one in values) for values in (twin.found, twin.stated))
+    raise InputError(f"{source}, {twin.key}", found, f"{stated}, as {twin.keyword} says", "mend the wrong one")
+
+
+def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
+    code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
+    key = f"BODY{code}_RADII" if code is not None else _only(keywords, "BODY", "_RADII")
+    require_possible(body, body_name(code) if code is not None else "", where)
+    if key not in keywords:
+        return
+    stated = keywords.numbers(key, 3) * KM
+    if abs(stated[0] - stated[1]) > _SAME * stated[0]:
+        found = f"{', '.join(f'{one / KM:.9g}' for one in stated)} km in {key}"
+        raise InputError(where, found, "a body of revolution: two radii on the equator that are the same")
+    for name, found, said in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
+        both = f"{found / KM:.9g} km, where {key} says {said / KM:.9g} km"
+        if abs(found - said) > _SAME_RADII * abs(said):
+            raise InputError(f"{where}.{name}", both, "one radius", f"mend radii, their unit or {key}")
+        if abs(found - said) > _SAME * abs(said):
+            yield f"radii.{name} is {both}"
+
+
+def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[str]:
+    if not (key := _only(keywords, "INS", "_FOCAL_LENGTH")):
+        return
+    stated, found = number(keywords, key), isd.focal_length_model.focal_length
+    said = f"{found:g} mm, where {key} says {stated:g}"
+    if abs(found - stated) > _SAME_FOCAL_LENGTH * abs(stated):
+        raise InputError(f"{source}, focal_length_model", said, "one focal length", "mend the wrong one")
+    if abs(found - stated) > _SAME * abs(stated):
+        yield f"focal_length_model is {said}"
+
+
+def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Twin]:
+    """Detector and focal plane. ALE's lines of Kaguya may run the other way, which is a line's difference at most."""
+    codes = _codes(keywords)
+    for axis, found in (("L", isd.focal2pixel_lines), ("S", isd.focal2pixel_samples)):
+        name = {"L": "focal2pixel_lines", "S": "focal2pixel_samples"}[axis]
+        mine, size = np.array(found), float(np.linalg.norm(found[1:]))
+        if key := _only(keywords, "INS", f"_ITRANS{axis}"):
+            stated = keywords.numbers(key, 3)
+            turned = axis == "L" and codes & set(_MODELS) and _MODELS[min(codes & set(_MODELS))] == "kaguyalism"
+            if turned and float(mine[1:] @ stated[1:]) < 0.0:
+                stated = -stated
+            yield _Twin(name, mine, key, stated, max(1e-5 * size, 1e-9))
+        elif key := _only(keywords, "INS", "_PIXEL_PITCH"):
+            per_mm = np.array([1.0 / number(keywords, key)])
+            yield _Twin(f"{name} (their norm)", np.array([size]), f"{key} (its inverse)", per_mm, 1e-3 * size)
+
+
+def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[_Twin]:
+    """Coefficients of the one model; another model than the camera's is refused, and none where there should be one."""
+    where, models = f"{source}, optical_distortion", {key.lower(): one for key, one in isd.optical_distortion.items()}
+    codes = _codes(keywords)
+    model = next(iter({_MODELS[code] for code in codes if code in _MODELS}), "")
+    coefficients = {name: _numbers(one.get("coefficients", [])) for name, one in models.items()}
+    plain = {name for name, one in coefficients.items() if name == "radial" and not one.any()}
+    for name in models.keys() - plain - {model} if model else ():
+        raise InputError(where, f"the model {name!r}", f"{model!r}, the camera's", "write the support data anew")
+    if (key := _only(keywords, "INS", "_OD_K")) and not codes & set(_MOC):
+        name = next((one for one in ("radial", "lrolrocnac") if one in models), "")
+        found = coefficients[name] if name else np.zeros(1)
+        stated = keywords.numbers(key, found.size or 1)
+        yield _Twin(f"optical_distortion.{name}", found, key, stated, 1e-5 * float(np.abs(stated).max(initial=1e-9)))
+    for axis in "xy":
+        if key := _only(keywords, "INS", f"_DISTORTION_COEF_{axis.upper()}"):
+            found = _numbers(models.get("kaguyalism", {}).get(axis, [0.0]))
+            stated = keywords.numbers(key, found.size or 1)
+            yield _Twin(f"optical_distortion.kaguyalism.{axis}", found, key, stated, 1e-9)
+
+
+def _numbers(values: object) -> Array:
+    return np.atleast_1d(np.array(values, dtype=np.float64))
+
+
+def _center(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[str]:
+    """The principal point by ISIS's keywords, which count the first pixel's centre as 1; a file's pixels begin at 0, or
+    at 0.5 where its first sample says so. Programs differ by halves in other keywords, and along track.
+    """
+    counted = isd.starting_detector_sample % 1.0 - _HALF
+    for name, k, found, shift in (
+        ("line", 1, isd.detector_center.line, 0.0), ("sample", 0, isd.detector_center.sample, counted)
+    ):
+        if not (key := _only(keywords, "INS", f"_BORESIGHT_{name.upper()}")):
+            continue
+        stated = number(keywords, key)
+        off = abs(found - (stated + shift))
+        if off <= _SAME * 100.0:
+            continue
+        others = [_only(keywords, "INS", f"_{one}") for one in ("CCD_CENTER", "CENTER")]
+        centers = [keywords.numbers(one, 2)[k] for one in others if one and len(_numbers(keywords.values[one])) > 1]
+        if not any(abs(found - one + half) < _SAME * 100.0 for one in (stated, *centers) for half in (0.0, _HALF)):
+            both = f"{found:.9g}, where {key} says {stated:.9g} (its first pixel's centre is 1)"
+            raise InputError(f"{source}, detector_center.{name}", both, "one principal point", "mend the wrong one")
+        yield f"detector_center.{name} is {found:.9g}, where {key} says {stated:.9g}"
+
+
+def _require_on_detector(isd: SupportData, keywords: NaifKeywords, source: str) -> None:
+    if key := _only(keywords, "INS", "_PIXEL_SAMPLES"):
+        pixels, summing = number(keywords, key), isd.detector_sample_summing
+        last = max(isd.starting_detector_sample, 0.0) + isd.image_samples * summing
+        if last > pixels + summing or isd.starting_detector_sample < -summing:
+            where = f"{source}, detector_sample_summing"
+            found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
+            raise InputError(where, found, f"within the {pixels:g} pixels that {key} says", "mend one of them")
+
+
+def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> None:
+    """Raise InputError where the body doesn't turn as its pole and prime meridian do, which the keywords have without
+    terms of nutation.
+    """
+    keys = [_only(keywords, "BODY", f"_{name}") for name in ("POLE_RA", "POLE_DEC", "PM")]
+    if not all(keys) or _only(keywords, "BODY", "_NUT_PREC_PM") or _only(keywords, "BODY", "_NUT_PREC_RA"):
+        return
+    table = isd.body_rotation
+    time = table.ephemeris_times[0]
+    ra, dec = (float(keywords.numbers(key, 2) @ [1.0, time / _CENTURY]) * DEG for key in keys[:2])
+    days = time / _DAY
+    meridian = float(keywords.numbers(keys[2], 3) @ [1.0, days, days**2]) % 360.0 * DEG
+    expected = rotation.from_angles_313(np.array([0.5 * np.pi + ra, 0.5 * np.pi - dec, meridian]))
+    quaternions = np.array(table.quaternions[:1])
+    if table.constant_frames or not _units(quaternions):
+        return
+    found = rotation.to_matrix(rotation.unit_vectors(quaternions))[0]
+    off = float(np.linalg.norm(rotation.logarithm((found @ expected.T)[None])[0]))
+    if off > _POLE:
+        raise InputError(
+            f"{source}, body_rotation", f"a body turned by {off / DEG:.4g} degrees",
+            f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "mend the wrong one",
+        )  # fmt: skip
+
+
+def _codes(keywords: NaifKeywords) -> set[int]:
+    """NAIF ids of the instruments that keywords are of."""
+    return {int(found[1]) for key in keywords.values if (found := re.match(r"INS(-\d{5,6})_", key))}
+
+
+def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
+    """The only keyword with such a beginning and end; empty where there are none, or several."""
+    names = [key for key in keywords.values if key.startswith(begin) and key.endswith(end)]
+    names = [key for key in names if "_" not in key.removesuffix(end)]
+    return names[0] if len(names) == 1 else ""
