@@ -250,4 +250,5 @@ def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) ->
     for name, value in values.items():
         key = _of(name, refused)
         if key is not None and not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
-            raise InputError(f"{where}, {name}", repr(value)[:60], key.twin, f"convert the file: this says {key.meaning}")
+            remedy = f"convert the file: this says {key.meaning}"
+            raise InputError(f"{where}, {name}", repr(value)[:60], key.twin, remedy)

@@ -251,9 +251,8 @@ def flat_label(text: str, source: str) -> Block:
 
 def texts(block: Block) -> dict[str, str]:
     """What stands behind each keyword of a block, as text."""
-    return {
-        key: entry.value if isinstance(entry.value, str) else ", ".join(entry.value) for key, entry in block.entries.items()
-    }
+    items = {key: entry.value for key, entry in block.entries.items()}
+    return {key: value if isinstance(value, str) else ", ".join(value) for key, value in items.items()}
 
 
 def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> Block:

@@ -49,6 +49,8 @@ so by 7.3 to 28.2 km, for the polar radius is 20 km less, those of topography by
 """
 _MOST = 1e8
 """m, of a label's scale and offset."""
+_PART = 0.26
+"""Posts by which a label's edges may be off."""
 _LOWEST_ROW = -9e3
 """m, of topography, whose lowest post is -8.1 km."""
 
@@ -213,12 +215,45 @@ def _from_label(path: Path, image: Path) -> _Layout:
     if not (0.0 < scale < _MOST and abs(offset) < _MOST):
         found = f"{scale:g} m per count, from {offset:g} m on"
         raise InputError(f"{path}, SCALING_FACTOR and OFFSET", found, "those of heights or radii of Mars in m")
-    return _Layout(
+    if kind != "counts" and (offset != _usual_offset(kind) or scale != 1.0):
+        found, expected = f"{scale:g} m per count, from {offset:g} m on", f"1 m and {_usual_offset(kind):g} m of {kind}"
+        raise InputError(f"{path}, SCALING_FACTOR and OFFSET", found, expected, "convert it to a GeoTIFF with them")
+    layout = _Layout(
         kind, label.count("LINES"), label.count("LINE_SAMPLES"), resolution,
         label.number("CENTER_LONGITUDE") + (1.0 - label.number("SAMPLE_PROJECTION_OFFSET")) / resolution,
         (label.number("LINE_PROJECTION_OFFSET") - 1.0) / resolution,
         offset, scale, _skipped(label), (types[sample],),
     )
+    _require_stated_place(layout, label, image)
+    return layout
+
+
+def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
+    """Raise InputError where a grid's edges, its scale or its name are not those of its resolution and offsets."""
+    north, west = layout.latitude + 0.5 / layout.resolution, layout.longitude - 0.5 / layout.resolution
+    south, east = north - layout.lines / layout.resolution, west + layout.samples / layout.resolution
+    scale = label.number("A_AXIS_RADIUS") * DEG / layout.resolution if "A_AXIS_RADIUS" in label else 0.0
+    for keys, found, slack in (
+        ("MAXIMUM_LATITUDE", north, _PART / layout.resolution), ("MINIMUM_LATITUDE", south, _PART / layout.resolution),
+        ("WESTERNMOST_LONGITUDE WEST_LONGITUDE", west, _PART / layout.resolution),
+        ("EASTERNMOST_LONGITUDE EAST_LONGITUDE", east, _PART / layout.resolution), ("MAP_SCALE", scale, 0.01 * scale),
+        ("LINE_LAST_PIXEL", layout.lines, 0.0), ("SAMPLE_LAST_PIXEL", layout.samples, 0.0),
+    ):  # fmt: skip
+        for key in keys.split():
+            if key not in label or (key == "MAP_SCALE" and not scale):
+                continue
+            off = abs(label.number(key) - found)
+            if min(off, abs(off - 360.0) if "LONGITUDE" in key else off) > slack:
+                expected = f"{found:.9g}, as the label's other keys say"
+                raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid anew")
+    if _NAME.fullmatch(image.name):
+        named = _from_name(image)
+        turn = (named.longitude - layout.longitude + 180.0) % 360.0 - 180.0
+        off = max(abs(named.latitude - layout.latitude), abs(turn))
+        if named.resolution != layout.resolution or off > _PART / layout.resolution:
+            at = f"first post at {layout.latitude:.6g} N, {layout.longitude:.6g} E, {layout.resolution:g} per degree"
+            expected = f"{named.latitude:.6g} N, {named.longitude:.6g} E, {named.resolution:g}, as the name says"
+            raise InputError(label.document.source, at, expected, "fetch label and grid anew")
 
 
 def _skipped(label: Block) -> int:

@@ -184,8 +184,8 @@ def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]
         return
     stated = keywords.numbers(key, 3) * KM
     if abs(stated[0] - stated[1]) > _SAME * stated[0]:
-        found = f"{', '.join(f'{one / KM:.9g}' for one in stated)} km in {key}"
-        raise InputError(where, found, "a body of revolution: two radii on the equator that are the same")
+        axes = f"{', '.join(f'{one / KM:.9g}' for one in stated)} km in {key}"
+        raise InputError(where, axes, "a body of revolution: two radii on the equator that are the same")
     for name, found, said in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
         both = f"{found / KM:.9g} km, where {key} says {said / KM:.9g} km"
         if abs(found - said) > _SAME_RADII * abs(said):
