@@ -21,7 +21,8 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.networks.asp_text import read_ground_control
+from mgsgraph.files.datum import NAMED
+from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.pvl import instrument_of
@@ -139,7 +140,12 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         parts.add_points(tie_points, PointClass.TIE, 1.0)
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
-        control, left_out = in_images(read_ground_control(file, images[0].body), names)
+        datum = wanted.ground_control.datum
+        stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
+        if stated is None and stated_datum(file) is None:
+            radii = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
+            notes.append(f"{file.name} does not say its datum: taken for the images' ellipsoid, {radii}")
+        control, left_out = in_images(read_ground_control(file, images[0].body, stated), names)
         notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)
     profiles = _add_laser(parts, wanted, path) if laser else ()

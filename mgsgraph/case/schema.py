@@ -210,6 +210,10 @@ class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     file: str
     """ASP .gcp text."""
+    datum: Literal["D_MARS", "MOLA", "D_MOON"] | tuple[Positive, Positive] | None = None
+    """What its latitudes and heights refer to: a sphere by its name in the Ames Stereo Pipeline (3396190, 3396000,
+    1737400 m), or an ellipsoid by its equatorial and polar radius in m; by the file's header (# WKT:) when absent, else
+    the images' ellipsoid."""
 
 
 class TerrainInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -35,6 +35,7 @@ from mgsgraph.files.networks.asp_text import (
     read_ground_control_network,
     read_nvm,
     read_offsets,
+    stated_datum,
 )
 from mgsgraph.files.networks.binary import binary_network, read_network
 from mgsgraph.files.networks.editing import images_of, in_images, united, used_images
@@ -203,9 +204,10 @@ def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
 
 def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
     if form == Format.GCP:
-        if setting.ellipsoid is None:
+        ellipsoid = setting.ellipsoid or stated_datum(path)
+        if ellipsoid is None:
             raise InputError(str(path), "heights above an unknown ellipsoid", "its radii", "say --radii, or --case")
-        return read_ground_control_network(path, setting.ellipsoid)
+        return read_ground_control_network(path, ellipsoid)
     if form == Format.NVM:
         return read_nvm(path, half_sizes(setting.old_sizes()), setting.shifted)
     return read_table(path, setting.ellipsoid) if form in _TABLES else read_network(path)

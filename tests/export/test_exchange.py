@@ -63,7 +63,7 @@ def test_one_place_in_every_count(table: Path) -> None:
     fields = (folder / "x.nvm").read_text().splitlines()[5].split()
     assert [float(text) for text in fields[9:11]] == [CENTRE[1] - 1.0 - 512.0, CENTRE[0] - 1.0 - 1000.5]
     assert read_offsets(folder / "x_offsets.txt") == {"one": (1000.5, 512.0), "two": (2500.0, 336.0)}
-    assert (folder / "x.gcp").read_text().splitlines()[1].split()[-4:] == ["9.0", "8.0", "2.0", "1.0"]
+    assert (folder / "x.gcp").read_text().splitlines()[2].split()[-4:] == ["9.0", "8.0", "2.0", "1.0"]
 
 
 @pytest.mark.parametrize("name", ["x.net", "run.match", "x.gcp"])

@@ -2,7 +2,8 @@
 networks; and measures of a network as the pipeline counts pixels.
 
 Ground control points: one point a line, fields apart by blanks or commas: id, latitude, longitude (degrees, geodetic),
-height (m) above the ellipsoid, three sigmas (m) along body-fixed X, Y, Z, then for each image its name, column, row
+height (m) above the datum (a line ``# WKT: ...`` says which), three sigmas (m) along body-fixed X, Y, Z, then for each
+image its name, column, row
 (first pixel's centre 0, 0) and their sigmas (pixels). Source: StereoPipeline, docs/tools/bundle_adjust.rst, "Ground
 control points". A file made for its option ``--use-lon-lat-height-gcp-error`` holds sigmas along latitude, longitude
 and height instead; it doesn't say so and must not be given here. Ids are whole numbers to the pipeline, which skips
@@ -32,6 +33,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.datum import NAMED, datum_of_wkt, is_same, require_same, require_surface, wkt_of
 from mgsgraph.files.networks.record import (
     ControlMeasure,
     ControlNetwork,
@@ -135,24 +137,57 @@ _TURN = 360.0
 """Degrees of a longitude at most, east or west."""
 _LARGEST = 1e100
 """Of sigmas, whose squares must be numbers."""
+_ANOTHER = 0.01
+"""Share by which a datum's radius may be off the body's."""
+_WKT, _DATUM = re.compile(r"#\s*WKT\s*:\s*(.+)", re.I), re.compile(r"#\s*datum\s*[:=]\s*[\"']?(\w+)", re.I)
+"""Headers of the datum."""
 _OF_POINT, _OF_MEASURE = 7, 5
 """Fields of ground control points."""
 
 
-def read_ground_control(path: Path, ellipsoid: Ellipsoid) -> TiePoints:
-    """Read ground control points for an adjustment; see `read_ground_control_network`."""
-    return tie_points(read_ground_control_network(path, ellipsoid), body=ellipsoid)
+def read_ground_control(path: Path, body: Ellipsoid, datum: Ellipsoid | None = None) -> TiePoints:
+    """Read ground control points on a body for an adjustment; see `read_ground_control_network`."""
+    return tie_points(read_ground_control_network(path, body, datum), body=body)
 
 
-def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetwork:
+def stated_datum(path: Path) -> Ellipsoid | None:
+    """The datum of a header ``# WKT:``; InputError for one that is not understood, and for an order of columns that is
+    not the one that is read.
+    """
+    found = None
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
+        where, said = f"{path}, line {number}", line.strip()
+        if not said.startswith("#"):
+            continue
+        words = [word for word in _SEPARATOR.split(said.lstrip("# ").lower()) if word]
+        named = [word for word in words if word.startswith(("lat", "lon", "height"))]
+        if words[:1] == ["id"] and len(named) == 3 and [word[:3] for word in named] != ["lat", "lon", "hei"]:
+            raise InputError(where, f"the columns {', '.join(named)}", "latitude, longitude, height")
+        if wkt := _WKT.match(said):
+            stated = datum_of_wkt(wkt[1], where)
+            if found is not None:
+                require_same(stated.ellipsoid, found, where, "the header before")
+            if stated.vertical:
+                require_surface(stated, "ellipsoid", where)
+            found = stated.ellipsoid
+        elif other := _DATUM.match(said):
+            if other[1].upper() not in NAMED:
+                raise InputError(where, f"the datum {other[1]!r}", "# WKT: ..., as the Ames Stereo Pipeline writes it")
+            found = NAMED[other[1].upper()]
+    return found
+
+
+def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | None = None) -> ControlNetwork:
     """Read ground control points.
 
     Parameters
     ----------
     path : Path
         ``.gcp`` file.
-    ellipsoid : Ellipsoid
-        To which latitudes and heights refer.
+    body : Ellipsoid
+        To which latitudes and heights refer where neither the file's header nor `datum` says.
+    datum : Ellipsoid, optional
+        What the caller knows of it; it must not contradict the header.
 
     Returns
     -------
@@ -162,9 +197,17 @@ def read_ground_control_network(path: Path, ellipsoid: Ellipsoid) -> ControlNetw
     Raises
     ------
     InputError
-        With file, line and point: a wrong number of fields, a field that is no finite number, a sigma that is not
+        A header that isn't understood, or says another datum than the caller or another body's. With file, line and
+        point: a wrong number of fields, a field that is no finite number, a sigma that is not
         positive, a latitude beyond a pole, an id twice, an image twice in a point, or no point at all.
     """
+    stated = stated_datum(path)
+    if datum is not None and stated is not None:
+        require_same(stated, datum, str(path), "the case")
+    ellipsoid = datum or (body if stated is None or is_same(stated, body) else stated)
+    if abs(ellipsoid.equatorial / body.equatorial - 1.0) > _ANOTHER:
+        found, expected = (f"{one.equatorial:.9g} m" for one in (ellipsoid, body))
+        raise InputError(str(path), f"a datum of {found} on the equator", f"the images' body, {expected}")
     points = dict[str, tuple[str, ControlPoint]]()
     for line, fields in filled_lines(path, ground_control=True):
         where = f"{line}, point {fields[0]}"
@@ -248,7 +291,8 @@ def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
     places = geodetic(np.array([point.apriori for point in measures.points], dtype=np.float64), ellipsoid)
     numbers = np.column_stack([places[:, [1, 0]] / DEG, places[:, 2], np.array(sigmas)]).tolist()
     seen, keep = _measure_texts(measures), keeps_ids(measures.points)
-    lines = ["# id latitude longitude height sigma_x sigma_y sigma_z, then image column row and their sigmas"]
+    columns = "# id latitude longitude height sigma_x sigma_y sigma_z, then image column row and their sigmas"
+    lines = [columns, f"# WKT: {wkt_of(ellipsoid)}"]
     for k, (point, values, images) in enumerate(zip(measures.points, numbers, seen, strict=True), start=1):
         lines += [] if keep else [f"# {k}: {' '.join(point.id.split())}"]
         lines.append(" ".join([point.id if keep else str(k), *map(repr, values), *images]))
