@@ -143,8 +143,8 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         datum = wanted.ground_control.datum
         stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
         if stated is None and stated_datum(file) is None:
-            radii = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
-            notes.append(f"{file.name} does not say its datum: taken for the images' ellipsoid, {radii}")
+            size = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
+            notes.append(f"{file.name} does not say its datum: taken for the images' ellipsoid, {size}")
         control, left_out = in_images(read_ground_control(file, images[0].body, stated), names)
         notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)

@@ -1,7 +1,7 @@
-"""What places and heights of a file refer to, by the coordinate reference system in its own words (WKT)."""
+"""What places and heights of a file refer to, by its coordinate reference system as PROJ has it."""
 
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid
@@ -10,104 +10,115 @@ NAMED = {
     "D_MARS": Ellipsoid(3_396_190.0, 3_396_190.0), "MOLA": Ellipsoid(3_396_000.0, 3_396_000.0),
     "D_MOON": Ellipsoid(1_737_400.0, 1_737_400.0),
 }  # fmt: skip
-"""Spheres by the names of the Ames Stereo Pipeline (docs, "dem_geoid", "point2dem --reference-spheroid")."""
+"""Spheres by the names of the Ames Stereo Pipeline (docs, "point2dem --reference-spheroid", "dem_geoid")."""
 _SAME = 1e-9
-"""Shares, degrees."""
-_AREOID = re.compile(r"areoid|geoid|selenoid|egm|mgm|gmm|mola.*topo|orthometric", re.IGNORECASE)
-_ELLIPSOID = re.compile(r"ellipsoid|spheroid", re.IGNORECASE)
-_SPHERE = re.compile(r"sphere|radius", re.IGNORECASE)
+"""Share by which two statements may differ: digits."""
+_SURFACES = (
+    ("areoid", re.compile(r"areoid|geoid|selenoid|egm|orthometric", re.IGNORECASE)),
+    ("ellipsoid", re.compile(r"ellipsoid|spheroid", re.IGNORECASE)),
+    ("sphere", re.compile(r"sphere", re.IGNORECASE)),
+)
+"""Of heights, by what vertical systems are called."""
 
 
-class Datum(NamedTuple):
-    """What a system refers to."""
-
-    ellipsoid: Ellipsoid
-    """Of latitudes, and of heights where no vertical system is stated."""
-    vertical: str
-    """Name of the vertical datum; empty where there is none."""
-    vertical_unit: str
-    """What it calls the unit of heights; empty where there is none."""
-
-    @property
-    def surface(self) -> str:
-        """What heights are above by that name: areoid, ellipsoid or sphere; empty where it doesn't say."""
-        for surface, pattern in (("areoid", _AREOID), ("ellipsoid", _ELLIPSOID), ("sphere", _SPHERE)):
-            if pattern.search(self.vertical):
-                return surface
-        return ""
-
-
-def datum_of_wkt(wkt: str, where: str) -> Datum:
-    """Datum of a system.
-
-    Raises
-    ------
-    InputError
-        Where the text is no WKT, longitudes don't count eastward from the body's prime meridian, or angles are no
-        degrees.
+def ellipsoid_of(crs: Any, where: str) -> Ellipsoid:
+    """Of a system's latitudes (rasterio's CRS), which are planetographic unless it is a sphere; InputError where
+    longitudes don't count eastward from the body's prime meridian, or latitudes are planetocentric on an ellipsoid.
     """
+    system, axes = crs.to_dict(projjson=True), list[dict[str, Any]]()
+    while True:
+        axes += system.get("coordinate_system", {}).get("axis", ())
+        inner = system.get("base_crs") or system.get("source_crs") or next(iter(system.get("components", ())), None)
+        if inner is None:
+            break
+        system = inner
+    datum = system.get("datum", system.get("datum_ensemble", {}))
+    shape = datum.get("ellipsoid", {})
+    a = _metres(shape.get("radius", shape.get("semi_major_axis")))
+    flattening = shape.get("inverse_flattening")
+    b = _metres(shape.get("semi_minor_axis")) or (a * (1.0 - 1.0 / flattening) if a and flattening else a)
+    said = " ".join(f"{axis.get('name')} {axis.get('direction')}" for axis in axes).lower()
+    found = "coordinates of no known body"
+    if a and b and "west" not in said:
+        spherical = system.get("coordinate_system", {}).get("subtype") == "spherical" or "planetocentric" in said
+        if a == b or not spherical:
+            return Ellipsoid(a, b)
+        found = "planetocentric latitudes on an ellipsoid"
+    elif a and b:
+        found = "longitudes positive to the west"
+    raise InputError(
+        where, found, "longitudes positive to the east, latitudes on a sphere or planetographic",
+        "state its projection by gdal_edit.py -a_srs '+proj=...', with +R for planetocentric latitudes",
+    )  # fmt: skip
+
+
+def _metres(length: Any) -> float | None:
+    """Of a number in m, or with its unit, as PROJJSON has lengths."""
+    if isinstance(length, dict):
+        unit = length.get("unit", "metre")
+        return float(length["value"]) * (float(unit["conversion_factor"]) if isinstance(unit, dict) else 1.0)
+    return None if length is None else float(length)
+
+
+def vertical_of(crs: Any) -> tuple[str, str]:
+    """Name of a system's vertical part with its datum's, and its unit; empty where it has none."""
+    system = crs.to_dict(projjson=True)
+    for part in system.get("components", [system]):
+        axes = part.get("coordinate_system", {}).get("axis", [])
+        heights = [axis for axis in axes if axis.get("direction") in ("up", "down")]
+        if not heights:
+            continue
+        unit = heights[0].get("unit", "metre")
+        datum = part.get("datum", part.get("datum_ensemble", {})).get("name", "")
+        name = f"{part.get('name', '')} {datum}" if part.get("type") == "VerticalCRS" else "ellipsoidal height"
+        down = " downward" if heights[0].get("direction") == "down" else ""
+        return name + down, unit if isinstance(unit, str) else str(unit.get("name", ""))
+    return "", ""
+
+
+def require_surface(vertical: str, unit: str, stated: str, where: str) -> None:
+    """Raise InputError where a vertical system contradicts what heights are taken to be above.
+
+    Parameters
+    ----------
+    vertical, unit : str
+        As `vertical_of` gives them.
+    stated : str
+        "radius", "sphere", "ellipsoid" or "areoid"; empty where it is of no matter.
+    where : str
+        The file, for messages.
+    """
+    if not vertical or not stated:
+        return
+    if unit.lower() not in ("metre", "meter", "m") or vertical.endswith(" downward"):
+        found = f"the vertical system {vertical!r} in {unit}"
+        raise InputError(where, found, "heights in metres, upward", "convert them: gdalwarp, gdal_calc")
+    surface = next((name for name, pattern in _SURFACES if pattern.search(vertical)), "")
+    if surface != stated:
+        raise InputError(
+            where, f"heights by the vertical system {vertical!r}",
+            "radii" if stated == "radius" else f"heights above the {stated}, as the case has them",
+            "state what they are above (reference_radius_m, reference_ellipsoid_m, areoid), or take a wrong system out",
+        )  # fmt: skip
+
+
+def datum_of_wkt(wkt: str, where: str) -> Ellipsoid:
+    """The ellipsoid of a header in WKT, to which degrees and heights refer; InputError for any other system."""
     from rasterio.crs import CRS  # PROJ takes its time
     from rasterio.errors import CRSError
 
     try:
-        whole = CRS.from_wkt(wkt).to_dict(projjson=True)
+        crs = CRS.from_wkt(wkt)
     except CRSError:
         raise InputError(where, repr(wkt)[:60], "a coordinate reference system (WKT)") from None
-    parts = whole.get("components", [whole])
-    vertical = next((one for one in parts if one.get("type") == "VerticalCRS"), {})
-    geographic = _geographic(parts[0])
-    datum = geographic.get("datum", geographic.get("datum_ensemble", {}))
-    meridian = _number(datum.get("prime_meridian", {}).get("longitude", 0.0))
-    if abs(meridian) > _SAME:
-        raise InputError(where, f"longitudes from a meridian at {meridian:g} degrees", "from the body's prime meridian")
-    for axis in geographic.get("coordinate_system", {}).get("axis", []):
-        unit = axis.get("unit", "degree")
-        name = unit if isinstance(unit, str) else str(unit.get("name", ""))
-        way = axis.get("direction")
-        if way in ("west", "south") or (way in ("east", "north") and name != "degree"):
-            raise InputError(where, f"{axis.get('name')} in {name}, {way}", "degrees, east and north")
-    heights = vertical.get("coordinate_system", {}).get("axis", [{}])[0].get("unit", "")
-    unit_of_heights = heights if isinstance(heights, str) else str(heights.get("name", ""))
-    name = str(vertical.get("datum", vertical.get("datum_ensemble", {})).get("name", ""))
-    called = " ".join(filter(None, (str(vertical.get("name", "")), name)))
-    return Datum(_ellipsoid(datum.get("ellipsoid", {}), where), called, unit_of_heights)
-
-
-def require_surface(datum: Datum, stated: str, where: str) -> None:
-    """Raise InputError where a vertical system contradicts what a case says that heights are above: "radius", "sphere",
-    "ellipsoid" or "areoid".
-    """
-    if datum.vertical and datum.vertical_unit.lower() not in ("", "metre", "meter", "m"):
-        remedy = "convert them: gdalwarp, gdal_calc"
-        raise InputError(where, f"a vertical system in {datum.vertical_unit}", "metres", remedy)
-    if datum.vertical and datum.surface != stated:
-        raise InputError(
-            where, f"heights by the vertical system {datum.vertical!r}", f"above the {stated}, as the case says"
-            if stated != "radius" else "radii",
-            "state reference_radius_m, reference_ellipsoid_m or areoid as it is; take a wrong vertical system out",
-        )  # fmt: skip
-
-
-def _geographic(system: dict[str, Any]) -> dict[str, Any]:
-    """The geographic system that others are made of."""
-    for key in ("source_crs", "base_crs"):
-        if key in system:
-            return _geographic(system[key])
-    return system
-
-
-def _number(value: Any) -> float:
-    return float(value.get("value", 0.0) if isinstance(value, dict) else value)
-
-
-def _ellipsoid(said: dict[str, Any], where: str) -> Ellipsoid:
-    """m, of an ellipsoid or a sphere."""
-    equatorial = _number(said.get("radius", said.get("semi_major_axis", 0.0)))
-    if not equatorial > 0.0:
-        raise InputError(where, "no ellipsoid", "SPHEROID or ELLIPSOID with its radius in m")
-    inverse = _number(said.get("inverse_flattening", 0.0))
-    polar = _number(said["semi_minor_axis"]) if "semi_minor_axis" in said else equatorial
-    return Ellipsoid(equatorial, equatorial * (1.0 - 1.0 / inverse) if inverse else polar)
+    require_surface(*vertical_of(crs), "ellipsoid", where)
+    for key, least in (("PRIMEM", 0.0), ("UNIT", None)):
+        found = re.search(rf'\b{key}\["([^"]*)",\s*([-+.\deE]+)', wkt)
+        if found and least is not None and float(found[2]) != least:
+            raise InputError(where, f"longitudes from a meridian at {found[2]}", "from the body's prime meridian")
+        if found and least is None and found[1].lower() not in ("degree", "degrees", "metre", "meter"):
+            raise InputError(where, f"angles in {found[1]}", "degrees")
+    return ellipsoid_of(crs, where)
 
 
 def is_same(first: Ellipsoid, other: Ellipsoid) -> bool:

@@ -33,7 +33,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.datum import NAMED, datum_of_wkt, is_same, require_same, require_surface, wkt_of
+from mgsgraph.files.datum import NAMED, datum_of_wkt, is_same, require_same, wkt_of
 from mgsgraph.files.networks.record import (
     ControlMeasure,
     ControlNetwork,
@@ -166,10 +166,8 @@ def stated_datum(path: Path) -> Ellipsoid | None:
         if wkt := _WKT.match(said):
             stated = datum_of_wkt(wkt[1], where)
             if found is not None:
-                require_same(stated.ellipsoid, found, where, "the header before")
-            if stated.vertical:
-                require_surface(stated, "ellipsoid", where)
-            found = stated.ellipsoid
+                require_same(stated, found, where, "the header before")
+            found = stated
         elif other := _DATUM.match(said):
             if other[1].upper() not in NAMED:
                 raise InputError(where, f"the datum {other[1]!r}", "# WKT: ..., as the Ames Stereo Pipeline writes it")

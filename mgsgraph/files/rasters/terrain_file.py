@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.datum import ellipsoid_of, require_surface, vertical_of
 from mgsgraph.files.rasters.raster_file import open_raster, raster_understood, read_band, require_in_file
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric, geodetic, in_turn, planetocentric
 from mgsgraph.geometry.records import Array
@@ -127,7 +128,7 @@ def _of_crs(file: "DatasetReader", crs: Any, path: Path, body: Ellipsoid | None)
     if not crs or file.transform.is_identity:
         found = "no coordinate reference system" if not crs else "no place of its pixels"
         raise InputError(str(path), found, "a raster in a map projection", "state it with gdal_edit.py -a_srs, -a_ullr")
-    ellipsoid = _ellipsoid(crs, path)
+    ellipsoid = ellipsoid_of(crs, str(path))
     radii = np.array([ellipsoid.equatorial, ellipsoid.polar])
     if body is not None and not np.all(  # of flat ones there are maps on spheres between
         (radii > body.polar * (1.0 - _OTHER_BODY)) & (radii < body.equatorial * (1.0 + _OTHER_BODY))
@@ -143,42 +144,6 @@ def _of_crs(file: "DatasetReader", crs: Any, path: Path, body: Ellipsoid | None)
     centres = np.column_stack([corners[:, :2], corners @ [0.5, 0.5, 1.0]])
     unit = 1.0 if crs.is_geographic or not crs.is_projected else float(crs.linear_units_factor[1])
     return MapProjection(str(path), wkt, crs.to_dict(), ellipsoid, centres, unit)
-
-
-def _ellipsoid(crs: Any, path: Path) -> Ellipsoid:
-    """Of a system's latitudes, which are planetographic unless it is a sphere."""
-    system, axes = crs.to_dict(projjson=True), list[dict[str, Any]]()
-    while True:
-        axes += system.get("coordinate_system", {}).get("axis", ())
-        inner = system.get("base_crs") or system.get("source_crs") or next(iter(system.get("components", ())), None)
-        if inner is None:
-            break
-        system = inner
-    shape = system.get("datum", system.get("datum_ensemble", {})).get("ellipsoid", {})
-    a = _metres(shape.get("radius", shape.get("semi_major_axis")))
-    flattening = shape.get("inverse_flattening")
-    b = _metres(shape.get("semi_minor_axis")) or (a * (1.0 - 1.0 / flattening) if a and flattening else a)
-    said = " ".join(f"{axis.get('name')} {axis.get('direction')}" for axis in axes).lower()
-    found = "coordinates of no known body"
-    if a and b and "west" not in said:
-        spherical = system.get("coordinate_system", {}).get("subtype") == "spherical" or "planetocentric" in said
-        if a == b or not spherical:
-            return Ellipsoid(a, b)
-        found = "planetocentric latitudes on an ellipsoid"
-    elif a and b:
-        found = "longitudes positive to the west"
-    raise InputError(
-        str(path), found, "longitudes positive to the east, latitudes on a sphere or planetographic",
-        "state its projection by gdal_edit.py -a_srs '+proj=...', with +R for planetocentric latitudes",
-    )  # fmt: skip
-
-
-def _metres(length: Any) -> float | None:
-    """Of a number in m, or with its unit, as PROJJSON has lengths."""
-    if isinstance(length, dict):
-        unit = length.get("unit", "metre")
-        return float(length["value"]) * (float(unit["conversion_factor"]) if isinstance(unit, dict) else 1.0)
-    return None if length is None else float(length)
 
 
 # --- terrain models
@@ -210,6 +175,8 @@ _ROUND = 1e6
 """m, radius from which on bodies are round."""
 _CHUNK = 1 << 20
 """Of these at once."""
+_SEVERAL, _APART, _LEAST_GAP = 3, 0.5, 500.0
+"""Posts of one value, and the gap to all others (share of their range, and m), that are no terrain."""
 _OUTLINE = 65
 """Rows and columns by which the extent of a raster is found."""
 _NEAR_POLE = 75.0 * DEG
@@ -364,6 +331,7 @@ def read_terrain(
     """
     with open_raster(path, "a terrain model") as file:
         projection, turn = map_projection(file, path, body), None
+        require_surface(*vertical_of(file.crs), _surface(reference, kind), str(path))
         rows, columns = slice(0, file.height), np.arange(file.width)
         if near is not None or projection.by_meridians:
             turn = projection.turn()
@@ -384,6 +352,15 @@ def read_terrain(
         str(path), values, projection.cut(rows.start, int(columns[0])), reference, vertical_sigma, planimetric_sigma
     )
     return _by_meridians(raster, kind, turn if wraps else None) if projection.by_meridians else raster
+
+
+def _surface(reference: Reference, kind: TerrainKind) -> str:
+    """What heights are above, as the case says; empty of counts."""
+    if kind == "counts":
+        return ""
+    if isinstance(reference, float):
+        return "areoid" if kind == "topography" else "sphere" if reference else "radius"
+    return "ellipsoid" if isinstance(reference, Ellipsoid) else "areoid"
 
 
 def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path: Path) -> NDArray[Any]:
@@ -447,7 +424,10 @@ def _require_plausible(
             str(path), f"values from {extremes[0]:g} m on", "radii",
             "say above what they are: reference_radius_m = 3396190.0, reference_ellipsoid_m or areoid",
         )
-    if body is None or kind == "counts":
+    if kind == "counts":
+        return
+    _require_tagged(values, path)
+    if body is None:
         return
     level = 0.0 if kind == "topography" or not isinstance(reference, float) else body.equatorial - reference
     near, off = sorted(extremes, key=lambda post: abs(post - level))
@@ -458,3 +438,17 @@ def _require_plausible(
             str(path), f"a post of {off:g} m", f"posts within {most / KM:.0f} km of {level / KM:g} km",
             "say above what they are and in which unit; state the value of missing ones: gdal_edit.py -a_nodata",
         )  # fmt: skip
+
+
+def _require_tagged(values: NDArray[Any], path: Path) -> None:
+    """Raise InputError where many posts have one value far from all others, as those that stand for missing ones do."""
+    known = values[np.isfinite(values)]
+    for value, side in ((known.min(), 1.0), (known.max(), -1.0)):
+        others = known[known != value]
+        if min(others.size, known.size - others.size) < _SEVERAL:
+            continue
+        gap = float(np.min(side * (others - value)))
+        if gap > max(_APART * float(np.ptp(others)), _LEAST_GAP):
+            found = f"{known.size - others.size} posts of {value:g} m, {gap:.0f} m from all others"
+            remedy = "state the value of missing posts: gdal_edit.py -a_nodata"
+            raise InputError(str(path), found, "terrain", remedy)
