@@ -37,6 +37,8 @@ _LONGEST = 1e9
 """Of whatever unit: nothing that is measured is longer, and squares of more would be no numbers."""
 TRIANGLE, LARGEST_ELEMENT = 6, 1e18
 """Elements of a covariance's upper triangle, and bound of each."""
+_WIDEST = 0.05
+"""rad, of a footprint's sigma: a hundred kilometres."""
 _REQUIRED, _OF_MEASURE = 10, 3
 """Keys of each shot, and of each of its measures."""
 _ADJUSTED = ("adjusted_latitude", "adjusted_longitude", "adjusted_radius", "adjusted_matrix")
@@ -179,6 +181,11 @@ def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
         raise InputError(where(k), found, "one per shot", "remove the worse one")
     places = np.column_stack([longitudes * DEG, _numbers(shots, "latitude") * DEG, _numbers(shots, "radius") * KM])
     elements = np.fromiter(chain.from_iterable(triangles), np.float64, TRIANGLE * len(shots)).reshape(-1, TRIANGLE)
+    for k in np.flatnonzero(elements[:, [0, 3]].max(axis=1) > _WIDEST**2)[:1]:
+        found = f"sigmas of {np.sqrt(elements[k, 0]):.3g} and {np.sqrt(elements[k, 3]):.3g} rad on the ground"
+        expected = f"variances of latitude and longitude in rad^2, below {_WIDEST:g} rad"
+        remedy = "m^2 on the ground: divide by the radius squared"
+        raise InputError(f"{where(k)}, aprioriMatrix", found, expected, remedy)
     jacobian = planetocentric_jacobian(places)
     return LaserProfile(
         source=source,

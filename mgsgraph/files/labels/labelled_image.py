@@ -30,7 +30,9 @@ from mgsgraph.files.labels.kernels import (
     sample_trajectory,
     utc_time,
 )
+from mgsgraph.files.labels.label_statements import require_own_statements, require_usual_label
 from mgsgraph.files.opening import understood
+from mgsgraph.files.pvl import read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation, MocWideAngleDistortion
 from mgsgraph.geometry.image import PushbroomImage
@@ -143,7 +145,7 @@ def _sampled(
         attitude_bias=bias, position_bias=how.position_bias, aberration=how.aberration,
     )  # fmt: skip
     body = ellipsoid(target)
-    return tuple(
+    images = tuple(
         PushbroomImage(
             name=name or one.product,
             lines=one.lines,
@@ -156,6 +158,16 @@ def _sampled(
         )
         for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
     )
+    return tuple(_checked(one, image) for one, image in zip(said, images, strict=True))
+
+
+def _checked(label: LineScanLabel, image: PushbroomImage) -> PushbroomImage:
+    """The image, whose PDS3 label has been held against it."""
+    root = read_label(label.path)
+    if "PDS_VERSION_ID" not in root:
+        return image
+    require_usual_label(root, str(label.path))
+    return replace(image, remarks=(*image.remarks, *require_own_statements(root, label, image)))
 
 
 def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanLabel:

@@ -152,6 +152,8 @@ _FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 """Elements of a symmetric matrix, of those in its upper triangle."""
 FARTHEST = 1e12
 """m from a body's centre: no point on it."""
+_TINY, _UNLIKE = 1e-8, 1e6
+"""m^2, of a variance that no measurement has, and times by which another one beside it is larger."""
 _UNKNOWN = (math.nan, math.nan, math.nan)
 
 
@@ -228,6 +230,9 @@ class PointArrays:
              "xx, xy, xz, yy, yz, zz in m^2", "add it, or make the point Free or Fixed"),
             (constrained & np.any(variances <= 0.0, axis=1), "AprioriCovarianceMatrix", "variances {variances} m^2",
              "positive variances", ""),
+            (constrained & (variances.min(axis=1) < _TINY) & (variances.max(axis=1) > _TINY * _UNLIKE),
+             "AprioriCovarianceMatrix", "variances {variances} m^2", "sigmas along X, Y, Z that are alike",
+             "of latitude and longitude in rad^2? they are in m^2 along X, Y, Z"),
         ):  # fmt: skip
             for i in np.flatnonzero(bad & ~self.ignored)[:1].tolist():
                 said = found.format(
