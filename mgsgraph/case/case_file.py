@@ -22,7 +22,6 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.files.opening import read_text
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage, require_distinct
@@ -139,15 +138,7 @@ def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]
         return
     if entry.name or any(getattr(entry, key) is not None for key in ("image", *_FILES, "pixels")):
         raise InputError(where, "a list beside the name or the file of one image", "the list alone")
-    place = folder / entry.list
-    names = listed_names(read_text(place))
-    if not names:
-        raise InputError(str(place), "no file", "the name of an image file in every line")
-    for number, name in names:
-        if not (place.parent / name).is_file():
-            expected = "a file, relative to the list's folder"
-            raise InputError(f"{place}, line {number}", f"{name!r}, which is not there", expected)
-    for _, name in names:
+    for name in listed_names(folder / entry.list):
         yield msgspec.structs.replace(entry, list=None, image=str(Path(entry.list).parent / name))
 
 

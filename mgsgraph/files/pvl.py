@@ -1,8 +1,9 @@
 """PVL text (Parameter Value Language) as ISIS and PDS3 write it, read in one pass, with errors that name file and line.
 
-Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces, units in
-angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
-``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
+Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces (sequences of
+sequences as one list of all items: no reader here needs more of them), units in angle brackets, values carried over
+lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments ``/* */`` anywhere and ``#`` up to the
+end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
 
 Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, recognized, and where they say data lie.
 
@@ -309,22 +310,30 @@ def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
 
 
 def _value(document: Document, position: int) -> tuple[str | tuple[str, ...], str, int]:
-    """A word, string or list, its unit in lower case, and where it ends."""
-    start = _skipped(document.text, position)
-    if not document.text.startswith(("(", "{"), start):
+    """A word, string or list (of all items, where sequences stand in one another), its unit in lower case, and where it
+    ends.
+    """
+    text, start = document.text, _skipped(document.text, position)
+    if not text.startswith(("(", "{"), start):
         return _item(document, start)
     items: list[str] = []
-    unit, position = "", _skipped(document.text, start + 1)
-    while not document.text.startswith((")", "}"), position):
-        item, item_unit, position = _item(document, position)
-        items.append(item)
-        unit = unit or item_unit
-        position = _skipped(document.text, position)
-        if document.text.startswith(",", position):
-            position = _skipped(document.text, position + 1)
-        elif not document.text.startswith((")", "}"), position):
-            raise InputError(document.where(start), f"a list broken by {document.excerpt(position)}", "',' or ')'")
-    return _with_unit(document.text, tuple(items), unit, position + 1)
+    unit, position, depth, ended = "", start, 0, False
+    while True:
+        if not ended and text.startswith(("(", "{"), position):
+            position, depth = position + 1, depth + 1
+        elif text.startswith((")", "}"), position):
+            if depth == 1:
+                return _with_unit(text, tuple(items), unit, position + 1)
+            position, depth, ended = _with_unit(text, "", "", position + 1)[2], depth - 1, True
+        elif ended:
+            if not text.startswith(",", position):
+                raise InputError(document.where(start), f"a list broken by {document.excerpt(position)}", "',' or ')'")
+            position, ended = position + 1, False
+        else:
+            item, item_unit, position = _item(document, position)
+            items.append(item)
+            unit, ended = unit or item_unit, True
+        position = _skipped(text, position)
 
 
 def _item(document: Document, position: int) -> tuple[str, str, int]:

@@ -500,7 +500,7 @@ FAULTS = {
     "nothing": (("held = true",), "images[0]: no file of the image; expected one of image, list, isd, state, label"),
     "an empty list": (('list = "empty.lis"',), "empty.lis: no file; expected the name of an image file in every line"),
     "gone": (('list = "gone.lis"',), "gone.lis, line 2: 'c.cub', which is not there"),
-    "no image": (('image = "gone.lis"',), "no image, label or support data"),
+    "no image": (('image = "gone.lis"',), "gone.lis: an ISIS list of files"),
     "twice": (('image = "image.cub"', 'name = "MGS/100:0/MOC-NA"\nisd = "a.isd"'), "for image.cub and for a.isd"),
 }
 
