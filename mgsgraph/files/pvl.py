@@ -1,9 +1,8 @@
 """PVL text (Parameter Value Language) as ISIS and PDS3 write it, read in one pass, with errors that name file and line.
 
-Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces (sequences of
-sequences as one list of all items: no reader here needs more of them), units in angle brackets, values carried over
-lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments ``/* */`` anywhere and ``#`` up to the
-end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
+Understood: nested Object and Group, keywords in any case, quoted strings, lists in parentheses or braces, units in
+angle brackets, values carried over lines (a trailing hyphen joins without a blank, as in ISIS PvlKeyword), comments
+``/* */`` anywhere and ``#`` up to the end of the line. Language: CCSDS 641.0-B-2; dialect: ISIS Pvl, PvlKeyword.
 
 Labels of images, PDS3 (attached or detached) or of ISIS cubes: found, recognized, and where they say data lie.
 
@@ -310,14 +309,11 @@ def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
 
 
 def _value(document: Document, position: int) -> tuple[str | tuple[str, ...], str, int]:
-    """A word, string or list (of all items, where sequences stand in one another), its unit in lower case, and where it
-    ends.
-    """
+    """A word, string or list (of all items that its inner sequences have), its unit in lower case, where it ends."""
     text, start = document.text, _skipped(document.text, position)
     if not text.startswith(("(", "{"), start):
         return _item(document, start)
-    items: list[str] = []
-    unit, position, depth, ended = "", start, 0, False
+    items, unit, position, depth, ended = list[str](), "", start, 0, False
     while True:
         if not ended and text.startswith(("(", "{"), position):
             position, depth = position + 1, depth + 1
@@ -472,7 +468,6 @@ def bytes_around(image: Block) -> tuple[int, int]:
 
 
 # --- writing
-
 
 _COLUMNS = 80
 _UNQUOTED = re.compile(r"[\w.:/$+-]*[\w.:/$+]")

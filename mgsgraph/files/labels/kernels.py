@@ -7,7 +7,6 @@ What SPICE kernels hold: files that a meta-kernel names, covered intervals, reco
 """
 
 import os
-import re
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.labels.kernel_text import require_uncut
 from mgsgraph.files.opening import ANY_SIZE, LARGEST_TEXT, finite_number, opened, read_bytes
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
@@ -30,11 +30,6 @@ _CK_CLASS, _DEEPEST = 3, 5
 """SPICE's class of frames that a CK orients, and how many of them one on another are followed."""
 _RECORD, _WORD = 1024, 8
 """bytes of a binary kernel."""
-_LONGEST_LINE, _LONGEST_TEXT = 132, 80
-"""Characters of a line and of a text that SPICE takes of a text kernel (NAIF, kernel required reading)."""
-_SHORTER_TEXT = f"texts in kernels hold {_LONGEST_TEXT} characters; continue with +, or leave the path relative"
-_SHORTER_LINE = f"SPICE reads {_LONGEST_LINE} characters of a line: go on in the next one"
-_ASSIGNED, _QUOTED = re.compile(rb"\s*([^\s='(+]+)\s*\+?="), re.compile(rb"'((?:[^']|'')*+)'")
 _SHOWN = 4
 """Covered intervals that a message lists."""
 
@@ -119,26 +114,8 @@ def _text_of(path: Path) -> bytes:
     text = read_bytes(path, LARGEST_TEXT)
     if b"\\begindata" not in text:
         raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
-    _require_uncut(path, text)
+    require_uncut(path, text)
     return text
-
-
-def _require_uncut(path: Path, text: bytes) -> None:
-    """Refuse lines of a kernel's data, and texts of a meta-kernel's, that SPICE would cut without a word."""
-    data, variable, paths = False, "", b"KERNELS_TO_LOAD" in text
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() in (b"\\begindata", b"\\begintext"):
-            data = line.strip() == b"\\begindata"
-        if not data:
-            continue
-        if assigned := _ASSIGNED.match(line):
-            variable = f", {assigned[1].decode('latin-1')}"
-        texts = _QUOTED.findall(line) if paths and len(line) > _LONGEST_TEXT else []
-        longest, length = max((len(one.replace(b"''", b"'")) for one in texts), default=0), len(line.rstrip())
-        if longest > _LONGEST_TEXT or length > _LONGEST_LINE:
-            found = f"a text of {longest}" if longest > _LONGEST_TEXT else f"a line of {length}"
-            remedy = _SHORTER_TEXT if longest > _LONGEST_TEXT else _SHORTER_LINE
-            raise InputError(f"{path}, line {number}{variable}", f"{found} characters", remedy=remedy)
 
 
 # --- what kernels cover
