@@ -20,7 +20,7 @@ from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
-from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names
+from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
@@ -114,6 +114,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
     _require_heeded(entry, kind, where)
+    refuse_foreign_kinds(folder / image_file(entry))
     return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 

@@ -286,16 +286,24 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
     if kind is None and head_of(path, _TEXT_HEAD).lstrip().startswith(b"{"):  # what is wrong in it, its reader says
         return "isd"
     if kind not in _OF_LABELS:
-        raise InputError(
-            str(path), described(path, kind) if kind else "no image, label or support data",
-            "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm",
-            INSTEAD.get(kind, "") if kind else "",
-        )  # fmt: skip
+        raise _no_image(path, kind)
     root = read_label(path)
     if "PDS_VERSION_ID" in root:
         return "label"
     with_tables = has_tables(path, root)
     return "label" if kernels_of_its_own or (kernels and not with_tables) else "cube"
+
+
+def refuse_foreign_kinds(path: Path) -> None:
+    """Raise InputError for a file in whose place another has to be given; of JSON its reader says what is wrong."""
+    if path.suffix.lower() not in (".json", ".isd") and (kind := kind_of(path)) in INSTEAD:
+        raise _no_image(path, kind)
+
+
+def _no_image(path: Path, kind: Kind | None) -> InputError:
+    found = described(path, kind) if kind else "no image, label or support data"
+    expected = "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm"
+    return InputError(str(path), found, expected, INSTEAD.get(kind, "") if kind else "")
 
 
 def described(path: Path, kind: Kind) -> str:
