@@ -90,6 +90,12 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
+def shared_field() -> Path:
+    """Folder of small inputs that failed, with their right values."""
+    return require(ROOT.parent / "shared" / "field", "the folder of inputs from the field")
+
+
+@pytest.fixture(scope="session")
 def pair_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from mgsgraph.simulation.files import write_pair
     from mgsgraph.simulation.pair import PairSettings, simulate_pair

@@ -20,9 +20,8 @@ from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
-from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names
+from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
 from mgsgraph.files.labels.aberration import Aberration
-from mgsgraph.files.opening import read_text
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage, require_distinct
@@ -115,6 +114,7 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
     _require_heeded(entry, kind, where)
+    refuse_foreign_kinds(folder / image_file(entry))
     return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 
@@ -139,15 +139,7 @@ def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]
         return
     if entry.name or any(getattr(entry, key) is not None for key in ("image", *_FILES, "pixels")):
         raise InputError(where, "a list beside the name or the file of one image", "the list alone")
-    place = folder / entry.list
-    names = listed_names(read_text(place))
-    if not names:
-        raise InputError(str(place), "no file", "the name of an image file in every line")
-    for number, name in names:
-        if not (place.parent / name).is_file():
-            expected = "a file, relative to the list's folder"
-            raise InputError(f"{place}, line {number}", f"{name!r}, which is not there", expected)
-    for _, name in names:
+    for name in listed_names(folder / entry.list):
         yield msgspec.structs.replace(entry, list=None, image=str(Path(entry.list).parent / name))
 
 

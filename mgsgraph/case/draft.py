@@ -24,7 +24,7 @@ from mgsgraph.case.terrain import MEGDR_SIGMAS, MegdrResolution, read_terrain_mo
 from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
-from mgsgraph.files.kinds import Kind, kind_of, listed_files
+from mgsgraph.files.kinds import INSTEAD, Kind, described, kind_of, listed_names
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.opening import head_of
 from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
@@ -200,7 +200,7 @@ _KERNELS = (".tls", ".tsc", ".tpc", ".bpc", ".tf", ".ti", ".bc", ".bsp")
 _CASE_FILE = Output("a case file", lambda path: kind_of(path) is Kind.CASE)
 _PLAIN = "case"
 """Name of most case files."""
-_NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD)
+_NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD, *(kind for kind in INSTEAD if kind is not Kind.RASTER))
 _UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, as a case file is"
 """Why a file is left out."""
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
@@ -299,8 +299,9 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
                 kinds[path] = kind
             elif path is one and kind is not Kind.OWN_RECORD:
                 head_of(path, 1)  # says what it is that is no file
-                found = str(kind) if kind else _UNKNOWN
-                raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", "leave it out")
+                found = described(path, kind) if kind else _UNKNOWN
+                remedy = INSTEAD.get(kind, "leave it out") if kind else "leave it out"
+                raise InputError(str(path), found, "an image, a network, shots, kernels or terrain", remedy)
             elif kind is Kind.OWN_RECORD or path.suffix.lower() not in (".md", ".txt", ".toml", ".html"):
                 unknown[path] = str(kind) if kind else _UNKNOWN
     stems = {path.with_suffix("") for path in kinds}  # pixels beside their label
@@ -315,7 +316,7 @@ def _inside(one: Path) -> list[Path]:
         require(one.exists(), str(one), "no such file", "a file or folder", "check the path")
     except OSError as error:
         raise InputError(str(one), f"can't be read ({error.strerror})") from None
-    return listed_files(one) if kind_of(one) is Kind.LIST else [one]
+    return [one.parent / name for name in listed_names(one)] if kind_of(one) is Kind.LIST else [one]
 
 
 def _may_be_named(path: Path) -> bool:

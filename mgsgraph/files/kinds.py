@@ -4,6 +4,7 @@ A name is looked at only where the content can't tell: MEGDR's grids have no hea
 """
 
 import csv
+import os.path
 import re
 import zlib
 from collections.abc import Iterator
@@ -14,14 +15,14 @@ from typing import Literal
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import FRAME, RECORD, is_lola_rdr
 from mgsgraph.files.altimetry.tables import LOLA_ROW, is_archive
-from mgsgraph.files.cameras.label import label_of
+from mgsgraph.files.cameras.label import REMEDY_FOR_MAPS, label_of
+from mgsgraph.files.cameras.other_sensors import sensor_kind
 from mgsgraph.files.csv_columns import CARTESIAN, GEODETIC, PLANETOCENTRIC
 from mgsgraph.files.labels.isis_cube import has_tables, is_cube_json, serial_number
 from mgsgraph.files.networks.table import MAGIC, parquet_names
 from mgsgraph.files.opening import head_of, json_object, read_bytes, read_text
 from mgsgraph.files.pvl import label_text, read_label
-from mgsgraph.files.support_data.isd_layout import MODEL
-from mgsgraph.files.support_data.model_state import is_model_state, read_state_json
+from mgsgraph.files.support_data.model_state import MODELS, is_model_state, read_state_json
 
 _HEAD = 1 << 16
 """bytes that are looked at, of what is no JSON."""
@@ -31,6 +32,11 @@ _PROGRAM = "mgsgraph"
 """How `program` begins in records of results."""
 _MEGDR = re.compile(r"meg([acrt])\d\d[ns]\d{3}[c-h]\w\.img", re.IGNORECASE)
 _MEG = re.compile(r"meg([acrt])", re.IGNORECASE)
+_ADJUST = re.compile(r"\s*(?:[-+.\deE]++[ \t]+){2}[-+.\deE]++[ \t]*\n\s*(?:[-+.\deE]++[ \t]+){3}[-+.\deE]++\s*")
+"""A shift and a quaternion."""
+_XML = re.compile(r"(?:<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^>]*>|\s+)*+<(?:\w+:)?(\w+)", re.DOTALL)
+_PDS4_NAME = re.compile(r"<(?:\w+:)?logical_identifier>\s*([^<\s]+)")
+_FILE_NAME = re.compile(r"[^\s,;=]+\.[A-Za-z]\w{0,4}")
 _GCP = re.compile(r"\s*\S+(\s+[-+.\deE]+){6}(\s+\S+(\s+[-+.\deE]+){4})+\s*")
 _GEO_KEYS = 34735
 """TIFF tag of a raster that lies on a map (OGC GeoTIFF)."""
@@ -62,6 +68,11 @@ class Kind(StrEnum):
     META_KERNEL = "a SPICE meta-kernel"
     TRANSFER = "a SPICE kernel in transfer format"
     LIST = "an ISIS list of files"
+    PDS4 = "a PDS4 label"
+    ADJUST = "an adjustment of ASP's bundle_adjust"
+    SOCET = "a support file of SOCET SET"
+    DIGITALGLOBE = "a camera file of DigitalGlobe (XML)"
+    AIRBUS = "a camera file of Airbus (DIMAP XML)"
     CASE = "a TOML file with a format"
     OWN_RECORD = "a record of mgsgraph itself"
 
@@ -70,6 +81,16 @@ _MEGDR_KINDS = {"r": Kind.RADII, "t": Kind.TOPOGRAPHY, "a": Kind.AREOID, "c": Ki
 IMAGES = (Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.CUBE_TABLES, Kind.PDS3, Kind.SUPPORT_DATA,
           Kind.MODEL_STATE)  # fmt: skip
 """Kinds that say an image's geometry, or a part of it."""
+_ROOTS = {"Product_Observational": Kind.PDS4, "isd": Kind.DIGITALGLOBE, "Dimap_Document": Kind.AIRBUS}
+"""Kinds by the outermost element of XML."""
+_STATE = "the state that ASP's bundle_adjust writes (*.adjusted_state.json)"
+_SUPPORT = "its ISIS cube after spiceinit, or support data (ALE's isd_generate)"
+INSTEAD = {
+    Kind.PDS4: f"give {_SUPPORT}", Kind.ADJUST: f"give {_STATE.replace('writes', 'writes beside it')}",
+    Kind.SOCET: f"give {_SUPPORT}", Kind.DIGITALGLOBE: f"give {_STATE}", Kind.AIRBUS: f"give {_STATE}",
+    Kind.RASTER: REMEDY_FOR_MAPS,
+}  # fmt: skip
+"""What to give where a file of this kind stands for an image."""
 
 
 def kind_of(path: Path) -> Kind | None:
@@ -92,7 +113,7 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
     yield _label(label, path, path.stat().st_size) if (label := label_text(head)) else None
     begin = re.match(r"object\s*=\s*(controlnetwork|protobuffer)\b", text, re.IGNORECASE)
     yield Kind.NETWORK if begin else None
-    yield Kind.MODEL_STATE if text.startswith(MODEL) else None
+    yield Kind.MODEL_STATE if text.startswith(MODELS) else None
     yield _json(path) if text.startswith("{") else None
     if head.startswith(MAGIC):
         yield Kind.TIE_TABLE if {"id", "image"} <= set(parquet_names(path)) else None
@@ -101,21 +122,41 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
         yield _shots(head, path)
         return
     yield Kind.CASE if re.search(r"^format\s*=\s*\d+\s*(#.*)?$", text, re.MULTILINE) else None
-    yield Kind.LIST if listed_files(path, text) else None
+    yield _of_others(text, path)
+    yield Kind.LIST if _is_list(path, text) else None
     yield from _rows(text, path)
 
 
-def listed_files(path: Path, text: str | None = None) -> list[Path]:
-    """Files that a text names, one in every line, relative to its folder; none where one of them is not there."""
-    names = listed_names(read_text(path, limit=_LARGEST_LIST, encoding="latin-1") if text is None else text)
-    try:
-        files = [path.parent / name for _, name in names]
-        return files if all(file.is_file() for file in files) else []
-    except (OSError, ValueError):  # a line that is too long for a name, or can't be one
-        return []
+def _of_others(text: str, path: Path) -> Kind | None:
+    """What other programs have cameras and their corrections in."""
+    if text.startswith("<") and (root := _XML.match(text)):
+        return _ROOTS.get(root[1])
+    if path.suffix.lower() == ".sup" or re.search(r"^[ \t]*SENSOR_TYPE[ \t]+\w", text, re.MULTILINE):
+        return Kind.SOCET
+    return Kind.ADJUST if path.suffix.lower() == ".adjust" or _ADJUST.fullmatch(text) else None
 
 
-def listed_names(text: str) -> list[tuple[int, str]]:
+def _is_list(path: Path, text: str) -> bool:
+    """Whether a file in every line is named, by their forms, or by one that is there."""
+    names = [name for _, name in _named_in(text)]
+    return any(os.path.isfile(path.parent / name) for name in names) or (
+        bool(names) and all(map(_FILE_NAME.fullmatch, names))
+    )
+
+
+def listed_names(path: Path) -> list[str]:
+    """Names in an ISIS list, one file in every line, relative to its folder; InputError unless all are there."""
+    names = _named_in(read_text(path, limit=_LARGEST_LIST))
+    if not names:
+        raise InputError(str(path), "no file", "the name of an image file in every line")
+    for number, name in names:
+        if not os.path.isfile(path.parent / name):
+            expected = "a file, relative to the list's folder"
+            raise InputError(f"{path}, line {number}", f"{name!r}, which is not there", expected)
+    return [name for _, name in names]
+
+
+def _named_in(text: str) -> list[tuple[int, str]]:
     """Numbers of an ISIS list's lines, from 1 on, with the names in them; blank lines and # comments have none."""
     lines = enumerate(text.splitlines(), start=1)
     return [(number, name) for number, line in lines if (name := line.split("#", 1)[0].strip())]
@@ -156,8 +197,9 @@ def _label(text: str, path: Path, size: int) -> Kind:
             letter = _MEG.match(pointer[1] if pointer else path.name) or _MEG.match(path.name)
             return _MEGDR_KINDS[letter[1].lower()] if letter else Kind.RASTER
         of_table = re.search(r"^[ \t]*\^(\w+_)?TABLE\s*=", text, re.MULTILINE)
-        of_image = re.search(r"^[ \t]*\^(IMAGE|\w*QUBE)\s*=", text, re.MULTILINE)
-        return Kind.SHOTS if of_table and not of_image else Kind.PDS3
+        of_image = re.search(r"^[ \t]*\^\w*(IMAGE|QUBE)\s*=", text, re.MULTILINE)
+        taken_by = re.search(r"^[ \t]*INSTRUMENT_(?:ID|NAME)\s*=\s*\"?([^\"\n]*)", text, re.MULTILINE)
+        return Kind.PDS3 if of_image or not of_table or (taken_by and sensor_kind(taken_by[1])) else Kind.SHOTS
     start = re.search(r"^[ \t]*StartByte\s*=\s*(\d{1,18})\b", text, re.MULTILINE | re.IGNORECASE)
     if re.search(r"^[ \t]*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
@@ -218,8 +260,7 @@ _TEXT_HEAD = 512
 _KEYS: dict[Kind | None, ImageKind] = {
     Kind.SUPPORT_DATA: "isd", Kind.MODEL_STATE: "state", Kind.CUBE_TABLES: "cube",
 }  # fmt: skip
-_OF_LABELS = (Kind.PDS3, Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL, Kind.RASTER)
-"""A raster may be a map-projected cube, which its reader refuses."""
+_OF_LABELS = (Kind.PDS3, Kind.CUBE, Kind.MAPPED_CUBE, Kind.CUBE_LABEL)
 
 
 def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = False) -> ImageKind:
@@ -245,15 +286,30 @@ def image_kind(path: Path, kernels_of_its_own: bool = False, kernels: bool = Fal
     if kind is None and head_of(path, _TEXT_HEAD).lstrip().startswith(b"{"):  # what is wrong in it, its reader says
         return "isd"
     if kind not in _OF_LABELS:
-        raise InputError(
-            str(path), str(kind) if kind else "no image, label or support data",
-            "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm",
-        )  # fmt: skip
+        raise _no_image(path, kind)
     root = read_label(path)
     if "PDS_VERSION_ID" in root:
         return "label"
     with_tables = has_tables(path, root)
     return "label" if kernels_of_its_own or (kernels and not with_tables) else "cube"
+
+
+def refuse_foreign_kinds(path: Path) -> None:
+    """Raise InputError for a file in whose place another has to be given; of JSON its reader says what is wrong."""
+    if path.suffix.lower() not in (".json", ".isd") and (kind := kind_of(path)) in INSTEAD:
+        raise _no_image(path, kind)
+
+
+def _no_image(path: Path, kind: Kind | None) -> InputError:
+    found = described(path, kind) if kind else "no image, label or support data"
+    expected = "an ISIS cube, a PDS3 label, JSON of ALE or ISIS, or a model state of usgscsm"
+    return InputError(str(path), found, expected, INSTEAD.get(kind, "") if kind else "")
+
+
+def described(path: Path, kind: Kind) -> str:
+    """A file that is no image, with the name that a PDS4 label gives its product."""
+    name = _PDS4_NAME.search(head_of(path, _HEAD).decode("latin-1")) if kind is Kind.PDS4 else None
+    return f"{kind} of {name[1]}" if name else str(kind)
 
 
 def image_name(path: Path, kind: ImageKind) -> str:

@@ -315,22 +315,27 @@ def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
 
 
 def _value(document: Document, position: int) -> tuple[str | tuple[str, ...], str, int]:
-    """A word, string or list, its unit in lower case, and where it ends."""
-    start = _skipped(document.text, position)
-    if not document.text.startswith(("(", "{"), start):
+    """A word, string or list (of all items that its inner sequences have), its unit in lower case, where it ends."""
+    text, start = document.text, _skipped(document.text, position)
+    if not text.startswith(("(", "{"), start):
         return _item(document, start)
-    items: list[str] = []
-    unit, position = "", _skipped(document.text, start + 1)
-    while not document.text.startswith((")", "}"), position):
-        item, item_unit, position = _item(document, position)
-        items.append(item)
-        unit = unit or item_unit
-        position = _skipped(document.text, position)
-        if document.text.startswith(",", position):
-            position = _skipped(document.text, position + 1)
-        elif not document.text.startswith((")", "}"), position):
-            raise InputError(document.where(start), f"a list broken by {document.excerpt(position)}", "',' or ')'")
-    return _with_unit(document.text, tuple(items), unit, position + 1)
+    items, unit, position, depth, ended = list[str](), "", start, 0, False
+    while True:
+        if not ended and text.startswith(("(", "{"), position):
+            position, depth = position + 1, depth + 1
+        elif text.startswith((")", "}"), position):
+            if depth == 1:
+                return _with_unit(text, tuple(items), unit, position + 1)
+            position, depth, ended = _with_unit(text, "", "", position + 1)[2], depth - 1, True
+        elif ended:
+            if not text.startswith(",", position):
+                raise InputError(document.where(start), f"a list broken by {document.excerpt(position)}", "',' or ')'")
+            position, ended = position + 1, False
+        else:
+            item, item_unit, position = _item(document, position)
+            items.append(item)
+            unit, ended = unit or item_unit, True
+        position = _skipped(text, position)
 
 
 def _item(document: Document, position: int) -> tuple[str, str, int]:
@@ -469,7 +474,6 @@ def bytes_around(image: Block) -> tuple[int, int]:
 
 
 # --- writing
-
 
 _COLUMNS = 80
 _UNQUOTED = re.compile(r"[\w.:/$+-]*[\w.:/$+]")

@@ -500,7 +500,9 @@ FAULTS = {
     "nothing": (("held = true",), "images[0]: no file of the image; expected one of image, list, isd, state, label"),
     "an empty list": (('list = "empty.lis"',), "empty.lis: no file; expected the name of an image file in every line"),
     "gone": (('list = "gone.lis"',), "gone.lis, line 2: 'c.cub', which is not there"),
-    "no image": (('image = "gone.lis"',), "no image, label or support data"),
+    "no image": (('image = "gone.lis"',), "gone.lis: an ISIS list of files"),
+    "of ASP": (('name = "A"\nisd = "run-a.adjust"',), "run-a.adjust: an adjustment of ASP's bundle_adjust; "),
+    "PDS4": (('name = "A"\nlabel = "a.xml"\nkernels = ["a.bsp"]',), "a.xml: a PDS4 label; "),
     "twice": (('image = "image.cub"', 'name = "MGS/100:0/MOC-NA"\nisd = "a.isd"'), "for image.cub and for a.isd"),
 }
 
@@ -510,6 +512,8 @@ def test_faults_are_said_in_one_line(tmp_path: Path, fault: str) -> None:
     written(tmp_path)
     (tmp_path / "empty.lis").write_text("# nothing\n")
     (tmp_path / "gone.lis").write_text("image.cub\nc.cub\n")
+    (tmp_path / "run-a.adjust").write_text("0 0 0\n1 0 0 0\n")
+    (tmp_path / "a.xml").write_text("<Product_Observational/>")
     images, said = FAULTS[fault]
     path = case_of_images(tmp_path, *images)
     message = refusal("check", path)

@@ -114,6 +114,15 @@ def test_nothing_to_make_a_case_of(case_file: Path, tmp_path: Path) -> None:
             draft_case([case_file.parent], place)
 
 
+def test_a_list_whose_files_are_gone_and_files_of_asp_say_what_to_do(case_file: Path, tmp_path: Path) -> None:
+    lines = [str(case_file.with_name("image_A.isd")), "gone.cub"]
+    (tmp_path / "images.lis").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "run-a.adjust").write_text("0 0 0\n1 0 0 0\n", encoding="utf-8")
+    for name, said in (("images.lis", r"images\.lis, line 2: 'gone\.cub'"), ("run-a.adjust", r"adjusted_state\.json")):
+        with pytest.raises(InputError, match=said):
+            draft_case([tmp_path / name], tmp_path / "case.toml")
+
+
 def test_a_raster_of_heights_gets_the_sphere_that_they_may_be_above(case_file: Path, tmp_path: Path) -> None:
     rasterio = pytest.importorskip("rasterio")
     for name, kind in (("heights.tif", "float32"), ("picture.tif", "uint8")):

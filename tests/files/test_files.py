@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from mgsgraph.errors import InputError, printable
+from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.decoding import line_of, read_toml, toml_table, validated
-from mgsgraph.files.kinds import Kind, image_kind, kind_of
+from mgsgraph.files.kinds import INSTEAD, Kind, image_kind, image_name, kind_of, listed_names
 from mgsgraph.files.opening import (
     head_of,
     json_object,
@@ -26,6 +27,7 @@ from mgsgraph.files.opening import (
     understood,
     unpacked_gzip,
 )
+from mgsgraph.files.pvl import Document, whole_label
 
 MADE: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo, "folder": Path.mkdir, "loop": lambda path: path.symlink_to(path),
@@ -197,6 +199,31 @@ def test_the_innermost_table_stands_for_what_is_not_there() -> None:
     assert line_of(TOML, ["nothing", 3]) is None
 
 
+# --- PVL: sequences in one another, of which all items are kept
+
+
+SEQUENCES = {
+    "((0 , 0 , 0), (0 , 0 , 1))": (tuple("000001"), ""),
+    "({a, 'b'} , (1 <km>, 2 <km>) <m>, ()) <s>": (("a", "b", "1", "2"), "s"),
+    "(((1)))": (("1",), ""),
+    "((1 <km>, /* ( */ 2),\n (3)\n)": (("1", "2", "3"), "km"),
+    "()": ((), ""), "{}": ((), ""), "(1,)": (("1",), ""), f"{'(' * 5000}1{')' * 5000}": (("1",), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", SEQUENCES, ids=lambda text: text[:20])
+def test_sequences_in_one_another_are_read(text: str) -> None:
+    root = whole_label(Document("a.lbl", f"A = {text}\nB = 1\nEND"))
+    assert root.entries["a"][:2] == SEQUENCES[text]
+    assert root.text("B") == "1"
+
+
+@pytest.mark.parametrize("text", ["(1 2)", "((1) 2)", "((1)(2))", "(,1)", "((1)", "(1))", "(1 (2))", "(1,,2)", "(((("])
+def test_broken_sequences_are_named_with_their_line(text: str) -> None:
+    with pytest.raises(InputError, match=r"a\.lbl, line \d"):
+        whole_label(Document("a.lbl", f"Z = 1\nA = {text}\n"))
+
+
 # --- what files are, by their content
 
 
@@ -251,7 +278,19 @@ TEXTS = {
     "PDS_VERSION_ID = PDS3\n^SPECTRAL_QUBE = 5\n^HISTOGRAM_TABLE = 9\n": Kind.PDS3,
     "PDS_VERSION_ID = PDS3\nINSTRUMENT_ID = MOC-NA\n": Kind.PDS3,
     "CCSD3ZF0000100000001NJPL3IF0PDS200000001\r\nPDS_VERSION_ID = PDS3\r\nINSTRUMENT_ID = MOC-NA\r\n": Kind.PDS3,
+    'PDS_VERSION_ID = PDS3\nOBJECT = RDN_FILE\n  ^RDN_IMAGE = "A.IMG"\nEND_OBJECT\n^TIME_TABLE = "A.TAB"\n': Kind.PDS3,
+    'PDS_VERSION_ID = PDS3\nINSTRUMENT_ID = "SHARAD"\n^AUXILIARY_TABLE = "A.TAB"\n': Kind.PDS3,
     "# a comment\nObject  = IsisCube\n": Kind.CUBE,
+    "a.cub # not there\nfolder/b.cub\n": Kind.LIST,
+    "a\nnot there\n": Kind.LIST,
+    "not there\nneither\n": None,
+    "1.0 2 -3e-5\n0.999 1e-4 2 3\n": Kind.ADJUST,
+    "IMAGE a.img\nSENSOR_TYPE USGSAstroLineScanner\n": Kind.SOCET,
+    '<?xml version="1.0"?>\n<isd>\n</isd>': Kind.DIGITALGLOBE,
+    "<!-- <isd> -->\n<Dimap_Document/>": Kind.AIRBUS,
+    '<?xml-model href="a"?>\n<Product_Observational>\n<logical_identifier>urn:a:b</logical_identifier>': Kind.PDS4,
+    "<html></html>": None,
+    "USGS_ASTRO_FRAME_SENSOR_MODEL\n{}": Kind.MODEL_STATE,
     '{"program": "mgsgraph", "files": []}': Kind.OWN_RECORD,
     "words and words\n": None,
     "": None,
@@ -302,11 +341,64 @@ def test_what_is_no_file_or_has_no_end_is_nothing(tmp_path: Path) -> None:
     assert kind_of(Path("/dev/zero")) is None
 
 
-@pytest.mark.parametrize("head", [b"\n", b"#\n", b'"', b","])
+@pytest.mark.parametrize("text", [text for text in TEXTS if TEXTS[text] in INSTEAD], ids=repr)
+def test_where_an_image_is_expected_other_files_are_named_with_what_to_give_instead(tmp_path: Path, text: str) -> None:
+    kind, path = TEXTS[text], tmp_path / "a"
+    path.write_text(text, encoding="utf-8")
+    assert kind is not None
+    with pytest.raises(InputError) as caught:
+        image_kind(path)
+    assert caught.value.where == str(path)
+    assert caught.value.found == kind + (" of urn:a:b" if kind is Kind.PDS4 else "")
+    assert caught.value.remedy == INSTEAD[kind]
+
+
+@pytest.mark.parametrize("name", ["run-a.adjust", "a.SUP"])
+def test_files_of_other_programs_are_known_by_their_names(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("words and words\n", encoding="utf-8")
+    assert kind_of(tmp_path / name) in (Kind.ADJUST, Kind.SOCET)
+
+
+def test_what_a_list_misses_is_named_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.lis"
+    (tmp_path / "é.cub").touch()
+    path.write_text("# images\né.cub\n\nb.cub # gone\nc.cub\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"'b\.cub', which is not there") as caught:
+        listed_names(path)
+    assert caught.value.where == f"{path}, line 4"
+    path.write_text("é.cub\n" * 2, encoding="utf-8")
+    assert listed_names(path) == ["é.cub"] * 2
+    path.write_text("# none\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no file"):
+        listed_names(path)
+
+
+def test_the_state_of_a_frame_camera_is_refused_as_such(tmp_path: Path) -> None:
+    path = tmp_path / "a.adjusted_state.json"
+    path.write_text('USGS_ASTRO_FRAME_SENSOR_MODEL\n{"m_nLines": 1}', encoding="utf-8")
+    with pytest.raises(InputError, match="a frame camera"):
+        image_name(path, image_kind(path))
+
+
+FIELD = {
+    "m3_label/pushbroom.lbl": "camera M3 is not known by labels; .* give its image support data",
+    "nested_pvl/nested.lbl": "camera MI-VIS is not known by labels",
+}
+
+
+@pytest.mark.parametrize("name", FIELD)
+def test_labels_of_the_field_are_refused_for_their_cameras(shared_field: Path, name: str) -> None:
+    path = shared_field / name
+    assert image_kind(path) == "label"
+    with pytest.raises(InputError, match=FIELD[name]):
+        read_line_scan_label(path)
+
+
+@pytest.mark.parametrize("head", [b"\n", b"#\n", b'"', b",", b"<??>", b"<", b"1 ", b"a.b\n", b"a."])
 def test_a_head_is_looked_through_at_once(tmp_path: Path, head: bytes) -> None:
     """Not by the square of its length: 16 MB would take days."""
     path = tmp_path / "a"
     path.write_bytes(head * (65536 // len(head)))
     started = time.process_time()
-    assert kind_of(path) is None
+    assert kind_of(path) in (None, Kind.LIST)
     assert time.process_time() - started < 2.0

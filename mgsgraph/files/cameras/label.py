@@ -50,6 +50,7 @@ from mgsgraph.files.cameras.camera import (
     require_summing,
 )
 from mgsgraph.files.cameras.line_scanners import CTX, HIRISE, MI, MOC, NAC, TC, THEMIS
+from mgsgraph.files.cameras.other_sensors import sensor_kind
 from mgsgraph.files.opening import ANY_SIZE, number_of, opened, read_text, understood
 from mgsgraph.files.pvl import Block, bytes_around, cube_of, cube_size, data_location, read_label
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
@@ -310,6 +311,7 @@ _PERIOD_UNITS = {
     "milliseconds": MILLISECOND, "ms": MILLISECOND, "msec": MILLISECOND, "seconds": 1.0, "s": 1.0, "": MILLISECOND,
 }  # fmt: skip
 """Of line periods and exposures, s; milliseconds where none is stated."""
+REMEDY_FOR_MAPS = "give the image as it was before it was projected; a map can only be a reference raster"
 
 
 def read_line_scan_label(path: Path) -> LineScanLabel:
@@ -332,6 +334,7 @@ def read_line_scan_label(path: Path) -> LineScanLabel:
 def label_of(path: Path, root: Block) -> LineScanLabel:
     """The same of a label that was read already; `path` is its file."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
+    _require_no_map(block)
     camera, keys = _recognised(path, block)
     lines, samples, first_line, first_sample, whole = _extent(block)
     summing = block.number(keys.sample_summing) if keys.sample_summing else 1.0
@@ -367,8 +370,8 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
 def instrument_name(root: Block) -> str:
     """What a label calls its instrument, for messages."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
-    key = "INSTRUMENT_ID" if block.kind == "pds3" else "InstrumentId"
-    return block.text(key) if key in block else "no instrument"
+    keys = ("INSTRUMENT_ID", "INSTRUMENT_NAME") if block.kind == "pds3" else ("InstrumentId",)
+    return next((" ".join(block.words(key)) for key in keys if key in block), "no instrument")
 
 
 def _recognised(path: Path, block: LabelBlock) -> tuple[Camera, LabelKeys]:
@@ -376,9 +379,30 @@ def _recognised(path: Path, block: LabelBlock) -> tuple[Camera, LabelKeys]:
         keys = camera.keys(block.kind)
         if keys is not None and all(_word(block, key) == wanted for key, wanted in keys.identity.items()):
             return camera, keys
+    name = instrument_name(block.root)
+    if sensor := _sensor_kind(block):
+        raise InputError(str(path), f"the instrument {name} is {sensor}", "an image of a line scanner")
     kind = "ISIS cubes" if block.kind == "isis" else "PDS3 labels"
-    found, expected = f"the camera {instrument_name(block.root)!r}", f"one of those known by {kind}: {_known(block)}"
+    found, expected = f"the camera {name} is not known by labels", f"one of those known by {kind}: {_known(block)}"
     raise InputError(str(path), found, expected, "give its image support data (ALE's isd_generate) instead")
+
+
+def _sensor_kind(block: LabelBlock) -> str:
+    """What the label's instrument is if it is no line scanner, else empty."""
+    alternatives = (("INSTRUMENT_ID", "DETECTOR_ID", "INSTRUMENT_MODE_ID"), ("INSTRUMENT_NAME",), ("InstrumentId",))
+    names = (" ".join(" ".join(block.words(key)) for key in keys if key in block) for keys in alternatives)
+    return next(filter(None, map(sensor_kind, names)), "")
+
+
+def _require_no_map(block: LabelBlock) -> None:
+    """Refuse what has only the pixels of a map; a cube that was projected still says how its image was taken."""
+    blocks = [block.root]
+    for one in blocks:
+        blocks += one.blocks
+    names = {one.name: one for one in blocks}
+    found = names.get("image_map_projection") or ("instrument" not in names and names.get("mapping"))
+    if found:
+        raise InputError(found.where(), "a map-projected image", "an image in camera geometry", REMEDY_FOR_MAPS)
 
 
 def _known(block: LabelBlock) -> str:

@@ -270,12 +270,12 @@ def read_isis_cube(
     root = read_label(label_path)
     if "PDS_VERSION_ID" in root:
         raise InputError(str(path), "a PDS3 label", "an ISIS cube", "name its kernels: label = ..., kernels = [...]")
+    label = label_of(label_path, root)
     content = read_json(json_path) if json_path else None
     tables = tables_of_json(content, str(json_path)) if content else tables_of_label(label_path, root)
     for table in _TABLES:
         if table not in tables:
             raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
-    label = label_of(label_path, root)
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
         asked = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None

@@ -18,6 +18,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.labels.kernel_text import require_uncut
 from mgsgraph.files.opening import ANY_SIZE, LARGEST_TEXT, finite_number, opened, read_bytes
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
@@ -113,6 +114,7 @@ def _text_of(path: Path) -> bytes:
     text = read_bytes(path, LARGEST_TEXT)
     if b"\\begindata" not in text:
         raise InputError(str(path), "no SPICE kernel", "a binary kernel, or a text kernel with \\begindata")
+    require_uncut(path, text)
     return text
 
 

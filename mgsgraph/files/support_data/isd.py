@@ -19,6 +19,7 @@ from msgspec import structs
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import NaifKeywords
 from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
+from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import validated
 from mgsgraph.files.geometric_keys import SUPPORT_DATA, require_usual, unread
 from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
@@ -69,6 +70,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         positions of which nobody says whether they are geometric, or what is known to be wrong and can't be put right.
     """
     content, source = read_json(path), str(path)
+    if (model := content.get("name_model", MODEL)) != MODEL:
+        raise InputError(f"{source}, name_model", model_words(model), f"{MODEL} (a line scanner)")
     if "instrument_position" not in content and "sensor_position" in content:
         raise InputError(
             source, "the older usgscsm layout (sensor_position, sensor_orientation)",
@@ -80,8 +83,6 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             source, "the tables of an ISIS cube, without its camera", "support data of an image",
             "name it as image = ..., with the cube's label beside it",
         )  # fmt: skip
-    if (model := content.get("name_model", MODEL)) != MODEL:
-        raise InputError(f"{source}, name_model", repr(model)[:60], f"{MODEL} (a line scanner)")
     require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
     said = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)

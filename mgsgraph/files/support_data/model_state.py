@@ -16,8 +16,9 @@ import msgspec
 import numpy as np
 
 from mgsgraph.errors import InputError, errors_from
+from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import Count, Number, Positive, validated
-from mgsgraph.files.opening import read_json
+from mgsgraph.files.opening import head_of, read_json
 from mgsgraph.files.support_data.isd_layout import MODEL, distortion_of_state
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
@@ -30,6 +31,10 @@ from mgsgraph.geometry.trajectory import AttitudeTable, FixedTrajectory, Positio
 from mgsgraph.units import MM
 
 _HIGHEST, _HIGHEST_OF_PLATFORM_0 = 8, 4
+_HEADING = 80
+"""bytes in which a model's name ends."""
+MODELS = "USGS_ASTRO_"
+"""How the names of usgscsm's models begin."""
 _HALVINGS = 16
 """Of the time between two samples, at the most."""
 _MOST = 200_000
@@ -85,7 +90,10 @@ def is_model_state(content: dict[str, Any]) -> bool:
 
 
 def read_state_json(path: Path) -> dict[str, Any]:
-    """The JSON of a model state, behind the model's name."""
+    """The JSON of a model state, behind the model's name; InputError where that is another than a line scanner's."""
+    heading = head_of(path, _HEADING).split(b"\n", 1)[0].decode("latin-1").strip()
+    if heading.startswith(MODELS) and heading != MODEL:
+        raise InputError(str(path), model_words(heading), f"{MODEL} (a line scanner)")
     return read_json(path, heading=MODEL)
 
 
@@ -107,7 +115,7 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
     """
     content, source = read_state_json(path), str(path)
     if (model := content.get("m_modelName", MODEL)) != MODEL:
-        raise InputError(f"{source}, m_modelName", repr(model)[:60], f"{MODEL} (a line scanner)")
+        raise InputError(f"{source}, m_modelName", model_words(model), f"{MODEL} (a line scanner)")
     state = validated(content, _State, source)
     _require_plain(state, source)
     with errors_from(source):

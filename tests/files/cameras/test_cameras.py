@@ -10,7 +10,10 @@ import pytest
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import Camera, LabelKind, LineScanLabel, NaifKeywords, times_of_label
 from mgsgraph.files.cameras.label import CAMERAS, read_line_scan_label
+from mgsgraph.files.cameras.other_sensors import sensor_kind
+from mgsgraph.files.kinds import Kind, image_kind, kind_of
 from mgsgraph.files.labels.aberration import spacecraft_of
+from mgsgraph.files.labels.isis_cube import read_isis_cube
 from mgsgraph.files.labels.kernels import ck_frame, clock_time, fixed_rotation, loaded
 from mgsgraph.geometry.camera import KaguyaMiDistortion, NoDistortion, RadialDistortion
 
@@ -350,3 +353,72 @@ def test_the_page_has_the_table() -> None:
 
 if __name__ == "__main__":
     print(table())
+
+
+# --- images that are refused as what they are
+
+
+PDS3 = "PDS_VERSION_ID = PDS3\n{keys}\nOBJECT = IMAGE\n  LINES = 10\n  LINE_SAMPLES = 10\nEND_OBJECT\n{end}END\n"
+ISIS = "Object = IsisCube\n  Group = Instrument\n    {keys}\n  End_Group\nEnd_Object\nEnd\n"
+SENSORS = {
+    "INSTRUMENT_ID = MDIS-NAC": "a frame camera",
+    "INSTRUMENT_NAME = VISUAL_IMAGING_SUBSYSTEM_CAMERA_B": "a frame camera",
+    'INSTRUMENT_ID = SSI\nINSTRUMENT_NAME = "SOLID-STATE IMAGING"': "a frame camera",
+    "INSTRUMENT_ID = FC2": "a frame camera",
+    'INSTRUMENT_ID = "FRONT_HAZCAM_LEFT"': "a frame camera",
+    'INSTRUMENT_ID = MI\nINSTRUMENT_NAME = "MICROSCOPIC IMAGER"': "a frame camera",
+    "INSTRUMENT_ID = MAST_LEFT": "a frame camera",
+    "INSTRUMENT_ID = HRSC\nDETECTOR_ID = MEX_HRSC_SRC": "a frame camera",
+    'INSTRUMENT_ID = ("ISSNA")': "a frame camera",
+    "INSTRUMENT_ID = LROC\nINSTRUMENT_MODE_ID = COLOR": "a push-frame camera",
+    'INSTRUMENT_ID = "THEMIS"\nDETECTOR_ID = "VIS"': "a push-frame camera",
+    "INSTRUMENT_ID = MARCI": "a push-frame camera",
+    "INSTRUMENT_ID = JNC": "a push-frame camera",
+    "INSTRUMENT_ID = SHARAD": "radar",
+    "INSTRUMENT_ID = MARSIS": "radar",
+    "INSTRUMENT_ID = MRFLRO": "radar",
+    'INSTRUMENT_NAME = "RADAR SYSTEM"': "radar",
+    "InstrumentId = WAC-VIS": "a push-frame camera",
+    "InstrumentId = THEMIS_VIS": "a push-frame camera",
+    "InstrumentId = Marci": "a push-frame camera",
+    "InstrumentId = FC1": "a frame camera",
+    'InstrumentId = "SOLID STATE IMAGING SYSTEM"': "a frame camera",
+}
+
+
+@pytest.mark.parametrize("keys", SENSORS)
+def test_no_line_scanner_is_refused_as_what_it_is(tmp_path: Path, keys: str) -> None:
+    """Without the advice to make support data, which would be refused, too."""
+    path = tmp_path / "a.lbl"
+    path.write_text((ISIS if keys.startswith("InstrumentId") else PDS3).format(keys=keys, end=""), encoding="utf-8")
+    for read in (read_line_scan_label, *([read_isis_cube] if keys.startswith("InstrumentId") else [])):
+        with pytest.raises(InputError, match=f" is {SENSORS[keys]};") as caught:
+            read(path)
+        assert not caught.value.remedy
+
+
+def test_no_line_scanner_of_the_table_is_taken_for_something_else() -> None:
+    for camera in CAMERAS:
+        for keys in (camera.isis, camera.pds3):
+            assert keys is None or not sensor_kind(" ".join(keys.identity.values()))
+    assert not sensor_kind("USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL")
+    assert [sensor_kind(name) for name in ("MI-VIS", "MI-NIR", "CRISM", "M3", "")] == [""] * 5
+
+
+MAP = "OBJECT = IMAGE_MAP_PROJECTION\n  MAP_SCALE = 6.0\nEND_OBJECT\n"
+MAPS = {
+    "pds3": PDS3.format(keys="INSTRUMENT_ID = CTX\n^IMAGE = 9", end=MAP),
+    "inside": PDS3.format(keys=f"INSTRUMENT_ID = CTX\nOBJECT = IMAGE_FILE\n{MAP}END_OBJECT", end=""),
+    "isis": ISIS.replace("Instrument", "Mapping").format(keys="ProjectionName = Sinusoidal"),
+}
+
+
+@pytest.mark.parametrize("which", MAPS)
+def test_a_map_is_no_raw_image_and_stays_a_raster(tmp_path: Path, which: str) -> None:
+    path = tmp_path / "a.lbl"
+    path.write_text(MAPS[which], encoding="utf-8")
+    assert kind_of(path) is Kind.RASTER
+    with pytest.raises(InputError, match="a georeferenced raster"):
+        image_kind(path)
+    with pytest.raises(InputError, match="a map-projected image"):
+        read_line_scan_label(path)

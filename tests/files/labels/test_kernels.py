@@ -19,6 +19,7 @@ from mgsgraph.files.labels.kernels import (
     ellipsoid,
     fixed_rotation,
     loaded,
+    members,
     pool_numbers,
     require_whole,
     sample_trajectory,
@@ -210,6 +211,32 @@ def test_meta_kernels_find_files_by_symbol_and_beside_them(
 
 
 # --- what is missing or wrong
+
+
+CUT = {
+    "PATH_VALUES = ( '{text:81}' )": "line 3, PATH_VALUES: a text of 81 characters; .* 80 characters; continue with",
+    "KERNELS_TO_LOAD = ( 'a.tls',\n '{text:140}' )": "line 4, KERNELS_TO_LOAD: a text of 140 characters",
+    "KERNELS_TO_LOAD += ( '{text:70}', '{text:70}' )": "line 3, KERNELS_TO_LOAD: a line of 169 characters",
+}
+
+
+@pytest.mark.parametrize("data", CUT)
+def test_what_spice_would_cut_off_is_named(tmp_path: Path, data: str) -> None:
+    meta = tmp_path / "a.tm"
+    meta.write_text(f"KPL/MK\n\\begindata\n{data.replace(':', ':x<').format(text='')}\nKERNELS_TO_LOAD = 'a'\n")
+    with pytest.raises(InputError, match=CUT[data]):
+        members(meta)
+
+
+def test_texts_of_80_characters_and_long_comments_are_read(tmp_path: Path) -> None:
+    meta, text = tmp_path / "a.tm", "x" * 79
+    (tmp_path / f"{text}y").write_text("KPL/FK\n\\begindata\nA = 1\n")
+    (tmp_path / "it's").write_text(f"KPL/FK\n\\begindata\nA = '{'z' * 100}'\n")
+    meta.write_text(
+        f"KPL/MK\n'{'c' * 200}'\n\\begindata\nKERNELS_TO_LOAD = ( '{text}y',\n '{text}+'\n 'y', 'it''s' )\n"
+        f"\\begintext\n'{'c' * 200}'\n"
+    )
+    assert [path.name for path in members(meta)] == [f"{text}y", f"{text}y", "it's"]
 
 
 @pytest.mark.parametrize(

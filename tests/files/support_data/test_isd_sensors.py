@@ -204,7 +204,9 @@ def test_what_is_of_the_wrong_kind_is_named(tmp_path: Path, keys: Keys) -> None:
 @pytest.mark.parametrize(
     ("keys", "value", "said"),
     [
-        (("name_model",), "USGS_ASTRO_FRAME_SENSOR_MODEL", "expected USGS_ASTRO_LINE_SCANNER"),
+        (("name_model",), "USGS_ASTRO_FRAME_SENSOR_MODEL", "a frame camera; expected USGS_ASTRO_LINE_SCANNER"),
+        (("name_model",), "USGS_ASTRO_PUSH_FRAME_SENSOR_MODEL", "a push-frame camera; expected USGS_ASTRO_LINE"),
+        (("name_model",), "USGS_ASTRO_SAR_SENSOR_MODEL", "radar; expected USGS_ASTRO_LINE_SCANNER"),
         (("image_lines",), 0.5, "image_lines: 0.5;"),
         (("radii", "unit"), "mi", "expected one of 'km', 'm'"),
         (("line_scan_rate", 0, 2), -0.001, "expected positive line periods"),
