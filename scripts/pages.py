@@ -1,7 +1,7 @@
 """Write what pages say of the program itself, as plain text that reads everywhere: every verb with its options
 (docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results
-(docs/files.md), every array of a solution.npz (docs/solution_npz.md): what an array means is what stands under its
-field in the source.
+(docs/files.md), every array of a solution.npz (docs/solution_npz.md), every key of input files that bears on geometry
+(docs/input_keys.md): what an array means is what stands under its field in the source.
 
 `python scripts/pages.py` writes them; a test (tests/test_docs.py) holds them true.
 """
@@ -29,6 +29,7 @@ from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.case_file import keys_markdown
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.cli import group
+from mgsgraph.files.geometric_keys import FORMATS, Use
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
 from mgsgraph.network import PointClass
@@ -68,6 +69,15 @@ input is one line on standard error and exit status 2; 0 is done, 1 not converge
 (nothing is half-written). Results appear whole or not at all: an earlier result is replaced only when the new one is
 there, a folder that holds anything else is refused.
 """
+_INPUT_KEYS = """<!-- written by scripts/pages.py -->
+# Keys of input files
+
+Keys that bear on geometry, by format: *read*, *compared* with what says the same a second time, or *refused* where they
+say anything else than what stands in the last column (the file is to be converted first). A key that looks geometric
+and is not here is named by `mgsgraph check`. What has no second statement in the input rests on that one key:
+`mgsgraph check CASE --details` prints the values of those that decide the geometry. This page is made from
+`mgsgraph/files/geometric_keys.py`, by which the readers go. Names are regular expressions.
+"""
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
 _ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
@@ -79,6 +89,7 @@ def pages() -> dict[Path, str]:
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
         DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
         DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
+        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown(),
         DOCS / "solution_npz.md": _by_hand("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
@@ -86,6 +97,18 @@ def pages() -> dict[Path, str]:
 def _by_hand(page: str, mark: str) -> str:
     """What stands in a page down to the mark."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
+
+
+def input_keys_markdown() -> str:
+    """A table for each format, and the keys that nothing could be held against."""
+    lines: list[str] = []
+    for name, keys in FORMATS.items():
+        lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
+        lines += ["| key | use | meaning | held against |", "|---|---|---|---|"]
+        lines += [f"| `{_cell(one.name)}` | {one.use} | {_cell(one.meaning)} | {_cell(one.twin)} |" for one in keys]
+        alone = [f"`{_cell(one.name)}`" for one in keys if one.use == Use.READ and not one.twin]
+        lines += ["", f"Without a second statement: {', '.join(alone)}."] if alone else []
+    return "\n".join(lines) + "\n"
 
 
 def commands_markdown() -> str:

@@ -22,10 +22,12 @@ from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.datum import NAMED
+from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.files.pvl import instrument_of
+from mgsgraph.files.opening import read_text
+from mgsgraph.files.pvl import flat_label, instrument_of
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
@@ -138,6 +140,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     tie_points, notes = _read_ties(wanted, parts, folder)
     if tie_points:
         parts.add_points(tie_points, PointClass.TIE, 1.0)
+    notes += _unread_keys(wanted, folder)
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
         datum = wanted.ground_control.datum
@@ -167,6 +170,19 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         wanted.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
         tuple(notes),
     )  # fmt: skip
+
+
+def _unread_keys(wanted: CaseInput, folder: Path) -> list[str]:
+    """A sentence for each label of shots and of grids that has keys which look geometric and which nothing reads."""
+    files = [(folder / one.file, SHOT_LABEL) for one in wanted.shots]
+    grids = [name for one in wanted.terrain_models for name in (*one.grids, one.topography, one.areoid) if name]
+    files += [((folder / name).with_suffix(".lbl"), GRID_LABEL) for name in grids]
+    said = []
+    for path, keys in files:
+        if path.suffix.lower() == ".lbl" and path.is_file():
+            names = unread(map(str.upper, flat_label(read_text(path), str(path)).entries), keys)
+            said += [f"{path.name}: nothing reads the key {', '.join(names)}"] if names else []
+    return said
 
 
 def _read_passes(

@@ -22,6 +22,7 @@ from mgsgraph.geometry.footprint import footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.trajectory import utc_of_tdb
 from mgsgraph.network import Network, NodePrior, Pass, PointClass, SharedKind
 from mgsgraph.network.connectivity import (
     WEAKEST,
@@ -41,7 +42,7 @@ from mgsgraph.results.section import ROWS, Section, table_of
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import length, many, root_mean_square, some, some_of, span, two
-from mgsgraph.units import DEG, KM, MRAD
+from mgsgraph.units import DEG, KM, MILLISECOND, MM, MRAD
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -86,7 +87,7 @@ def inventory(case: Case, details: bool = True) -> str:
     pairs = connectivity_table(connected).take(rows)
     return _text([
         Section("", head, case.notes, [_images_table(network.images, network)]),
-        Section("", sentences=reading_statements(network.images)),
+        Section("", sentences=[*reading_statements(network.images), *deciding_values(network.images)]),
         points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),
@@ -244,6 +245,29 @@ def _images_table(images: Sequence[PushbroomImage], network: Network | None = No
         "spacing_{}": spacing, "longitude_{}": corners[:, :, 0], "latitude_{}": corners[:, :, 1],
         "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
     }, images)  # fmt: skip
+
+
+def deciding_values(images: Sequence[PushbroomImage]) -> list[str]:
+    """Sentences with the constants and times that decide the geometry of images, for a look by eye: much of the input
+    has no second statement that they could be held against.
+    """
+    names, of_words = [image.name for image in images], dict[str, list[int]]()
+    for j, image in enumerate(images):
+        interior, timing, body = image.interior, image.timing, image.body
+        pitch = 1.0 / float(np.linalg.norm(interior.to_pixel[1, 1:]))
+        period = f"{timing.periods.min() / MILLISECOND:.7g}"
+        if timing.periods.size > 1:
+            period += f" .. {timing.periods.max() / MILLISECOND:.7g}"
+        distortion = type(interior.distortion).__name__.removesuffix("Distortion")
+        of_words.setdefault(
+            f"focal length {interior.focal_length / MM:.7g} mm ({distortion or 'no'} distortion), detector pixels of "
+            f"{1e6 * pitch:.5g} micrometers, {interior.sample_summing:g} per sample, the first one "
+            f"{interior.first[1]:g}, principal point at pixel {interior.centre[1]:.7g}; {period} ms per line; body of "
+            f"{body.equatorial / KM:.9g} and {body.polar / KM:.9g} km", [],
+        ).append(j)  # fmt: skip
+    said = [f"{some_of(names, np.array(members))}: {words}." for words, members in of_words.items()]
+    begins = [f"{image.name} {utc_of_tdb(image.span[0]):%Y-%m-%dT%H:%M:%S.%f}"[:-3] for image in images]
+    return [*said, f"First lines (UTC): {some(begins, len(begins))}."]
 
 
 def _orientation(network: Network, j: int) -> str:

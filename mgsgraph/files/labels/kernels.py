@@ -7,6 +7,7 @@ What SPICE kernels hold: files that a meta-kernel names, covered intervals, reco
 """
 
 import os
+import re
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ from mgsgraph.files.opening import ANY_SIZE, LARGEST_TEXT, finite_number, opened
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
+from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory, tdb_of_utc
 from mgsgraph.units import KM
 
 _CK_CLASS, _DEEPEST = 3, 5
@@ -260,6 +261,8 @@ MARGIN = 2.0
 
 _CK_TOLERANCE = 1e-4
 """ticks (0.4 microseconds of MGS): rounding of a time at the very end of a segment, no more."""
+_LEAP = 0.5
+"""s."""
 _FIXED = 4
 """SPICE's class of frames that are fixed to another."""
 _LARGEST = 1e100
@@ -343,8 +346,14 @@ def clock_time(spacecraft: int, count: str) -> float:
 
 def utc_time(text: str, where: str) -> float:
     """Time in s TDB past J2000 of one in UTC, by the leap seconds that are loaded; `where` names it in errors."""
+    plain = text.strip().removesuffix("Z")
     with spice_words(where, "write 2008-02-08T12:08:53.843; load a leapseconds kernel"):
-        return float(spiceypy.str2et(text.strip().removesuffix("Z")))
+        found = float(spiceypy.str2et(plain))
+    own = float(tdb_of_utc([plain], where)[0]) if re.match(r"\d{4}-", plain) else found
+    if abs(found - own) > _LEAP:
+        remedy = "load a leapseconds kernel that is not older than the image"
+        raise InputError(where, f"{own - found:+.0f} s of leap seconds that the kernel lacks", "all up to then", remedy)
+    return found
 
 
 def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
