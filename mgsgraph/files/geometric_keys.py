@@ -64,7 +64,8 @@ SUPPORT_DATA = (
     _read(r"DETECTOR_CENTER\.LINE", "principal point, detector lines from 0", "INS_BORESIGHT_LINE, INS_CCD_CENTER"),
     _read(r"DETECTOR_CENTER\.SAMPLE", "principal point, detector pixels, first edge 0 (0.5 where the first sample "
           "begins at a half)", "INS_BORESIGHT_SAMPLE, INS_CCD_CENTER"),
-    _read("STARTING_DETECTOR_(LINE|SAMPLE)", "detector pixel at which the image begins", "INS_PIXEL_SAMPLES"),
+    _read("STARTING_DETECTOR_SAMPLE", "detector pixel at which the image begins", "INS_PIXEL_SAMPLES"),
+    _read("STARTING_DETECTOR_LINE", "detector line of the image, from 0"),
     _read("FOCAL2PIXEL_LINES", "detector lines; per mm along x, y of the focal plane", "INS_ITRANSL, INS_PIXEL_PITCH"),
     _read("FOCAL2PIXEL_SAMPLES", "detector pixels; per mm along x, y", "INS_ITRANSS, INS_PIXEL_PITCH"),
     _read(r"OPTICAL_DISTORTION\..*", "model and coefficients, mm",
@@ -73,7 +74,7 @@ SUPPORT_DATA = (
           "angular_velocities; BODY_POLE_RA, _POLE_DEC, _PM"),
     _compared(r"(BODY_ROTATION|INSTRUMENT_POINTING)\.ANGULAR_VELOCITIES", "rad/s about inertial axes", "quaternions"),
     _read(r"\w+\.EPHEMERIS_TIMES", "s TDB past J2000", "ck_table_..., spk_table_..., the image's lines"),
-    _read(r"\w+\.CONSTANT_ROTATION", "row by row, to the camera or the body", "orthonormal; the image sees the body"),
+    _read(r"\w+\.CONSTANT_ROTATION", "row by row, orthonormal, to the camera or the body"),
     _read(r"INSTRUMENT_POSITION\.POSITIONS", "J2000, km or m", "velocities, radii"),
     _read(r"INSTRUMENT_POSITION\.VELOCITIES", "J2000, km/s or m/s", "positions"),
     _read(r"\w+\.UNIT", "km or m", "velocities, radii"),

@@ -40,8 +40,8 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.text import listed
 from mgsgraph.workers import read_apart
 
-_CLOCK_SLACK = 1.0
-"""s by which the label's UTC and its clock count may differ; true labels agree within 0.01 s."""
+_CLOCK_SLACK, _OF_SECONDS = 0.1, 1.0
+"""s by which the label's UTC (one in whole seconds) and its clock count may differ; true labels do by 0.03 s."""
 _STOP_SLACK = 0.1
 """s by which the last line may end after the label's STOP_TIME says, both counted from its start; true labels need
 0.007 s (Kaguya, which give the last line's beginning).
@@ -264,10 +264,11 @@ def _line_times(label: LineScanLabel, keywords: Keywords) -> LineTimes:
         start = stated
     else:
         start = clock_time(camera.clock or camera.spacecraft, label.start)
-        if abs(stated - start) > _CLOCK_SLACK:
+        slack = _CLOCK_SLACK if "." in label.utc else _OF_SECONDS
+        if abs(stated - start) > slack:
             raise InputError(
                 str(label.path), f"clock count {label.start}, which is {start - stated:.3f} s after the label's UTC",
-                f"the two within {_CLOCK_SLACK:g} s", "check the label, and that the SCLK kernel is the spacecraft's",
+                f"the two within {slack:g} s", "check the label, and that the SCLK kernel is the spacecraft's",
             )  # fmt: skip
     stop = utc_time(label.stop, f"{label.path}, stop time {label.stop}") if label.stop else np.nan
     times = camera.line_times(keywords, label, start, stop)

@@ -49,7 +49,7 @@ so by 7.3 to 28.2 km, for the polar radius is 20 km less, those of topography by
 """
 _MOST = 1e8
 """m, of a label's scale and offset."""
-_PART = 0.26
+_PART = 0.05
 """Posts by which a label's edges may be off."""
 _LOWEST_ROW = -9e3
 """m, of topography, whose lowest post is -8.1 km."""

@@ -292,7 +292,7 @@ class SupportData(msgspec.Struct, omit_defaults=True, kw_only=True):
     """s TDB past J2000."""
     radii: Radii
     naif_keywords: dict[str, Any] = {}
-    detector_sample_summing: Positive
+    detector_sample_summing: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)]
     detector_line_summing: Positive = 1.0
     focal_length_model: FocalLength
     detector_center: DetectorPixel

@@ -13,7 +13,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
-from mgsgraph.files.support_data.isd_layout import RotationTable, SupportData
+from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, SupportData
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.records import Array
@@ -32,6 +32,8 @@ _LATE = 0.05
 _HALF = 0.5
 _TURNED = 0.2
 """Share by which rates and attitudes of the median interval may contradict each other; between samples rates change."""
+_MOVED = 0.05
+"""Share by which velocities and positions may, over the minutes between samples."""
 _POLE = 1e-4
 """rad between the body's rotation and that of its pole and prime meridian."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -71,6 +73,7 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
             raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
+    _require_moving(isd.instrument_position, f"{source}, instrument_position")
     for name in ("instrument_pointing", "body_rotation"):
         _require_turning(getattr(isd, name), f"{source}, {name}")
     return list(_clock(isd, source))
@@ -85,6 +88,18 @@ def _require_described(table: object, where: str) -> None:
             if stated is None or abs(stated - found) <= _SAME_TIME or (end == "original_size" and stated > found):
                 continue  # ISIS makes tables smaller
             raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{found:.12g}, as ephemeris_times say")
+
+
+def _require_moving(table: StateTable, where: str) -> None:
+    """Raise InputError where positions don't move as their own velocities say."""
+    times, places, speeds = (np.array(one) for one in (table.ephemeris_times, table.positions, table.velocities or []))
+    if len(speeds) != times.size or len(places) != times.size or times.size < 2 or np.any(np.diff(times) <= 0.0):
+        return  # the record says so
+    moved, mean = np.diff(places, axis=0) / np.diff(times)[:, None], 0.5 * (speeds[1:] + speeds[:-1])
+    off, size = (np.median(np.linalg.norm(one, axis=1)) for one in (moved - mean, mean))
+    if off > _MOVED * size:
+        found = f"positions that move by {np.median(np.linalg.norm(moved, axis=1)):.6g} (median, per s)"
+        raise InputError(where, found, f"the velocities beside them, {size:.6g} in the same direction")
 
 
 def _require_turning(table: RotationTable, where: str) -> None:

@@ -1,0 +1,424 @@
+"""A generator of lies: every geometric key of an input file said otherwise than it is, and what the reader makes of it.
+
+`python tests/lies.py` prints, for each format and key, how many lies are refused, named, harmless (below a twentieth of
+a pixel) and silent. Files are real ones of ../shared/data, or as small as the format allows.
+"""
+
+import copy
+import json
+import re
+import struct
+import sys
+import tempfile
+import warnings
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.lidar import read_lidar
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.labels.labelled_image import read_labelled_image
+from mgsgraph.files.networks.asp_text import read_ground_control
+from mgsgraph.files.rasters.megdr import read_megdr
+from mgsgraph.files.rasters.terrain_file import read_terrain
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.trajectory import utc_of_tdb
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+KERNELS = (".tls", ".tpc", ".tsc", ".tf", ".ti", ".bsp", ".bc")
+MARS = Ellipsoid(3396190.0, 3376200.0)
+HARMLESS = 0.05
+"""Pixels."""
+Values = dict[tuple[str | int, ...], Any]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file, its keys, and how it is read: places (n, k), their unit, and remarks."""
+
+    name: str
+    text: Callable[[], Any]
+    """The true content: JSON, or keyword = value lines."""
+    keys: tuple[str, ...]
+    """Those that are lied about; of JSON with points between levels."""
+    read: Callable[[Any, Path], tuple[np.ndarray, tuple[str, ...]]]
+    """Of a content, in a folder of its own: places in pixels of the true one, and remarks."""
+
+
+# --- what is said instead
+
+
+def lies(value: Any) -> Iterator[tuple[str, Any]]:
+    """A value's lies by name; None for a key that is missing."""
+    yield "missing", None
+    if isinstance(value, bool) or value is None:
+        return
+    if isinstance(value, int | float):
+        for name, one in (("sign", -value), ("factor 2", 2 * value), ("half", value + 0.5), ("unit", 1000 * value),
+                          ("unit down", value / 1000)):  # fmt: skip
+            if one != value:
+                yield name, one
+    elif isinstance(value, str):
+        for one, other in SWAPS:
+            if value.upper() == one:
+                yield f"other ({other})", other
+    elif isinstance(value, list) and value and isinstance(value[0], int | float):
+        yield "sign", [-one for one in value]
+        yield "factor 2", [2 * one for one in value]
+        yield "first and last exchanged", value[::-1]
+        yield "half", [one + 0.5 for one in value]
+    elif isinstance(value, list) and value and isinstance(value[0], list):
+        yield "sign", [[-one for one in row] for row in value]
+        yield "factor 2", [[2 * one for one in row] for row in value]
+        yield "columns turned", [[*row[1:], row[0]] for row in value]
+
+
+SWAPS = (
+    ("KM", "M"), ("M", "KM"), ("METER", "FEET"), ("EAST", "WEST"), ("MARS", "MOON"), ("MOON", "MARS"),
+    ("DEGREE", "KM"), ("DEGREES", "RADIANS"), ("PLANETOCENTRIC", "PLANETOGRAPHIC"),
+    ("SIMPLE CYLINDRICAL", "SINUSOIDAL"),
+    ("USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL", "USGS_ASTRO_FRAME_SENSOR_MODEL"), ("UPPERMOST", "LOWERMOST"),
+    ("LEFT", "RIGHT"), ("FULL", "HALF"), ("D_MARS", "D_MOON"),
+)  # fmt: skip
+"""Words and what is said in their place."""
+
+
+def told(form: Format, key: str, lie: Any, folder: Path, true: tuple[np.ndarray, tuple[str, ...]]) -> str:
+    """What becomes of a lie: refused, named, harmless or silent."""
+    try:
+        places, remarks = form.read(changed(form.text(), key, lie), folder)
+    except InputError:
+        return "refused"
+    if set(remarks) - set(true[1]):
+        return "named"
+    off = np.abs(places - true[0]).max() if places.shape == true[0].shape else np.inf
+    return "harmless" if off < HARMLESS else "silent"
+
+
+def changed(content: Any, key: str, lie: Any) -> Any:
+    """A content with one key said otherwise."""
+    if isinstance(content, str):
+        return _changed_text(content, key, lie)
+    content, inner = copy.deepcopy(content), content
+    *path, last = key.split("/")
+    inner = content
+    for name in path:
+        inner = inner[int(name)] if isinstance(inner, list) else inner[name]
+    place = int(last) if isinstance(inner, list) else last
+    if lie is None:
+        del inner[place]
+    else:
+        inner[place] = lie
+    return content
+
+
+def _changed_text(content: str, key: str, lie: Any) -> str:
+    lines = []
+    for line in content.splitlines():
+        name, equals, rest = line.partition("=")
+        if name.strip() != key or not equals:
+            lines.append(line)
+        elif lie is not None:
+            unit = rest[rest.index("<") :] if "<" in rest else ""
+            lines.append(f"{name}= {lie} {unit}")
+    return "\n".join(lines) + "\n"
+
+
+def value_of(content: Any, key: str) -> Any:
+    """What stands under a key."""
+    if isinstance(content, str):
+        for line in content.splitlines():
+            name, equals, rest = line.partition("=")
+            if equals and name.strip() == key:
+                word = rest.split("<")[0].strip().strip('"')
+                try:
+                    return float(word)
+                except ValueError:
+                    return word
+        raise KeyError(key)
+    for name in key.split("/"):
+        content = content[int(name)] if isinstance(content, list) else content[name]
+    return content
+
+
+# --- images
+
+
+class _Images:
+    """Reads an image and compares with the true one, which the first reading is."""
+
+    def __init__(self, reader: Callable[[Any, Path], PushbroomImage]) -> None:
+        self.reader, self.true, self.scale = reader, None, 1.0
+
+    def __call__(self, content: Any, folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        image = self.reader(content, folder)
+        self.true = self.true or image
+        lines, samples = (np.linspace(0.5, size - 0.5, 5) for size in (self.true.lines, self.true.samples))
+        grid = np.stack(np.meshgrid(lines, samples), axis=-1).reshape(-1, 2)
+        ground, _ = image.image_to_ground(grid[:, 0], grid[:, 1])
+        _, slope = self.true.image_to_ground(*self.true.middle)
+        return ground / float(np.linalg.norm(slope, axis=-2).min()), image.remarks
+
+
+def support_data(path: Path) -> Format:
+    """Support data of a real image: all keys of the table that it has, and its keywords."""
+    said = json.loads(path.read_text())
+    tables = ("instrument_position", "instrument_pointing", "body_rotation")
+    keys = [
+        "image_lines", "image_samples", "center_ephemeris_time", "starting_ephemeris_time", "line_scan_rate",
+        "radii/semimajor", "radii/semiminor", "radii/unit", "detector_sample_summing",
+        "focal_length_model/focal_length",
+        "detector_center/line", "detector_center/sample", "starting_detector_line", "starting_detector_sample",
+        "focal2pixel_lines", "focal2pixel_samples", "name_model", "line_scan_rate/0",
+    ]  # fmt: skip
+    keys += [f"{table}/{key}" for table in tables for key in said[table] if key != "time_dependent_frames"]
+    optics = said["optical_distortion"]
+    keys += [f"optical_distortion/{model}/{key}" for model, inner in optics.items() for key in inner]
+    keys += [f"naif_keywords/{key}" for key in said["naif_keywords"]
+             if key.startswith(("INS", "BODY", "CLOCK")) and "/" not in key]
+
+    def read(content: Any, folder: Path) -> PushbroomImage:
+        (folder / "a.isd").write_text(json.dumps(content))
+        return read_isd(folder / "a.isd", "a", Aberration("NONE"))
+
+    return Format(f"support data ({path.parent.name})", lambda: said, tuple(keys), _Images(read))
+
+
+def image_label(path: Path, kernels: list[Path], keys: tuple[str, ...], stop: str) -> Format:
+    """A real PDS3 label with its kernels, of the 400 lines that they cover, which end at a time of the day."""
+    text = path.read_text(encoding="latin-1").replace("\r\n", "\n")
+    text = re.sub(r"(STOP_TIME +=[^T\n]+T)[\d:.]+", rf"\g<1>{stop}", text)
+
+    def read(content: str, folder: Path) -> PushbroomImage:
+        (folder / path.name).write_text(content, encoding="latin-1")
+        return read_labelled_image(folder / path.name, kernels, "a")
+
+    return Format(f"PDS3 label ({path.parent.name})", lambda: text, keys, _Images(read))
+
+
+def usgs_label() -> Iterator[Format]:
+    """Labels of the images that have their kernels here."""
+    for folder, stop, keys in (
+        ("kaguya_tc", "20:09:56.207478", (
+            "LINES", "LINE_SAMPLES", "CORRECTED_START_TIME", "CORRECTED_SC_CLOCK_START_COUNT", "CORRECTED_STOP_TIME",
+            "LINE_SAMPLING_INTERVAL", "A_AXIS_RADIUS", "B_AXIS_RADIUS", "C_AXIS_RADIUS", "SWATH_MODE_ID", "TARGET_NAME",
+            "SCENE_CENTER_LATITUDE", "SCENE_CENTER_LONGITUDE", "FIRST_SAMPLED_LINE_POSITION", "FIRST_PIXEL_NUMBER",
+            "FIRST_DETECTOR_ELEM_POSITION", "LAST_PIXEL_NUMBER", "UPPER_LEFT_LATITUDE",
+        )),
+        ("lro_nac_m103595705", "12:20:38.598", (
+            "LINES", "LINE_SAMPLES", "CROSSTRACK_SUMMING", "LINE_EXPOSURE_DURATION", "TARGET_NAME",
+        )),
+    ):  # fmt: skip
+        (label,) = (SHARED / "data" / folder).glob("*_pds3.lbl")
+        own = [one for one in sorted(label.parent.iterdir()) if one.suffix.lower() in KERNELS]
+        moon = [SHARED / "data" / "lro_nac_m103595705" / name for name in ("moon_080317.tf", "moon_assoc_me.tf")]
+        moon = [*(moon if folder == "kaguya_tc" else ()), SHARED / "data" / "kernels" / "moon_pa_de421_1900-2050.bpc"]
+        kernels = sorted([*own, *moon], key=lambda one: "ddendum" in one.name)
+        yield image_label(label, kernels, keys, stop)
+
+
+# --- laser shots, grids, control
+
+
+def megdr() -> Format:
+    """A small grid with all that the archive's labels say."""
+    rows, columns, resolution = 72, 144, 0.4
+    text = f"""PDS_VERSION_ID = PDS3
+RECORD_BYTES = {2 * columns}
+FILE_RECORDS = {rows}
+^IMAGE = "MEGR90N000ZB.IMG"
+PRODUCT_ID = "MEGR90N000ZB.IMG"
+TARGET_NAME = MARS
+LINES = {rows}
+LINE_SAMPLES = {columns}
+SAMPLE_TYPE = MSB_INTEGER
+SAMPLE_BITS = 16
+LINE_PREFIX_BYTES = 0
+UNIT = METER
+SCALING_FACTOR = 1
+OFFSET = 3396000
+MAP_PROJECTION_TYPE = "SIMPLE CYLINDRICAL"
+COORDINATE_SYSTEM_NAME = "PLANETOCENTRIC"
+A_AXIS_RADIUS = 3396.0 <KM>
+B_AXIS_RADIUS = 3396.0 <KM>
+C_AXIS_RADIUS = 3396.0 <KM>
+POSITIVE_LONGITUDE_DIRECTION = EAST
+CENTER_LATITUDE = 0.0 <DEGREE>
+CENTER_LONGITUDE = 180.0 <DEGREE>
+MAP_PROJECTION_ROTATION = 0.0
+MAP_RESOLUTION = {resolution} <PIXEL/DEGREE>
+MAP_SCALE = {3396.0 * np.pi / 180.0 / resolution:.4f} <KM/PIXEL>
+MAXIMUM_LATITUDE = 90.0 <DEGREE>
+MINIMUM_LATITUDE = -90.0 <DEGREE>
+WESTERNMOST_LONGITUDE = 0.0 <DEGREE>
+EASTERNMOST_LONGITUDE = 360.0 <DEGREE>
+LINE_FIRST_PIXEL = 1
+LINE_LAST_PIXEL = {rows}
+SAMPLE_FIRST_PIXEL = 1
+SAMPLE_LAST_PIXEL = {columns}
+LINE_PROJECTION_OFFSET = {0.5 * rows + 0.5}
+SAMPLE_PROJECTION_OFFSET = {0.5 * columns + 0.5}
+END
+"""
+    latitude = np.radians(90.0 - (np.arange(rows) + 0.5) / resolution)
+    hills = np.random.default_rng(1).integers(-2000, 2000, (rows, columns))
+    counts = (hills - 20e3 * np.sin(latitude)[:, None] ** 2).astype(">i2")
+
+    def read(content: str, folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        counts.tofile(folder / "grid.img")
+        (folder / "grid.lbl").write_text(content)
+        grid = read_megdr(folder / "grid.lbl")
+        assert grid is not None
+        place = [grid.first_longitude, grid.first_latitude, grid.longitude_step, grid.latitude_step]
+        turn = np.degrees([np.cos(place[0]), np.sin(place[0])]) * resolution
+        return np.array([*turn, *(np.degrees(place[1:]) * resolution), *grid.radii.ravel()]), ()
+
+    keys = tuple(line.split("=")[0].strip() for line in text.splitlines() if "=" in line)
+    return Format("MEGDR label", lambda: text, tuple(k for k in keys if k not in ("PDS_VERSION_ID", "^IMAGE")), read)
+
+
+def shot_table() -> Format:
+    """Ten shots in a table by its label, one of which has no radius."""
+    rows = [(254699676.5 + k, 221.5 + 0.01 * k, 63.25, -1.25 if k != 4 else -9999.0) for k in range(10)]
+    column = (
+        '  OBJECT = COLUMN\n  NAME = "{}"\n  DATA_TYPE = PC_REAL\n  START_BYTE = {}\n  BYTES = 8\n  UNIT = "{}"\n{}'
+        "  END_OBJECT = COLUMN\n"
+    )
+    names = ("EPHEMERIS_TIME", "LONGITUDE", "LATITUDE", "TOPOGRAPHY")
+    units = ("SECONDS", "DEGREE", "DEGREE", "KM")
+    columns = "".join(
+        column.format(name, 8 * k + 1, unit, "  MISSING_CONSTANT = -9999.0\n" if k == 3 else "")
+        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+    text = f"""PDS_VERSION_ID = PDS3
+INSTRUMENT_ID = LALT
+TARGET_NAME = MOON
+START_TIME = {utc_of_tdb(rows[0][0] - 1.0):%Y-%m-%dT%H:%M:%S}
+STOP_TIME = {utc_of_tdb(rows[-1][0] + 1.0):%Y-%m-%dT%H:%M:%S}
+MINIMUM_LATITUDE = 63.2
+MAXIMUM_LATITUDE = 63.3
+WESTERNMOST_LONGITUDE = 221.4
+EASTERNMOST_LONGITUDE = 221.7
+POSITIVE_LONGITUDE_DIRECTION = EAST
+A_AXIS_RADIUS = 1737.4 <KM>
+^TABLE = "t.dat"
+OBJECT = TABLE
+  INTERCHANGE_FORMAT = BINARY
+  ROWS = 10
+  ROW_BYTES = 32
+  COLUMNS = 4
+{columns}END_OBJECT = TABLE
+END
+"""
+
+    def read(content: str, folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        (folder / "t.dat").write_bytes(b"".join(struct.pack("<4d", *row) for row in rows))
+        (folder / "t.lbl").write_text(content)
+        shots = read_shots(folder / "t.lbl")
+        return np.column_stack([shots.footprints, shots.times, 1e3 * shots.ground]), ()
+
+    keys = ("TARGET_NAME", "START_TIME", "STOP_TIME", "MINIMUM_LATITUDE", "MAXIMUM_LATITUDE", "WESTERNMOST_LONGITUDE",
+            "EASTERNMOST_LONGITUDE", "POSITIVE_LONGITUDE_DIRECTION", "A_AXIS_RADIUS", "INTERCHANGE_FORMAT", "ROWS",
+            "ROW_BYTES", "COLUMNS", "UNIT", "START_BYTE", "BYTES", "MISSING_CONSTANT")  # fmt: skip
+    return Format("label of laser shots", lambda: text, keys, read)
+
+
+def ground_control() -> Format:
+    """The field's two files: one place, by a sphere that the header states."""
+    wkt = (
+        'GEOGCS["D",DATUM["D",SPHEROID["MARS",{axis!r},{inverse!r}]],PRIMEM["M",{meridian!r}],'
+        'UNIT["{unit}",{factor!r}]]'
+    )
+    said = {"axis": 3396190.0, "inverse": 0.0, "meridian": 0.0, "unit": "degree", "factor": 0.0174532925199433,
+            "columns": ["lat", "lon", "height"]}  # fmt: skip
+
+    def read(content: dict[str, Any], folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        names = " ".join(map(str, content.get("columns") or ["lat", "lon", "height"]))
+        header = wkt.format(**{**dict.fromkeys(said, 0.0), **content}) if content.keys() == said.keys() else "missing"
+        text = f"# WKT: {header}\n# id {names} sigma_x sigma_y sigma_z image\n1 45 77.3 -14190 1 1 1 a 100 200 1 1\n"
+        (folder / "a.gcp").write_text(text)
+        return read_ground_control(folder / "a.gcp", MARS, Ellipsoid(3396190.0, 3396190.0)).places, ()
+
+    return Format("ground control", lambda: said, tuple(said), read)
+
+
+def lidar() -> Format:
+    """Shots of ISIS."""
+    said = json.loads((SHARED / "data" / "lro_nac_lola" / "lidarData.json").read_text())
+
+    def read(content: Any, folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        (folder / "a.json").write_text(json.dumps(content))
+        found = read_lidar(folder / "a.json")
+        return np.concatenate([found.footprints.ravel(), found.ranges, found.covariances.ravel() / 100.0]), ()
+
+    return Format("lidar data", lambda: said, tuple(f"points/0/{key}" for key in said["points"][0]
+                                                     if key in ("latitude", "radius", "aprioriMatrix", "range")), read)
+
+
+def terrain() -> Format:
+    """A GeoTIFF above a sphere: its own words on unit, scale, offset and missing posts."""
+    said: dict[str, Any] = {"unit": "metre", "vertical": "", "nodata": -9999.0, "radius": 3396190.0}
+
+    def read(content: dict[str, Any], folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        import rasterio
+
+        posts = np.random.default_rng(1).normal(-2000.0, 100.0, (20, 20)).astype("f4")
+        posts[3:6, 3:6] = -9999.0
+        with rasterio.open(
+            folder / "a.tif", "w", driver="GTiff", width=20, height=20, count=1, dtype="float32",
+            crs=f"+proj=longlat +R={content['radius']} +no_defs" if "radius" in content else None,
+            nodata=content.get("nodata"),
+            transform=rasterio.Affine(0.01, 0, 10.0, 0, -0.01, 5.0),
+        ) as file:  # fmt: skip
+            file.write(posts, 1)
+            file.units = (content.get("unit") or "",)
+        grid = read_terrain(folder / "a.tif", 3396190.0, body=MARS)
+        assert grid is not None
+        return np.nan_to_num(np.asarray(getattr(grid, "radii", 0.0))).ravel(), ()
+
+    return Format("terrain model", lambda: said, ("unit", "nodata", "radius"), read)
+
+
+def formats() -> Iterator[Format]:
+    """Those whose files are here."""
+    yield megdr()
+    yield shot_table()
+    yield ground_control()
+    yield terrain()
+    if (SHARED / "data").is_dir():
+        yield support_data(SHARED / "data" / "mro_ctx_isds" / "B10_013615_2178_XI_37N117W.crop.json")
+        yield support_data(SHARED / "data" / "lro_nac_lola" / "lidarObservationImage1.isd")
+        yield lidar()
+        yield from usgs_label()
+
+
+def outcomes(form: Format, folder: Path) -> Iterator[tuple[str, str, str]]:
+    """Key, lie and what becomes of it, of all lies about a format."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        true = form.read(form.text(), folder)
+        for key in form.keys:
+            for name, lie in lies(value_of(form.text(), key)):
+                yield key, name, told(form, key, lie, folder, true)
+
+
+if __name__ == "__main__":
+    for form in formats():
+        if len(sys.argv) > 1 and sys.argv[1] not in form.name:
+            continue
+        counts, silent = defaultdict[str, Counter[str]](Counter), []
+        with tempfile.TemporaryDirectory() as name:
+            for key, lie, found in outcomes(form, Path(name)):
+                counts[key][found] += 1
+                silent += [f"{key} ({lie})"] if found == "silent" else []
+        every = sum(counts.values(), Counter())
+        print(f"{form.name}: {dict(every)}")
+        print("   silent:", "; ".join(silent) or "none")
