@@ -129,14 +129,27 @@ def geojson(shape: Any) -> dict[str, Any] | None:
 
 def map_bounds(shape: Any) -> tuple[float, float, float, float]:
     """West, south, east and north of a shape in degrees; west is larger than east where it crosses the date line
-    (RFC 7946, 5.2).
+    (RFC 7946, 5.2), and a shape that reaches a pole has all longitudes (5.3).
     """
     west, south, east, north = (float(edge) for edge in shapely.bounds(shape))
+    if max(-south, north) == 0.5 * _HALF_TURN:
+        return -_HALF_TURN, south, _HALF_TURN, north
     parts = shapely.bounds(shapely.get_parts(shape))
     left, right = parts[parts[:, 0] == -_HALF_TURN], parts[parts[:, 2] == _HALF_TURN]
     if len(left) and len(right) and len(left) + len(right) == len(parts) and not np.any(left[:, 2] == _HALF_TURN):
         west, east = float(right[:, 0].min()), float(left[:, 2].max())
     return west, south, east, north
+
+
+def eastward_bounds(ring: Array) -> tuple[float, float, float, float]:
+    """West, south, east and north in degrees of what a closed outline (k, 3) encloses, longitudes in 0 .. 360: west is
+    larger than east where it crosses the prime meridian, and they are 0 and 360 around a pole; NaN of an empty one.
+    """
+    if ring.shape[0] == 0:
+        return (np.nan,) * 4
+    west, south, east, north = map_bounds(map_polygon(ring))
+    turn = 2.0 * _HALF_TURN
+    return (0.0, south, turn, north) if east - west == turn else (west % turn, south, east % turn, north)
 
 
 # --- footprints
