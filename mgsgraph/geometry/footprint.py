@@ -33,6 +33,8 @@ Shapes = NDArray[Any]
 _STEP = 0.1
 """deg of longitude that an edge may span: its great circle leaves the map's straight line by half a metre on Mars."""
 _HALF_TURN = 180.0
+_EXACT = 2.0**-40
+"""deg (0.1 um) to which longitudes around a pole are rounded, so that both ends of the ring are one place, no slit."""
 
 
 def map_degrees(points: Array) -> Array:
@@ -84,6 +86,8 @@ def _polygon(ring: Array) -> Any:
     """Polygon of a closed ring (k, 3); one that goes around a pole reaches up (or down) to the map's edge."""
     places = _unrolled(ring)
     if abs(places[-1, 0] - places[0, 0]) > _HALF_TURN:
+        places[:, 0] = np.round(places[:, 0] / _EXACT) * _EXACT
+        places[-1] = places[0] + [np.copysign(2.0 * _HALF_TURN, places[-1, 0] - places[0, 0]), 0.0]
         pole = np.copysign(0.5 * _HALF_TURN, ring.mean(axis=0)[2])
         places = np.concatenate([places, [[places[-1, 0], pole], [places[0, 0], pole], places[0]]])
     polygon = shapely.polygons(places)
@@ -129,11 +133,9 @@ def geojson(shape: Any) -> dict[str, Any] | None:
 
 def map_bounds(shape: Any) -> tuple[float, float, float, float]:
     """West, south, east and north of a shape in degrees; west is larger than east where it crosses the date line
-    (RFC 7946, 5.2), and a shape that reaches a pole has all longitudes (5.3).
+    (RFC 7946, 5.2).
     """
     west, south, east, north = (float(edge) for edge in shapely.bounds(shape))
-    if max(-south, north) == 0.5 * _HALF_TURN:
-        return -_HALF_TURN, south, _HALF_TURN, north
     parts = shapely.bounds(shapely.get_parts(shape))
     left, right = parts[parts[:, 0] == -_HALF_TURN], parts[parts[:, 2] == _HALF_TURN]
     if len(left) and len(right) and len(left) + len(right) == len(parts) and not np.any(left[:, 2] == _HALF_TURN):

@@ -320,6 +320,7 @@ def test_bounds_of_a_circle_anywhere(longitude: float, latitude: float, radius: 
     if beyond > 0.0:
         want[1 if latitude < 0.0 else 3] = np.copysign(90.0, latitude)
         assert found[:, [0, 2]].tolist() == [[-180.0, 180.0], [0.0, 360.0]]
+        assert len(shapely.get_parts(map_polygon(ring))) == 1  # no slit where the ring begins
     else:
         want[[0, 2]] += np.arcsin(np.sin(radius * DEG) / np.cos(latitude * DEG)) / DEG * np.array([-1.0, 1.0])
         off = (found - want)[:, [0, 2]]
