@@ -210,7 +210,7 @@ def box_of(answer: str, label: Block) -> Box | None:
 
     ring = from_planetocentric(np.radians([[*place, 1.0] for place in zip(longitudes, latitudes, strict=True)]))
     west, south, east, north = eastward_bounds(np.concatenate([ring, ring[:1]]))
-    return Box(south, north, west, east)
+    return Box(south, north, west, east) if np.isfinite(west) else None
 
 
 def dates_in(name: str) -> Interval | None:

@@ -110,6 +110,8 @@ def _unrolled(path: Array) -> Array:
 
 def _in_the_map(shape: Any) -> Any:
     """A shape whose longitudes go on beyond half a turn, cut at the date line and put back into -180 .. 180."""
+    if shapely.is_empty(shape):  # of an outline without an inside
+        return shape
     west, _, east, _ = shapely.bounds(shape)
     first, last = (int(np.floor((edge + _HALF_TURN) / (2.0 * _HALF_TURN))) for edge in (west, east))
     if first == last == 0:
