@@ -26,7 +26,7 @@ MEGDR_SIGMAS: dict[MegdrResolution, float] = {"4": 150.0, "16": 60.0, "128": 20.
 """m: how far MOLA's shots lie off the surface between posts, rms in four boxes of one degree: at 4 px/deg 14 .. 390 m,
 at 16 px/deg 10 .. 125 m, at 64 px/deg 5 .. 34 m, the least on a plain, the most in a crater (docs/fetch.md)."""
 _EDGES = 65
-"""Lines of each image at whose edges and middle its ground is taken."""
+"""Lines of each image on which its ground is taken."""
 _MEGDR: dict[TerrainKind, str] = {"radius": "megr", "topography": "megt", "areoid": "mega", "counts": "megc"}
 """How MEGDR's files of each kind begin."""
 _SAMPLE = 1000
@@ -190,9 +190,9 @@ def _about(ground: Array) -> Array:
 
 
 def _ground(images: Sequence[PushbroomImage]) -> Array:
-    """(n, 3) m, on the ellipsoid, edges and middle of the images; NaN where they look past the body."""
+    """(n, 3) m, on the ellipsoid, a lattice over each image; NaN where it looks past the body."""
     parts = []
     for image in images:
-        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, _EDGES), np.linspace(0.0, image.samples, 3))
+        lines, samples = np.meshgrid(np.linspace(0.0, image.lines, _EDGES), np.linspace(0.0, image.samples, 9))
         parts.append(image.image_to_ground(lines.ravel(), samples.ravel())[0])
     return np.concatenate(parts)

@@ -177,8 +177,13 @@ class CameraSearch:
 
 
 def shots_in(box: Box, data_set: str, archives: Archives, remote: Remote) -> str:
-    """Path below ODE of the table that it makes of an altimeter's shots in a box; empty for none."""
-    sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), box, strict=True)
+    """Path below ODE of the table that it makes of an altimeter's shots in a box; empty for none. Longitudes are asked
+    for in 0 .. 360: over the prime meridian the western one is the larger.
+    """
+    south, north, west, east = box
+    west, east = (0.0, 360.0) if east - west >= 360.0 else (west % 360.0, east % 360.0 or 360.0)
+    limits = max(south, -90.0), min(north, 90.0), west, east
+    sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), limits, strict=True)
     asked = f"livegds/?query={data_set}&results=v&output=JSON" + "".join(f"&{name}={side:.4f}" for name, side in sides)
     found = _URL.search(remote.listing(archives.ode + asked))
     return found[1] if found else ""
@@ -196,9 +201,16 @@ def box_of(answer: str, label: Block) -> Box | None:
     latitudes, longitudes = (
         [float(text) for text in label.entries[name.lower()].value if isinstance(text, str)] for name in corners
     )
-    if max(longitudes) - min(longitudes) > 180.0:
+    if not 3 <= len(longitudes) == len(latitudes):
         return None
-    return Box(min(latitudes), max(latitudes), min(longitudes), max(longitudes))
+    import numpy as np  # these take their time to load
+
+    from mgsgraph.geometry.body import from_planetocentric
+    from mgsgraph.geometry.footprint import eastward_bounds
+
+    ring = from_planetocentric(np.radians([[*place, 1.0] for place in zip(longitudes, latitudes, strict=True)]))
+    west, south, east, north = eastward_bounds(np.concatenate([ring, ring[:1]]))
+    return Box(south, north, west, east) if np.isfinite(west) else None
 
 
 def dates_in(name: str) -> Interval | None:

@@ -260,7 +260,8 @@ def _kernels(image: ImageNeeds) -> str:
 
 
 def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
-    """Longitude east and planetocentric latitude (deg) of an image's corners and middle, by its kernels.
+    """Longitude east and planetocentric latitude (deg) of an image's corners and middle, by its kernels; along the box
+    of another camera's image.
 
     Raises
     ------
@@ -271,7 +272,8 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
         if not image.box:
             raise InputError(str(image.product), "no place on the ground in its label", "that of its kernels")
         south, north, west, east = image.box
-        return [(longitude, latitude) for longitude in (west, east) for latitude in (south, north)]
+        step = (east - west) % 360.0 / 4.0  # a tile is 90 degrees wide
+        return [(west + k * step, latitude) for k in range(5) for latitude in (south, north)]
     import numpy as np
 
     from mgsgraph.files.labels.labelled_image import read_labelled_image

@@ -33,6 +33,8 @@ Shapes = NDArray[Any]
 _STEP = 0.1
 """deg of longitude that an edge may span: its great circle leaves the map's straight line by half a metre on Mars."""
 _HALF_TURN = 180.0
+_EXACT = 2.0**-40
+"""deg (0.1 um) to which longitudes around a pole are rounded, so that both ends of the ring are one place, no slit."""
 
 
 def map_degrees(points: Array) -> Array:
@@ -84,6 +86,8 @@ def _polygon(ring: Array) -> Any:
     """Polygon of a closed ring (k, 3); one that goes around a pole reaches up (or down) to the map's edge."""
     places = _unrolled(ring)
     if abs(places[-1, 0] - places[0, 0]) > _HALF_TURN:
+        places[:, 0] = np.round(places[:, 0] / _EXACT) * _EXACT
+        places[-1] = places[0] + [np.copysign(2.0 * _HALF_TURN, places[-1, 0] - places[0, 0]), 0.0]
         pole = np.copysign(0.5 * _HALF_TURN, ring.mean(axis=0)[2])
         places = np.concatenate([places, [[places[-1, 0], pole], [places[0, 0], pole], places[0]]])
     polygon = shapely.polygons(places)
@@ -106,6 +110,8 @@ def _unrolled(path: Array) -> Array:
 
 def _in_the_map(shape: Any) -> Any:
     """A shape whose longitudes go on beyond half a turn, cut at the date line and put back into -180 .. 180."""
+    if shapely.is_empty(shape):  # of an outline without an inside
+        return shape
     west, _, east, _ = shapely.bounds(shape)
     first, last = (int(np.floor((edge + _HALF_TURN) / (2.0 * _HALF_TURN))) for edge in (west, east))
     if first == last == 0:
@@ -137,6 +143,17 @@ def map_bounds(shape: Any) -> tuple[float, float, float, float]:
     if len(left) and len(right) and len(left) + len(right) == len(parts) and not np.any(left[:, 2] == _HALF_TURN):
         west, east = float(right[:, 0].min()), float(left[:, 2].max())
     return west, south, east, north
+
+
+def eastward_bounds(ring: Array) -> tuple[float, float, float, float]:
+    """West, south, east and north in degrees of what a closed outline (k, 3) encloses, longitudes in 0 .. 360: west is
+    larger than east where it crosses the prime meridian, and they are 0 and 360 around a pole; NaN of an empty one.
+    """
+    if ring.shape[0] == 0:
+        return (np.nan,) * 4
+    west, south, east, north = map_bounds(map_polygon(ring))
+    turn = 2.0 * _HALF_TURN
+    return (0.0, south, turn, north) if east - west == turn else (west % turn, south, east % turn, north)
 
 
 # --- footprints

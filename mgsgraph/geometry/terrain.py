@@ -207,9 +207,14 @@ def window(
         column = in_turn(unit * column, middle) / unit
     top, west = (int(np.floor(one.min())) - margin for one in (row, column))
     bottom, east = (int(np.floor(one.max())) + margin + 2 for one in (row, column))
+    around = turn is not None and 2.0 * (east - west) > turn  # a pole lies between the places
+    if around and top < bottom - top:
+        top = 0
+    if around and rows - bottom < bottom - top:
+        bottom = rows
     if not wraps:
         west, east = max(west, 0), min(east, columns)
-    elif east - west >= columns:
+    elif around:
         west, east = 0, columns
     top, bottom = max(top, 0), min(bottom, rows)
     if min(bottom - top, east - west) < 2:

@@ -295,9 +295,9 @@ def box_of(places: Array, middle: float) -> Array:
 
 
 def in_degrees(box: Array) -> str:
-    """A box (2, 2) of longitude and latitude in rad, in words."""
+    """A box (2, 2) of longitude and latitude in rad, in words; longitudes in 0 .. 360, eastward from the first."""
     (west, south), (east, north) = box / DEG
-    return f"{west:.3f} .. {east:.3f} E, {south:+.3f} .. {north:+.3f} N"
+    return f"{west % 360.0:.3f} .. {east % 360.0:.3f} E, {south:+.3f} .. {north:+.3f} N"
 
 
 PLACE_SIGMA = 0.1

@@ -17,8 +17,7 @@ from mgsgraph.errors import Unmeasured, WeakNetwork
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.altimetry import require_on_body
-from mgsgraph.geometry.body import planetocentric
-from mgsgraph.geometry.footprint import footprint, overlaps
+from mgsgraph.geometry.footprint import eastward_bounds, footprint, overlaps
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index
@@ -240,9 +239,9 @@ def _images_table(images: Sequence[PushbroomImage], network: Network | None = No
     grounds = [image.image_to_ground(*image.middle)
                for image in images]  # fmt: skip
     spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
-    corners = np.array([_corners(image) for image in images])
+    bounds = np.array([eastward_bounds(footprint(image).outline) for image in images])
     return table_of("inventory_images", {
-        "spacing_{}": spacing, "longitude_{}": corners[:, :, 0], "latitude_{}": corners[:, :, 1],
+        "spacing_{}": spacing, "longitude_{}": bounds[:, 0::2], "latitude_{}": bounds[:, 1::2],
         "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
     }, images)  # fmt: skip
 
@@ -276,15 +275,6 @@ def _orientation(network: Network, j: int) -> str:
     if owner >= 0:
         return f"{held}pass {network.passes[owner].name}"
     return f"{held}degree {prior.degree}, sigma {span(prior.sigmas[0, :3])} m, {span(prior.sigmas[0, 3:] / MRAD)} mrad"
-
-
-def _corners(image: PushbroomImage) -> Array:
-    """Least and largest longitude and latitude (2, 2) in deg of the image's corners on the ellipsoid."""
-    lines = np.array([0.0, 0.0, image.lines, image.lines])
-    samples = np.array([0.0, image.samples, 0.0, image.samples])
-    places = planetocentric(image.image_to_ground(lines, samples)[0])[:, :2] / DEG
-    places[:, 0] = (places[:, 0] - places[0, 0] + 180.0) % 360.0 - 180.0 + places[0, 0] % 360.0
-    return np.stack([places.min(axis=0), places.max(axis=0)])
 
 
 def _points(network: Network, prediction: Prediction) -> Section:

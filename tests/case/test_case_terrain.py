@@ -24,7 +24,7 @@ from mgsgraph.geometry.body import from_planetocentric, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.observations import coverage, nominal_ground, posts_of, terrain_ground
+from mgsgraph.network.observations import coverage, in_degrees, nominal_ground, posts_of, terrain_ground
 from mgsgraph.project.campaign import checksums
 from mgsgraph.results.ground import control_section
 from mgsgraph.results.inventory import inventory
@@ -149,6 +149,12 @@ def test_ties_beside_it_and_over_holes_are_counted(case_file: Path) -> None:
     assert record["outside"] > 0
     assert record["over_missing_posts"] > 0
     assert 18 <= record["count"] + record["outside"] + record["over_missing_posts"] <= 20
+
+
+def test_boxes_are_said_in_0_to_360() -> None:
+    box = np.array([[-180.25, -30.5], [-179.75, 89.0]])
+    assert in_degrees(box * DEG) == "179.750 .. 180.250 E, -30.500 .. +89.000 N"
+    assert in_degrees((box + np.array([180.0, 0.0])) * DEG) == "359.750 .. 0.250 E, -30.500 .. +89.000 N"
 
 
 def test_a_model_of_other_ground_is_an_error_with_both_boxes(case_file: Path) -> None:

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
-from mgsgraph.fetch.camera_search import dates_in
+from mgsgraph.fetch.camera_search import box_of, dates_in
 from mgsgraph.fetch.download import RetryPolicy
-from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots
+from mgsgraph.fetch.folder import Fetched, fetch_images, fetch_shots, ground_places
 from mgsgraph.fetch.kernel_phases import Interval, find_kernels, phase_of, utc
 from mgsgraph.fetch.needs import (
     CTX,
@@ -24,6 +24,7 @@ from mgsgraph.fetch.needs import (
     LROC_NAC,
     Archives,
     CameraProduct,
+    ImageNeeds,
     ProductId,
     grid_of,
     products_of,
@@ -33,6 +34,7 @@ from mgsgraph.fetch.needs import (
 from mgsgraph.fetch.search import IndexRow, find_image, orbit_at, read_index, volumes_listed
 from mgsgraph.fetch.store import Lock
 from mgsgraph.files.labels.kernels import members
+from mgsgraph.files.pvl import flat_label
 from mgsgraph.files.rasters.megdr import read_megdr
 
 # --- names
@@ -269,6 +271,16 @@ def test_tiles_hold_their_places(tmp_path: Path) -> None:
         grid_of("128", [(0.0, 89.0)])
 
 
+@pytest.mark.parametrize(
+    ("west", "east", "columns"), [(80.0, 200.0, {"000", "090", "180"}), (350.0, 100.0, {"270", "000", "090"})]
+)
+def test_tiles_under_a_wide_box(west: float, east: float, columns: set[str], tmp_path: Path) -> None:
+    """Near a pole an image has more longitudes than a tile; from west eastward."""
+    needs = ImageNeeds(CameraProduct(HRSC, H5270), "", "", "", 0, (), box=(85.0, 87.0, west, east))
+    stems = grid_of("128", ground_places(needs, tmp_path)).stems
+    assert {stem.removesuffix("hb")[-3:] for stem in stems} == columns
+
+
 def test_names_of_whole_grids_are_those_that_the_reader_knows(shared_data: Path, tmp_path: Path) -> None:
     wanted = wanted_grids(grid_of("4"), Archives())
     names = [Path(one.path).name for one in wanted if one.path.endswith(".img")]
@@ -496,3 +508,19 @@ def test_shots_in_a_box(archive: Flaky, tmp_path: Path) -> None:
             fetch_shots("lola", wrong, tmp_path / "d", archives=archives, retry=QUICK)
     with pytest.raises(InputError, match="no table of shots"):
         fetch_shots("mola", box, tmp_path / "d", archives=archives, retry=QUICK)
+    archive.files[shots_asked("lolardr", "-90.0000", "-89.0000", "350.0000", "20.0000")] = archive.files[asked]
+    assert fetch_shots("lola", (-10.0, 20.0, -90.0, -89.0), tmp_path / "d", archives=archives, retry=QUICK).exists()
+
+
+@pytest.mark.parametrize(
+    ("latitudes", "longitudes", "box"),
+    [
+        ("(10.0, 10.0, 12.0, 12.0)", "(359.0, 1.0, 1.0, 359.0)", (10.0, 12.0, 359.0, 1.0)),
+        ("(0.0, 0.0, 0.0, 0.0)", "(10.0, 10.0, 11.0, 11.0)", None),
+        ("(89.0, 89.0, 89.0, 88.5)", "(0.0, 90.0, 180.0, 270.0)", (88.5, 90.0, 0.0, 360.0)),
+    ],
+)
+def test_boxes_of_labels(latitudes: str, longitudes: str, box: tuple[float, ...] | None) -> None:
+    """Corners on both sides of the prime meridian, and around a pole (edges are great circles: 0.002 deg of bulge)."""
+    text = f"FOOTPRINT_POINT_LATITUDE = {latitudes}\nFOOTPRINT_POINT_LONGITUDE = {longitudes}\n"
+    assert box_of("", flat_label(f"PDS_VERSION_ID = PDS3\n{text}END\n", "label")) == pytest.approx(box, abs=0.002)

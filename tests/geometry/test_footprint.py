@@ -14,7 +14,17 @@ from hypothesis import strategies as st
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import Ellipsoid, from_geodetic, from_planetocentric
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.footprint import Footprint, footprint, gaps, map_lines, map_polygons, overlaps
+from mgsgraph.geometry.footprint import (
+    Footprint,
+    eastward_bounds,
+    footprint,
+    gaps,
+    map_bounds,
+    map_lines,
+    map_polygon,
+    map_polygons,
+    overlaps,
+)
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.simulation.pair import simulate_pair
@@ -291,6 +301,32 @@ def test_a_circle_anywhere_keeps_its_area_and_its_inside(longitude: float, latit
     clear = np.abs(away - 1.0) > 0.05
     inside = shapely.contains_xy(shape, degrees(around[clear]))
     assert np.array_equal(inside, away[clear] < 1.0)
+
+
+@settings(deadline=None)
+@given(
+    st.one_of(st.floats(-180.0, 180.0), st.sampled_from([-180.0, -40.0, 0.0, 0.01, 179.9, 180.0])),
+    st.one_of(st.floats(-90.0, 90.0), st.sampled_from([-90.0, -89.7, 0.0, 89.6, 90.0])),
+    st.floats(0.02, 2.0),
+)
+def test_bounds_of_a_circle_anywhere(longitude: float, latitude: float, radius: float) -> None:
+    """All longitudes around a pole, else asin(sin radius / cos latitude) to both sides (spherical sine rule)."""
+    beyond = abs(latitude) + radius - 90.0
+    if abs(beyond) < 0.05 * radius:
+        return  # an edge close to the pole
+    ring = cap(latitude, radius, longitude, side=1000).outline
+    found = np.array([map_bounds(map_polygon(ring)), eastward_bounds(ring)])
+    want = np.array([longitude, latitude - radius, longitude, latitude + radius])
+    if beyond > 0.0:
+        want[1 if latitude < 0.0 else 3] = np.copysign(90.0, latitude)
+        assert found[:, [0, 2]].tolist() == [[-180.0, 180.0], [0.0, 360.0]]
+        assert len(shapely.get_parts(map_polygon(ring))) == 1  # no slit where the ring begins
+    else:
+        want[[0, 2]] += np.arcsin(np.sin(radius * DEG) / np.cos(latitude * DEG)) / DEG * np.array([-1.0, 1.0])
+        off = (found - want)[:, [0, 2]]
+        np.testing.assert_allclose((off + 180.0) % 360.0 - 180.0, 0.0, atol=1e-3)
+    np.testing.assert_allclose(found[:, [1, 3]], want[[1, 3]] * np.ones((2, 1)), atol=1e-5)
+    assert np.all((found[:, [0, 2]] >= [[-180.0], [0.0]]) & (found[:, [0, 2]] <= [[180.0], [360.0]]))
 
 
 @settings(deadline=None)

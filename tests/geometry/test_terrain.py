@@ -179,6 +179,21 @@ def test_a_part_across_the_seam_is_cut_from_both_sides() -> None:
     np.testing.assert_allclose(part.at(points), grid.at(points), atol=1e-6)
 
 
+@pytest.mark.parametrize("pole", [-1, 1])
+@pytest.mark.parametrize("turn", [0, 7])
+def test_the_part_around_a_pole_has_all_columns_and_the_rows_up_to_it(pole: int, turn: int) -> None:
+    """The places are corners of a square around the pole: what is kept holds all that lies in the square."""
+    places = {"first_longitude": 0.5 * turn * DEG, "first_latitude": 89.5 * DEG, "latitude_step": 0.5 * DEG}
+    grid = rough(rows=359, columns=720, wraps=True, **places)
+    across, along = np.meshgrid(np.linspace(-0.12, 0.06, 37), np.linspace(-0.13, 0.2, 37))
+    inside = RADIUS * np.column_stack([across.ravel(), along.ravel(), np.full(across.size, float(pole))])
+    part = grid.around(inside[[0, 36, -37, -1]])
+    assert part.radii.shape[1] == 720
+    assert part.radii.shape[0] < 40
+    assert grid.holds(inside).mean() > 0.9
+    assert np.array_equal(part.holds(inside), grid.holds(inside))
+
+
 def test_the_surface_is_scipys_b_spline() -> None:
     """That of SciPy's images, with the posts as coefficients."""
     grid, rng = rough(), np.random.default_rng(8)

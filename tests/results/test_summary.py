@@ -1,5 +1,6 @@
 """A solution, its connections, and a case to be matched in words: a finding is said when it is there, and only then."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from commands import rows_of
 from networks import network, pair
 from sites import plain_site
+from support_data import edited
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -238,3 +240,28 @@ def test_a_case_of_which_reading_finds_no_measure(site_case: Path) -> None:
     assert "Ready for match" in said
     with pytest.raises(InputError, match="no point is measured"):
         images_inventory(site_case, found)
+
+
+EQUATOR, SOUTH = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 1, 0, 1, 0, -1, 0, 0]
+"""Turns of the body that bring longitude 0 or the south pole under the camera of `support_data`."""
+
+
+@pytest.mark.parametrize(
+    ("turn", "middle", "longitudes"), [(EQUATOR, 0.0, (359.99, 0.01)), (SOUTH, -90.0, (0.0, 360.0))]
+)
+def test_boxes_of_images(turn: list[float], middle: float, longitudes: tuple[float, float], tmp_path: Path) -> None:
+    """Of `check`, the middle inside: an image over a pole has all longitudes and the pole."""
+    isd = edited(("body_rotation", "constant_rotation"), turn)
+    down = [0.0, np.sqrt(0.5), 0.0, -np.sqrt(0.5)]
+    isd = edited(("instrument_pointing", "quaternions"), [down] * 3, isd)
+    (tmp_path / "a.isd").write_text(json.dumps(edited(("naif_keywords",), {}, isd)))
+    case = tmp_path / "case.toml"
+    image = '[[images]]\nimage = "a.isd"\nname = "A"\naberration = "NONE"\n'
+    sigmas = "[orientation]\ndegree = 1\nposition_sigma_m = 50.0\nangle_sigma_mrad = 1.0\n"
+    case.write_text(f'format = 1\nname = "a"\nlaser = false\n{image}{sigmas}')
+    said = images_inventory(case)
+    assert said is not None
+    row = next(line.split() for line in said.splitlines() if line.startswith("  A "))
+    west, east, south, north = map(float, row[5:9])
+    assert (west, east) == pytest.approx(longitudes, abs=0.01)
+    assert south <= middle <= north <= south + 0.15
