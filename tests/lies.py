@@ -374,7 +374,7 @@ def terrain() -> Format:
         posts[3:6, 3:6] = -9999.0
         with rasterio.open(
             folder / "a.tif", "w", driver="GTiff", width=20, height=20, count=1, dtype="float32",
-            crs=f"+proj=longlat +R={content['radius']} +no_defs" if "radius" in content else None,
+            crs=f"+proj=longlat +R={content['radius']} +no_defs" if content.get("radius", 0.0) > 0.0 else None,
             nodata=content.get("nodata"),
             transform=rasterio.Affine(0.01, 0, 10.0, 0, -0.01, 5.0),
         ) as file:  # fmt: skip

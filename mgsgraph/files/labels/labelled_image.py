@@ -4,7 +4,7 @@ Positions are geometric, and the body turns as the frame that the kernels associ
 and the like, or MOON_ME where moon_assoc_me.tf is among them, as in ISIS.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,8 @@ from mgsgraph.workers import read_apart
 
 _CLOCK_SLACK, _OF_SECONDS = 0.1, 1.0
 """s by which the label's UTC (one in whole seconds) and its clock count may differ; true labels do by 0.03 s."""
+_EARLY = 0.02
+"""Share of the image's time by which its last line may end before that."""
 _STOP_SLACK = 0.1
 """s by which the last line may end after the label's STOP_TIME says, both counted from its start; true labels need
 0.007 s (Kaguya, which give the last line's beginning).
@@ -154,7 +156,7 @@ def _sampled(
             timing=when.timing(trajectory.epoch),
             trajectory=trajectory,
             body=body,
-            remarks=_remarks(one, said_by),
+            remarks=(*_remarks(one, said_by), *_short(one, when)),
         )
         for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
     )
@@ -189,6 +191,14 @@ def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
 
 def _frame(camera: Camera) -> int:
     return camera.frame or camera.instrument
+
+
+def _short(label: LineScanLabel, times: LineTimes) -> Iterator[str]:
+    """Where the lines end long before the label's stop time: a part of an image, or a wrong line period."""
+    if label.stop and label.period > 0.0:
+        early = utc_time(label.stop, f"{label.path}, stop time {label.stop}") - times.stop
+        if early > max(_STOP_SLACK, _EARLY * (times.stop - times.start)):
+            yield f"its {label.lines} lines end {early:.3f} s before the label's stop time"
 
 
 def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:

@@ -8,6 +8,7 @@ What programs are known to write wrongly into support data: put right where the 
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ from mgsgraph.files.support_data.second_statements import (
     contradictions_of_constants,
     contradictions_of_times,
     lopsided,
+    odd_pixels,
 )
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation
@@ -95,10 +97,11 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         interior = _interior(isd, source)
         remarks += [*repairs, *contradictions_of_constants(isd, body, source), *_unread(content)]
         trajectory, words = _trajectory(isd, body, aberration, source)
-        return PushbroomImage(
+        image = PushbroomImage(
             name=name, lines=isd.image_lines, samples=isd.image_samples, interior=interior,
-            timing=_timing(isd, source), trajectory=trajectory, body=body, remarks=(*remarks, *words),
+            timing=_timing(isd, source), trajectory=trajectory, body=body,
         )  # fmt: skip
+        return replace(image, remarks=(*remarks, *words, *odd_pixels(image)))
 
 
 def _unread(content: dict[str, Any]) -> list[str]:

@@ -12,10 +12,12 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords, number
+from mgsgraph.files.cameras.label import CAMERAS
 from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
 from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, SupportData
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, KM
 
@@ -30,6 +32,10 @@ _SAME_TIME = 1e-4
 _LATE = 0.05
 """Lines by which the first line's two times may differ."""
 _HALF = 0.5
+_MASKED = 1.02
+"""Times the pixels that see the ground that files may have (CTX: 5,056 of 5,000)."""
+_SQUARE = 4.0
+"""Times by which a pixel on the ground may be longer along track than across, or shorter."""
 _TURNED = 0.2
 """Share by which rates and attitudes of the median interval may contradict each other; between samples rates change."""
 _MOVED = 0.05
@@ -285,13 +291,29 @@ def _center(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[s
 
 
 def _require_on_detector(isd: SupportData, keywords: NaifKeywords, source: str) -> None:
-    if key := _only(keywords, "INS", "_PIXEL_SAMPLES"):
-        pixels, summing = number(keywords, key), isd.detector_sample_summing
-        last = max(isd.starting_detector_sample, 0.0) + isd.image_samples * summing
-        if last > pixels + summing or isd.starting_detector_sample < -summing:
-            where = f"{source}, detector_sample_summing"
-            found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
-            raise InputError(where, found, f"within the {pixels:g} pixels that {key} says", "mend one of them")
+    """By the keywords, or by the camera that they are of; files of the archive may have masked pixels beside."""
+    key, codes = _only(keywords, "INS", "_PIXEL_SAMPLES"), _codes(keywords)
+    known = [camera.pixels * _MASKED for camera in CAMERAS if camera.instrument in codes]
+    if not key and not known:
+        return
+    pixels, summing = number(keywords, key) if key else max(known), isd.detector_sample_summing
+    last = max(isd.starting_detector_sample, 0.0) + isd.image_samples * summing
+    if last > pixels + summing or isd.starting_detector_sample < -summing:
+        found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
+        expected = f"within the {pixels:.0f} pixels that {key or 'the camera has'} says".replace(" has says", " has")
+        raise InputError(f"{source}, detector_sample_summing", found, expected, "mend one of them")
+
+
+def odd_pixels(image: PushbroomImage) -> list[str]:
+    """A remark on pixels that are far from square on the ground: a wrong summing, line period or unit makes such."""
+    try:
+        _, slope = image.image_to_ground(*image.middle)
+    except InputError:  # it does not see the body, which others say
+        return []
+    along, across = np.linalg.norm(slope.reshape(3, 2), axis=0).tolist()
+    if not across > 0.0 or 1.0 / _SQUARE < along / across < _SQUARE:  # NaN beside the body
+        return []
+    return [f"its pixels on the ground are {along:.3g} m along track and {across:.3g} m across"]
 
 
 def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> None:

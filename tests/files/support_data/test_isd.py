@@ -295,9 +295,10 @@ def hrsc(**changes: Any) -> dict[str, Any]:
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         table = dict(simulated[name])
         chosen = np.linspace(0, len(table["ephemeris_times"]) - 1, 41).astype(int)
+        slower = (table["ephemeris_times"][-1] - table["ephemeris_times"][0]) / 240.0
         for key in ("positions", "velocities", "quaternions"):
             if key in table:
-                table[key] = [table[key][k] for k in chosen]
+                table[key] = (np.array(table[key])[chosen] * (slower if key == "velocities" else 1.0)).tolist()
         tables[name] = table | {"ephemeris_times": long.tolist()}
     return simulated | tables | {
         "name_platform": "MARS EXPRESS", "name_sensor": "MEX_HRSC_IR",

@@ -30,7 +30,7 @@ def test_the_platform_decides_and_is_said(tmp_path: Path, sensors: Any) -> None:
             image.trajectory.position.positions, positions(tmp_path, SILENT, sensors.stated)
         )
         assert any(sensors.source in remark for remark in image.remarks)
-    by_code = SILENT | {"naif_keywords": {f"INS{1000 * sensors.code - 31}_FOCAL_LENGTH": 3500.0}}
+    by_code = SILENT | {"naif_keywords": {f"INS{1000 * sensors.code - 98}_FOCAL_LENGTH": 3500.0}}
     np.testing.assert_array_equal(positions(tmp_path, by_code), image.trajectory.position.positions)
 
 
