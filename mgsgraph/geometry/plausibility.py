@@ -4,6 +4,7 @@
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, distances, nearness, require_possible, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
@@ -14,6 +15,8 @@ _FARTHEST = 400
 """Radii of the body, from farther than which no line scanner looks; a low orbit in metres for kilometres is farther."""
 _CONTRADICTION = 0.2
 """Share of the velocities by which positions may change otherwise: of sparse tables of a bent orbit it is far less."""
+MEASURED = 5e-5
+"""rad/s by which the median rate of a camera's attitudes may be off: of MOC's held images all of it is noise."""
 _SYSTEM, _FASTEST = 1e13, 1e7
 """m, 70 astronomical units; m/s, a thirtieth of the speed of light."""
 _CONVERGENT = 0.05
@@ -108,3 +111,38 @@ def _require_led_by_velocities(table: PositionTable, where: str, share: float) -
         found = f"velocities of {stated:.6g} m/s where positions move by {speed[k]:.6g} m/s, or another way"
         found += f" ({np.count_nonzero(off > _CONTRADICTION)} of {off.size} times, most {at:.6g} s past the epoch)"
         raise InputError(where, found, "those of the positions", "check units and signs of both")
+
+
+def are_unit(quaternions: Array) -> bool:
+    """Whether quaternions (n, 4) are not far from unit ones."""
+    norms = np.linalg.norm(quaternions, axis=1)
+    return bool(np.all((norms > 0.5) & (norms < 2.0)))
+
+
+def require_turning(times: Array, quaternions: Array, rates: Array, where: str, noise: float = 0.0) -> None:
+    """Raise InputError, naming `where`, for attitudes that don't turn as the angular velocities beside them say.
+
+    Parameters
+    ----------
+    times : (n,)
+        s.
+    quaternions : (n, 4)
+        Inertial to frame, scalar first; tables that their records refuse pass here.
+    rates : (n, 3)
+        rad/s about inertial axes; between samples they change, and the median interval counts.
+    where : str
+        The table, for messages.
+    noise : float
+        rad/s, of attitudes that were measured.
+    """
+    paired = times.size == len(quaternions) == len(rates) > 1
+    if not paired or np.any(np.diff(times) <= 0.0) or not are_unit(quaternions):
+        return
+    matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
+    turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]) / np.diff(times)[:, None]
+    mean = 0.5 * (rates[1:] + rates[:-1])
+    off, size = (float(np.median(np.linalg.norm(one, axis=1))) for one in (turned - mean, mean))
+    if size > 0.0 and off > max(_CONTRADICTION * size, noise):
+        found = f"attitudes that turn by {np.median(np.linalg.norm(turned, axis=1)):.3g} rad/s (median)"
+        expected = f"the angular velocities beside them, {size:.3g} rad/s about the same axis"
+        raise InputError(where, found, expected, "quaternions are scalar first, inertial to frame")

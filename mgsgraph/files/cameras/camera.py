@@ -26,6 +26,8 @@ from mgsgraph.units import ISIS_OFFSET, MM
 
 LineTimesSource = Path | Literal["mean"] | None
 """A text file; "mean", all lines alike between the label's first and last time; or None, the image's own."""
+_INVERSE = 0.01
+"""By which the product of two affine maps may differ from 1."""
 JOINED = 0.5
 """lines; a change that comes later or earlier by less is an uneven clock, one that comes later by more a pause."""
 
@@ -415,6 +417,7 @@ def interior_by_addendum(
     code = label.camera.instrument
     axes = [keywords.numbers(f"INS{label.detector or code}_ITRANS{axis}", 3) for axis in "LS"]
     to_pixel = np.stack(axes)
+    _require_inverse(keywords, label.detector or code, to_pixel)
     to_pixel[:, 1:] /= MM
     line, sample = centre or (number(keywords, f"INS{code}_BORESIGHT_{axis}") for axis in ("LINE", "SAMPLE"))
     return InteriorOrientation(
@@ -426,6 +429,16 @@ def interior_by_addendum(
         sample_summing=label.sample_summing,
         distortion=distortion,
     )
+
+
+def _require_inverse(keywords: Keywords, code: int, to_pixel: Array) -> None:
+    """Raise InputError where TRANSX and TRANSY (mm by constant, sample, line) don't lead back from ITRANSL, ITRANSS."""
+    names = [f"INS{code}_TRANS{axis}" for axis in "XY"]
+    if all(name in keywords for name in names):
+        back = np.stack([keywords.numbers(name, 3)[[2, 1]] for name in names])
+        if np.abs(to_pixel[:, 1:] @ back - np.eye(2)).max() > _INVERSE:
+            found = ", ".join(f"{one:.7g}" for one in to_pixel[:, 1:].ravel())
+            raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "mend one")
 
 
 def by_addendum(

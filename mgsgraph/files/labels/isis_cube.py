@@ -29,7 +29,7 @@ from mgsgraph.files.pvl import Block, read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import require_flight
+from mgsgraph.geometry.plausibility import MEASURED, require_flight, require_turning
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import KM
@@ -40,6 +40,7 @@ _JSON_NAMES = {
 }  # fmt: skip
 _QUATERNION, _ANGLES = ("J2000Q0", "J2000Q1", "J2000Q2", "J2000Q3"), ("J2000Ang1", "J2000Ang2", "J2000Ang3")
 _POSITION, _VELOCITY = ("J2000X", "J2000Y", "J2000Z"), ("J2000XV", "J2000YV", "J2000ZV")
+_RATES = ("AV1", "AV2", "AV3")
 _COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
 _REMEDY = "run spiceinit on the cube again, with its tables attached"
 _LARGEST = 1e100
@@ -118,7 +119,11 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
     """Attitude, inertial to the wanted frame, at times in s past an epoch."""
     with errors_from(table.where):
         if table.sampled:
-            return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
+            quaternions = table.stack(_QUATERNION)
+            if set(_RATES) <= set(table.columns):
+                noise = 0.0 if table.where.lower().replace("_", "").endswith("bodyrotation") else MEASURED
+                require_turning(table.times, quaternions, table.stack(_RATES), table.where, noise)
+            return AttitudeTable(table.times - epoch, quaternions, table.constant)
         times, angles, _ = _laid_out(table, _ANGLES)
         quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
         return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
@@ -160,6 +165,7 @@ def _of_json(said: Any, where: str) -> CubeTable:
     columns = dict[str, Array]()
     for key, names in (
         ("positions", _POSITION), ("velocities", _VELOCITY), ("quaternions", _QUATERNION),
+        ("angular_velocities", _RATES),
     ):  # fmt: skip
         if key in said:
             values = _numbers(said[key], (None, len(names)), f"{where}, {key}")

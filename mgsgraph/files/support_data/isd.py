@@ -199,10 +199,10 @@ def positions(
         np.array(table.ephemeris_times) - isd.center_ephemeris_time,
         np.array(table.positions).reshape(-1, 3) * unit, np.array(table.velocities).reshape(-1, 3) * unit,
     )  # fmt: skip
+    require_flight(apparent, where)
     stated, why = (given, "as the case says") if given else _stated(isd, source)
     if stated.correction == "NONE":
         return apparent, list(remarks_on(stated, why))
-    require_flight(apparent, where)
     radius = 0.5 * (body.equatorial + body.polar)
     found = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
     return found, list(remarks_on(stated, why))

@@ -14,10 +14,11 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.cameras.label import CAMERAS
 from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
-from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, SupportData
+from mgsgraph.files.support_data.isd_layout import RotationTable, SupportData
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import MEASURED, are_unit, require_turning
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, KM
 
@@ -36,10 +37,6 @@ _MASKED = 1.02
 """Times the pixels that see the ground that files may have (CTX: 5,056 of 5,000)."""
 _SQUARE = 4.0
 """Times by which a pixel on the ground may be longer along track than across, or shorter."""
-_TURNED = 0.2
-"""Share by which rates and attitudes of the median interval may contradict each other; between samples rates change."""
-_MOVED = 0.05
-"""Share by which velocities and positions may, over the minutes between samples."""
 _POLE = 1e-4
 """rad between the body's rotation and that of its pole and prime meridian."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -79,9 +76,13 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
             raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
-    _require_moving(isd.instrument_position, f"{source}, instrument_position")
     for name in ("instrument_pointing", "body_rotation"):
-        _require_turning(getattr(isd, name), f"{source}, {name}")
+        table: RotationTable = getattr(isd, name)
+        if table.angular_velocities is not None:
+            require_turning(
+                np.array(table.ephemeris_times), np.array(table.quaternions), np.array(table.angular_velocities),
+                f"{source}, {name}", MEASURED if name == "instrument_pointing" else 0.0,
+            )  # fmt: skip
     return list(_clock(isd, source))
 
 
@@ -94,42 +95,6 @@ def _require_described(table: object, where: str) -> None:
             if stated is None or abs(stated - found) <= _SAME_TIME or (end == "original_size" and stated > found):
                 continue  # ISIS makes tables smaller
             raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{found:.12g}, as ephemeris_times say")
-
-
-def _require_moving(table: StateTable, where: str) -> None:
-    """Raise InputError where positions don't move as their own velocities say."""
-    times, places, speeds = (np.array(one) for one in (table.ephemeris_times, table.positions, table.velocities or []))
-    if len(speeds) != times.size or len(places) != times.size or times.size < 2 or np.any(np.diff(times) <= 0.0):
-        return  # the record says so
-    moved, mean = np.diff(places, axis=0) / np.diff(times)[:, None], 0.5 * (speeds[1:] + speeds[:-1])
-    off, size = (np.median(np.linalg.norm(one, axis=1)) for one in (moved - mean, mean))
-    if off > _MOVED * size:
-        found = f"positions that move by {np.median(np.linalg.norm(moved, axis=1)):.6g} (median, per s)"
-        raise InputError(where, found, f"the velocities beside them, {size:.6g} in the same direction")
-
-
-def _require_turning(table: RotationTable, where: str) -> None:
-    """Raise InputError where attitudes don't turn as their own angular velocities say."""
-    if table.angular_velocities is None or len(table.angular_velocities) != len(table.quaternions):
-        return
-    times, rates = np.array(table.ephemeris_times), np.array(table.angular_velocities)
-    quaternions = np.array(table.quaternions)
-    if times.size != len(quaternions) or times.size < 2 or np.any(np.diff(times) <= 0.0) or not _units(quaternions):
-        return  # the record says so
-    matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
-    step = np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]  # about inertial axes
-    turned = rotation.logarithm(step) / np.diff(times)[:, None]
-    mean = 0.5 * (rates[1:] + rates[:-1])
-    off, size = np.linalg.norm(turned - mean, axis=1), np.linalg.norm(mean, axis=1)
-    if np.median(size) > 0.0 and np.median(off) > _TURNED * np.median(size):
-        found = f"attitudes that turn by {np.median(np.linalg.norm(turned, axis=1)):.3g} rad/s (median)"
-        expected = f"the angular velocities beside them, {np.median(size):.3g} rad/s about the same axis"
-        raise InputError(where, found, expected, "quaternions are scalar first, inertial to frame")
-
-
-def _units(quaternions: Array) -> bool:
-    norms = np.linalg.norm(quaternions, axis=1)
-    return bool(np.all((norms > _HALF) & (norms < 1.0 / _HALF)))
 
 
 def _clock(isd: SupportData, source: str) -> Iterator[str]:
@@ -330,7 +295,7 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
     meridian = float(keywords.numbers(keys[2], 3) @ [1.0, days, days**2]) % 360.0 * DEG
     expected = rotation.from_angles_313(np.array([0.5 * np.pi + ra, 0.5 * np.pi - dec, meridian]))
     quaternions = np.array(table.quaternions[:1])
-    if table.constant_frames or not _units(quaternions):
+    if table.constant_frames or not are_unit(quaternions):
         return
     found = rotation.to_matrix(rotation.unit_vectors(quaternions))[0]
     off = float(np.linalg.norm(rotation.logarithm((found @ expected.T)[None])[0]))

@@ -294,11 +294,13 @@ def hrsc(**changes: Any) -> dict[str, Any]:
     tables = {}
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         table = dict(simulated[name])
-        chosen = np.linspace(0, len(table["ephemeris_times"]) - 1, 41).astype(int)
+        rows = np.arange(len(table["ephemeris_times"]))
+        at = np.linspace(0, rows[-1], 41)
         slower = (table["ephemeris_times"][-1] - table["ephemeris_times"][0]) / 240.0
         for key in ("positions", "velocities", "quaternions"):
             if key in table:
-                table[key] = (np.array(table[key])[chosen] * (slower if key == "velocities" else 1.0)).tolist()
+                columns = [np.interp(at, rows, column) for column in np.array(table[key]).T]
+                table[key] = (np.stack(columns, axis=1) * (slower if key == "velocities" else 1.0)).tolist()
         tables[name] = table | {"ephemeris_times": long.tolist()}
     return simulated | tables | {
         "name_platform": "MARS EXPRESS", "name_sensor": "MEX_HRSC_IR",
