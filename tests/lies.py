@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import usgscsm
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar
@@ -28,6 +29,7 @@ from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.rasters.megdr import read_megdr
 from mgsgraph.files.rasters.terrain_file import read_terrain
 from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import utc_of_tdb
@@ -35,8 +37,8 @@ from mgsgraph.geometry.trajectory import utc_of_tdb
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 KERNELS = (".tls", ".tpc", ".tsc", ".tf", ".ti", ".bsp", ".bc")
 MARS = Ellipsoid(3396190.0, 3376200.0)
-HARMLESS = 0.05
-"""Pixels."""
+HARMLESS, LENGTHY = 0.05, 1e5
+"""Pixels, and numbers that a half more or less doesn't change: meters from the body's center."""
 Values = dict[tuple[str | int, ...], Any]
 
 
@@ -64,7 +66,7 @@ def lies(value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, int | float):
         for name, one in (("sign", -value), ("factor 2", 2 * value), ("half", value + 0.5), ("unit", 1000 * value),
                           ("unit down", value / 1000)):  # fmt: skip
-            if one != value:
+            if one != value and not (name == "half" and abs(value) > LENGTHY):
                 yield name, one
     elif isinstance(value, str):
         for one, other in SWAPS:
@@ -74,7 +76,8 @@ def lies(value: Any) -> Iterator[tuple[str, Any]]:
         yield "sign", [-one for one in value]
         yield "factor 2", [2 * one for one in value]
         yield "first and last exchanged", value[::-1]
-        yield "half", [one + 0.5 for one in value]
+        if max(map(abs, value)) < LENGTHY:
+            yield "half", [one + 0.5 for one in value]
     elif isinstance(value, list) and value and isinstance(value[0], list):
         yield "sign", [[-one for one in row] for row in value]
         yield "factor 2", [[2 * one for one in row] for row in value]
@@ -223,6 +226,52 @@ def usgs_label() -> Iterator[Format]:
         moon = [*(moon if folder == "kaguya_tc" else ()), SHARED / "data" / "kernels" / "moon_pa_de421_1900-2050.bpc"]
         kernels = sorted([*own, *moon], key=lambda one: "ddendum" in one.name)
         yield image_label(label, kernels, keys, stop)
+
+
+def model_state() -> Format:
+    """A small state of usgscsm, with the summaries that programs write into it."""
+    said = usgscsm.state()
+    places = np.array(said["m_positions"]).reshape(-1, 3)
+    velocities = np.gradient(places, said["m_dtEphem"], axis=0)
+    said["m_velocities"] = velocities.ravel().tolist()
+
+    def read(content: Any, folder: Path) -> PushbroomImage:
+        (folder / "a.json").write_text(f"{usgscsm.HEAD}\n{json.dumps(content)}\n")
+        return read_model_state(folder / "a.json", "A/1")
+
+    with tempfile.TemporaryDirectory() as name:
+        image = read(said, Path(name))
+    ground, slope = image.image_to_ground(*image.middle)
+    size = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
+    said |= {
+        "m_flyingHeight": float(np.linalg.norm(image.pose(image.middle[0]).position - ground)), "m_gsd": size,
+        "m_referencePointXyz": ground[0].tolist(), "m_halfSwath": 0.5 * size * image.samples,
+    }  # fmt: skip
+
+    return Format("model state", lambda: said, tuple(key for key in said if key != "m_imageIdentifier"), _Images(read))
+
+
+def archive_table(name: str, header: str, rows: list[list[str]]) -> Format:
+    """A table of an altimeter's archive, with its names for keys."""
+    said: dict[str, Any] = dict(zip(header.split(","), np.array(rows).T.tolist(), strict=True))
+    said = {key: [float(one) for one in column] if _number(column[0]) else column for key, column in said.items()}
+
+    def read(content: dict[str, Any], folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+        lines = [",".join(content), *(",".join(map(str, row)) for row in zip(*content.values(), strict=True))]
+        (folder / "a.csv").write_text("\n".join(lines) + "\n")
+        shots = read_shots(folder / "a.csv", version="L")
+        return np.column_stack([shots.footprints, np.nan_to_num(shots.ranges), shots.times * 1e3]), ()
+
+    keys = tuple(key for key, column in said.items() if isinstance(column[0], float))
+    return Format(name, lambda: said, keys, read)
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 # --- laser shots, grids, control
@@ -393,6 +442,7 @@ def formats() -> Iterator[Format]:
     yield shot_table()
     yield ground_control()
     yield terrain()
+    yield model_state()
     if (SHARED / "data").is_dir():
         yield support_data(SHARED / "data" / "mro_ctx_isds" / "B10_013615_2178_XI_37N117W.crop.json")
         yield support_data(SHARED / "data" / "lro_nac_lola" / "lidarObservationImage1.isd")

@@ -109,6 +109,27 @@ NAIF_KEYWORDS = (
 )  # fmt: skip
 """Of support data; kernels and cubes have the same names."""
 
+MODEL_STATE = (
+    _read("M_NLINES|M_NSAMPLES", "size of the image", "m_referencePointXyz, the middle's"),
+    _read("M_FOCALLENGTH", "mm", "m_gsd, to a tenth"),
+    _read("M_OPTICALDISTCOEFFS", "mm"),
+    _read("M_DISTORTIONTYPE", "model of the distortion", "number of coefficients"),
+    _read("M_ITRANS[LS]|M_DETECTORSAMPLEORIGIN|M_DETECTORSAMPLESUMMING|M_STARTINGDETECTORSAMPLE",
+          "detector and focal plane", "m_referencePointXyz, m_gsd"),
+    _read("M_DETECTORLINEORIGIN|M_STARTINGDETECTORLINE", "detector lines, where another one moves the ground by lines"),
+    _read("M_INTTIME(LINES|STARTTIMES|S)", "s past m_centerEphemerisTime", "m_referencePointXyz"),
+    _read("M_(T0|DT)(EPHEM|QUAT)", "s", "m_velocities, m_referencePointXyz"),
+    _read("M_POSITIONS", "m, body-fixed", "m_velocities, m_numPositions, m_flyingHeight"),
+    _compared("M_VELOCITIES", "m/s, body-fixed", "m_positions and m_dtEphem"),
+    _read("M_QUATERNIONS", "camera to body-fixed, scalar last", "m_numQuaternions, m_referencePointXyz"),
+    _compared("M_NUM(POSITIONS|QUATERNIONS)", "numbers of values", "the lists"),
+    _read("M_(MAJOR|MINOR)AXIS", "m", "m_referencePointXyz"),
+    _compared("M_FLYINGHEIGHT|M_GSD|M_REFERENCEPOINTXYZ|M_HALFSWATH", "m, of the middle", "the middle pixel's ray"),
+    _refused("M_ZDIRECTION", "side of the focal plane", r"1(\.0)?", "1"),
+    _refused("M_CURRENTPARAMETERVALUE", "parameters of an adjustment beside the tables", "", "zeros"),
+)  # fmt: skip
+"""Of usgscsm, as programs write them."""
+
 IMAGE_LABEL = (
     _read("LINES|LINE_SAMPLES|SAMPLE_BITS|LINE_(PREFIX|SUFFIX)_BYTES|RECORD_BYTES|\\^IMAGE", "size of the image",
           "size of the file, STOP_TIME"),
@@ -201,7 +222,7 @@ TERRAIN = (
 
 FORMATS: Mapping[str, tuple[Key, ...]] = {
     "image support data": SUPPORT_DATA, "naif_keywords of support data": NAIF_KEYWORDS,
-    "PDS3 label of an image": IMAGE_LABEL,
+    "model state of usgscsm": MODEL_STATE, "PDS3 label of an image": IMAGE_LABEL,
     "PDS3 label of MEGDR": GRID_LABEL, "PDS3 label of laser shots": SHOT_LABEL, "ground control of ASP": GROUND_CONTROL,
     "terrain model": TERRAIN,
 }  # fmt: skip

@@ -139,6 +139,8 @@ _NOISE_CHANNEL = 5
 """Of MLA, from which on a return is noise (pyXover leaves out chn > 4); other altimeters have no such channel."""
 _NOT_GROUND = 4
 """PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
+_SAME_AREOID = 10.0
+"""m."""
 _TIMES = ("tdb", "tt", "utc")
 _LARGEST = 2.0**53
 """Of whole numbers."""
@@ -245,8 +247,9 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
         known["orbits"] = crossings(times, str(table.path)) if layout.bare else whole("orbit")
     if "channel" in values:
         known["channels"] = whole("channel")
-    if "topography" in values and "areoid" not in values:
-        values["areoid"] = values["radius"] - values["topography"]
+    if "topography" in values:
+        areoid = values["radius"] - values["topography"]
+        _require_areoid(areoid, values.setdefault("areoid", areoid), table, names)
     found = shots_with(
         str(table.path), layout.altimeter or _altimeter(table), times + clock_bias,
         positions(np.column_stack([values["longitude"], values["latitude"]]), values["radius"], table.where),
@@ -255,6 +258,14 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
         clocks=value("clock"), pulses=value("pulse"), **known,
     )  # fmt: skip
     return found if there is None or np.all(there) else found.chosen(there)
+
+
+def _require_areoid(computed: Array, stated: Array, table: CsvText, names: Mapping[str, str]) -> None:
+    """Raise InputError where radius minus topography is not the areoid's radius that the table has, too."""
+    off = np.abs(computed - stated)
+    if np.any(np.isfinite(off)) and (middle := float(np.nanmedian(off))) > _SAME_AREOID:
+        found = f"{names['radius']} minus {names['topography']}, {middle:.0f} m off {names['areoid']} (median)"
+        raise InputError(str(table.path), found, "the same areoid", "look at the columns' units and order")
 
 
 def _meant(table: CsvText, layout: Layout) -> dict[str, str]:

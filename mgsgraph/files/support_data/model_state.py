@@ -7,8 +7,8 @@ eight of them hold (src/Utilities.cpp, lagrangeInterp; of four where m_platformF
 ends). Ours are cubic and great arcs, and samples are added where these would differ.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -21,7 +21,7 @@ from mgsgraph.files.decoding import Count, Number, Positive, validated
 from mgsgraph.files.opening import head_of, read_json
 from mgsgraph.files.support_data.isd_layout import MODEL, distortion_of_state
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_near_sun
@@ -43,6 +43,11 @@ _NORMS = 0.5, 2.0
 """Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
+_SAME_SPEED, _SAME_SIZE, _ALIKE, _NEAR = 0.05, 0.1, 1.5, 20e3
+"""Shares of speeds and sizes, and m, by which a state's own summaries may be off: heights of the ground are not known.
+"""
+_PIXELS = 0.24
+"""By which its reference point may be: those of real ones are by 0.2."""
 _BETWEEN = np.array([0.25, 0.5, 0.75])
 _STEP = 1e-3
 """Of a sample's distance, of the difference that gives velocities."""
@@ -82,6 +87,13 @@ class _State(msgspec.Struct, kw_only=True):
     m_majorAxis: Positive
     m_minorAxis: Positive
     m_currentParameterValue: list[Number] = []
+    m_numPositions: int | None = None
+    m_numQuaternions: int | None = None
+    m_velocities: list[Number] = []
+    m_flyingHeight: Number = 0.0
+    m_gsd: Number = 0.0
+    m_referencePointXyz: list[Number] = []
+    m_halfSwath: Number = 0.0
 
 
 def is_model_state(content: dict[str, Any]) -> bool:
@@ -118,13 +130,57 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
         raise InputError(f"{source}, m_modelName", model_words(model), f"{MODEL} (a line scanner)")
     state = validated(content, _State, source)
     _require_plain(state, source)
+    body = Ellipsoid(state.m_majorAxis, state.m_minorAxis)
+    require_possible(body, "", f"{source}, m_majorAxis and m_minorAxis")
     with errors_from(source):
         interior, timing = _interior(state, source), _timing(state, source)
         trajectory = _trajectory(state, interior, timing, source)
-        return PushbroomImage(
+        image = PushbroomImage(
             name=name, lines=state.m_nLines, samples=state.m_nSamples, interior=interior, timing=timing,
-            trajectory=trajectory, body=Ellipsoid(state.m_majorAxis, state.m_minorAxis),
+            trajectory=trajectory, body=body,
         )  # fmt: skip
+    return replace(image, remarks=tuple(_second_statements(state, image, source)))
+
+
+def _second_statements(state: _State, image: PushbroomImage, source: str) -> Iterator[str]:
+    """Remarks on what a state says a second time, and InputError where it contradicts itself: numbers of values,
+    velocities, height of flight, size of a pixel and the place of the middle on the ground.
+    """
+    for key, stated, values in (
+        ("m_numPositions", state.m_numPositions, state.m_positions),
+        ("m_numQuaternions", state.m_numQuaternions, state.m_quaternions),
+    ):
+        if stated not in (None, 0, len(values)):
+            raise InputError(f"{source}, {key}", f"{stated}, and {len(values)} numbers", "as many", "write it anew")
+    places = np.array(state.m_positions).reshape(-1, 3)
+    if len(state.m_velocities) == places.size and np.any(state.m_velocities):
+        stated_speeds = np.array(state.m_velocities).reshape(-1, 3)
+        moved = np.diff(places, axis=0) / state.m_dtEphem
+        off = np.median(np.linalg.norm(moved - 0.5 * (stated_speeds[1:] + stated_speeds[:-1]), axis=1))
+        speed = float(np.median(np.linalg.norm(moved, axis=1)))
+        if off > _SAME_SPEED * speed:
+            found = f"velocities that are off by {off:.4g} m/s (median)"
+            raise InputError(f"{source}, m_velocities", found, f"those of m_positions and m_dtEphem, {speed:.6g} m/s")
+    ground, slope = image.image_to_ground(*image.middle)
+    if not np.all(np.isfinite(ground)):
+        if np.any(state.m_referencePointXyz):
+            where, expected = f"{source}, m_referencePointXyz", "one that sees it, where this point says"
+            raise InputError(where, "a middle pixel that looks past the ellipsoid", expected, "mend the wrong keys")
+        return
+    height = float(np.linalg.norm(image.pose(image.middle[0]).position - ground))
+    pixel = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
+    for key, said, found_here in (("m_flyingHeight", state.m_flyingHeight, height), ("m_gsd", state.m_gsd, pixel)):
+        if said > 0.0 and not 1.0 / _ALIKE < said / found_here < _ALIKE:
+            raise InputError(f"{source}, {key}", f"{said:.6g} m", f"about {found_here:.6g} m, as the other keys say")
+        if said > 0.0 and abs(said / found_here - 1.0) > _SAME_SIZE:
+            yield f"{key} is {said:.6g} m, and by the other keys {found_here:.6g} m"
+    if len(state.m_referencePointXyz) == 3 and np.any(state.m_referencePointXyz):
+        away = float(np.linalg.norm(np.array(state.m_referencePointXyz) - ground[0]))
+        where = f"{away:.6g} m from where the middle pixel's ray meets the ellipsoid"
+        if away > _NEAR + abs(state.m_halfSwath):
+            raise InputError(f"{source}, m_referencePointXyz", where, "near it", "mend the wrong keys")
+        if away > _PIXELS * pixel:
+            yield f"m_referencePointXyz is {where}"
 
 
 def _require_plain(state: _State, source: str) -> None:

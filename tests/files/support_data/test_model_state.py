@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import usgscsm
+from usgscsm import HEAD, NODES, state
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.kinds import image_kind, image_name
@@ -24,39 +25,6 @@ from mgsgraph.results.archive import pack, unpack
 from mgsgraph.units import MM
 
 # --- model states
-
-
-HEAD = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
-NODES = 40
-
-
-def state(**changes: Any) -> dict[str, Any]:
-    """400 km above a sphere of 3,400 km, 3.4 km/s along the equator, swaying; the line period changes, with a pause."""
-    times = 0.25 * np.arange(NODES) - 5.0
-    angle = 3400.0 / 3.8e6 * times + 1e-5 * np.sin(2.0 * times)
-    positions = 3.8e6 * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    # camera z down, x along the flight, swaying about it; scalar last, camera to body
-    half = 0.5 * (angle + np.pi) + 1e-4 * np.sin(3.0 * times)
-    turn = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=1)  # about the body's z
-    onto = np.array([0.5, 0.5, 0.5, 0.5])  # z to x, x to y, y to z
-    return {
-        "m_modelName": HEAD, "m_imageIdentifier": "A/1", "m_nLines": 2000, "m_nSamples": 500, "m_platformFlag": 1,
-        "m_zDirection": 1.0, "m_focalLength": 3500.0, "m_distortionType": 0, "m_opticalDistCoeffs": [1e-4, 1e-6, 0.0],
-        "m_iTransS": [0.0, 0.0, 80.0], "m_iTransL": [0.5, 80.0, 0.0], "m_detectorSampleOrigin": 250.0,
-        "m_detectorLineOrigin": 0.0, "m_detectorSampleSumming": 2.0, "m_detectorLineSumming": 2.0,
-        "m_startingDetectorSample": -7.0, "m_startingDetectorLine": 0.0, "m_centerEphemerisTime": 1e8,
-        "m_intTimeLines": [0.0, 1200.0], "m_intTimeStartTimes": [-1.0, 0.21], "m_intTimes": [1e-3, 1.1e-3],
-        "m_t0Ephem": -5.0, "m_dtEphem": 0.25, "m_numPositions": 3 * NODES, "m_positions": positions.ravel().tolist(),
-        "m_t0Quat": -5.0, "m_dtQuat": 0.25, "m_numQuaternions": 4 * NODES,
-        "m_quaternions": product(turn, onto).ravel().tolist(),
-        "m_majorAxis": 3.4e6, "m_minorAxis": 3.4e6, "m_currentParameterValue": [0.0] * 16,
-    } | changes  # fmt: skip
-
-
-def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Hamilton's product of quaternions (n, 4) and (4,), scalar last."""
-    a, w = left[:, :3], left[:, 3:]
-    return np.hstack([w * right[:3] + right[3] * a + np.cross(a, right[:3]), w * right[3] - a @ right[:3, None]])
 
 
 def read(folder: Path, content: dict[str, Any]) -> PushbroomImage:
