@@ -9,6 +9,7 @@ import pytest
 ALONE = {
     "support data": {"starting_detector_line", "constant_rotation"},
     "label of laser shots": {"POSITIVE_LONGITUDE_DIRECTION"},
+    "table of PEDR": {"long_East", "lat_North", "MOLArange"},
     "model state": {"m_opticalDistCoeffs", "m_detectorLineOrigin", "m_startingDetectorLine", "m_focalLength"},
 }
 """By the beginning of a format's name, the last part of keys of which the input has no second statement."""
@@ -28,7 +29,8 @@ def held(name: str, least: int, folder: Path) -> None:
 
 @pytest.mark.parametrize(("name", "least"), [
     ("MEGDR label", 110), ("label of laser shots", 45), ("ground control", 12), ("terrain model", 8),
-    ("model state", 120),    ("support data (mro_ctx_isds)", 200), ("support data (lro_nac_lola)", 200),
+    ("model state", 120), ("table of PEDR", 12), ("tables of a cube", 55),
+    ("support data (mro_ctx_isds)", 200), ("support data (lro_nac_lola)", 200),
 ])  # fmt: skip
 def test_no_lie_about_a_file_is_silent(name: str, least: int, tmp_path: Path) -> None:
     held(name, least, tmp_path)

@@ -139,8 +139,10 @@ _NOISE_CHANNEL = 5
 """Of MLA, from which on a return is noise (pyXover leaves out chn > 4); other altimeters have no such channel."""
 _NOT_GROUND = 4
 """PEDR2TAB adds this to the attitude flag A of a shot that didn't reach the ground."""
-_SAME_AREOID = 10.0
-"""m."""
+_SAME_AREOID, _AREOID = 10.0, 5e3
+"""m by which radius minus topography may be off the areoid's radius beside it, and off the ellipsoid."""
+_SAME_TIME, _LOOKS = 0.1, 1000
+"""s by which two times of a row may differ, and rows that are looked at."""
 _TIMES = ("tdb", "tt", "utc")
 _LARGEST = 2.0**53
 """Of whole numbers."""
@@ -225,6 +227,7 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
     else:
         times = tdb_of_utc(table.shown(names["utc"]), f"{table.path}, {names['utc']}")
     require_years(times, str(table.path))
+    _require_same_times(table, names, times)
     n = times.size
 
     def value(meaning: str) -> Array:
@@ -249,7 +252,8 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
         known["channels"] = whole("channel")
     if "topography" in values:
         areoid = values["radius"] - values["topography"]
-        _require_areoid(areoid, values.setdefault("areoid", areoid), table, names)
+        _require_areoid(areoid, values, ground, table, names)
+        values.setdefault("areoid", areoid)
     found = shots_with(
         str(table.path), layout.altimeter or _altimeter(table), times + clock_bias,
         positions(np.column_stack([values["longitude"], values["latitude"]]), values["radius"], table.where),
@@ -260,12 +264,37 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
     return found if there is None or np.all(there) else found.chosen(there)
 
 
-def _require_areoid(computed: Array, stated: Array, table: CsvText, names: Mapping[str, str]) -> None:
-    """Raise InputError where radius minus topography is not the areoid's radius that the table has, too."""
-    off = np.abs(computed - stated)
-    if np.any(np.isfinite(off)) and (middle := float(np.nanmedian(off))) > _SAME_AREOID:
-        found = f"{names['radius']} minus {names['topography']}, {middle:.0f} m off {names['areoid']} (median)"
-        raise InputError(str(table.path), found, "the same areoid", "look at the columns' units and order")
+def _require_same_times(table: CsvText, names: Mapping[str, str], times: Array) -> None:
+    """Raise InputError where UTC is another time than the one beside it, in rows here and there."""
+    other = next((names[one] for one in ("tdb", "tt") if one in names), "")
+    if not other or "utc" not in names:
+        return
+    rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _LOOKS)).astype(np.int64))
+    shown = table.shown(names["utc"])
+    texts = [shown[int(k)] for k in rows]
+    off = float(np.median(np.abs(tdb_of_utc(texts, f"{table.path}, {names['utc']}") - times[rows])))
+    if off > _SAME_TIME:
+        found = f"{other} and {names['utc']}, {off:.3f} s apart (median)"
+        raise InputError(str(table.path), found, "one time", "look at units, and at leap seconds")
+
+
+def _require_areoid(
+    computed: Array, values: Mapping[str, Array], ground: Mask, table: CsvText, names: Mapping[str, str]
+) -> None:
+    """Raise InputError where radius minus topography of the ground is not the areoid's radius that the table has, too,
+    or lies far from Mars's ellipsoid there.
+    """
+    assert MOLA.body is not None
+    a, b, latitudes = MOLA.body.equatorial, MOLA.body.polar, values["latitude"] * DEG
+    if not b / 1.1 < np.median(values["radius"]) < 1.1 * a:
+        return  # said later
+    stated, what, allowed = a * b / np.hypot(b * np.cos(latitudes), a * np.sin(latitudes)), "Mars's ellipsoid", _AREOID
+    if "areoid" in values:
+        stated, what, allowed = values["areoid"], names["areoid"], _SAME_AREOID
+    off = np.abs(computed - stated)[ground]
+    if np.any(np.isfinite(off)) and (middle := float(np.nanmedian(off))) > allowed:
+        found = f"{names['radius']} minus {names['topography']}, {middle:.0f} m off {what} (median)"
+        raise InputError(str(table.path), found, "the areoid", "look at the columns' units and order")
 
 
 def _meant(table: CsvText, layout: Layout) -> dict[str, str]:

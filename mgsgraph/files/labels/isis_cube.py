@@ -13,7 +13,7 @@ scaled time (jigsaw, CacheType = PolyFunction): of X, Y, Z in km, or of three an
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,8 @@ _COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
 _REMEDY = "run spiceinit on the cube again, with its tables attached"
 _LARGEST = 1e100
 """Larger numbers are ISIS's Null, or none at all."""
+_SAME = 1e-6
+"""Share by which constants that are the same may differ: digits."""
 _NODES = 2049
 """Samples that a polynomial of jigsaw is laid out at; between them cubic and great arc are far below a micropixel."""
 
@@ -176,6 +178,9 @@ def _of_json(said: Any, where: str) -> CubeTable:
     if len(lengths) != 1 or 0 in lengths:
         found = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
         raise InputError(where, found or "no columns", "as many of each, and some")
+    if "constant_rotation" not in said and len(said.get("constant_frames") or ()) > 1:
+        found = f"constant_frames {said['constant_frames']} without constant_rotation"
+        raise InputError(where, found, "the rotation between them")
     constant = _numbers(said.get("constant_rotation", np.eye(3).ravel().tolist()), (9,), f"{where}, constant_rotation")
     return CubeTable(where, columns, constant.reshape(3, 3), None, None)
 
@@ -304,8 +309,19 @@ def _image(
         timing=times.timing(epoch),
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
-        remarks=remarks_on(stated, why),
+        remarks=(*remarks_on(stated, why), *_other_constants(label, keywords)),
     )
+
+
+def _other_constants(label: LineScanLabel, keywords: NaifKeywords) -> Iterator[str]:
+    """Remarks on keywords that are not those of the camera's record, where it has them."""
+    for key, known in label.camera.constants.items():
+        if key not in keywords or len(np.atleast_1d(np.array(keywords.values[key], dtype=object))) < len(known):
+            continue
+        stated = keywords.numbers(key, len(known))
+        if np.abs(stated - known).max() > _SAME * np.abs(known).max():
+            said, usual = (", ".join(f"{one:.9g}" for one in values) for values in (stated, known))
+            yield f"{key} is {said}, where {label.camera.addendum} has {usual}"
 
 
 def _files(path: Path) -> tuple[Path, Path | None]:

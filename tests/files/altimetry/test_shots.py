@@ -32,7 +32,8 @@ MLA_HEADER = (  # of ODE, as USGS's ode_csv2shapefile.py has it
 def mla_row(channel: int, time: float, radius: float = 2438.9, flight: float = 5.0e6) -> str:
     return (
         f"221.5, 63.25, -0.5, {radius}, {time}, 209501234, 3, {channel}, 12.5, 0.1, 3, {flight * LIGHT / 2e12}, 0.01,"
-        f"18.2,2011-03-29T19:40:10.5, {flight}, 221.4, 63.2, 750.1, 0.4, 90.1, 80.0, 1.0, 17, MLASCIRDR1103291940"
+        f"18.2,{utc_of_tdb(time):%Y-%m-%dT%H:%M:%S.%f}, {flight}, 221.4, 63.2, 750.1, 0.4, 90.1, 80.0, 1.0, 17,"
+        " MLASCIRDR1103291940"
     )
 
 
@@ -516,7 +517,7 @@ def test_a_cloud_is_in_order_of_time() -> None:
 
 
 ODE = "long_East,lat_North,topography, MOLArange,  planet_rad, c,A,  Ephermis Time,          UTC,          Orbit\n" + (
-    "".join(f"137.3766{k}, -4.09420,   -2659.75, 390043.53,  3393004.81,1,0, -2316293{k}.18358,"
+    "".join(f"137.3766{k}, -4.09420,   -2659.75, 390043.53,  3393004.81,1,0, -2316293{5 - k}.18358,"
             f"1999-04-08T09:50:0{k}.631, 10372\n" for k in range(5))
 )  # fmt: skip
 TIES = """\
