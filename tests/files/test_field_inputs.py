@@ -1,0 +1,88 @@
+"""Small inputs of the field that went through with a wrong place (../shared/field/README.md), with the right values."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import lies
+import numpy as np
+import pytest
+
+from mgsgraph.errors import InputError
+from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.networks.asp_text import read_ground_control
+from mgsgraph.files.support_data.isd import read_isd
+from mgsgraph.geometry.body import Ellipsoid, planetocentric
+from mgsgraph.geometry.image import PushbroomImage
+
+MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
+RADII = {"BODY499_RADII": [3396.19, 3396.19, 3396.19], "BODY_CODE": 499}
+
+
+def scanner(field: Path, folder: Path, **keys: Any) -> PushbroomImage:
+    """The made-up line scanner of the field's own program."""
+    words = [f"{key}={json.dumps(value)}" for key, value in keys.items()]
+    subprocess.run([sys.executable, str(field / "line_scanner.py"), str(folder / "a.json"), *words], check=True)
+    return read_isd(folder / "a.json", "A", Aberration("NONE"))
+
+
+@pytest.mark.parametrize("name", ["sphere.gcp", "ellipsoid.gcp"])
+def test_ground_control_is_where_its_header_says(shared_field: Path, name: str) -> None:
+    found = read_ground_control(shared_field / "gcp_wkt" / name, MARS).places[0]
+    np.testing.assert_allclose(found, [525747.937, 2332927.583, 2391435.134], rtol=0, atol=1e-3)
+
+
+def test_a_datum_that_contradicts_the_header_is_refused(shared_field: Path) -> None:
+    path = shared_field / "gcp_wkt" / "sphere.gcp"
+    sphere = Ellipsoid(3_396_190.0, 3_396_190.0)
+    assert read_ground_control(path, MARS, sphere).places[0, 2] == pytest.approx(2391435.134, abs=1e-3)
+    with pytest.raises(InputError, match="datum"):
+        read_ground_control(path, MARS, MARS)
+
+
+def test_a_map_is_no_raw_image(shared_field: Path, tmp_path: Path) -> None:
+    words = "+proj=eqc +lat_ts=0 +lat_0=0 +lon_0=0 +x_0=0 +y_0=0 +R=3396190 +units=m +no_defs"
+    with pytest.raises(InputError, match="projection"):
+        scanner(
+            shared_field, tmp_path, image_lines=2000, image_samples=2500, projection=words,
+            geotransform=[4403020.0, 12.0, 0.0, 12000.0, 0.0, -12.0],
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("keyword", [{}, {"INS-131351_BORESIGHT_SAMPLE": 2047.5}])
+def test_half_a_pixel_is_taken_off_once(shared_field: Path, tmp_path: Path, keyword: dict[str, float]) -> None:
+    image = scanner(
+        shared_field, tmp_path, sample0=2047.5, starting_detector_sample=0.5, samples=4000,
+        naif_keywords=RADII | keyword,
+    )  # fmt: skip
+    ground, _ = image.image_to_ground(np.array([2000.0]), np.array([2047.0]))
+    np.testing.assert_allclose(np.degrees(planetocentric(ground))[0, :2], [74.484513367, 0.0], rtol=0, atol=1e-8)
+
+
+def test_the_detector_is_that_of_the_keywords(shared_field: Path, tmp_path: Path) -> None:
+    keywords = RADII | {"INS-74021_ITRANSS": [0, 0, 142.857]}
+    scanner(shared_field, tmp_path, focal2pixel_samples=[0, 0, 142.857], naif_keywords=keywords)
+    with pytest.raises(InputError, match=r"143\.5.*142\.857"):
+        scanner(shared_field, tmp_path, focal2pixel_samples=[0, 0, 143.5], naif_keywords=keywords)
+
+
+def test_what_stands_for_nothing_is_no_ground_return(tmp_path: Path) -> None:
+    form = lies.shot_table()
+    form.read(form.text(), tmp_path)
+    shots = read_shots(tmp_path / "t.lbl")
+    assert shots.ground.tolist() == [k != 4 for k in range(10)]
+    radii = np.linalg.norm(shots.footprints[shots.ground], axis=1)
+    np.testing.assert_allclose(radii, 1737400.0 - 1250.0, rtol=0, atol=1e-6)
+
+
+def test_longitudes_count_westward_where_the_label_says_so(tmp_path: Path) -> None:
+    form = lies.shot_table()
+    form.read(lies.changed(form.text(), "POSITIVE_LONGITUDE_DIRECTION", "WEST"), tmp_path)
+    longitude = np.degrees(planetocentric(read_shots(tmp_path / "t.lbl").footprints))[0, 0]
+    assert longitude % 360.0 == pytest.approx(360.0 - 221.5)
+    rest = "DATA_TYPE = PC_REAL\n  START_BYTE = 9\n  BYTES = 8\n  UNIT ="
+    with pytest.raises(InputError, match="UNIT"):
+        form.read(form.text().replace(f'{rest} "DEGREE"', f'{rest} "KM"'), tmp_path)
