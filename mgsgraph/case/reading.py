@@ -29,9 +29,9 @@ from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.opening import read_text
 from mgsgraph.files.pvl import flat_label, instrument_of
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
-from mgsgraph.geometry.body import Ellipsoid
+from mgsgraph.geometry.body import Ellipsoid, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.records import require_names
+from mgsgraph.geometry.records import Array, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import TERRAIN, Network, Pass, PointClass, SharedUnknown
 from mgsgraph.network.observations import Members, TerrainModel
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 _LEAST_SHOTS = 12
 """Over the terrain model, by whose heights it is compared with the laser."""
+_LIKELY, _LEAST_OFF = 0.1, 20.0
+"""Share of an offset in height, and m, by which another reference surface explains it."""
 _FAR_APART = 5.0
 """Sigmas of a terrain model's heights, and of the shots' scatter about it, by which both may differ as a whole."""
 
@@ -162,7 +164,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         network = replace(network, passes=passes)
     network = _with_shared(network, wanted, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
-    _require_same_heights(network, wanted, path)
+    _require_same_heights(network, wanted, profiles, path)
     _require_seeing_images(network, notes)
     pictures = tuple(picture_of(image, folder) for image in wanted.images)
     files = tuple(folder / entry.network for entry in wanted.tie_groups)
@@ -199,7 +201,9 @@ def _read_passes(
     return passes
 
 
-def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> None:
+def _require_same_heights(
+    network: Network, wanted: CaseInput, profiles: Sequence[AltimeterShots], path: Path
+) -> None:
     """Raise InputError where laser and terrain model are far apart in height: something is stated wrongly."""
     surface = network.surface
     shots = network.points.places[network.points.classes == PointClass.LASER]
@@ -213,11 +217,27 @@ def _require_same_heights(network: Network, wanted: CaseInput, path: Path) -> No
     scatter = 1.4826 * float(np.median(np.abs(off - middle)))
     entry = wanted.terrain_models[0]
     if abs(middle) > _FAR_APART * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
+        likely = _likely_surface(entry, middle, shots, network.images[0].body, profiles)
+        found = f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots){likely}"
         raise InputError(
-            f"{path}, terrain", f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots)",
-            "the same ground",
+            f"{path}, terrain", found, "the same ground",
             "state what its heights are above (reference_radius_m, reference_ellipsoid_m, areoid), or height_sigma_m",
         )  # fmt: skip
+
+
+def _likely_surface(
+    entry: TerrainInput, off: float, shots: Array, body: Ellipsoid, profiles: Sequence[AltimeterShots]
+) -> str:
+    """What heights that lie off the laser by so much would be above, where they are stated above a sphere."""
+    stated = entry.reference_radius_m
+    if stated is None:
+        return ""
+    areoid = np.concatenate([one.areoid_radii for one in profiles]) if profiles else np.zeros(0)
+    levels = {"the ellipsoid": surface_radii(shots, body), "the areoid": areoid[np.isfinite(areoid)]}
+    levels |= {f"the sphere {name}": np.array([one.equatorial]) for name, one in NAMED.items()}
+    apart = {name: abs(off - float(np.median(one) - stated)) for name, one in levels.items() if one.size}
+    nearest = min(apart, key=lambda name: apart[name])
+    return f", as heights above {nearest} would be" if apart[nearest] < max(_LIKELY * abs(off), _LEAST_OFF) else ""
 
 
 def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
