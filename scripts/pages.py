@@ -79,6 +79,7 @@ and is not here is named by `mgsgraph check`. What has no second statement in th
 `mgsgraph/files/geometric_keys.py`, by which the readers go. Names are regular expressions.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
+_LIES = "\n## Lies"
 _COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
 _ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
 
@@ -89,7 +90,7 @@ def pages() -> dict[Path, str]:
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
         DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
         DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
-        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown(),
+        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _kept("input_keys.md", _LIES),
         DOCS / "solution_npz.md": _by_hand("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
@@ -97,6 +98,11 @@ def pages() -> dict[Path, str]:
 def _by_hand(page: str, mark: str) -> str:
     """What stands in a page down to the mark."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
+
+
+def _kept(page: str, mark: str) -> str:
+    """What stands in a page from the mark on."""
+    return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[1:])
 
 
 def input_keys_markdown() -> str:

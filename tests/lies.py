@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 import usgscsm
 
+from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
-from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.labels.isis_cube import read_isis_cube
@@ -34,6 +34,7 @@ from mgsgraph.files.support_data.model_state import read_model_state
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.trajectory import utc_of_tdb
+from mgsgraph.results.inventory import inventory
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 KERNELS = (".tls", ".tpc", ".tsc", ".tf", ".ti", ".bsp", ".bc")
@@ -423,16 +424,22 @@ def ground_control() -> Format:
 
 
 def lidar() -> Format:
-    """Shots of ISIS."""
-    said = json.loads((SHARED / "data" / "lro_nac_lola" / "lidarData.json").read_text())
+    """Shots of ISIS in their case: what a footprint, a range and the pixels that show it say together."""
+    data = SHARED / "data" / "lro_nac_lola"
+    said = json.loads((data / "lidarData.json").read_text())
+    case = Path(__file__).resolve().parents[1] / "scripts" / "cases" / "lro_nac_lola.toml"
+    text = re.sub(r'"[^"]*/lro_nac_lola/', f'"{data}/', case.read_text())
+    text = text.replace(f"{data}/lidarData.json", "lidar.json")
 
     def read(content: Any, folder: Path) -> tuple[np.ndarray, tuple[str, ...]]:
-        (folder / "a.json").write_text(json.dumps(content))
-        found = read_lidar(folder / "a.json")
-        return np.concatenate([found.footprints.ravel(), found.ranges, found.covariances.ravel() / 100.0]), ()
+        (folder / "lidar.json").write_text(json.dumps(content))
+        (folder / "case.toml").write_text(text)
+        found = read_case(folder / "case.toml")
+        weak = tuple(line for line in inventory(found, details=False).splitlines() if "WEAK" in line)
+        return np.concatenate([found.network.points.places[-52:].ravel(), found.network.ranges.values]), weak
 
-    return Format("lidar data", lambda: said, tuple(f"points/0/{key}" for key in said["points"][0]
-                                                     if key in ("latitude", "radius", "aprioriMatrix", "range")), read)
+    keys = tuple(f"points/0/{key}" for key in ("latitude", "longitude", "radius", "aprioriMatrix", "range", "time"))
+    return Format("lidar data in a case", lambda: said, keys, read)
 
 
 def terrain() -> Format:
@@ -487,15 +494,26 @@ def outcomes(form: Format, folder: Path) -> Iterator[tuple[str, str, str]]:
                 yield key, name, told(form, key, lie, folder, true)
 
 
+def table(form: Format, folder: Path) -> list[str]:
+    """Rows of Markdown: how many lies about each key come to what, and which are silent."""
+    counts, silent = defaultdict[str, Counter[str]](Counter), defaultdict[str, list[str]](list)
+    for key, lie, found in outcomes(form, folder):
+        counts[key][found] += 1
+        if found == "silent":
+            silent[key].append(lie)
+    every = sum(counts.values(), Counter[str]())
+    kinds = ("refused", "named", "harmless", "silent")
+    rows = [f"| **{form.name}** | {' | '.join(f'**{every[kind]}**' for kind in kinds)} | |"]
+    for key, count in counts.items():
+        numbers = " | ".join(str(count[kind] or "") for kind in kinds)
+        rows.append(f"| `{key.replace('/', '.')}` | {numbers} | {', '.join(silent[key])} |")
+    return rows
+
+
 if __name__ == "__main__":
+    print("| format, key | refused | named | harmless | silent | which |\n|---|---|---|---|---|---|")
     for form in formats():
         if len(sys.argv) > 1 and sys.argv[1] not in form.name:
             continue
-        counts, silent = defaultdict[str, Counter[str]](Counter), []
         with tempfile.TemporaryDirectory() as name:
-            for key, lie, found in outcomes(form, Path(name)):
-                counts[key][found] += 1
-                silent += [f"{key} ({lie})"] if found == "silent" else []
-        every = sum(counts.values(), Counter())
-        print(f"{form.name}: {dict(every)}")
-        print("   silent:", "; ".join(silent) or "none")
+            print("\n".join(table(form, Path(name))))

@@ -38,7 +38,7 @@ def test_no_lie_about_a_file_is_silent(name: str, least: int, tmp_path: Path) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "least"), [
-    ("PDS3 label (kaguya_tc)", 50), ("PDS3 label (lro_nac_m103595705)", 25),
+    ("lidar data in a case", 30), ("PDS3 label (kaguya_tc)", 50), ("PDS3 label (lro_nac_m103595705)", 25),
 ])  # fmt: skip
 def test_no_lie_about_a_label_is_silent(name: str, least: int, tmp_path: Path) -> None:
     held(name, least, tmp_path)

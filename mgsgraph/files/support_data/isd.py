@@ -263,6 +263,8 @@ _MOC = "MGS_MOC_"
 _HRSC = ("MEX_HRSC", "HIGH RESOLUTION STEREO CAMERA")
 _CTX, _CTX_LONGEST = "CONTEXT CAMERA", 2.8e-3
 """s, longer than one line time of CTX (1.877 ms) and shorter than two."""
+_THEMIS_OF_ALE = 202.059
+"""mm."""
 _HRSC_PITCH = 142.857
 """Pixels of 7 micrometres per mm."""
 _HRSC_SIZES = {2584: 2, 1288: 4, 640: 8}
@@ -280,7 +282,7 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     """
     _require_units(isd, source)
     said = list[str]()
-    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc, _ctx):
+    for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc, _ctx, _themis):
         isd, words = repair(isd, source)
         said += words
     return isd, said
@@ -426,6 +428,14 @@ def _ctx(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
         raise InputError(f"{source}, line_scan_rate", found, f"{expected} (ALE leaves the summing out)", _ANOTHER_ROAD)
     words = f"line period multiplied by the summing of {summing:g} (ALE leaves it out)"
     return _with_rates(isd, np.array([[line, start, period * summing]])), [words]
+
+
+def _themis(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
+    """ALE's ody_drivers have an older focal length of the infrared camera, and no distortion; its band isn't stated."""
+    if isd.focal_length_model.focal_length != _THEMIS_OF_ALE or "ODYSSEY" not in (isd.name_platform or "").upper():
+        return isd, []
+    words = "focal length 202.059 mm, no distortion: ALE's of THEMIS-IR, whose outer samples are 2 pixels off ISIS's"
+    return isd, [words]
 
 
 def _with_rates(isd: SupportData, table: Array) -> SupportData:
