@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.cameras.label import CAMERAS
 from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
-from mgsgraph.files.support_data.isd_layout import RotationTable, SupportData
+from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, SupportData
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.image import PushbroomImage
@@ -37,8 +37,8 @@ _MASKED = 1.02
 """Times the pixels that see the ground that files may have (CTX: 5,056 of 5,000)."""
 _SQUARE = 4.0
 """Times by which a pixel on the ground may be longer along track than across, or shorter."""
-_POLE = 1e-4
-"""rad between the body's rotation and that of its pole and prime meridian."""
+_POLE = 0.02
+"""rad between the body's rotation and that of its pole and prime meridian without nutation, which is less on Mars."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
 _MODELS = {-74021: "radial", -74699: "radial", -85600: "lrolrocnac", -85610: "lrolrocnac"} | dict.fromkeys(
     (-131351, -131371, *range(-131335, -131330), *range(-131344, -131340)), "kaguyalism"
@@ -86,9 +86,9 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
     return list(_clock(isd, source))
 
 
-def _require_described(table: object, where: str) -> None:
+def _require_described(table: StateTable | RotationTable, where: str) -> None:
     """Raise InputError where a table is not as long as its file says."""
-    times = np.array(getattr(table, "ephemeris_times"))  # noqa: B009
+    times = np.array(table.ephemeris_times)
     for kind in ("ck", "spk"):
         for end, found in (("start_time", times[0]), ("end_time", times[-1]), ("original_size", times.size)):
             stated = getattr(table, f"{kind}_table_{end}", None)
@@ -283,7 +283,7 @@ def odd_pixels(image: PushbroomImage) -> list[str]:
 
 def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> None:
     """Raise InputError where the body doesn't turn as its pole and prime meridian do, which the keywords have without
-    terms of nutation.
+    terms of nutation: another body's, or another order of the quaternions.
     """
     keys = [_only(keywords, "BODY", f"_{name}") for name in ("POLE_RA", "POLE_DEC", "PM")]
     if not all(keys) or _only(keywords, "BODY", "_NUT_PREC_PM") or _only(keywords, "BODY", "_NUT_PREC_RA"):
