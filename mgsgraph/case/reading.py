@@ -22,7 +22,7 @@ from mgsgraph.errors import InputError, Unmeasured, errors_from
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.datum import NAMED
-from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, unread
+from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, Key, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
@@ -174,7 +174,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
 
 def _unread_keys(wanted: CaseInput, folder: Path) -> list[str]:
     """A sentence for each label of shots and of grids that has keys which look geometric and which nothing reads."""
-    files = [(folder / one.file, SHOT_LABEL) for one in wanted.shots]
+    files: list[tuple[Path, Sequence[Key]]] = [(folder / one.file, SHOT_LABEL) for one in wanted.shots]
     grids = [name for one in wanted.terrain_models for name in (*one.grids, one.topography, one.areoid) if name]
     files += [((folder / name).with_suffix(".lbl"), GRID_LABEL) for name in grids]
     said = []

@@ -40,6 +40,10 @@ _TURNED = 0.2
 """Share by which rates and attitudes of the median interval may contradict each other; between samples rates change."""
 _MOVED = 0.05
 """Share by which velocities and positions may, over the minutes between samples."""
+_ODD_RATES = -131000
+"""The frame of Kaguya's spacecraft, whose C-kernels (SEL_M_ALL_D) hold angular velocities that are not those of the
+attitudes beside them; ALE copies both.
+"""
 _POLE = 1e-4
 """rad between the body's rotation and that of its pole and prime meridian."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -80,9 +84,10 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
     _require_moving(isd.instrument_position, f"{source}, instrument_position")
+    remarks = list(_clock(isd, source))
     for name in ("instrument_pointing", "body_rotation"):
-        _require_turning(getattr(isd, name), f"{source}, {name}")
-    return list(_clock(isd, source))
+        remarks += _turning(getattr(isd, name), name, source)
+    return remarks
 
 
 def _require_described(table: object, where: str) -> None:
@@ -108,8 +113,8 @@ def _require_moving(table: StateTable, where: str) -> None:
         raise InputError(where, found, f"the velocities beside them, {size:.6g} in the same direction")
 
 
-def _require_turning(table: RotationTable, where: str) -> None:
-    """Raise InputError where attitudes don't turn as their own angular velocities say."""
+def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
+    """A remark, or InputError, where attitudes don't turn as their own angular velocities say."""
     if table.angular_velocities is None or len(table.angular_velocities) != len(table.quaternions):
         return
     times, rates = np.array(table.ephemeris_times), np.array(table.angular_velocities)
@@ -123,8 +128,11 @@ def _require_turning(table: RotationTable, where: str) -> None:
     off, size = np.linalg.norm(turned - mean, axis=1), np.linalg.norm(mean, axis=1)
     if np.median(size) > 0.0 and np.median(off) > _TURNED * np.median(size):
         found = f"attitudes that turn by {np.median(np.linalg.norm(turned, axis=1)):.3g} rad/s (median)"
+        if _ODD_RATES in (table.time_dependent_frames or ()):
+            yield f"{name}: {found}, not by the angular velocities beside them, which Kaguya's C-kernels have wrong"
+            return
         expected = f"the angular velocities beside them, {np.median(size):.3g} rad/s about the same axis"
-        raise InputError(where, found, expected, "quaternions are scalar first, inertial to frame")
+        raise InputError(f"{source}, {name}", found, expected, "quaternions are scalar first, inertial to frame")
 
 
 def _units(quaternions: Array) -> bool:
