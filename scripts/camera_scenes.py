@@ -157,8 +157,10 @@ def moc_narrow(data: Path, _: Path) -> Scene:
         "MGS MOC-NA", "M04/02852", optics, (1536, 256), [(0.0, start, 8.0 * period)], "-94", -94031,
         ("MGS_SPACECRAFT", "MGS_MOC_NA"), "MARS", "IAU_MARS", "MARS GLOBAL SURVEYOR", "MGS_MOC_NA", -1.15, label,
         margin=2.0, why="tables from 2 s before the first line on; dense ones that begin with it are "
-        "refused: ALE's lack the -1.15 s", variants=[apparent(-94031), Variant("as ALE has it", without(-94031), moc_of_ale,
-        "line period, pixel pitch for distortion, counting from 1 and 0 are put right")],
+        "refused: ALE's lack the -1.15 s", variants=[apparent(-94031), Variant(
+            "as ALE has it", without(-94031), moc_of_ale,
+            "line period, pixel pitch for distortion, counting from 1 and 0 are put right",
+        )],
     )  # fmt: skip
 
 
@@ -230,7 +232,7 @@ def hrsc(data: Path, folder: Path) -> Scene:
         ("MEX_SC_REF", "MEX_HRSC_HEAD"), "MARS", "IAU_MARS", "MARS EXPRESS", "HIGH RESOLUTION STEREO CAMERA",
         label=data / "mex_hrsc_h5270" / "h5270_0000_ir2_pds3.lbl", line_times=times,
         why="times recorded at changes of the line rate are joined by labels, taken as they stand by support data",
-        variants=[apparent(-41218), Variant("as ALE has it", without(-41218), hrsc_of_ale, "macropixels by the samples")],
+        variants=[apparent(-41218), Variant("as ALE has it", without(-41218), hrsc_of_ale, "macropixels by samples")],
     )  # fmt: skip
 
 
@@ -377,7 +379,7 @@ def themis(data: Path, folder: Path) -> Scene:
         [(0.0, start + 0.5 + (row - 0.5) * period, period)], "-53", -53031, ("MGS_SPACECRAFT", "M01_THEMIS_IR"), "MARS",
         "IAU_MARS", "MARS ODYSSEY", "MARS ODYSSEY", kernels=files,
         label=made_up(folder, "themis", size, "Mars", start, -53031, said),
-        variants=[Variant("as ALE has it", without(-53031), themis_of_ale, "202.059 mm without distortion is put right")],
+        variants=[Variant("as ALE has it", without(-53031), themis_of_ale, "202.059 mm, no distortion: put right")],
     )  # fmt: skip
 
 
