@@ -3,6 +3,7 @@ alone, and the script's own equations, to 0.02 px for 25 pixels of each image.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import camera_roads  # noqa: E402
+from camera_equations import Scene  # noqa: E402
 
 ALLOWED = 0.02
 """px."""
@@ -35,11 +37,11 @@ def test_a_difference_would_be_seen(shared_data: Path, monkeypatch: pytest.Monke
     """A tenth of a pixel in the equations' principal point is one in both roads' columns."""
     make, *others = camera_roads.CAMERAS["ctx"]
 
-    def off(data: Path, folder: Path) -> camera_roads.Scene:
+    def off(data: Path, folder: Path) -> Scene:
         scene = make(data, folder)
         support = scene.support_data
-        moved = camera_roads.replace(scene.optics, origin=(scene.optics.origin[0], scene.optics.origin[1] + 0.1))
-        found = camera_roads.replace(scene, optics=moved, variants=())
+        moved = replace(scene.optics, origin=(scene.optics.origin[0], scene.optics.origin[1] + 0.1))
+        found = replace(scene, optics=moved, variants=())
         object.__setattr__(found, "support_data", support)
         return found
 
