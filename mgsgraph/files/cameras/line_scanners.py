@@ -284,6 +284,16 @@ def _of_band(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     )  # fmt: skip
 
 
+def themis_of_line(line: float) -> ThemisIrDistortion | None:
+    """Distortion of the band whose place along track ALE's support data give as a detector line from 120 on; None where
+    it is no band's.
+    """
+    for k, (*lines, along) in enumerate(zip(_INTEGRATED, _SINGLE, _ALONG, strict=True)):
+        if any(abs(_MIDDLE_LINE - ISIS_OFFSET - one + along - line) < 1e-3 for one in lines):
+            return ThemisIrDistortion(_K[k], _A1, _A2)
+    return None
+
+
 def _infrared(keywords: Keywords, label: LineScanLabel) -> InteriorOrientation:
     centre = (0.0, _CENTRE - _ACROSS[label.band - 1])
     distortion = ThemisIrDistortion(_K[label.band - 1], _A1, _A2)

@@ -29,7 +29,7 @@ from mgsgraph.files.pvl import Block, read_label
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import MEASURED, require_flight, require_turning
+from mgsgraph.geometry.plausibility import MEASURED, require_flight, turning_otherwise
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import KM
@@ -45,6 +45,7 @@ _COEFFICIENTS = ("J2000SVX", "J2000SVY", "J2000SVZ")
 _REMEDY = "run spiceinit on the cube again, with its tables attached"
 _LARGEST = 1e100
 """Larger numbers are ISIS's Null, or none at all."""
+_KAGUYA = -131
 _SAME = 1e-6
 """Share by which constants that are the same may differ: digits."""
 _NODES = 2049
@@ -121,11 +122,7 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
     """Attitude, inertial to the wanted frame, at times in s past an epoch."""
     with errors_from(table.where):
         if table.sampled:
-            quaternions = table.stack(_QUATERNION)
-            if set(_RATES) <= set(table.columns):
-                noise = 0.0 if table.where.lower().replace("_", "").endswith("bodyrotation") else MEASURED
-                require_turning(table.times, quaternions, table.stack(_RATES), table.where, noise)
-            return AttitudeTable(table.times - epoch, quaternions, table.constant)
+            return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
         times, angles, _ = _laid_out(table, _ANGLES)
         quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
         return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
@@ -309,8 +306,21 @@ def _image(
         timing=times.timing(epoch),
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
-        remarks=(*remarks_on(stated, why), *_other_constants(label, keywords)),
+        remarks=(*remarks_on(stated, why), *_other_constants(label, keywords), *_odd_rates(label, tables)),
     )
+
+
+def _odd_rates(label: LineScanLabel, tables: dict[str, CubeTable]) -> Iterator[str]:
+    """A remark, or InputError, where attitudes don't turn as their own angular velocities say."""
+    for name, noise in (("InstrumentPointing", MEASURED), ("BodyRotation", 0.0)):
+        table = tables[name]
+        if not (table.sampled and set(_RATES) <= set(table.columns)):
+            continue
+        found = turning_otherwise(table.times, table.stack(_QUATERNION), table.stack(_RATES), noise)
+        if found and label.camera.spacecraft != _KAGUYA:
+            raise InputError(table.where, found, remedy="the table is damaged: run spiceinit again")
+        if found:
+            yield f"{name}: {found}, which Kaguya's C-kernels have wrong"
 
 
 def _other_constants(label: LineScanLabel, keywords: NaifKeywords) -> Iterator[str]:

@@ -19,7 +19,7 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.camera import NaifKeywords
-from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, PITCH, corrected
+from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, MI, PITCH, corrected, themis_of_line
 from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import validated
 from mgsgraph.files.geometric_keys import SUPPORT_DATA, require_usual, unread
@@ -34,6 +34,7 @@ from mgsgraph.files.support_data.isd_layout import (
     StateTable,
     SupportData,
     distortion_of_support,
+    support_optics,
 )
 from mgsgraph.files.support_data.second_statements import (
     contradictions_of_constants,
@@ -42,7 +43,7 @@ from mgsgraph.files.support_data.second_statements import (
     odd_pixels,
 )
 from mgsgraph.geometry.body import Ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation
+from mgsgraph.geometry.camera import InteriorOrientation, KaguyaDistortion, KaguyaMiDistortion
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.plausibility import require_flight
 from mgsgraph.geometry.records import Array
@@ -95,6 +96,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     with errors_from(source):
         interior = _interior(isd, source)
+        if isinstance(interior.distortion, KaguyaMiDistortion):
+            repairs.append("kaguyalism of MI by the signed place along the detector (ISIS), not by the radius")
         remarks += [*repairs, *contradictions_of_constants(isd, body, source), *_unread(content)]
         trajectory, words = _trajectory(isd, body, aberration, source)
         image = PushbroomImage(
@@ -122,14 +125,22 @@ def _interior(isd: SupportData, source: str) -> InteriorOrientation:
     to_pixel = np.array([isd.focal2pixel_lines, isd.focal2pixel_samples])
     to_pixel[:, 1:] /= MM  # pixels per mm of the file to pixels per m
     focal_length = isd.focal_length_model.focal_length * MM
+    distortion = distortion_of_support(isd.optical_distortion, focal_length, f"{source}, optical_distortion")
+    if isinstance(distortion, KaguyaDistortion) and any(_has_code(isd, camera.instrument) for camera in MI):
+        distortion = KaguyaMiDistortion(distortion.x, distortion.y)
     return InteriorOrientation(
         focal_length=focal_length,
         to_pixel=to_pixel,
         centre=np.array([isd.detector_center.line, isd.detector_center.sample]),
         first=np.array([isd.starting_detector_line, isd.starting_detector_sample]),
         sample_summing=isd.detector_sample_summing,
-        distortion=distortion_of_support(isd.optical_distortion, focal_length, f"{source}, optical_distortion"),
+        distortion=distortion,
     )
+
+
+def _has_code(isd: SupportData, code: int) -> bool:
+    """Whether keywords are of an instrument."""
+    return any(key.startswith(f"INS{code}_") for key in isd.naif_keywords)
 
 
 def _attitude(table: RotationTable, epoch: float, where: str) -> AttitudeTable:
@@ -263,8 +274,12 @@ _MOC = "MGS_MOC_"
 _HRSC = ("MEX_HRSC", "HIGH RESOLUTION STEREO CAMERA")
 _CTX, _CTX_LONGEST = "CONTEXT CAMERA", 2.8e-3
 """s, longer than one line time of CTX (1.877 ms) and shorter than two."""
-_THEMIS_OF_ALE = 202.059
-"""mm."""
+_MOC_CENTRE, _MOC_STATED = 1024.0, (1023.5, 1024.0, 1024.5)
+"""Principal point of the narrow angle, pixels from the detector's edge, and how files have it: from the first pixel's
+centre as 0 (ALE: CENTER of the instrument kernel) or 1 (ISIS), and right.
+"""
+_THEMIS, _THEMIS_FOCAL_LENGTH = -53031, (202.059, 203.9213)
+"""mm: ALE's, and ISIS's."""
 _HRSC_PITCH = 142.857
 """Pixels of 7 micrometres per mm."""
 _HRSC_SIZES = {2584: 2, 1288: 4, 640: 8}
@@ -375,7 +390,10 @@ def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
             f"{source}, optical_distortion", f"a radial one of {coefficients} for {isd.name_sensor}",
             "that of ISIS's camera: these are pixel sizes, given for coefficients by ALE's mgs_drivers", _ANOTHER_ROAD,
         )  # fmt: skip
-    centre = structs.replace(isd.detector_center, sample=isd.detector_center.sample - 0.5)
+    if isd.detector_center.sample not in _MOC_STATED:
+        found = f"{isd.detector_center.sample:g}"
+        raise InputError(f"{source}, detector_center.sample", found, f"1024.5, as ISIS has it; {_ANOTHER_ROAD}")
+    centre = structs.replace(isd.detector_center, sample=_MOC_CENTRE)
     isd = structs.replace(
         isd, optical_distortion={}, detector_center=centre, starting_detector_sample=isd.starting_detector_sample - 1.0
     )
@@ -430,12 +448,27 @@ def _ctx(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     return _with_rates(isd, np.array([[line, start, period * summing]])), [words]
 
 
-def _themis(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
-    """ALE's ody_drivers have an older focal length of the infrared camera, and no distortion; its band isn't stated."""
-    if isd.focal_length_model.focal_length != _THEMIS_OF_ALE or "ODYSSEY" not in (isd.name_platform or "").upper():
+def _themis(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
+    """What ALE's ody_drivers write of THEMIS-IR: another focal length, no distortion, and half a detector line less
+    ahead at a time half a line later. Of cubes with tables the line tells the band; of those without neither line nor
+    time is the band's.
+    """
+    stated, right = _THEMIS_FOCAL_LENGTH
+    plain = not any(np.any(one.get("coefficients", [1.0])) for one in isd.optical_distortion.values())
+    if not (_has_code(isd, _THEMIS) and plain):
         return isd, []
-    words = "focal length 202.059 mm, no distortion: ALE's of THEMIS-IR, whose outer samples are 2 pixels off ISIS's"
-    return isd, [words]
+    distortion = themis_of_line(isd.starting_detector_line)
+    if isd.focal_length_model.focal_length not in (stated, right) or distortion is None:
+        found = f"no distortion, {isd.focal_length_model.focal_length:g} mm, line {isd.starting_detector_line:g}"
+        raise InputError(f"{source}, optical_distortion", found, "that of a band of THEMIS-IR", _ANOTHER_ROAD)
+    isd = structs.replace(
+        isd, focal_length_model=structs.replace(isd.focal_length_model, focal_length=right),
+        optical_distortion=support_optics(distortion, source), starting_detector_line=isd.starting_detector_line + 0.5,
+    )  # fmt: skip
+    table = np.array(isd.line_scan_rate)
+    table[:, 1] -= 0.5 * table[:, 2] / isd.detector_sample_summing
+    words = f"focal length {right} mm, distortion and line of THEMIS-IR's band by ISIS (ALE: {stated} mm, none)"
+    return _with_rates(isd, table), [words]
 
 
 def _with_rates(isd: SupportData, table: Array) -> SupportData:

@@ -18,7 +18,7 @@ from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, Su
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import MEASURED, are_unit, require_turning
+from mgsgraph.geometry.plausibility import MEASURED, are_unit, turning_otherwise
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, KM
 
@@ -37,6 +37,10 @@ _MASKED = 1.02
 """Times the pixels that see the ground that files may have (CTX: 5,056 of 5,000)."""
 _SQUARE = 4.0
 """Times by which a pixel on the ground may be longer along track than across, or shorter."""
+_ODD_RATES = -131000
+"""The frame of Kaguya's spacecraft, whose C-kernels (SEL_M_ALL_D) hold angular velocities that are not those of the
+attitudes beside them; ALE copies both.
+"""
 _POLE = 0.02
 """rad between the body's rotation and that of its pole and prime meridian without nutation, which is less on Mars."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -76,14 +80,10 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
             raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
+    remarks = list(_clock(isd, source))
     for name in ("instrument_pointing", "body_rotation"):
-        table: RotationTable = getattr(isd, name)
-        if table.angular_velocities is not None:
-            require_turning(
-                np.array(table.ephemeris_times), np.array(table.quaternions), np.array(table.angular_velocities),
-                f"{source}, {name}", MEASURED if name == "instrument_pointing" else 0.0,
-            )  # fmt: skip
-    return list(_clock(isd, source))
+        remarks += _turning(getattr(isd, name), name, source)
+    return remarks
 
 
 def _require_described(table: StateTable | RotationTable, where: str) -> None:
@@ -95,6 +95,19 @@ def _require_described(table: StateTable | RotationTable, where: str) -> None:
             if stated is None or abs(stated - found) <= _SAME_TIME or (end == "original_size" and stated > found):
                 continue  # ISIS makes tables smaller
             raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{found:.12g}, as ephemeris_times say")
+
+
+def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
+    """A remark, or InputError, where attitudes don't turn as their own angular velocities say."""
+    if table.angular_velocities is None:
+        return
+    noise = MEASURED if name == "instrument_pointing" else 0.0
+    times, quaternions, rates = map(np.array, (table.ephemeris_times, table.quaternions, table.angular_velocities))
+    if not (found := turning_otherwise(times, quaternions, rates, noise)):
+        return
+    if _ODD_RATES not in (table.time_dependent_frames or ()):
+        raise InputError(f"{source}, {name}", found, remedy="quaternions are scalar first, inertial to frame")
+    yield f"{name}: {found}, which Kaguya's C-kernels have wrong"
 
 
 def _clock(isd: SupportData, source: str) -> Iterator[str]:

@@ -90,6 +90,17 @@ def test_narrow_angle_of_ale_is_put_right(tmp_path: Path) -> None:
     np.testing.assert_allclose(place[:, 1] * 76.9e3, [4.5 - 1024.5, 255.0 * 8.0 + 4.5 - 1024.5], rtol=1e-12)
 
 
+@pytest.mark.parametrize("centre", [1023.5, 1024.0, 1024.5])
+def test_the_narrow_angles_centre_is_put_right_once(tmp_path: Path, centre: float) -> None:
+    """ALE has CENTER of moc20.ti, the first pixel 0 there (1023.5); BORESIGHT_SAMPLE is ISIS's, from 1 on."""
+    said = {"BODY_CODE": 499, "INS-94031_BORESIGHT_SAMPLE": 1024.5, "INS-94031_LIGHTTIME_CORRECTION": "NONE"}
+    image = read(tmp_path, moc(detector_center={"line": 0.0, "sample": centre}, naif_keywords=said))
+    assert image.interior.centre.tolist() == [0.0, 1024.0]
+    assert image.interior.first.tolist() == [0.0, 0.0]
+    with pytest.raises(InputError, match=r"detector_center\.sample: 1030; expected 1024\.5"):
+        read(tmp_path, moc(detector_center={"line": 0.0, "sample": 1030.0}))
+
+
 def dense(first: float) -> dict[str, Any]:
     times = (first + np.linspace(0.0, 0.8, 101)).tolist()
     return ISD["instrument_pointing"] | {"ephemeris_times": times, "quaternions": [[0.0, 1.0, 0.0, 0.0]] * 101}
@@ -107,6 +118,61 @@ def dense(first: float) -> dict[str, Any]:
 def test_what_ale_leaves_unknown_of_moc_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=f"{said}.*kernels"):
         read(tmp_path, moc(**changes))
+
+
+KAGUYA = {"INS-131351_LIGHTTIME_CORRECTION": "NONE", "INS-131351_FOCAL_LENGTH": 3500.0}
+
+
+def test_rates_of_kaguyas_kernels_are_said_to_be_wrong(tmp_path: Path) -> None:
+    """ALE's own kaguyatc_isd.json has 0.0024, 0.0001, 0 rad/s where the attitudes turn about y by 0.0009 rad/s."""
+    half = 0.5 * 0.0009 * np.arange(-1.0, 2.0)
+    turned = [[0.0, float(np.cos(one)), 0.0, float(np.sin(one))] for one in half]
+    table = ISD["instrument_pointing"] | {"quaternions": turned, "angular_velocities": [[0.0024, 1e-4, 0.0]] * 3}
+    isd = ISD | {"naif_keywords": KAGUYA, "optical_distortion": {}}
+    with pytest.raises(InputError, match=r"attitudes that turn by 0\.0009 rad/s"):
+        read(tmp_path, isd | {"instrument_pointing": table})
+    image = read(tmp_path, isd | {"instrument_pointing": table | {"time_dependent_frames": [-131000, 1]}})
+    assert any("Kaguya's C-kernels have wrong" in remark for remark in image.remarks)
+
+
+def test_the_multiband_imager_bends_by_the_signed_place(tmp_path: Path) -> None:
+    """ISIS KaguyaMiCameraDistortionMap: y + B + b0 + b1 y + b2 y^2, whichever the sign of y; in mm. TC takes |y|."""
+    model = {"x": [0.0, 2e-3, 0.0], "y": [1e-3, 2e-3, 3e-6], "boresight_x": 0.0, "boresight_y": 0.02}
+    place = np.array([[0.0, -5e-3]])
+    for code, y in ((-131332, -5.0), (-131351, 5.0)):
+        said = {f"INS{code}_LIGHTTIME_CORRECTION": "NONE"}
+        image = read(tmp_path, ISD | {"naif_keywords": said, "optical_distortion": {"kaguyalism": model}})
+        ideal, _ = image.interior.distortion.undistort(place)
+        np.testing.assert_allclose(ideal[0, 1] * 1e3, -5.0 + 0.02 + 1e-3 + 2e-3 * y + 3e-6 * 25.0, rtol=1e-12)
+        assert any("of MI" in remark for remark in image.remarks) == (code == -131332)
+
+
+def themis(**changes: Any) -> dict[str, Any]:
+    """As ALE's ody_drivers have it of band 9 with time delay integration."""
+    said = {"INS-53031_ITRANSL": [0.0, 0.0, 20.0], "INS-53031_LIGHTTIME_CORRECTION": "NONE"}
+    return ISD | {
+        "name_sensor": "MARS_ODYSSEY", "naif_keywords": said, "focal_length_model": {"focal_length": 202.059},
+        "optical_distortion": {"radial": {"coefficients": [0.0, 0.0, 0.0]}}, "focal2pixel_lines": [0.0, 0.0, 20.0],
+        "focal2pixel_samples": [0.0, 20.0, 0.0], "image_samples": 320, "starting_detector_line": 120 - 205.5 + 0.025,
+        "detector_center": {"line": 0.0, "sample": 160.045},
+    } | changes  # fmt: skip
+
+
+def test_themis_of_ale_is_put_right_or_refused(tmp_path: Path) -> None:
+    """ISIS ThemisIrCamera and its distortion map: 203.9213 mm, x = x_d / 0.988653 and y (1 + a1) + a2 y^2 = y_d; the
+    line 120.5 - 205.5 + 0.025 half a line earlier.
+    """
+    image = read(tmp_path, themis())
+    ideal, _ = image.interior.distortion.undistort(np.array([[3e-3, -4e-3]]))
+    x, y = (ideal[0] * 1e3).tolist()
+    assert x == pytest.approx(3.0 / 0.988653, rel=1e-12)
+    assert 1.00447623 * y + 0.00107556 * y * y == pytest.approx(-4.0, rel=1e-12)
+    assert image.interior.focal_length == pytest.approx(0.2039213)
+    assert image.interior.first[0] == pytest.approx(-84.975)
+    assert image.timing.start_times[0] == pytest.approx(ISD["line_scan_rate"][0][1] - 0.0005)
+    assert any("203.9213 mm" in remark for remark in image.remarks)
+    with pytest.raises(InputError, match=r"line 112; expected that of a band of THEMIS-IR; read its cube"):
+        read(tmp_path, themis(starting_detector_line=112))
 
 
 def test_times_of_lroc_are_corrected_as_its_labels_are(tmp_path: Path) -> None:
