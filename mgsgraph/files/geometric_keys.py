@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.pvl import Block
 
 
 class Use(StrEnum):
@@ -241,6 +242,12 @@ _OTHERS = re.compile(
     r"CORRECTED_SC_CLOCK_STOP_COUNT|SATELLITE_MOVING_DIRECTION|SUB_.*|SOLAR_.*|.*_NAME|FILE_.*|PRODUCT_.*",
 )
 """Names that look so, and are of other things: radiometry, orbits, production, what follows from the image's times."""
+
+
+def texts(block: Block) -> dict[str, str]:
+    """What stands behind each keyword of a block, as text."""
+    items = {key: entry.value for key, entry in block.entries.items()}
+    return {key: value if isinstance(value, str) else ", ".join(value) for key, value in items.items()}
 
 
 def _of(name: str, keys: Iterable[Key]) -> Key | None:

@@ -249,12 +249,6 @@ def flat_label(text: str, source: str) -> Block:
     return flat
 
 
-def texts(block: Block) -> dict[str, str]:
-    """What stands behind each keyword of a block, as text."""
-    items = {key: entry.value for key, entry in block.entries.items()}
-    return {key: value if isinstance(value, str) else ", ".join(value) for key, value in items.items()}
-
-
 def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> Block:
     """Take the innermost block off the stack; it has to be the one that the entry closes."""
     block = stack.pop() if len(stack) > 1 else None

@@ -22,9 +22,9 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import RECORD, lola_shots
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.tables import plain_name
-from mgsgraph.files.geometric_keys import SHOT_LABEL, require_usual
+from mgsgraph.files.geometric_keys import SHOT_LABEL, require_usual, texts
 from mgsgraph.files.opening import number_of, read_bytes
-from mgsgraph.files.pvl import Block, Document, files_called, texts, whole_label
+from mgsgraph.files.pvl import Block, Document, files_called, whole_label
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, Altimeter, AltimeterShots
 from mgsgraph.geometry.body import Ellipsoid, in_turn, planetocentric, require_possible
 from mgsgraph.geometry.records import Array, Mask

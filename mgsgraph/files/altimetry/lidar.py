@@ -39,8 +39,6 @@ TRIANGLE, LARGEST_ELEMENT = 6, 1e18
 """Elements of a covariance's upper triangle, and bound of each."""
 _WIDEST = 0.05
 """rad, of a footprint's sigma: a hundred kilometres."""
-_RELIEF = 0.05
-"""Share of the median radius by which another one may differ: small bodies are rough."""
 _REQUIRED, _OF_MEASURE = 10, 3
 """Keys of each shot, and of each of its measures."""
 _ADJUSTED = ("adjusted_latitude", "adjusted_longitude", "adjusted_radius", "adjusted_matrix")
@@ -182,10 +180,6 @@ def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
         found = f"two measures in image {measured.distinct[image]}"
         raise InputError(where(k), found, "one per shot", "remove the worse one")
     places = np.column_stack([longitudes * DEG, _numbers(shots, "latitude") * DEG, _numbers(shots, "radius") * KM])
-    radii, middle = places[:, 2], float(np.median(places[:, 2]))
-    for k in np.flatnonzero(np.abs(radii / middle - 1.0) > _RELIEF)[:1]:
-        found, expected = f"a radius of {radii[k] / KM:.7g} km", f"about {middle / KM:.7g} km, the median of all shots"
-        raise InputError(where(k), found, expected, "look at the unit (km)")
     elements = np.fromiter(chain.from_iterable(triangles), np.float64, TRIANGLE * len(shots)).reshape(-1, TRIANGLE)
     for k in np.flatnonzero(elements[:, [0, 3]].max(axis=1) > _WIDEST**2)[:1]:
         found = f"sigmas of {np.sqrt(elements[k, 0]):.3g} and {np.sqrt(elements[k, 3]):.3g} rad on the ground"

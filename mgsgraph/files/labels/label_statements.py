@@ -6,8 +6,8 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
-from mgsgraph.files.geometric_keys import IMAGE_LABEL, require_usual, unread
-from mgsgraph.files.pvl import Block, texts
+from mgsgraph.files.geometric_keys import IMAGE_LABEL, require_usual, texts, unread
+from mgsgraph.files.pvl import Block
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.geometric_keys import GRID_LABEL, require_usual
+from mgsgraph.files.geometric_keys import GRID_LABEL, require_usual, texts
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
-from mgsgraph.files.pvl import Block, files_called, flat_label, texts
+from mgsgraph.files.pvl import Block, files_called, flat_label
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window

@@ -118,10 +118,9 @@ def _clock(isd: SupportData, source: str) -> Iterator[str]:
         return
     clock, (_, _, period) = keywords.time(names[0]), isd.line_scan_rate[0]
     late = isd.starting_ephemeris_time - clock
-    code = _only(keywords, "INS", f"_{CORRECTIONS[1]}")
-    usual = [0.0]
-    if code:
-        number_of_camera = int(code[3:].partition("_")[0])
+    preroll, usual = f"_{CORRECTIONS[1]}", [0.0]
+    if code := re.fullmatch(rf"INS(-\d{{5,6}}){preroll}", _only(keywords, "INS", preroll)):
+        number_of_camera = int(code[1])
         factor = 1.0 + number(keywords, f"INS{number_of_camera}_{CORRECTIONS[3]}")
         usual += [corrected(keywords, number_of_camera, 0.0, one)[0] for one in (period, period / factor)]
     if min(abs(late - one) for one in usual) > period:
@@ -320,8 +319,9 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
 
 
 def _codes(keywords: NaifKeywords) -> set[int]:
-    """NAIF ids of the instruments that keywords are of."""
-    return {int(found[1]) for key in keywords.values if (found := re.match(r"INS(-\d{5,6})_", key))}
+    """NAIF ids of the instruments whose optics keywords have."""
+    optics = r"INS(-\d{5,6})_(FOCAL_LENGTH|ITRANS|BORESIGHT|OD_K|DISTORTION|PIXEL|CCD)"
+    return {int(found[1]) for key in keywords.values if (found := re.match(optics, key))}
 
 
 def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
