@@ -30,11 +30,11 @@ CEILINGS = {
     "network": (2926, 46786, 15),
     "files": (8696, 120397, 53),
     "kernel": (2653, 45675, 15),
-    "geometry": (2617, 42641, 16),
+    "geometry": (2619, 42672, 16),
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
     "scripts": (6389, 100750, 45),
-    "tests": (35586, 535909, 195),
+    "tests": (35587, 535916, 195),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -33,6 +33,8 @@ Shapes = NDArray[Any]
 _STEP = 0.1
 """deg of longitude that an edge may span: its great circle leaves the map's straight line by half a metre on Mars."""
 _HALF_TURN = 180.0
+_SPECK = 1e-14
+"""Share of the largest part of a shape up to which another one is rounding."""
 _EXACT = 2.0**-40
 """deg (0.1 um) to which longitudes around a pole are rounded, so that both ends of the ring are one place, no slit."""
 
@@ -124,7 +126,8 @@ def _in_the_map(shape: Any) -> Any:
         parts.append(shapely.transform(part, lambda at, middle=middle: at - [middle, 0.0]))
     dimension = shapely.get_dimensions(shape)
     pieces = shapely.get_parts(shapely.union_all(parts))  # a ring around a pole is cut at its own ends, too
-    kept = pieces[shapely.get_dimensions(pieces) == dimension]  # what only touches the date line is no part
+    sizes = shapely.area(pieces) if dimension == 2 else shapely.length(pieces)
+    kept = pieces[sizes > _SPECK * sizes.max()]  # what only touches the date line is no part
     return (shapely.multipolygons if dimension == 2 else shapely.multilinestrings)(kept)
 
 
