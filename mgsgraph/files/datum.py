@@ -32,6 +32,11 @@ def ellipsoid_of(crs: Any, where: str) -> Ellipsoid:
         if inner is None:
             break
         system = inner
+    for axis in system.get("coordinate_system", {}).get("axis", []):
+        unit = axis.get("unit", "degree")
+        if axis.get("direction") in ("north", "east") and unit != "degree":
+            name = unit.get("name") if isinstance(unit, dict) else unit
+            raise InputError(where, f"{axis.get('name')} in {name}", "degrees", "convert it: gdalwarp -t_srs")
     datum = system.get("datum", system.get("datum_ensemble", {}))
     shape = datum.get("ellipsoid", {})
     a = _metres(shape.get("radius", shape.get("semi_major_axis")))
@@ -112,12 +117,9 @@ def datum_of_wkt(wkt: str, where: str) -> Ellipsoid:
     except CRSError:
         raise InputError(where, repr(wkt)[:60], "a coordinate reference system (WKT)") from None
     require_surface(*vertical_of(crs), "ellipsoid", where)
-    for key, least in (("PRIMEM", 0.0), ("UNIT", None)):
-        found = re.search(rf'\b{key}\["([^"]*)",\s*([-+.\deE]+)', wkt)
-        if found and least is not None and float(found[2]) != least:
-            raise InputError(where, f"longitudes from a meridian at {found[2]}", "from the body's prime meridian")
-        if found and least is None and found[1].lower() not in ("degree", "degrees", "metre", "meter"):
-            raise InputError(where, f"angles in {found[1]}", "degrees")
+    meridian = re.search(r'\bPRIMEM\["[^"]*",\s*([-+.\deE]+)', wkt)
+    if meridian and float(meridian[1]) != 0.0:
+        raise InputError(where, f"longitudes from a meridian at {meridian[1]}", "from the body's prime meridian")
     return ellipsoid_of(crs, where)
 
 

@@ -84,7 +84,7 @@ SUPPORT_DATA = (
     _compared(r"\w+\.(CK|SPK)_TABLE_(START_TIME|END_TIME|ORIGINAL_SIZE)", "of the table", "ephemeris_times"),
     _read("NAME_MODEL", "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL; others are refused"),
     _read("NAME_(PLATFORM|SENSOR)", "known faults of programs, aberration", "INS codes"),
-    _refused("PROJECTION|GEOTRANSFORM", "of a map-projected cube", _NOTHING[1:], "absent, or null"),
+    _refused("PROJECTION|GEOTRANSFORM", "place of a map-projected cube", _NOTHING + r"|\\[\\]", "absent, or null"),
     _read("INTERPOLATION_METHOD", "not followed: cubic, great arcs (below 0.02 px)"),
     Key("NAIF_KEYWORDS.*", Use.COMPARED, "constants by their SPICE names", "see below"),
 )  # fmt: skip
@@ -170,8 +170,9 @@ GRID_LABEL = (
     _refused("UNIT", "of heights", "M|METERS?|METRES?|COUNTS?", "meters"),
     _refused("MISSING_CONSTANT|INVALID_CONSTANT", "of missing posts; MEGDR has none", _NOTHING[1:], "absent"),
     _refused("POSITIVE_LONGITUDE_DIRECTION", "of longitudes", "EAST"),
-    _refused("COORDINATE_SYSTEM_NAME", "of latitudes", "\"?PLANETOCENTRIC\"?"),
-    _refused("COORDINATE_SYSTEM_TYPE", "of the frame", "\"?BODY-FIXED ROTATING\"?"),
+    _refused("COORDINATE_SYSTEM_NAME", "of latitudes", "PLANETOCENTRIC"),
+    _refused("LATITUDE_TYPE", "kind of latitudes", "PLANETOCENTRIC"),
+    _refused("COORDINATE_SYSTEM_TYPE", "of the frame", "BODY-FIXED ROTATING"),
     _refused("TARGET_NAME", "body", "MARS"),
     _refused("[ABC]_AXIS_RADIUS", "km", r"339[67](\.\d*)?", "3396, the sphere that MEGDR's heights are above"),
     _refused("MAP_PROJECTION_ROTATION", "degrees", _ZERO, "0"),
@@ -197,8 +198,9 @@ SHOT_LABEL = (
     _compared("(START|STOP)_TIME", "UTC", "times of the shots"),
     _compared("(MINIMUM|MAXIMUM)_(LATITUDE|LONGITUDE)|(WESTERN|EAST)(ERN)?MOST_LONGITUDE", "degrees", "the shots"),
     _compared("[ABC]_AXIS_RADIUS", "km", "radii of the shots"),
-    _refused("COORDINATE_SYSTEM_NAME", "of latitudes", "\"?PLANETOCENTRIC\"?"),
-    _refused("COORDINATE_SYSTEM_TYPE", "of the frame", "\"?BODY-FIXED ROTATING\"?"),
+    _refused("COORDINATE_SYSTEM_NAME", "of latitudes", "PLANETOCENTRIC"),
+    _refused("LATITUDE_TYPE", "kind of latitudes", "PLANETOCENTRIC"),
+    _refused("COORDINATE_SYSTEM_TYPE", "of the frame", "BODY-FIXED ROTATING"),
     _refused("ROW_(PREFIX|SUFFIX)_BYTES", "bytes beside a row", _ZERO, "0"),
     _refused("ITEMS", "of a column", r"0*1(\.0*)?", "1"),
 )  # fmt: skip
@@ -264,6 +266,27 @@ def unread(names: Iterable[str], keys: Iterable[Key]) -> list[str]:
     ]  # fmt: skip
 
 
+def all_blocks(root: Block) -> list[Block]:
+    """A label and all objects in it, at any depth."""
+    blocks = [root]
+    for block in blocks:
+        blocks += block.blocks
+    return blocks
+
+
+def require_once(root: Block, keys: Iterable[Key]) -> None:
+    """Raise InputError where two objects of a label contradict each other about a key of the format's table, but for
+    those of single columns.
+    """
+    known, said = tuple(keys), dict[str, tuple[str, Block]]()
+    for block in all_blocks(root):
+        for name, value in texts(block).items() if block.name != "column" else ():
+            plain = value.strip("\"' ").upper()
+            before, other = said.setdefault(name, (plain, block))
+            if before != plain and _of(name, known) is not None:
+                raise InputError(block.where(name), repr(value)[:60], f"{before}, as {other.where(name)} says")
+
+
 def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) -> None:
     """Raise InputError for a key with a value by which the file means something else than is read here.
 
@@ -280,5 +303,5 @@ def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) ->
     for name, value in values.items():
         key = _of(name, refused)
         if key is not None and not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
-            remedy = f"convert the file: this says {key.meaning}"
+            remedy = f"convert the file first ({key.meaning})"
             raise InputError(f"{where}, {name}", repr(value)[:60], key.twin, remedy)

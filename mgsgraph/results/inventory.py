@@ -148,7 +148,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     return _text([
         Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them",
                 tables=[_images_table(images)]),
-        Section("", sentences=reading_statements(images)),
+        Section("", sentences=[*reading_statements(images), *deciding_values(images)]),
         Section("", "Overlaps", pairs or ["none"]),
         Section("", "", _laser_files(wanted, images, path.parent)),
         Section("", sentences=[*said, "To be adjusted it needs tie points, ground control, or laser shots measured in "

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
+from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.support_data.isd import read_isd
@@ -86,3 +88,101 @@ def test_longitudes_count_westward_where_the_label_says_so(tmp_path: Path) -> No
     rest = "DATA_TYPE = PC_REAL\n  START_BYTE = 9\n  BYTES = 8\n  UNIT ="
     with pytest.raises(InputError, match="UNIT"):
         form.read(form.text().replace(f'{rest} "DEGREE"', f'{rest} "KM"'), tmp_path)
+
+
+# --- what a reader from outside found to go through
+
+
+def focal(said: dict[str, Any]) -> None:
+    said["focal_length_model"] = {"focal_length": 1.05 * said["focal_length_model"]["focal_length"]}
+
+
+def spelled(said: dict[str, Any]) -> None:
+    focal(said)
+    said["naif_keywords"] = {f" {key.lower()}": value for key, value in said["naif_keywords"].items()}
+
+
+def nested(said: dict[str, Any]) -> None:
+    said["naif_keywords"] = {"INS": said["naif_keywords"]}
+
+
+def two_instruments(said: dict[str, Any]) -> None:
+    focal(said)
+    said["naif_keywords"]["INS-74605_FOCAL_LENGTH"] = 1.0
+
+
+def another_body(said: dict[str, Any]) -> None:
+    said["naif_keywords"]["BODY_CODE"] = 10
+
+
+def clock_alone(said: dict[str, Any]) -> None:
+    del said["starting_ephemeris_time"]
+    said["center_ephemeris_time"] += 0.3
+
+
+def turned_body(said: dict[str, Any]) -> None:
+    half = np.radians(0.25)
+    turn = np.array([np.cos(half), 0.0, 0.0, -np.sin(half)])
+    table = said["body_rotation"]
+    w, x, y, z = np.array(table["quaternions"]).T
+    table["quaternions"] = np.stack([
+        w * turn[0] - z * turn[3], x * turn[0] + y * turn[3], y * turn[0] - x * turn[3], z * turn[0] + w * turn[3]
+    ], axis=1).tolist()  # fmt: skip
+
+
+def first_row(said: dict[str, Any]) -> None:
+    said["line_scan_rate"][0][0] = 1.0
+
+
+def sun_backwards(said: dict[str, Any]) -> None:
+    sun = said["sun_position"]
+    sun["velocities"] = (-np.array(sun["velocities"])).tolist()
+
+
+@pytest.mark.parametrize(
+    "lie", [spelled, nested, two_instruments, another_body, clock_alone, turned_body, first_row, sun_backwards]
+)
+def test_support_data_that_contradict_themselves(shared_data: Path, tmp_path: Path, lie: Any) -> None:
+    path, changed = shared_data / "mro_ctx_isds" / "B10_013615_2178_XI_37N117W.crop.json", tmp_path / "a.json"
+    said, true = json.loads(path.read_text()), read_isd(path, "A")
+    lie(said)
+    changed.write_text(json.dumps(said))
+    with suppress(InputError):
+        assert set(read_isd(changed, "A").remarks) - set(true.remarks)
+
+
+@pytest.mark.parametrize("header", [
+    "# id lon lat elevation", "# point_id longitude latitude height", "# id x y z", "# id lat lon radius",
+    "# id lat lon height_km", "# id lat lon height sigma_lat sigma_lon sigma_h", "# WKT GEOGCS[...]",
+    "# datum: D_MARS\n# datum: MOLA",
+    '# WKT: GEOGCS["a",DATUM["a",SPHEROID["a",3396190,16.98]],PRIMEM["a",0],UNIT["degree",0.0174532925199433]]',
+])  # fmt: skip
+def test_headers_of_ground_control_that_mean_something_else(tmp_path: Path, header: str) -> None:
+    path, row = tmp_path / "a.gcp", "1 45 77.3 -14190 1 1 1 a 100 200 1 1\n"
+    path.write_text(f"# id lat lon height_above_datum sigma_x sigma_y sigma_z image_name\n{row}")
+    read_ground_control(path, MARS)
+    path.write_text(f"{header}\n{row}")
+    with pytest.raises(InputError, match=r"line 1|line 2|datum"):
+        read_ground_control(path, MARS)
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("PRODUCT_ID", '"MEGA90N000ZB.IMG"'), ("OBJECT", "A\nUNIT = FEET\nEND_OBJECT"),
+])  # fmt: skip
+def test_grids_of_two_kinds_and_objects_that_contradict(tmp_path: Path, key: str, value: str) -> None:
+    form = lies.megdr()
+    text = form.text().replace('"MEGR90N000ZB.IMG"\nPRODUCT', '"MEGR90N000CB.IMG"\nPRODUCT')
+    changed = lies.changed(text, key, value) if key in text else text.replace("END\n", f"{key} = {value}\nEND\n")
+    with pytest.raises(InputError):
+        form.read(changed, tmp_path)
+
+
+def test_a_label_of_the_other_side_is_refused(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "lro_nac_m103595705" / "M103595705LE_pds3.lbl"
+    assert read_line_scan_label(path).camera.instrument == -85600
+    (tmp_path / "a.lbl").write_text(path.read_text().replace("= LEFT", "= RIGHT"))
+    with pytest.raises(InputError, match="M103595705LE"):
+        read_line_scan_label(tmp_path / "a.lbl")
+    (tmp_path / "a.lbl").write_text(path.read_text().replace("1.028800", "1.080240"))
+    with pytest.raises(InputError, match="LINE_EXPOSURE_DURATION"):
+        read_line_scan_label(tmp_path / "a.lbl")

@@ -22,7 +22,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import RECORD, lola_shots
 from mgsgraph.files.altimetry.shot_values import crossings, known_ranges, positions, require_records, shots_with
 from mgsgraph.files.altimetry.tables import plain_name
-from mgsgraph.files.geometric_keys import SHOT_LABEL, require_usual, texts
+from mgsgraph.files.geometric_keys import SHOT_LABEL, all_blocks, require_once, require_usual, texts
 from mgsgraph.files.opening import number_of, read_bytes
 from mgsgraph.files.pvl import Block, Document, files_called, whole_label
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, Altimeter, AltimeterShots
@@ -59,9 +59,13 @@ _EDGES = {
     "MAXIMUM_LONGITUDE": (0, -1.0), "WESTERNMOST_LONGITUDE": (0, 1.0), "EASTERNMOST_LONGITUDE": (0, -1.0),
 }  # fmt: skip
 """Of a label: the coordinate, and on which side of it shots lie."""
+_NO_CONSTANT, _DIGITS = ("N/A", "NONE", "NULL", "UNK", "UNKNOWN"), 1e-6
+"""Words for no such constant, and the share by which it may differ from what the table has: single precision."""
 _DIRECTION, _HALF_TURN = "POSITIVE_LONGITUDE_DIRECTION", 179.0
 _BESIDE, _AROUND = 0.05, 60.0
 """Degrees and s by which shots may lie outside a label's edges and times."""
+_SAME_HEIGHT = 50.0
+"""m by which radii may be off heights above the altimeter's sphere."""
 _OFF = 0.02
 """Share by which the median radius may be off a label's."""
 _TYPES = {
@@ -170,10 +174,11 @@ class _Rows:
         self._altimeter: Altimeter = ALTIMETERS.get(instrument.upper(), ANY)
 
         self._require_columns(table)
-        for said in (root, table, *(column.block for column in self._columns)):
+        require_once(root, SHOT_LABEL)
+        for said in (*all_blocks(root), *(column.block for column in self._columns)):
             require_usual(texts(said), SHOT_LABEL, said.where())
-        longitude = next((one.block for one in self._columns if re.fullmatch(_MEANINGS["longitude"], one.name)), table)
-        self._labels = (root, table, longitude)
+        self._labels = tuple({id(one): one for one in (*all_blocks(root), *blocks)}.values())
+        self._around = (root, table)
 
     def _require_columns(self, table: Block) -> None:
         """Raise InputError where columns overlap, or are not as many as the label counts."""
@@ -198,6 +203,8 @@ class _Rows:
                 str(self.path), f"heights of {self._altimeter.name} without radii, above no one knows what",
                 "a column of radii, or INSTRUMENT_ID = LALT, whose heights stand above 1737.4 km", _AS_CSV,
             )
+        if radius is not None and height is not None and not np.isnan(self._altimeter.height_sphere):
+            self._require_same_heights(radius, height)
         lengths, has_radius = self._known(radius or height, "radius" if radius else "height")
         places = [self._known(found[one], one) for one in ("longitude", "latitude")]
         ground = has_radius & places[0][1] & places[1][1]
@@ -220,6 +227,14 @@ class _Rows:
             _require_stated(shots, label, self._west)
         return shots
 
+    def _require_same_heights(self, radius: Column, height: Column) -> None:
+        """Raise InputError where radii are not the heights above the altimeter's sphere that stand beside them."""
+        both = [self._known(radius, "radius"), self._known(height, "height")]
+        off = np.abs(both[0][0] - both[1][0] - self._altimeter.height_sphere)[both[0][1] & both[1][1]]
+        if off.size and np.median(off) > _SAME_HEIGHT:
+            found = f"radii {np.median(off):.0f} m off {height.block.text('NAME')} (median)"
+            raise InputError(radius.block.where("NAME"), found, "the same ground", "look at the columns' units")
+
     @property
     def _west(self) -> bool:
         """Whether the label counts longitudes westward."""
@@ -237,10 +252,14 @@ class _Rows:
         assert column is not None
         block, raw = column.block, self._raw(column)
         there = np.ones(raw.size, dtype=bool)
-        for key in _NONES:
-            if key in block:
-                there &= raw != block.number(key)
-        return self._measured(column, meaning, raw, there), there
+        values = self._measured(column, meaning, raw, there)
+        factor = block.number("SCALING_FACTOR") if "SCALING_FACTOR" in block else 1.0
+        for one in (block, *self._around):
+            for key in _NONES:
+                if key in one and one.text(key).upper() not in _NO_CONSTANT:
+                    none = one.number(key)
+                    there &= ~(np.isclose(raw, none, rtol=_DIGITS) | np.isclose(raw * factor, none, rtol=_DIGITS))
+        return np.where(there, values, np.nan), there
 
     def _unknown(self, expected: str) -> InputError:
         names = ", ".join(one.block.text("NAME") for one in self._columns)

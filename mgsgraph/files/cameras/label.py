@@ -449,6 +449,8 @@ def _extent(block: LabelBlock) -> tuple[int, int, float, float, int]:
     size = cube.inner("Core").inner("Dimensions")
     lines, samples = size.count("Lines"), size.count("Samples")
     alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
+    if alpha is None and is_map_projected(block.root):
+        raise InputError(cube.where(), "a map-projected cube without AlphaCube", "its size before", REMEDY_FOR_MAPS)
     if alpha is None:
         return lines, samples, 0.0, 0.0, lines
     if is_map_projected(block.root):

@@ -33,6 +33,7 @@ Imager of Kaguya (SELENE).
   track: a line from ISIS's. MI's bands are lines of their own, told by NaifFrameCode.
 """
 
+import re
 from dataclasses import replace
 
 from mgsgraph.errors import InputError
@@ -63,6 +64,7 @@ from mgsgraph.geometry.camera import (
     NoDistortion,
     ThemisIrDistortion,
 )
+from mgsgraph.geometry.trajectory import tdb_of_utc
 from mgsgraph.units import ISIS_OFFSET, MM
 
 # --- MOC
@@ -312,6 +314,8 @@ THEMIS = Camera(
 
 _LEFT, _RIGHT = -85600, -85610
 _STRAIGHT = 1.3
+_PREROLL, _LONGER, _PREROLL_SLACK, _MILLISECOND = 1024.0, 1.0045, 0.002, 0.002
+"""Lines before the first one; true line periods by the label's; share, and s of both rounded times, that may be off."""
 CORRECTIONS = ("CONSTANT_TIME_OFFSET", "ADDITIONAL_PREROLL", "ADDITIVE_LINE_ERROR", "MULTIPLI_LINE_ERROR")
 """Names of the addendum."""
 
@@ -335,7 +339,19 @@ def _line_times(keywords: Keywords, label: LineScanLabel, start: float, stop: fl
 
 
 def _not_turned(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
-    """ISIS lronac2isis turns lines of the right camera round in files of the archive before version 1.30."""
+    """ISIS lronac2isis turns lines of the right camera round in files of the archive before version 1.30. The product's
+    name says the side, too, and the preroll takes 1,024 line periods.
+    """
+    side = re.fullmatch(r"[MN]\d+([LR])[EC]", label.product)
+    if side and (side[1] == "R") != (label.camera.instrument == _RIGHT):
+        found, expected = f"the product {label.product} of {label.camera.name}", "one side: FRAME_ID and PRODUCT_ID"
+        raise InputError(str(label.path), found, expected, "fetch the label anew")
+    if block.kind == "pds3" and all(key in block for key in ("LRO:PREROLL_TIME", "START_TIME")):
+        before, after = tdb_of_utc([block.text("LRO:PREROLL_TIME"), block.text("START_TIME")], str(label.path))
+        periods = (after - before) / (label.period * _LONGER)
+        if abs(periods - _PREROLL) > _PREROLL_SLACK * _PREROLL + _MILLISECOND / label.period:
+            found = f"START_TIME {after - before:.3f} s after the preroll, {periods:.1f} line periods"
+            raise InputError(block.where("LINE_EXPOSURE_DURATION"), found, f"{_PREROLL:g} of them", "mend one")
     key = "PRODUCT_VERSION_ID"
     if block.kind == "pds3" and label.camera.instrument == _RIGHT and key in block:
         version = number_of(block.text(key).lower().removeprefix("v"), block.where(key))

@@ -284,11 +284,13 @@ def read_isis_cube(
     for table in _TABLES:
         if table not in tables:
             raise InputError(str(path), f"no table {table}", "the tables of spiceinit", _NO_TABLES)
+    mapped = ("the camera's image that its map was made of",) if is_map_projected(root) else ()
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
         asked = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
         asked = asked or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
-        return _image(label, keywords, tables, name, *asked)
+        image = _image(label, keywords, tables, name, *asked)
+        return replace(image, remarks=(*image.remarks, *mapped))
 
 
 def _image(

@@ -6,9 +6,7 @@ line of the call.
 What SPICE kernels hold: files that a meta-kernel names, covered intervals, records of a CK; and what SPICE says.
 """
 
-import os
 import re
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +17,8 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels.kernel_text import require_uncut
-from mgsgraph.files.opening import ANY_SIZE, LARGEST_TEXT, finite_number, opened, read_bytes
+from mgsgraph.files.labels.kernel_files import require_uncut, require_whole
+from mgsgraph.files.opening import LARGEST_TEXT, finite_number, read_bytes
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
 from mgsgraph.geometry.records import Array
@@ -29,8 +27,6 @@ from mgsgraph.units import KM
 
 _CK_CLASS, _DEEPEST = 3, 5
 """SPICE's class of frames that a CK orients, and how many of them one on another are followed."""
-_RECORD, _WORD = 1024, 8
-"""bytes of a binary kernel."""
 _SHOWN = 4
 """Covered intervals that a message lists."""
 
@@ -75,20 +71,6 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
             raise InputError(str(path), f"the meta-kernel {name!r} among its kernels", "no other meta-kernel in one")
         files.append(found[0])
     return files
-
-
-def require_whole(path: Path) -> None:
-    """Raise InputError for what is no file, and for a double precision array file (SPK, CK, binary PCK) that ends
-    before the last word that its file record counts (NAIF, DAF required reading): SPICE trusts it.
-    """
-    with opened(path, ANY_SIZE) as file:
-        record, size = file.read(_RECORD), os.fstat(file.fileno()).st_size
-    if record.startswith((b"DAF/", b"NAIF/DAF")):
-        order = ">" if record[88:96] == b"BIG-IEEE" else "<"
-        needed = max(_RECORD, _WORD * (struct.unpack_from(f"{order}i", record.ljust(_RECORD), 84)[0] - 1))
-        if size < needed:
-            remedy = "it is cut short or damaged: fetch it again"
-            raise InputError(str(path), f"{size} bytes", f"{needed} at least by its own header", remedy)
 
 
 def _strings(variable: str) -> list[str]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineScanLabel
-from mgsgraph.files.geometric_keys import IMAGE_LABEL, require_usual, texts, unread
+from mgsgraph.files.geometric_keys import IMAGE_LABEL, all_blocks, require_once, require_usual, texts, unread
 from mgsgraph.files.pvl import Block
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -27,7 +27,8 @@ _LENGTHS = {"km": KM, "m": 1.0, "": KM}
 
 def require_usual_label(root: Block, source: str) -> None:
     """Raise InputError for a key with which a label means another image than one in camera geometry."""
-    for block in _blocks(root):
+    require_once(root, IMAGE_LABEL)
+    for block in all_blocks(root):
         require_usual(texts(block), IMAGE_LABEL, source)
 
 

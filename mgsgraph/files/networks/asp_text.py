@@ -141,6 +141,10 @@ _ANOTHER = 0.01
 """Share by which a datum's radius may be off the body's."""
 _WKT, _DATUM = re.compile(r"#\s*WKT\s*:\s*(.+)", re.I), re.compile(r"#\s*datum\s*[:=]\s*[\"']?(\w+)", re.I)
 """Headers of the datum."""
+_LIKE_A_DATUM = re.compile(r"GEOGCS\[|PROJCS\[|GEOGCRS\[|SPHEROID\[|^#+\s*(WKT|datum)\b", re.I)
+_HEIGHTS = ("height", "elev", "alt", "h", "z")
+_COLUMN = re.compile(r"(lat|lon|height|elev|alt|radius|h|x|y|z)(?:gitude|itude|ation)?(?:_|$)")
+"""Names of columns by their beginnings."""
 _OF_POINT, _OF_MEASURE = 7, 5
 """Fields of ground control points."""
 
@@ -159,20 +163,32 @@ def stated_datum(path: Path) -> Ellipsoid | None:
         where, said = f"{path}, line {number}", line.strip()
         if not said.startswith("#"):
             continue
-        words = [word for word in _SEPARATOR.split(said.lstrip("# ").lower()) if word]
-        named = [word for word in words if word.startswith(("lat", "lon", "height"))]
-        if words[:1] == ["id"] and len(named) == 3 and [word[:3] for word in named] != ["lat", "lon", "hei"]:
-            raise InputError(where, f"the columns {', '.join(named)}", "latitude, longitude, height")
+        _require_columns(said, where)
         if wkt := _WKT.match(said):
             stated = datum_of_wkt(wkt[1], where)
-            if found is not None:
-                require_same(stated, found, where, "the header before")
-            found = stated
         elif other := _DATUM.match(said):
             if other[1].upper() not in NAMED:
                 raise InputError(where, f"the datum {other[1]!r}", "# WKT: ..., as the Ames Stereo Pipeline writes it")
-            found = NAMED[other[1].upper()]
+            stated = NAMED[other[1].upper()]
+        elif _LIKE_A_DATUM.search(said):
+            raise InputError(where, repr(said)[:60], "# WKT: GEOGCS[...], as the Ames Stereo Pipeline writes it")
+        else:
+            continue
+        if found is not None:
+            require_same(stated, found, where, "the header before")
+        found = stated
     return found
+
+
+def _require_columns(comment: str, where: str) -> None:
+    """Raise InputError for names of columns in another order, or of other quantities, than those that are read."""
+    words = [word for word in _SEPARATOR.split(comment.lstrip("# ").lower()) if word]
+    named = [found[1] for word in words if (found := _COLUMN.match(word))][:3]
+    sigmas = [word for word in words if re.fullmatch(r"(sigma|s|std)_?(lat|lon|h|height)\w*", word)]
+    others = [word for word in words if re.search(r"(_km|radius|areoid|geoid)$", word)]
+    if len(named) == 3 and (named not in (["lat", "lon", one] for one in _HEIGHTS) or sigmas or others):
+        shown = ", ".join([*named, *sigmas, *others])
+        raise InputError(where, f"the columns {shown}", "latitude, longitude, height in m, sigmas along X, Y, Z")
 
 
 def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | None = None) -> ControlNetwork:
@@ -203,9 +219,10 @@ def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | 
     if datum is not None and stated is not None:
         require_same(stated, datum, str(path), "the case")
     ellipsoid = datum or (body if stated is None or is_same(stated, body) else stated)
-    if abs(ellipsoid.equatorial / body.equatorial - 1.0) > _ANOTHER:
-        found, expected = (f"{one.equatorial:.9g} m" for one in (ellipsoid, body))
-        raise InputError(str(path), f"a datum of {found} on the equator", f"the images' body, {expected}")
+    sizes = [np.array([one.equatorial, one.polar]) for one in (ellipsoid, body)]
+    if np.abs(sizes[0] / sizes[1] - 1.0).max() > _ANOTHER:
+        found, expected = (f"{one.equatorial:.9g} and {one.polar:.9g} m" for one in (ellipsoid, body))
+        raise InputError(str(path), f"a datum of {found}", f"the images' body, {expected}")
     points = dict[str, tuple[str, ControlPoint]]()
     for line, fields in filled_lines(path, ground_control=True):
         where = f"{line}, point {fields[0]}"

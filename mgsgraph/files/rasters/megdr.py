@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.geometric_keys import GRID_LABEL, require_usual, texts
+from mgsgraph.files.geometric_keys import GRID_LABEL, all_blocks, require_once, require_usual, texts
 from mgsgraph.files.opening import ANY_SIZE, opened, read_text, understood
-from mgsgraph.files.pvl import Block, files_called, flat_label
+from mgsgraph.files.pvl import Block, Document, files_called, flat_label, whole_label
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import TerrainGrid, TerrainKind, window
@@ -193,8 +193,12 @@ def _usual_offset(kind: TerrainKind) -> float:
 
 
 def _from_label(path: Path, image: Path) -> _Layout:
-    label = flat_label(read_text(path), str(path))
-    require_usual(texts(label), GRID_LABEL, str(path))
+    text = read_text(path)
+    label, root = flat_label(text, str(path)), whole_label(Document(str(path), text.replace("\r\n", "\n")))
+    require_once(root, GRID_LABEL)
+    for block in all_blocks(root):
+        require_usual(texts(block), GRID_LABEL, str(path))
+    _require_one_kind(label, image)
     projection = label.text("MAP_PROJECTION_TYPE").upper().replace("_", " ")
     if projection != "SIMPLE CYLINDRICAL":
         raise InputError(f"{path}, MAP_PROJECTION_TYPE", projection, "SIMPLE CYLINDRICAL")
@@ -226,6 +230,14 @@ def _from_label(path: Path, image: Path) -> _Layout:
     )
     _require_stated_place(layout, label, image)
     return layout
+
+
+def _require_one_kind(label: Block, image: Path) -> None:
+    """Raise InputError where product, pointer and file's name are of different kinds of grids."""
+    names = [image.name, *(label.words(key)[0] for key in ("PRODUCT_ID", "^IMAGE", "FILE_NAME") if key in label)]
+    kinds = {name[3:4].upper(): name for name in names if re.match(r"MEG[ACRT]\d", name, re.IGNORECASE)}
+    if len(kinds) > 1:
+        raise InputError(label.document.source, " and ".join(kinds.values()), "one kind of grid", "fetch them anew")
 
 
 def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:

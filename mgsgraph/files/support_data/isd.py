@@ -260,6 +260,9 @@ def _body_velocity(isd: SupportData, where: str) -> Array:
     if np.any(np.diff(times) <= 0.0) or len(velocities) != times.size:
         found = f"{times.size} times and {len(velocities)} velocities"
         raise InputError(f"{where}, ephemeris_times", found, "increasing times, and a velocity for each")
+    if len(sun.positions) == times.size > 1:
+        places = np.array(sun.positions).reshape(-1, 3) * UNITS[sun.unit]
+        require_flight(PositionTable(times - isd.center_ephemeris_time, places, velocities), where)
     return np.array([-np.interp(isd.center_ephemeris_time, times, axis) for axis in velocities.T])
 
 

@@ -43,7 +43,7 @@ _NORMS = 0.5, 2.0
 """Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
-_SAME_SPEED, _SAME_SIZE, _ALIKE, _NEAR = 0.05, 0.1, 1.5, 20e3
+_SAME_SPEED, _SAME_SIZE, _ALIKE, _NEAR = 0.05, 0.025, 1.5, 20e3
 """Shares of speeds and sizes, and m, by which a state's own summaries may be off: heights of the ground are not known.
 """
 _PIXELS = 0.24

@@ -41,9 +41,12 @@ _ODD_RATES = -131000
 """The frame of Kaguya's spacecraft, whose C-kernels (SEL_M_ALL_D) hold angular velocities that are not those of the
 attitudes beside them; ALE copies both.
 """
-_POLE = 0.02
+_PLAIN_POLE, _POLE = 1e-4, 0.02
 """rad between the body's rotation and that of its pole and prime meridian without nutation, which is less on Mars."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
+_OPTICS = r"INS(-\d{5,6})_(FOCAL_LENGTH|ITRANS|BORESIGHT_|OD_K|DISTORTION|PIXEL|CCD)"
+_IAU2000 = 317.68143
+"""degrees, right ascension of Mars's pole in the elements that have no nutation."""
 _MODELS = {-74021: "radial", -74699: "radial", -85600: "lrolrocnac", -85610: "lrolrocnac"} | dict.fromkeys(
     (-131351, -131371, *range(-131335, -131330), *range(-131344, -131340)), "kaguyalism"
 )
@@ -112,12 +115,13 @@ def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
 
 def _clock(isd: SupportData, source: str) -> Iterator[str]:
     """Where the label's clock count, as ISIS computed it, is not the first line's time, nor that of LROC's preroll."""
-    keywords = NaifKeywords(source, isd.naif_keywords)
+    keywords, _ = keywords_of_camera(isd, source)
     names = [key for key in keywords.values if re.fullmatch(r"CLOCK_ET_.*_COMPUTED", key)]
-    if len(names) != 1 or isd.starting_ephemeris_time is None:
+    _, start, period = isd.line_scan_rate[0]
+    if len(names) != 1 or abs(start) > _DAY:
         return
-    clock, (_, _, period) = keywords.time(names[0]), isd.line_scan_rate[0]
-    late = isd.starting_ephemeris_time - clock
+    first = isd.starting_ephemeris_time
+    late = (isd.center_ephemeris_time + start if first is None else first) - keywords.time(names[0])
     preroll, usual = f"_{CORRECTIONS[1]}", [0.0]
     if code := re.fullmatch(rf"INS(-\d{{5,6}}){preroll}", _only(keywords, "INS", preroll)):
         number_of_camera = int(code[1])
@@ -128,15 +132,20 @@ def _clock(isd: SupportData, source: str) -> Iterator[str]:
 
 
 def lopsided(isd: SupportData) -> Iterator[str]:
-    """A remark on an image of one line period that does not reach as far after the epoch as before it."""
-    (_, start, period), *others = isd.line_scan_rate
-    if others or start >= 0.0 or abs(start) > _DAY:
-        return
-    beyond = isd.image_lines * period + 2.0 * start
-    if abs(beyond) > 2.0 * period:
+    """Remarks on line times that do not reach as far after the epoch as before it, do not begin with the first line, or
+    leave gaps.
+    """
+    rows = np.array(isd.line_scan_rate)
+    lines, starts, periods = rows.T
+    if lines[0] != _HALF:
+        yield f"line_scan_rate begins at line {lines[0]:g}, not at 0.5, the first line's edge"
+    ends = starts + np.diff(lines, append=isd.image_lines + _HALF) * periods
+    for k in np.flatnonzero(np.abs(starts[1:] - ends[:-1]) > 2.0 * periods[:-1])[:1].tolist():
+        yield f"the line at {lines[k + 1]:g} begins {starts[k + 1] - ends[k]:+.6f} s after the one before it is done"
+    if starts[0] < 0.0 and abs(starts[0]) < _DAY and abs(starts[0] + ends[-1]) > 2.0 * periods.min():
         yield (
-            f"{isd.image_lines} lines of {period:g} s end {isd.image_lines * period + start:.6f} s after "
-            f"center_ephemeris_time, and begin {-start:.6f} s before it"
+            f"{isd.image_lines} lines end {ends[-1]:.6f} s after center_ephemeris_time, and begin {-starts[0]:.6f} s "
+            "before it"
         )
 
 
@@ -157,8 +166,8 @@ def contradictions_of_constants(isd: SupportData, body: Ellipsoid, source: str) 
     InputError
         Where radii, focal length, detector, distortion or the body's rotation contradict the file's own keywords.
     """
-    keywords = NaifKeywords(source, isd.naif_keywords)
-    remarks = list(_radii(keywords, body, f"{source}, radii"))
+    keywords, remarks = keywords_of_camera(isd, source)
+    remarks += _radii(keywords, body, f"{source}, radii")
     remarks += _focal_length(isd, keywords, source)
     for twin in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
         if twin.found.shape != twin.stated.shape or np.abs(twin.found - twin.stated).max(initial=0.0) > twin.allowed:
@@ -176,9 +185,14 @@ def _refuse(twin: _Twin, source: str) -> None:
 
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
     code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
-    key = f"BODY{code}_RADII" if code is not None else _only(keywords, "BODY", "_RADII")
+    every = [key for key in keywords.values if re.fullmatch(r"BODY\d+_RADII", key)]
+    nearest = min(every, key=lambda one: _apart(keywords, one, body), default="")
+    key = nearest if code is None else f"BODY{code}_RADII"
     require_possible(body, body_name(code) if code is not None else "", where)
-    if key not in keywords:
+    if every and key not in every:
+        expected = f"the body of {', '.join(every)}"
+        raise InputError(f"{keywords.source}, BODY_CODE", f"{code}, without its radii", expected)
+    if not every:
         return
     stated = keywords.numbers(key, 3) * KM
     if abs(stated[0] - stated[1]) > _SAME * stated[0]:
@@ -190,6 +204,11 @@ def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]
             raise InputError(f"{where}.{name}", both, "one radius", f"mend radii, their unit or {key}")
         if abs(found - said) > _SAME * abs(said):
             yield f"radii.{name} is {both}"
+
+
+def _apart(keywords: NaifKeywords, key: str, body: Ellipsoid) -> float:
+    """M between an equatorial radius and the body's."""
+    return abs(float(keywords.numbers(key, 3)[0]) * KM - body.equatorial)
 
 
 def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[str]:
@@ -311,7 +330,8 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
         return
     found = rotation.to_matrix(rotation.unit_vectors(quaternions))[0]
     off = float(np.linalg.norm(rotation.logarithm((found @ expected.T)[None])[0]))
-    if off > _POLE:
+    plain = abs(float(keywords.numbers(keys[0], 1)[0]) - _IAU2000) < 1e-3
+    if off > (_PLAIN_POLE if plain else _POLE):
         raise InputError(
             f"{source}, body_rotation", f"a body turned by {off / DEG:.4g} degrees",
             f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "mend the wrong one",
@@ -320,12 +340,34 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
 
 def _codes(keywords: NaifKeywords) -> set[int]:
     """NAIF ids of the instruments whose optics keywords have."""
-    optics = r"INS(-\d{5,6})_(FOCAL_LENGTH|ITRANS|BORESIGHT|OD_K|DISTORTION|PIXEL|CCD)"
-    return {int(found[1]) for key in keywords.values if (found := re.match(optics, key))}
+    return {int(found[1]) for key in keywords.values if (found := re.match(_OPTICS, key))}
 
 
 def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
-    """The only keyword with such a beginning and end; empty where there are none, or several."""
+    """The keyword with such a beginning and end; of several the camera's, or any where all say the same; else empty."""
     names = [key for key in keywords.values if key.startswith(begin) and key.endswith(end)]
     names = [key for key in names if "_" not in key.removesuffix(end)]
-    return names[0] if len(names) == 1 else ""
+    same = len({repr(keywords.values[name]) for name in names}) == 1
+    return names[0] if same else ""
+
+
+def keywords_of_camera(isd: SupportData, source: str) -> tuple[NaifKeywords, list[str]]:
+    """Keywords in capitals without blanks, of several instruments those of the one whose frame the file has; remarks.
+
+    InputError where they are not constants by name.
+    """
+    values = {key.strip().upper(): value for key, value in isd.naif_keywords.items()}
+    if nested := [key for key, value in values.items() if isinstance(value, dict)]:
+        raise InputError(f"{source}, naif_keywords, {nested[0]}", "an object", "a number, a word or a list")
+    table = isd.instrument_pointing
+    frames = {str(code) for code in (*(table.constant_frames or ()), *(table.time_dependent_frames or ()))}
+    codes = {found[1] for key in values if (found := re.match(_OPTICS, key))}
+    others = codes - frames if codes & frames else set[str]()
+    # parts of a detector (HiRISE's CCDs) have constants that the whole camera lacks
+    mine = {key: value for key, value in values.items() if not any(key.startswith(f"INS{code}_") for code in others)}
+    ends = {key.partition("_")[2] for key in mine if key.startswith("INS")}
+    mine |= {key: value for key, value in values.items() if key not in mine and key.partition("_")[2] not in ends}
+    kept = NaifKeywords(source, mine)
+    optics = sorted({key.partition("_")[2] for key in mine if re.match(_OPTICS, key)})
+    left = [end for end in optics if not _only(kept, "INS", f"_{end}")]
+    return kept, [f"keywords of several instruments that differ are not compared: {', '.join(left)}"] if left else []

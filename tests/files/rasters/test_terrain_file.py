@@ -321,7 +321,7 @@ def test_counts_of_shots_have_one_byte_or_two(tmp_path: Path, kind: str, bits: i
     path = tmp_path / "megc90n000cb.img"
     counts.astype(kind).tofile(path)
     by_name = read_megdr(path)
-    (tmp_path / "megc90n000cb.lbl").write_text(label(PRODUCT_ID="MEGC90N000CB.IMG", SAMPLE_BITS=bits))
+    (tmp_path / "megc90n000cb.lbl").write_text(label(product="MEGC90N000CB.IMG", SAMPLE_BITS=bits))
     for found in (by_name, read_megdr(path)):
         assert found.kind == "counts"
         np.testing.assert_array_equal(found.radii, counts)
