@@ -139,8 +139,24 @@ def sun_backwards(said: dict[str, Any]) -> None:
     sun["velocities"] = (-np.array(sun["velocities"])).tolist()
 
 
+def one_position(said: dict[str, Any]) -> None:
+    said["instrument_position"]["positions"][1][0] += 0.02
+
+
+def one_attitude(said: dict[str, Any]) -> None:
+    quaternions = said["instrument_pointing"]["quaternions"]
+    quaternions[20] = quaternions[24]
+
+
+def faster(said: dict[str, Any]) -> None:
+    table = said["instrument_position"]
+    table["velocities"] = (1.001 * np.array(table["velocities"])).tolist()
+
+
 @pytest.mark.parametrize(
-    "lie", [spelled, nested, two_instruments, another_body, clock_alone, turned_body, first_row, sun_backwards]
+    "lie",
+    [one_position, one_attitude, faster, spelled, nested, two_instruments, another_body, clock_alone, turned_body,
+     first_row, sun_backwards],
 )
 def test_support_data_that_contradict_themselves(shared_data: Path, tmp_path: Path, lie: Any) -> None:
     path, changed = shared_data / "mro_ctx_isds" / "B10_013615_2178_XI_37N117W.crop.json", tmp_path / "a.json"

@@ -41,6 +41,7 @@ from mgsgraph.files.support_data.second_statements import (
     contradictions_of_times,
     lopsided,
     odd_pixels,
+    odd_rows,
 )
 from mgsgraph.geometry.body import Ellipsoid
 from mgsgraph.geometry.camera import InteriorOrientation, KaguyaDistortion, KaguyaMiDistortion
@@ -98,7 +99,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         interior = _interior(isd, source)
         if isinstance(interior.distortion, KaguyaMiDistortion):
             repairs.append("kaguyalism of MI by the signed place along the detector (ISIS), not by the radius")
-        remarks += [*repairs, *contradictions_of_constants(isd, body, source), *_unread(content)]
+        remarks += [*repairs, *contradictions_of_constants(isd, body, source), *odd_rows(isd), *_unread(content)]
         trajectory, words = _trajectory(isd, body, aberration, source)
         image = PushbroomImage(
             name=name, lines=isd.image_lines, samples=isd.image_samples, interior=interior,

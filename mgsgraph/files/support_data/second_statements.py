@@ -14,7 +14,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords, number
 from mgsgraph.files.cameras.label import CAMERAS
 from mgsgraph.files.cameras.line_scanners import CORRECTIONS, corrected
-from mgsgraph.files.support_data.isd_layout import RotationTable, StateTable, SupportData
+from mgsgraph.files.support_data.isd_layout import UNITS, RotationTable, StateTable, SupportData
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.image import PushbroomImage
@@ -41,6 +41,8 @@ _ODD_RATES = -131000
 """The frame of Kaguya's spacecraft, whose C-kernels (SEL_M_ALL_D) hold angular velocities that are not those of the
 attitudes beside them; ALE copies both.
 """
+_MOVED, _TURNED, _FEW = 5.0, 5.0, 5
+"""m and pixels by which a row may be off what velocities and rates lead to, of tables with so many rows at least."""
 _PLAIN_POLE, _POLE = 1e-4, 0.02
 """rad between the body's rotation and that of its pole and prime meridian without nutation, which is less on Mars."""
 _DAY, _CENTURY = 86400.0, 36525.0 * 86400.0
@@ -87,6 +89,29 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
     for name in ("instrument_pointing", "body_rotation"):
         remarks += _turning(getattr(isd, name), name, source)
     return remarks
+
+
+def odd_rows(isd: SupportData) -> Iterator[str]:
+    """Remarks on single rows of positions and attitudes that their velocities and rates don't lead to."""
+    table = isd.instrument_position
+    if table.velocities is not None and len(table.velocities) == len(table.ephemeris_times) == len(table.positions) > 1:
+        unit, steps = UNITS[table.unit], np.diff(np.array(table.ephemeris_times))
+        places, speeds = np.array(table.positions) * unit, np.array(table.velocities) * unit
+        off = np.linalg.norm(np.diff(places, axis=0) - 0.5 * steps[:, None] * (speeds[1:] + speeds[:-1]), axis=1)
+        bent = np.linalg.norm(speeds[1:], axis=1) ** 3 / np.linalg.norm(places[1:], axis=1) ** 2  # of an orbit, m/s^3
+        for k in np.flatnonzero(off > _MOVED + 0.25 * steps**3 * bent)[:1].tolist():
+            yield f"positions {k} and {k + 1} are {off[k]:.4g} m off what their velocities lead to"
+    turning = isd.instrument_pointing
+    rates, quaternions = np.array(turning.angular_velocities or []), np.array(turning.quaternions)
+    if len(rates) != len(quaternions) or len(rates) < _FEW or not are_unit(quaternions):
+        return
+    steps, matrices = np.diff(np.array(turning.ephemeris_times)), rotation.to_matrix(rotation.unit_vectors(quaternions))
+    turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1])
+    off = np.linalg.norm(turned - 0.5 * steps[:, None] * (rates[1:] + rates[:-1]), axis=1)
+    pixel = 1.0 / (float(np.linalg.norm(isd.focal2pixel_samples[1:])) * isd.focal_length_model.focal_length)
+    if np.median(off) < _TURNED * pixel:  # else all of them do so, which is said
+        for k in np.flatnonzero(off > max(20.0 * float(np.median(off)), _TURNED * pixel))[:1].tolist():
+            yield f"attitudes {k} and {k + 1} are {off[k] / pixel:.2g} pixels off what their rates lead to"
 
 
 def _require_described(table: StateTable | RotationTable, where: str) -> None:
