@@ -28,13 +28,13 @@ CEILINGS = {
     "adjustment": (7394, 112454, 43),
     "matching": (2094, 34449, 13),
     "network": (2926, 46786, 15),
-    "files": (8824, 123059, 53),
+    "files": (8832, 123130, 53),
     "kernel": (2653, 45675, 15),
     "geometry": (2619, 42672, 16),
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
     "scripts": (6389, 100750, 45),
-    "tests": (35666, 536930, 195),
+    "tests": (35668, 536956, 195),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -22,7 +22,9 @@ ALLOWED = 0.02
 SUPPORT_ALONE, LABEL_ALONE = {"crism"}, {"moc_wide", "cube1", "cube2", "cube3"}
 
 
-@pytest.mark.parametrize("name", camera_roads.CAMERAS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow if one == "hrsc" else ()) for one in camera_roads.CAMERAS]
+)
 def test_all_roads_lead_to_one_place(shared_data: Path, name: str) -> None:
     found = camera_roads.rows(name, shared_data)
     assert found

@@ -51,6 +51,16 @@ def require_whole(path: Path) -> None:
         if size < needed:
             remedy = "it is cut short or damaged: fetch it again"
             raise InputError(str(path), f"{size} bytes", f"{needed} at least by its own header", remedy)
+
+
+def require_summaries(path: Path) -> None:
+    """Raise InputError for a double precision array file whose summaries are of another length than those of SPK, CK
+    and PCK: SPICE reads on behind their end.
+    """
+    with opened(path, ANY_SIZE) as file:
+        record = file.read(_RECORD)
+    if record.startswith((b"DAF/", b"NAIF/DAF")):
+        order = ">" if record[88:96] == b"BIG-IEEE" else "<"
         summary = struct.unpack_from(f"{order}2i", record.ljust(_RECORD), 8)
         if summary not in _SUMMARIES:
             found = f"summaries of {summary[0]} numbers and {summary[1]} integers"

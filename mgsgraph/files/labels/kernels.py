@@ -17,7 +17,7 @@ import spiceypy
 from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
 from mgsgraph.errors import InputError
-from mgsgraph.files.labels.kernel_files import require_uncut, require_whole
+from mgsgraph.files.labels.kernel_files import require_summaries, require_uncut, require_whole
 from mgsgraph.files.opening import LARGEST_TEXT, finite_number, read_bytes
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, require_possible
@@ -287,6 +287,7 @@ def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
         with spice_words(", ".join(map(str, kernels)), "one of these kernels contradicts the others, or itself"):
             for path in kernels:
                 for file in members(Path(path), home):
+                    require_summaries(file)
                     with spice_words(str(file)):
                         spiceypy.furnsh(str(file))
             yield

@@ -43,7 +43,7 @@ _NORMS = 0.5, 2.0
 """Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
-_SAME_SPEED, _SAME_SIZE, _ALIKE, _NEAR = 0.05, 0.025, 1.5, 20e3
+_SAME_SPEED, _SAME_SIZE, _SAME_HEIGHT, _ALIKE, _NEAR = 0.05, 0.025, 0.1, 1.5, 20e3
 """Shares of speeds and sizes, and m, by which a state's own summaries may be off: heights of the ground are not known.
 """
 _PIXELS = 0.24
@@ -169,10 +169,12 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
         return
     height = float(np.linalg.norm(image.pose(image.middle[0]).position - ground))
     pixel = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
-    for key, said, found_here in (("m_flyingHeight", state.m_flyingHeight, height), ("m_gsd", state.m_gsd, pixel)):
+    for key, said, found_here, same in (
+        ("m_flyingHeight", state.m_flyingHeight, height, _SAME_HEIGHT), ("m_gsd", state.m_gsd, pixel, _SAME_SIZE)
+    ):
         if said > 0.0 and not 1.0 / _ALIKE < said / found_here < _ALIKE:
             raise InputError(f"{source}, {key}", f"{said:.6g} m", f"about {found_here:.6g} m, as the other keys say")
-        if said > 0.0 and abs(said / found_here - 1.0) > _SAME_SIZE:
+        if said > 0.0 and abs(said / found_here - 1.0) > same:
             yield f"{key} is {said:.6g} m, and by the other keys {found_here:.6g} m"
     if len(state.m_referencePointXyz) == 3 and np.any(state.m_referencePointXyz):
         away = float(np.linalg.norm(np.array(state.m_referencePointXyz) - ground[0]))
