@@ -73,7 +73,7 @@ _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files
 
 Keys that bear on geometry, by format: *read*, *compared* with what says the same a second time, or *refused* where they
-say anything else than what stands in the last column (the file is to be converted first). A key that looks geometric
+say anything else than the last column (the file is to be converted first). A key that looks geometric
 and is not here is named by `mgsgraph check`. What has no second statement in the input rests on that one key:
 `mgsgraph check CASE --details` prints the values of those that decide the geometry. This page is made from
 `mgsgraph/files/geometric_keys.py`, by which the readers go. Names are regular expressions.
@@ -101,7 +101,7 @@ def _by_hand(page: str, mark: str) -> str:
 
 
 def _kept(page: str, mark: str) -> str:
-    """What stands in a page from the mark on."""
+    """The part of a page from the mark on."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[1:])
 
 

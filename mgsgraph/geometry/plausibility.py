@@ -119,26 +119,35 @@ def are_unit(quaternions: Array) -> bool:
     return bool(np.all((norms > 0.5) & (norms < 2.0)))
 
 
-def turning_otherwise(times: Array, quaternions: Array, rates: Array, noise: float = 0.0) -> str:
-    """How attitudes turn otherwise than the angular velocities beside them say; empty where they do as these say.
+def turning(times: Array, quaternions: Array, rates: Array) -> tuple[Array, Array]:
+    """How attitudes turn between samples, and the mean angular velocity there, (n - 1, 3) rad/s about inertial axes.
 
     Parameters
     ----------
     times : (n,)
         s.
     quaternions : (n, 4)
-        Inertial to frame, scalar first; tables that their records refuse pass here.
+        Inertial to frame, scalar first.
     rates : (n, 3)
-        rad/s about inertial axes; between samples they change, and the median interval counts.
-    noise : float
-        rad/s, of attitudes that were measured.
+        rad/s about inertial axes. None of tables that their records refuse.
     """
     paired = times.size == len(quaternions) == len(rates) > 1
     if not paired or np.any(np.diff(times) <= 0.0) or not are_unit(quaternions):
-        return ""
+        return np.zeros((0, 3)), np.zeros((0, 3))
     matrices = rotation.to_matrix(rotation.unit_vectors(quaternions))
     turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1]) / np.diff(times)[:, None]
-    mean = 0.5 * (rates[1:] + rates[:-1])
+    return turned, 0.5 * (rates[1:] + rates[:-1])
+
+
+def turning_otherwise(times: Array, quaternions: Array, rates: Array, noise: float = 0.0) -> str:
+    """How attitudes turn otherwise than the angular velocities beside them say; empty where they do as these say.
+
+    Parameters as of `turning`; of rates, which change between samples, the median interval counts. The noise is that of
+    attitudes that were measured, rad/s.
+    """
+    turned, mean = turning(times, quaternions, rates)
+    if not len(turned):
+        return ""
     off, size = (float(np.median(np.linalg.norm(one, axis=1))) for one in (turned - mean, mean))
     if not (size > 0.0 and off > max(_CONTRADICTION * size, noise)):
         return ""

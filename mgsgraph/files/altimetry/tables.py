@@ -33,7 +33,7 @@ from mgsgraph.files.altimetry.shot_values import (
 )
 from mgsgraph.files.csv_columns import CsvText, csv_text
 from mgsgraph.geometry.altimetry import ALTIMETERS, ANY, LOLA, MLA, MOLA, Altimeter, AltimeterShots
-from mgsgraph.geometry.body import from_planetocentric
+from mgsgraph.geometry.body import from_planetocentric, surface_radii
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import require_years, tdb_of_tt, tdb_of_utc
 from mgsgraph.names import RepeatedNames
@@ -285,10 +285,10 @@ def _require_areoid(
     or lies far from Mars's ellipsoid there.
     """
     assert MOLA.body is not None
-    a, b, latitudes = MOLA.body.equatorial, MOLA.body.polar, values["latitude"] * DEG
-    if not b / 1.1 < np.median(values["radius"]) < 1.1 * a:
+    if not MOLA.body.polar / 1.1 < np.median(values["radius"]) < 1.1 * MOLA.body.equatorial:
         return  # said later
-    stated, what, allowed = a * b / np.hypot(b * np.cos(latitudes), a * np.sin(latitudes)), "Mars's ellipsoid", _AREOID
+    planetocentric = np.stack([values["longitude"] * DEG, values["latitude"] * DEG, values["radius"]], axis=1)
+    stated, what, allowed = surface_radii(from_planetocentric(planetocentric), MOLA.body), "Mars's ellipsoid", _AREOID
     if "areoid" in values:
         stated, what, allowed = values["areoid"], names["areoid"], _SAME_AREOID
     off = np.abs(computed - stated)[ground]

@@ -51,6 +51,7 @@ from mgsgraph.files.cameras.camera import (
 )
 from mgsgraph.files.cameras.line_scanners import CTX, HIRISE, MI, MOC, NAC, TC, THEMIS
 from mgsgraph.files.cameras.other_sensors import sensor_kind
+from mgsgraph.files.geometric_keys import all_blocks
 from mgsgraph.files.opening import ANY_SIZE, number_of, opened, read_text, understood
 from mgsgraph.files.pvl import Block, bytes_around, cube_of, cube_size, data_location, read_label
 from mgsgraph.geometry.camera import InteriorOrientation, NoDistortion
@@ -396,10 +397,7 @@ def _sensor_kind(block: LabelBlock) -> str:
 
 def _require_no_map(block: LabelBlock) -> None:
     """Refuse what has only the pixels of a map; a cube that was projected still says how its image was taken."""
-    blocks = [block.root]
-    for one in blocks:
-        blocks += one.blocks
-    names = {one.name: one for one in blocks}
+    names = {one.name: one for one in all_blocks(block.root)}
     found = names.get("image_map_projection") or ("instrument" not in names and names.get("mapping"))
     if found:
         raise InputError(found.where(), "a map-projected image", "an image in camera geometry", REMEDY_FOR_MAPS)

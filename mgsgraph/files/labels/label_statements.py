@@ -71,11 +71,11 @@ def _require_pixels(root: Block, label: LineScanLabel) -> None:
     for key, found in (("FIRST_PIXEL_NUMBER", first), ("LAST_PIXEL_NUMBER", last)):
         if key in root and abs(root.number(key) - found) > 4.0:  # dummy pixels at the end
             raise InputError(root.where(key), root.text(key), f"about {found:g}, as samples and swath say")
-    for key in ("LINE_SAMPLING_INTERVAL",):
-        if key in root and label.period > 0.0:
-            stated = root.number(key, {"ms": 1e-3, "msec": 1e-3, "s": 1.0, "": 1e-3})
-            if abs(stated / label.period - 1.0) > _SAME_PERIOD:
-                raise InputError(root.where(key), f"{stated:g} s", f"{label.period:g} s, the line period")
+    key = "LINE_SAMPLING_INTERVAL"
+    if key in root and label.period > 0.0:
+        stated = root.number(key, {"ms": 1e-3, "msec": 1e-3, "s": 1.0, "": 1e-3})
+        if abs(stated / label.period - 1.0) > _SAME_PERIOD:
+            raise InputError(root.where(key), f"{stated:g} s", f"{label.period:g} s, the line period")
 
 
 def _ground(image: PushbroomImage) -> tuple[Array, float]:

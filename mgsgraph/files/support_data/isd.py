@@ -39,6 +39,7 @@ from mgsgraph.files.support_data.isd_layout import (
 from mgsgraph.files.support_data.second_statements import (
     contradictions_of_constants,
     contradictions_of_times,
+    keywords_of_camera,
     lopsided,
     odd_pixels,
     odd_rows,
@@ -90,7 +91,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
     said = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)
-    remarks = contradictions_of_times(said, source)
+    keywords, remarks = keywords_of_camera(said, source)
+    remarks += contradictions_of_times(said, keywords, source)
     isd, repairs = repaired(said, source)
     remarks += lopsided(isd) if isd.line_scan_rate is said.line_scan_rate else ()
     unit = UNITS[isd.radii.unit]
@@ -99,7 +101,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         interior = _interior(isd, source)
         if isinstance(interior.distortion, KaguyaMiDistortion):
             repairs.append("kaguyalism of MI by the signed place along the detector (ISIS), not by the radius")
-        remarks += [*repairs, *contradictions_of_constants(isd, body, source), *odd_rows(isd), *_unread(content)]
+        remarks += [*repairs, *contradictions_of_constants(isd, body, keywords, source)]
+        remarks += [*odd_rows(isd), *_unread(content)]
         trajectory, words = _trajectory(isd, body, aberration, source)
         image = PushbroomImage(
             name=name, lines=isd.image_lines, samples=isd.image_samples, interior=interior,

@@ -18,7 +18,7 @@ from mgsgraph.files.support_data.isd_layout import UNITS, RotationTable, StateTa
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import MEASURED, are_unit, turning_otherwise
+from mgsgraph.geometry.plausibility import MEASURED, are_unit, turning, turning_otherwise
 from mgsgraph.geometry.records import Array
 from mgsgraph.units import DEG, KM
 
@@ -68,7 +68,7 @@ class _Twin(NamedTuple):
     """Largest difference of the same numbers."""
 
 
-def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
+def contradictions_of_times(isd: SupportData, keywords: NaifKeywords, source: str) -> list[str]:
     """Remarks on times and tables of support data as they are, before any repair.
 
     Raises
@@ -85,7 +85,7 @@ def contradictions_of_times(isd: SupportData, source: str) -> list[str]:
             raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
-    remarks = list(_clock(isd, source))
+    remarks = list(_clock(isd, keywords))
     for name in ("instrument_pointing", "body_rotation"):
         remarks += _turning(getattr(isd, name), name, source)
     return remarks
@@ -101,13 +101,12 @@ def odd_rows(isd: SupportData) -> Iterator[str]:
         bent = np.linalg.norm(speeds[1:], axis=1) ** 3 / np.linalg.norm(places[1:], axis=1) ** 2  # of an orbit, m/s^3
         for k in np.flatnonzero(off > _MOVED + 0.25 * steps**3 * bent)[:1].tolist():
             yield f"positions {k} and {k + 1} are {off[k]:.4g} m off what their velocities lead to"
-    turning = isd.instrument_pointing
-    rates, quaternions = np.array(turning.angular_velocities or []), np.array(turning.quaternions)
-    if len(rates) != len(quaternions) or len(rates) < _FEW or not are_unit(quaternions):
+    pointing = isd.instrument_pointing
+    times, rates = np.array(pointing.ephemeris_times), np.array(pointing.angular_velocities or [])
+    turned, mean = turning(times, np.array(pointing.quaternions), rates)
+    if len(turned) < _FEW - 1:
         return
-    steps, matrices = np.diff(np.array(turning.ephemeris_times)), rotation.to_matrix(rotation.unit_vectors(quaternions))
-    turned = rotation.logarithm(np.swapaxes(matrices[1:], 1, 2) @ matrices[:-1])
-    off = np.linalg.norm(turned - 0.5 * steps[:, None] * (rates[1:] + rates[:-1]), axis=1)
+    off = np.linalg.norm(turned - mean, axis=1) * np.diff(times)
     pixel = 1.0 / (float(np.linalg.norm(isd.focal2pixel_samples[1:])) * isd.focal_length_model.focal_length)
     if np.median(off) < _TURNED * pixel:  # else all of them do so, which is said
         for k in np.flatnonzero(off > max(20.0 * float(np.median(off)), _TURNED * pixel))[:1].tolist():
@@ -138,9 +137,8 @@ def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
     yield f"{name}: {found}, which Kaguya's C-kernels have wrong"
 
 
-def _clock(isd: SupportData, source: str) -> Iterator[str]:
+def _clock(isd: SupportData, keywords: NaifKeywords) -> Iterator[str]:
     """Where the label's clock count, as ISIS computed it, is not the first line's time, nor that of LROC's preroll."""
-    keywords, _ = keywords_of_camera(isd, source)
     names = [key for key in keywords.values if re.fullmatch(r"CLOCK_ET_.*_COMPUTED", key)]
     _, start, period = isd.line_scan_rate[0]
     if len(names) != 1 or abs(start) > _DAY:
@@ -174,7 +172,9 @@ def lopsided(isd: SupportData) -> Iterator[str]:
         )
 
 
-def contradictions_of_constants(isd: SupportData, body: Ellipsoid, source: str) -> list[str]:
+def contradictions_of_constants(
+    isd: SupportData, body: Ellipsoid, keywords: NaifKeywords, source: str
+) -> list[str]:
     """Remarks on constants of support data, after repairs.
 
     Parameters
@@ -183,6 +183,8 @@ def contradictions_of_constants(isd: SupportData, body: Ellipsoid, source: str) 
         What the file says.
     body : Ellipsoid
         By its radii.
+    keywords : NaifKeywords
+        The camera's (`keywords_of_camera`).
     source : str
         The file, for messages.
 
@@ -191,8 +193,7 @@ def contradictions_of_constants(isd: SupportData, body: Ellipsoid, source: str) 
     InputError
         Where radii, focal length, detector, distortion or the body's rotation contradict the file's own keywords.
     """
-    keywords, remarks = keywords_of_camera(isd, source)
-    remarks += _radii(keywords, body, f"{source}, radii")
+    remarks = list(_radii(keywords, body, f"{source}, radii"))
     remarks += _focal_length(isd, keywords, source)
     for twin in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
         if twin.found.shape != twin.stated.shape or np.abs(twin.found - twin.stated).max(initial=0.0) > twin.allowed:
@@ -211,7 +212,7 @@ def _refuse(twin: _Twin, source: str) -> None:
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
     code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
     every = [key for key in keywords.values if re.fullmatch(r"BODY\d+_RADII", key)]
-    nearest = min(every, key=lambda one: _apart(keywords, one, body), default="")
+    nearest = min(every, key=lambda one: _radius_difference(keywords, one, body), default="")
     key = nearest if code is None else f"BODY{code}_RADII"
     require_possible(body, body_name(code) if code is not None else "", where)
     if every and key not in every:
@@ -231,7 +232,7 @@ def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]
             yield f"radii.{name} is {both}"
 
 
-def _apart(keywords: NaifKeywords, key: str, body: Ellipsoid) -> float:
+def _radius_difference(keywords: NaifKeywords, key: str, body: Ellipsoid) -> float:
     """M between an equatorial radius and the body's."""
     return abs(float(keywords.numbers(key, 3)[0]) * KM - body.equatorial)
 
@@ -321,7 +322,7 @@ def _require_on_detector(isd: SupportData, keywords: NaifKeywords, source: str) 
     last = max(isd.starting_detector_sample, 0.0) + isd.image_samples * summing
     if last > pixels + summing or isd.starting_detector_sample < -summing:
         found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
-        expected = f"within the {pixels:.0f} pixels that {key or 'the camera has'} says".replace(" has says", " has")
+        expected = f"within the {pixels:.0f} pixels that {f'{key} says' if key else 'the camera has'}"
         raise InputError(f"{source}, detector_sample_summing", found, expected, "mend one of them")
 
 
