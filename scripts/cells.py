@@ -16,7 +16,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from study import Blocks, Draw, cases, names_of, nees_cell, number, refusals, run, seeds_of, table
+from study import (
+    Blocks,
+    Draw,
+    cases,
+    degrees_of_points,
+    degrees_together,
+    names_of,
+    nees_cell,
+    number,
+    refusals,
+    run,
+    seeds_of,
+    table,
+)  # fmt: skip
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -127,8 +140,14 @@ class Truth:
             "terrain": nees((model - self._model[: model.size])[None], of_model[None]) * KINDS["terrain"] / model.size,
             "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
         }  # fmt: skip
+        first = len(network.images)
+        profiles = solution.joint_covariance.of([first + p for p, _ in chosen])
         return {
             "converged": solution.converged,
+            "degrees": {
+                "terrain": model.size, "ties": degrees_of_points(solution, members[0]),
+                "profiles": degrees_together(profiles, 2), "laser": degrees_of_points(solution, members[1]),
+            },
             "nees": {kind: float(values.mean()) / KINDS[kind] for kind, values in squares.items()},
             "inside": float(np.mean(each < INSIDE)),
             "model": float(np.linalg.norm(model[:2] - self._model[:2])),
@@ -168,10 +187,7 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
 def row(site: str, way: str, every: list[Draw]) -> list[str]:
     """Of one site, by tie points or by cells."""
     mine = [draw[way] for draw in every]
-    cells = [
-        nees_cell([one["nees"][kind] for one in mine], degrees if kind == "terrain" else 0)  # others share the draw
-        for kind, degrees in KINDS.items()
-    ]
+    cells = [nees_cell(*([one[key][kind] for one in mine] for key in ("nees", "degrees"))) for kind in KINDS]
     errors = [float(np.sqrt(np.mean([one[name] ** 2 for one in mine]))) for name in ("model", "ties", "laser")]
     return [
         site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,

@@ -13,7 +13,7 @@ import sys
 import time
 
 import numpy as np
-from study import Blocks, Draw, cases, names_of, nees_cell, number, run, seeds_of, table
+from study import Blocks, Draw, cases, degrees_of_points, names_of, nees_cell, number, run, seeds_of, table
 
 from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.settings import SolverSettings
@@ -51,7 +51,9 @@ def one_draw(case: str, seed: int) -> Draw:
     freedom = sum(6 * len(strip.nodes) for strip in block.network.passes)
     return {
         "nodes": [sum(_of_nodes(block, one)) / freedom for one in both], "freedom": freedom,
-        "points": [float(part.mean()) / 3.0 for part in points], "converged": bool(steps.converged),
+        "points": [float(part.mean()) / 3.0 for part in points],
+        "points_freedom": [degrees_of_points(one, np.flatnonzero(one.determined)) for one in both],
+        "converged": bool(steps.converged),
         "errors": [root_mean_square((found - true)[:, ATTITUDE], 0).tolist() for found in errors],
         "stated": [_stated(*pair).tolist() for pair in zip(networks, joints, strict=True)],
         "mean": merit.mean.tolist(), "poses": merit.poses.tolist(), "heights": np.asarray(merit.heights.rms).tolist(),
@@ -118,8 +120,9 @@ def nees_table(every: list[Draw]) -> list[str]:
     """NEES of the nodes of all strips, and of the points of a block, which err together."""
     rows = []
     for step in (0, 1):
-        nodes, points = ([draw[key][step] for draw in every] for key in ("nodes", "points"))
-        rows.append([STAGES[step + 1].replace("_", " "), nees_cell(nodes, every[0]["freedom"]), nees_cell(points)])
+        nodes, points, freedom = ([draw[key][step] for draw in every] for key in ("nodes", "points", "points_freedom"))
+        cells = nees_cell(nodes, every[0]["freedom"]), nees_cell(points, freedom)
+        rows.append([STAGES[step + 1].replace("_", " "), *cells])
     return table(["", "nodes", "points"], rows)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import block_diag
-from study import Blocks, Draw, cases, names_of, nees_cell, number, run, seeds_of, table
+from study import Blocks, Draw, cases, degrees_of_points, names_of, nees_cell, number, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.covariances import LINEAR
@@ -88,7 +88,10 @@ def one_draw(case: str, seed: int) -> Draw:
     of_points = [float(one.mean()) / 3.0 if one.size else float("nan") for one in points]
     return {
         "values": [*shared, *of_points, solution.fit.squares / freedom],
-        "degrees": [*(pair[0].size if pair else 0 for pair in pairs), ratio.degrees, 0, 0, freedom],
+        "degrees": [
+            *(pair[0].size if pair else 0 for pair in pairs), ratio.degrees,
+            *(degrees_of_points(solution, one) if one.size else 0 for one in members), freedom,
+        ],
         "linear": solution.linearity.ratio if solution.linearity else None, "converged": solution.converged,
         "seconds": time.perf_counter() - begin,
     }  # fmt: skip
@@ -129,10 +132,10 @@ def shared_nees(error: Array, covariance: Array) -> float:
 
 def row(case: str, every: list[Draw]) -> list[str]:
     """Means of all draws, with their bands but for the papers' case."""
-    values, degrees = np.array([draw["values"] for draw in every]), every[0]["degrees"]
+    values, degrees = (np.array([draw[key] for draw in every]) for key in ("values", "degrees"))
     cells = [number(mean) for mean in values.mean(axis=0).tolist()]
     if not case.endswith("papers"):
-        cells = [nees_cell(column, freedom) for column, freedom in zip(values.T.tolist(), degrees, strict=True)]
+        cells = list(map(nees_cell, values.T.tolist(), degrees.T.tolist()))
     ratios = np.array([draw["linear"] for draw in every if draw["linear"] is not None])
     good = int(np.sum((ratios <= LINEAR) & (ratios >= 1.0 / LINEAR)))
     linear = f"{ratios.mean():.2f}, {good} of {ratios.size}" if ratios.size else "-"

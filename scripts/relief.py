@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from study import Blocks, Draw, cases, names_of, nees_cell, number, refusals, run, seeds_of, table
+from study import Blocks, Draw, cases, degrees_together, names_of, nees_cell, number, refusals, run, seeds_of, table
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -74,10 +74,12 @@ def _judged(site: SimulatedSite, found: ReliefRegistration) -> Draw:
         float(error @ np.linalg.solve(one.covariance, error))
         for one, error in zip(profiles, adjusted - true, strict=True)
     ]
+    variables = [len(solution.coefficients) + solution.network.shift_number(one.name) for one in profiles]
     plane = np.einsum("ak,nkl,bl->nab", ways, solution.covariances[ties], ways).mean(axis=0)
     of_ties = errors[1].mean(axis=0) @ ways.T
     mean = float(of_ties @ np.linalg.solve(plane, of_ties))
     return {
+        "degrees": degrees_together(solution.joint_covariance.of(variables), 2),
         "before": [one.tolist() if np.all(np.isfinite(one)) else None for one in before],
         "after": after.tolist(), "shifts": nees, "mean": mean,
         "ties": [rms(np.linalg.norm(error, axis=1)) for error in errors],
@@ -110,7 +112,7 @@ def _row(site: str, mine: list[Draw]) -> list[str]:
     captured = np.linalg.norm(after, axis=1) < _CAPTURED
     return [
         site, str(len(mine)), f"{int(captured.sum())} of {captured.size}", number(rms(before)), number(rms(after)),
-        nees_cell([0.5 * float(np.mean(draw["shifts"])) for draw in mine]),
+        nees_cell([0.5 * float(np.mean(draw["shifts"])) for draw in mine], [draw["degrees"] for draw in mine]),
         number(ties[0]), number(ties[1]), number(ties[0] / ties[1]),
         nees_cell([0.5 * draw["mean"] for draw in mine], 2),
         number(float(np.mean([draw["seconds"] for draw in mine]))),

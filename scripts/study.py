@@ -18,12 +18,16 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from mgsgraph.errors import InputError, MgsgraphError, SolverError
 from mgsgraph.files.writing import fresh_file
+from mgsgraph.geometry.records import Array
+
+if TYPE_CHECKING:
+    from mgsgraph.adjustment.solution import Solution
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 """Folder of the pages, where no other is named."""
@@ -308,7 +312,7 @@ def machine() -> str:
 # --- 99 % bands
 
 
-def chi_square_band(degrees: int) -> tuple[float, float]:
+def chi_square_band(degrees: float) -> tuple[float, float]:
     """99 % band of a chi-square variable over its degrees of freedom."""
     from scipy.stats import chi2
 
@@ -323,20 +327,57 @@ def student(chance: float, degrees: int) -> float:
     return float(t.isf(0.5 * chance, degrees))
 
 
-def nees_band(values: Sequence[float], degrees: int = 0) -> tuple[float, float]:
-    """99 % band of the mean of normalised squares, one of each draw and each per degree of freedom, if the covariances
-    are right: a chi-square's for `degrees` of a joint covariance in each draw; for 0 (mean of items that share the
-    draw's orientation) 1 +- Student's quantile times the scatter from draw to draw.
+def degrees_together(covariance: Array, width: int) -> float:
+    """Degrees of freedom of the chi-square that scatters as the sum of the items' normalised squares does, for items of
+    `width` components with a joint covariance (n width, n width) (Satterthwaite 1946): (n width)^2 / |R|^2, R being the
+    covariance with each item's own block whitened. n width for independent items, `width` for items that err alike.
     """
-    if degrees:
-        return chi_square_band(degrees * len(values))
-    half = student(0.01, len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
-    return 1.0 - half, 1.0 + half
+    blocks = np.einsum("iaib->iab", covariance.reshape(-1, width, len(covariance) // width, width))
+    whitener = block_diagonal(np.linalg.inv(np.linalg.cholesky(blocks)))
+    return float(len(covariance) ** 2 / np.sum(np.square(whitener @ covariance @ whitener.T)))
 
 
-def nees_cell(values: Sequence[float], degrees: int = 0) -> str:
-    """Mean of normalised squares with its band (`nees_band`)."""
-    return within(float(np.mean(values)), nees_band(values, degrees))
+def block_diagonal(blocks: Array) -> Array:
+    """(n d, n d) of blocks (n, d, d)."""
+    count, width, _ = blocks.shape
+    whole = np.zeros((count, width, count, width))
+    whole[np.arange(count), :, np.arange(count)] = blocks
+    return whole.reshape(count * width, count * width)
+
+
+def degrees_of_points(solution: "Solution", points: Array) -> float:
+    """The same of the positions of points (n,) of a solution, which share its orientation, without forming their joint
+    covariance: with point i = K_i x + N_i e_i (`PointRows.eliminated`), S the covariance of x and C_i that of the point
+    |R|^2 = tr (M S M S) + 3 n - sum_i |C_i^-1 K_i S K_i'|^2, M = sum_i K_i' C_i^-1 K_i.
+    """
+    from mgsgraph.analysis.linearised import at_solution  # the kernel: not before --threads count
+
+    at = at_solution(solution)
+    width = at.layout.variables.width
+    first, shared = np.cumsum(width) - width, at.joint.of(range(width.size))
+    weights, own = np.zeros_like(shared), 0.0
+    for i in points.tolist():
+        rows = at.rows_of(i)
+        carried = rows.eliminated()[0][0]
+        columns = np.concatenate([first[v] + np.arange(width[v]) for v in rows.variables])
+        by_sigma = np.linalg.solve(np.linalg.cholesky(solution.covariances[i]), carried)
+        weights[np.ix_(columns, columns)] += by_sigma.T @ by_sigma
+        own += float(np.sum(np.square(by_sigma @ shared[np.ix_(columns, columns)] @ by_sigma.T)))
+    product = weights @ shared
+    return float((3 * points.size) ** 2 / (np.sum(product * product.T) + 3 * points.size - own))
+
+
+def nees_band(degrees: float, draws: int) -> tuple[float, float]:
+    """99 % band of the mean over draws of normalised squares per degree of freedom, if the covariances are right, each
+    draw's having the chi-square of `degrees`: those of a joint covariance, or of items that err together
+    (`degrees_together`, `degrees_of_points`).
+    """
+    return chi_square_band(degrees * draws)
+
+
+def nees_cell(values: Sequence[float], degrees: float | Sequence[float]) -> str:
+    """Mean of normalised squares, one of each draw, with its band (`nees_band`); degrees of all draws, or of each."""
+    return within(float(np.mean(values)), nees_band(float(np.mean(degrees)), len(values)))
 
 
 def within(mean: float, band: tuple[float, float]) -> str:

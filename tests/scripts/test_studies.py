@@ -106,10 +106,35 @@ def test_bands_are_those_of_tables() -> None:
     assert abs(100.0 * high - 140.169) < 0.001
     assert abs(study.student(0.01, 9) - 3.250) < 0.001
     assert abs(study.student(0.01, 99) - 2.626) < 0.001
-    assert study.nees_band([1.0] * 5, 20) == study.chi_square_band(100)
-    values = np.random.default_rng(1).normal(1.0, 0.1, 10).tolist()
-    half = 3.2498 * float(np.std(values, ddof=1)) / np.sqrt(10)
-    assert study.nees_band(values) == pytest.approx((1.0 - half, 1.0 + half), rel=1e-4)
+    assert study.nees_band(20, 5) == study.chi_square_band(100)
+
+
+def test_items_that_err_alike_count_once() -> None:
+    rng = np.random.default_rng(47)
+    own = np.stack([one @ one.T for one in rng.standard_normal((6, 2, 2))])
+    assert study.degrees_together(study.block_diagonal(own), 2) == pytest.approx(12.0)
+    assert study.degrees_together(np.tile(own[0], (6, 6)) + 1e-9 * np.eye(12), 2) == pytest.approx(2.0, rel=1e-6)
+    # field/README.md: two profiles whose shifts are correlated by 0.97, 18 draws: 0.52 .. 1.69
+    alike = np.kron([[1.0, 0.97], [0.97, 1.0]], np.eye(2))
+    assert study.nees_band(study.degrees_together(alike, 2), 18) == pytest.approx((0.52, 1.69), abs=0.02)
+    # the scatter of the sum of normalised squares, drawn
+    root = rng.standard_normal((12, 4))
+    covariance = root @ root.T + study.block_diagonal(own)
+    errors = rng.multivariate_normal(np.zeros(12), covariance, 40_000).reshape(-1, 6, 2)
+    blocks = covariance.reshape(6, 2, 6, 2)[np.arange(6), :, np.arange(6)]
+    squares = np.einsum("nia,iab,nib->n", errors, np.linalg.inv(blocks), errors)
+    assert 2.0 * 12.0**2 / squares.var() == pytest.approx(study.degrees_together(covariance, 2), rel=0.05)
+
+
+def test_degrees_of_points_are_those_of_their_joint_covariance() -> None:
+    network, settings = nees.prepared("isidis, no-terrain")
+    solution = adjust_network(network, settings)
+    points = np.flatnonzero(solution.determined)[::3]
+    posterior = Posterior.of(solution)
+    joint = posterior.covariance([posterior.of_point(i) for i in points.tolist()])
+    found = study.degrees_of_points(solution, points)
+    assert found == pytest.approx(study.degrees_together(joint, 3), rel=1e-6)
+    assert 3.0 < found < 0.9 * 3 * points.size
 
 
 # --- the Monte-Carlo proof
@@ -305,7 +330,7 @@ def test_normalized_errors_lie_in_their_bands(case: str, absent: list[str]) -> N
     there = [k for k, name in enumerate(nees.COLUMNS) if name not in absent]
     assert [name for name, column in zip(nees.COLUMNS, values.T, strict=True) if np.isnan(column).all()] == absent
     for k in there:
-        low, high = nees_band(values[:, k].tolist(), every[0]["degrees"][k])
+        low, high = nees_band(float(np.mean([draw["degrees"][k] for draw in every])), len(every))
         assert low < np.mean(values[:, k]) < high
     means = values[:, there].mean(axis=0)
     assert means.min() > 0.5  # bands of points scale with what they judge
