@@ -362,6 +362,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What to call the case in reports."""
     images: Annotated[tuple[ImageInput, ...], msgspec.Meta(min_length=1)]
     """All images."""
+    files_from: str = ""
+    """How to get its files, said where that of an image is missing."""
     orientation: OrientationInput = OrientationInput()
     """For images without sigmas of their own."""
     ties: TiesInput | tuple[TiesInput, ...] = ()
