@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
     "scripts": (6432, 101313, 46),
-    "tests": (35764, 538457, 196),
+    "tests": (35767, 538497, 196),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
