@@ -256,7 +256,9 @@ def files(case: str, targets: Iterable[str], folder: Path) -> Result:
 def grown(folder: Path) -> Result:
     """A project of five images that come one by one; `solve` after the third, so that iSAM2 adds the others."""
     site, project, found = case_file("strip --images 5 --ties 80 --steps").parent, folder / "project", Result()
-    command("init", project, "--name", "grown")
+    sigmas = folder / "settings.toml"
+    sigmas.write_text("format = 1\n[orientation]\nposition_sigma_m = 100.0\nangle_sigma_mrad = 0.29\n", "utf-8")
+    command("init", project, "--name", "grown", "--settings", sigmas)
     for k, image in enumerate(sorted(site.glob("image_*.isd"))):
         step, impact = site / f"step_{k:03d}", folder / f"impact_{k}.csv"
         brought = ["--shots", step / "lidar.json", "--impact", impact, *(["--ties", step / "ties.pvl"] if k else [])]

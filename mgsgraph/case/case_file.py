@@ -18,7 +18,7 @@ import msgspec
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.passes import mounted_images
 from mgsgraph.case.schema import CaseInput, ImageInput, OrientationInput, SolverInput, SpiceInput
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
 from mgsgraph.files.labels.aberration import Aberration
@@ -59,6 +59,8 @@ def decode(path: Path) -> CaseInput:
         list without files, files that are no images, or one name for two.
     """
     wanted = stated(path)
+    for file in _files(wanted) if wanted.files_from else ():
+        require((path.parent / file).exists(), str(path.parent / file), "no such file", remedy=wanted.files_from)
     images = list[ImageInput]()
     for k, entry in enumerate(wanted.images):
         where = f"{path}, images[{k}]"
@@ -70,6 +72,12 @@ def decode(path: Path) -> CaseInput:
             found = f"the name {image.name!r} for {image_file(twin)} and for {image_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
     return msgspec.structs.replace(wanted, images=tuple(images))
+
+
+def _files(wanted: CaseInput) -> Iterator[str]:
+    """Files of images and lists of them, as the case has them."""
+    for entry in wanted.images:
+        yield from filter(None, (getattr(entry, key) for key in ("list", "image", *_FILES)))
 
 
 def stated(path: Path) -> CaseInput:

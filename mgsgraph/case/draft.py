@@ -25,6 +25,7 @@ from mgsgraph.errors import InputError, Unmeasured, require
 from mgsgraph.files.altimetry.lidar import read_lidar
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.kinds import INSTEAD, Kind, described, kind_of, listed_names
+from mgsgraph.files.labels.accuracy import Accuracy, accuracy_of
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.opening import head_of
 from mgsgraph.files.writing import Output, fresh_file, require_free, writing_to
@@ -212,9 +213,7 @@ name = {name}
 _ORIENTATION = """
 [orientation]                           # corrections of each image: polynomials of the line, with a-priori sigmas
 degree = 2
-position_sigma_m = 100.0                # constant term, body-fixed X, Y, Z: how well the orbit is known
-angle_sigma_mrad = 0.29                 # constant term, about the camera's axes (1 arcmin): how well the attitude is
-trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2 (u = -1 .. 1 along the image)
+{sigmas}trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2 (u = -1 .. 1 along the image)
 """
 _NO_MEASURES = """
 # No tie points, ground control or laser shots with measures yet: `mgsgraph match` finds ties. Or name a network:
@@ -260,7 +259,9 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     images, missing = named_as(found.images, _names_in_networks(kinds))
     parts, refused = draft_tables(kinds, images, out)
     name = name or _name(given, out)
-    head = _HEAD.format(name=quoted(name)) + _ORIENTATION + _spice(images, kernels, out) + _images(images, out)
+    usual, *others = dict.fromkeys(accuracy_of(one.image.mission) for one in images)
+    orientation = _ORIENTATION.format(sigmas="".join(usual.lines()))
+    head = _HEAD.format(name=quoted(name)) + orientation + _spice(images, kernels, out) + _images(images, usual, out)
     parts, failed = _accepted(head, parts, images, out)
     left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
     left_out += [
@@ -281,6 +282,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
     told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
     told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
+    told += [f"- A-priori sigmas of {one.words}" for one in (usual, *others)]
     told += [f"- Left out: {line}" for line in left_out]
     told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
     return Draft(text, tuple(map(in_line, told)), f"mgsgraph check {out}")
@@ -381,7 +383,8 @@ def _spice(images: Sequence[DraftImage], kernels: Sequence[Path], out: Path) -> 
     return f"\n[spice]                                 # in the order of loading\nkernels = [\n{listed}]\n"
 
 
-def _images(images: Sequence[DraftImage], out: Path) -> str:
+def _images(images: Sequence[DraftImage], usual: Accuracy, out: Path) -> str:
+    """Tables of images; those of another mission than [orientation] is for have sigmas of their own."""
     text = ""
     for one in images:
         text += "\n[[images]]\n"
@@ -389,6 +392,8 @@ def _images(images: Sequence[DraftImage], out: Path) -> str:
         size = f"{one.kind}, {one.image.lines} x {one.image.samples}"
         text += said(f"image = {place(one.path, out)}", size)
         text += f"pixels = {place(one.pixels, out)}\n" if one.pixels is not None else ""
+        if (known := accuracy_of(one.image.mission)) != usual:
+            text += said(f"orientation = {{ {', '.join(known.keys)} }}", f"a-priori sigmas of {known.words}")
         text += said(f"line_times = {quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
     return text
 

@@ -5,7 +5,7 @@ which of them.
 boresight angles, and away by a lever arm; stated, or unknown beside what is stated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -196,7 +196,7 @@ def passes_of(
     entries: Sequence[PassInput],
     of_entries: Sequence[Sequence[int]],
     images: Sequence[PushbroomImage],
-    default: OrientationPrior,
+    default: Callable[[str], OrientationPrior],
     path: str,
 ) -> tuple[Pass, ...]:
     """The passes of a network.
@@ -209,8 +209,8 @@ def passes_of(
         Images of each, as `members` gives them.
     images : sequence of PushbroomImage
         All of the network.
-    default : OrientationPrior
-        That of [orientation], for passes that say none.
+    default : callable
+        That of [orientation] for a mission, for passes that say none.
     path : str
         Case file, for errors.
     """
@@ -221,7 +221,8 @@ def passes_of(
         for group in groups:
             together = [pictures[k] for k in group]
             name = entry.name if entry.name and len(groups) == 1 else f"{entry.name} {pass_name(together)}".strip()
-            found.append(_pass(entry, name, np.array(mine)[group], together, default, where, path))
+            usual = default(together[0].mission)
+            found.append(_pass(entry, name, np.array(mine)[group], together, usual, where, path))
     return tuple(found)
 
 

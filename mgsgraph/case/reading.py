@@ -5,6 +5,7 @@ Paths are relative to the case file.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -134,7 +135,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
     folder = path.parent
     of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
-    priors = wanted.priors(str(path))
+    priors = wanted.priors(str(path), images)
     parts = Parts(images)
     passes = _read_passes(wanted, of_passes, images, path)
     parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
@@ -193,7 +194,7 @@ def _read_passes(
     """Trajectories that some of the images share."""
     if not wanted.passes:
         return ()
-    default = wanted.orientation.prior(f"{path}, orientation")
+    default = partial(wanted.orientation.prior, f"{path}, orientation")
     passes = passes_of(wanted.passes, of_passes, images, default, str(path))
     for one in [one for one in passes if one.axes is not None and wanted.solver.angles != "camera"][:1]:
         found = f"{wanted.solver.angles!r} for cameras mounted against each other, of pass {one.name!r}"

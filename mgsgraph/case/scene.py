@@ -67,7 +67,7 @@ def read_scene(
         raise InputError(str(path), "one image", "two that overlap, at least")
     of_passes = members(wanted.passes, names, str(path))
     images = read_images(wanted, wanted.orientations, of_passes, path)
-    priors = image_priors(wanted, of_passes, path)
+    priors = image_priors(wanted, of_passes, images, path)
     pictures = tuple(
         Picture(image, read_picture(picture_file(wanted, j, path)), prior)
         for j, (image, prior) in enumerate(zip(images, priors, strict=True))
@@ -91,12 +91,14 @@ def picture_file(wanted: CaseInput, image: int, path: Path) -> Path:
     return file
 
 
-def image_priors(wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Path) -> list[OrientationPrior]:
+def image_priors(
+    wanted: CaseInput, of_passes: Sequence[Sequence[int]], images: Sequence[PushbroomImage], path: Path
+) -> list[OrientationPrior]:
     """Of each image; one of a pass has what is known of that."""
-    priors, entries = list(wanted.priors(str(path))), wanted.passes
-    default = wanted.orientation.prior(f"{path}, orientation")
+    priors, entries = list(wanted.priors(str(path), images)), wanted.passes
     for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
         for j in mine:
+            default = wanted.orientation.prior(f"{path}, orientation", images[j].mission)
             priors[j] = entry.image_prior(f"{path}, passes[{k}]", default)
     return priors
 

@@ -11,6 +11,7 @@ from mgsgraph.case.motion import Factor, Positive, Sigma, three
 from mgsgraph.case.passes import MountingInput, PassInput
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.labels.aberration import Observer
+from mgsgraph.files.labels.accuracy import accuracy_of
 from mgsgraph.geometry.altimetry import Altimeter
 from mgsgraph.geometry.image import PushbroomImage, fit_attitude, fit_polynomials
 from mgsgraph.geometry.orientation import OrientationPrior
@@ -120,10 +121,12 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Order of these polynomials."""
     degree: Annotated[int, msgspec.Meta(ge=0, le=8)] = 2
     """Degree of the polynomials of the line."""
-    position_sigma_m: float | list[float] = 100.0
-    """Sigma of the constant term along the body-fixed axes; inf for unknown."""
-    angle_sigma_mrad: float | list[float] = 0.29
-    """Sigma of the constant term about the camera axes (1 arcmin by default); inf for unknown."""
+    position_sigma_m: float | list[float] | None = None
+    """Sigma of the constant term along the body-fixed axes; inf for unknown; when absent what is published of the
+    image's mission, or 100 m (docs/case_file.md)."""
+    angle_sigma_mrad: float | list[float] | None = None
+    """Sigma of the constant term about the camera axes; inf for unknown; when absent what is published of the image's
+    mission, or 0.29 mrad (1 arcmin; docs/case_file.md)."""
     trend: Annotated[tuple[Positive, ...], msgspec.Meta(min_length=1)] | None = None
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
 
@@ -133,10 +136,13 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return image
         return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
 
-    def prior(self, where: str) -> OrientationPrior:
-        """The sigmas, (degree + 1, 6), in m and rad; `where` names this table in errors."""
-        position = three(self.position_sigma_m, f"{where}, position_sigma_m", infinite=True)
-        angle = three(self.angle_sigma_mrad, f"{where}, angle_sigma_mrad", infinite=True) * MRAD
+    def prior(self, where: str, mission: str = "") -> OrientationPrior:
+        """The sigmas, (degree + 1, 6), in m and rad, of an image of a mission; `where` names this table in errors."""
+        usual = accuracy_of(mission)
+        metres = usual.orbit if self.position_sigma_m is None else self.position_sigma_m
+        mrad = list(usual.pointing) if self.angle_sigma_mrad is None else self.angle_sigma_mrad
+        position = three(metres, f"{where}, position_sigma_m", infinite=True)
+        angle = three(mrad, f"{where}, angle_sigma_mrad", infinite=True) * MRAD
         factors = self.trend or (1.0, 0.1) + (0.01,) * self.degree
         if len(factors) <= self.degree:
             expected = f"{self.degree + 1}, one for each power from 0 to degree = {self.degree}"
@@ -356,6 +362,8 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """What to call the case in reports."""
     images: Annotated[tuple[ImageInput, ...], msgspec.Meta(min_length=1)]
     """All images."""
+    files_from: str = ""
+    """How to get its files, said where that of an image is missing."""
     orientation: OrientationInput = OrientationInput()
     """For images without sigmas of their own."""
     ties: TiesInput | tuple[TiesInput, ...] = ()
@@ -390,13 +398,14 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """Of each image: its own, or that of all."""
         return [image.orientation or self.orientation for image in self.images]
 
-    def priors(self, where: str) -> tuple[OrientationPrior, ...]:
-        """Of each image's corrections; `where` names the file in errors."""
+    def priors(self, where: str, images: Sequence[PushbroomImage]) -> tuple[OrientationPrior, ...]:
+        """Of the corrections of each image, which has been read; `where` names the file in errors."""
         return tuple(
             orientation.prior(
-                f"{where}, images[{j}].orientation" if self.images[j].orientation else f"{where}, orientation"
+                f"{where}, images[{j}].orientation" if self.images[j].orientation else f"{where}, orientation",
+                image.mission,
             )
-            for j, orientation in enumerate(self.orientations)
+            for j, (orientation, image) in enumerate(zip(self.orientations, images, strict=True))
         )
 
     @property

@@ -1,8 +1,7 @@
 """The case and the meta-kernel of what has been fetched.
 
-A-priori sigmas are the papers': Yoon & Shan (2005) take 100 m for the spacecraft's place, 1 arcmin for its angles,
-10 m for ranges and footprints; Shan et al. (2005) find images up to one spacing of MOLA's shots, 325 m, off along the
-flight, which from 380 km is 0.86 mrad of pitch; MOLA's profiles lie within 100 m (Kirk et al. 2002).
+A-priori sigmas are the papers': those of orbit and pointing stand in files.labels.accuracy; Yoon & Shan (2005) take
+10 m for ranges and footprints; MOLA's profiles lie within 100 m (Kirk et al. 2002).
 """
 
 import re
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from mgsgraph.errors import InputError
 from mgsgraph.fetch.needs import FIXED, LEAP_SECONDS, Grid, ImageNeeds, kernel_path, kernels_of, topography
+from mgsgraph.files.labels.accuracy import accuracy_of
 from mgsgraph.files.opening import number_of, read_text
 from mgsgraph.text import some
 
@@ -24,21 +24,7 @@ _PIXEL_ANGLE = 3.7497308149e-6
 """rad, that a pixel sees, by ISIS (mocAddendum004.ti: 13.1240578522949 micrometres on 3500 mm). NAIF's kernel has
 13 micrometres on a nominal 3.5 m, of which it says that the truth may be 2 percent off."""
 
-_ORIENTATION = """\
-[orientation]
-nominal = "polynomial"                  # fitted to the kernels' trajectory, order 2
-degree = 2                              # of the corrections
-position_sigma_m = 100.0
-angle_sigma_mrad = [0.29, 0.87, 0.87]   # roll 1 arcmin; pitch 3, for 325 m along the flight; yaw 3
-trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
-"""
-_OTHER_ORIENTATION = """\
-[orientation]
-degree = 2                              # of the corrections to the kernels' trajectory
-position_sigma_m = 100.0
-angle_sigma_mrad = 0.29                 # 1 arcmin
-trend = [1.0, 0.1, 0.01]                # of these, for the terms 1, u, u^2
-"""
+_MOC_NOMINAL = 'nominal = "polynomial"                  # fitted to the kernels\' trajectory, order 2\n'
 _PROFILE = """\
 range_sigma_m = 10.0
 ground_sigma_m = 10.0
@@ -83,7 +69,7 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
     parts = [
         "# Written by `mgsgraph fetch`, and yours to change: it is not overwritten then.\n"
         f'format = 1\nname = "{some(names, len(names))}"\n',
-        _ORIENTATION if needs[0].camera is None else _OTHER_ORIENTATION,
+        _orientation(needs[0]),
         f'[spice]\nkernels = ["{meta_kernel_path(needs)}"]\n',
     ]
     if needs[0].camera is None:
@@ -97,6 +83,16 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
         if image.pedr
     ]
     return "\n".join([*parts, *([] if grid is None else [_terrain(grid)])])
+
+
+def _orientation(image: ImageNeeds) -> str:
+    """What is known of the images' orientation, by the mission of one of them."""
+    nominal = _MOC_NOMINAL if image.camera is None else ""
+    mission = "MGS" if image.camera is None else image.camera.kernels.partition("_")[0].upper()
+    return "".join([
+        "[orientation]\n", nominal, _said("degree = 2", "of the corrections"), *accuracy_of(mission).lines(),
+        _said("trend = [1.0, 0.1, 0.01]", "of these, for the terms 1, u, u^2"),
+    ])
 
 
 def _image(image: ImageNeeds, focal_length: float) -> str:

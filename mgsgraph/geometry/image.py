@@ -145,6 +145,8 @@ class PushbroomImage(Record):
     """Reference ellipsoid of the body it shows."""
     remarks: tuple[str, ...] = ()
     """What its reader decided or put right, in phrases."""
+    mission: str = ""
+    """As ISIS's serial numbers begin (MGS, MRO, LRO, KAGUYA, MEX); empty where its file doesn't say."""
 
     @property
     def middle(self) -> tuple[Array, Array]:

@@ -160,7 +160,6 @@ def decode_candidates(path: Path) -> CandidatesInput:
 def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
     where = f"{path}, images[{k}]"
     orientation = entry.orientation or wanted.orientation
-    prior = orientation.prior(f"{where}.orientation" if entry.orientation else f"{path}, orientation")
     ties = PlannedTies(entry.ties, entry.sigma_px, entry.measure_sigma_px, entry.existing)
     if entry.name in coverage.views:
         found = f"the image {entry.name!r}, which is in the network already"
@@ -169,6 +168,8 @@ def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInp
     if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
+    stated = f"{where}.orientation" if entry.orientation else f"{path}, orientation"
+    prior = orientation.prior(stated, image.mission)
     return planned_image(coverage, KnownImage(image, prior, entry.held), ties)
 
 

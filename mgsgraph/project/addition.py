@@ -234,7 +234,7 @@ def images_alone(path: Path) -> tuple[list[NewImage], str]:
     wanted = decode(path)
     of_passes = members(wanted.passes, [entry.name for entry in wanted.images], str(path))
     images = read_images(wanted, wanted.orientations, of_passes, path)
-    known = map(KnownImage, images, wanted.priors(str(path)), (entry.held for entry in wanted.images))
+    known = map(KnownImage, images, wanted.priors(str(path), images), (entry.held for entry in wanted.images))
     return [
         NewImage(one, picture_of(entry, path.parent))
         for one, entry in zip(known, wanted.images, strict=True)
@@ -269,7 +269,7 @@ def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> New
     image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
     orientation = settings.orientation
     image = orientation.nominal_of(image)
-    prior = orientation.prior(f"{where}, settings, orientation")
+    prior = orientation.prior(f"{where}, settings, orientation", image.mission)
     return NewImage(KnownImage(image, prior), picture_of(entry, Path()))
 
 

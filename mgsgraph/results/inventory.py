@@ -1,5 +1,6 @@
 """What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from mgsgraph.case.passes import members
 from mgsgraph.case.reading import Case, picture_of, read_altimetry, read_profile
 from mgsgraph.case.schema import CaseInput
 from mgsgraph.errors import Unmeasured, WeakNetwork
+from mgsgraph.files.labels.accuracy import accuracy_of, sigmas_in_words
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Table
 from mgsgraph.geometry.altimetry import require_on_body
@@ -73,12 +75,14 @@ def inventory(case: Case, details: bool = True) -> str:
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges"
     )
-    points = _points(network, prediction)
+    points, read = _points(network, prediction), reading_statements(network.images)
+    known = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
     if not details:
-        read = [*case.notes, *reading_statements(network.images)]
-        remarks = [f"{many(len(read), 'remark')} on the input: --details."] if read else []
+        count = len(case.notes) + len(read)
+        remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
-        said = [*_expected(network, prediction), *ranges, *link_statement(connected), *remarks]
+        said = [*_expected(network, prediction), *ranges, *link_statement(connected)]
+        said += [*prior_statements(known), *remarks]
         weak = weak[:_WARNINGS] + ([f"{len(weak) - _WARNINGS} more: --details"] if len(weak) > _WARNINGS else [])
         return _text([Section("", f"{head}\n", [f"WEAK: {one}" for one in weak] or ["No weak spots seen."]),
                       Section("", "", said)]).replace("\n\n", "\n")  # fmt: skip
@@ -86,13 +90,24 @@ def inventory(case: Case, details: bool = True) -> str:
     pairs = connectivity_table(connected).take(rows)
     return _text([
         Section("", head, case.notes, [_images_table(network.images, network)]),
-        Section("", sentences=[*reading_statements(network.images), *deciding_values(network.images)]),
+        Section("", sentences=[*read, *deciding_values(network.images), *prior_statements(known)]),
         points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),
         Section("", sentences=_terrain(network, prediction.places)),
         Section("", "Weak spots", weak or ["none seen"]),
     ])  # fmt: skip
+
+
+def prior_statements(known: Iterable[tuple[PushbroomImage, OrientationPrior]]) -> Iterator[str]:
+    """What is known of orbit and pointing beforehand, a sentence for each mission, beside what is published of it."""
+    groups = Counter(
+        (sigmas_in_words(sigmas[:3], [angle / MRAD for angle in sigmas[3:]]), accuracy_of(image.mission))
+        for image, prior in known if (sigmas := prior.sigmas[0].tolist())
+    )  # fmt: skip
+    for (stated, usual), count in groups.items():
+        same = stated == sigmas_in_words([usual.orbit], usual.pointing)
+        yield f"A-priori sigmas of {many(count, 'image')}{' of' if same else f': {stated}; usual for'} {usual.words}."
 
 
 def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
@@ -129,7 +144,9 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     if unmeasured is not None and matched:
         raise unmeasured
     names = [image.name for image in wanted.images]
-    images = read_images(wanted, wanted.orientations, members(wanted.passes, names, str(path)), path)
+    of_passes = members(wanted.passes, names, str(path))
+    images, shared = read_images(wanted, wanted.orientations, of_passes, path), set().union(*of_passes)
+    known = [one for j, one in enumerate(zip(images, wanted.priors(str(path), images), strict=True)) if j not in shared]
     found = overlaps([footprint(image) for image in images])
     pairs = [
         f"{images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
@@ -148,7 +165,7 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     return _text([
         Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them",
                 tables=[_images_table(images)]),
-        Section("", sentences=[*reading_statements(images), *deciding_values(images)]),
+        Section("", sentences=[*reading_statements(images), *deciding_values(images), *prior_statements(known)]),
         Section("", "Overlaps", pairs or ["none"]),
         Section("", "", _laser_files(wanted, images, path.parent)),
         Section("", sentences=[*said, "To be adjusted it needs tie points, ground control, or laser shots measured in "

@@ -13,7 +13,7 @@ from sites import plain_site
 from strip_files import write_block
 
 import mgsgraph
-from mgsgraph.case.case_file import decode
+from mgsgraph.case.case_file import decode, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.reading import picture_of
 from mgsgraph.case.scene import image_priors, read_scene
@@ -407,7 +407,8 @@ def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
         read_scene(path)
     wanted = decode(path)
     of_strips = members(wanted.passes, [image.name for image in wanted.images], str(path))
-    for prior in image_priors(wanted, of_strips, path):
+    images = read_images(wanted, wanted.orientations, of_strips, path)
+    for prior in image_priors(wanted, of_strips, images, path):
         assert prior.sigmas.shape == (2, 6)
         assert np.all(np.isfinite(prior.sigmas))
         assert np.all(prior.sigmas > 0.0)

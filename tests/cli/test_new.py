@@ -147,12 +147,61 @@ def test_files_of_one_name_in_two_folders_are_two_images(case_file: Path, tmp_pa
     assert {image.name for image in decode(tmp_path / "case.toml").images} == {"x", "b/x"}
 
 
+PLATFORMS = {
+    "MGS": "MARS GLOBAL SURVEYOR", "MRO": "Mars_Reconnaissance_Orbiter", "LRO": "LUNAR RECONNAISSANCE ORBITER",
+    "KAGUYA": "SELENE-M", "MEX": "MARS EXPRESS", "": "MARS ODYSSEY",
+}  # fmt: skip
+"""What support data call the spacecraft of a mission."""
+
+
+def flown_by(case_file: Path, **platforms: str) -> list[Path]:
+    """Support data of images A and B, as of other spacecraft."""
+    files = [case_file.with_name(f"image_{name}.isd") for name in platforms]
+    for file, platform in zip(files, platforms.values(), strict=True):
+        text, count = re.subn(r'("name_platform": *")[^"]*', rf"\g<1>{platform}", file.read_text(encoding="utf-8"))
+        assert count == 1
+        file.write_text(text, encoding="utf-8")
+    return files
+
+
+def documented(mission: str) -> np.ndarray:
+    """(6,) sigmas in m and rad, as docs/case_file.md has them."""
+    page = (Path(__file__).parents[2] / "docs" / "case_file.md").read_text(encoding="utf-8")
+    row = re.search(rf"^\| {mission or 'other missions'} \| ([\d.]+) \| ([\d., ]+) \|", page, re.MULTILINE)
+    assert row is not None
+    return np.append(np.full(3, float(row[1])), np.broadcast_to(np.fromstring(row[2], sep=","), 3) * 1e-3)
+
+
+@pytest.mark.parametrize("mission", PLATFORMS)
+def test_sigmas_of_the_mission_are_written_and_the_default(case_file: Path, tmp_path: Path, mission: str) -> None:
+    files, out = flown_by(case_file, A=PLATFORMS[mission], B=PLATFORMS[mission]), tmp_path / "case.toml"
+    draft_case([*files, case_file.with_name("network.pvl")], out)
+    written = out.read_text(encoding="utf-8")
+    np.testing.assert_array_equal(decode(out).orientation.prior("").sigmas[0], documented(mission))
+    for text in (written, re.sub("^(position|angle)_sigma.*$", "", written, flags=re.MULTILINE)):
+        out.write_text(text, encoding="utf-8")
+        for prior in mgsgraph.read_case(out).network.priors:
+            np.testing.assert_allclose(prior.sigmas, np.outer([1.0, 0.1, 0.01], documented(mission)), rtol=1e-12)
+
+
+def test_images_of_two_missions_have_their_own_sigmas(case_file: Path, tmp_path: Path) -> None:
+    files, out = flown_by(case_file, A=PLATFORMS["MRO"], B=PLATFORMS["MEX"]), tmp_path / "case.toml"
+    made = draft_case([*files, case_file.with_name("network.pvl")], out)
+    assert sum("Robbins" in line or "Spiegel" in line for line in made.said) == 2
+    for prior, mission in zip(mgsgraph.read_case(out).network.priors, ("MRO", "MEX"), strict=True):
+        np.testing.assert_allclose(prior.sigmas[0], documented(mission), rtol=1e-12)
+    said = run("check", out).stdout
+    assert "orbit 63 m" in said
+    assert "pointing 0.44 mrad" in said
+
+
 SLOW = pytest.mark.slow
 REAL = {
-    "mgs_moc_wa_three": 3, "lro_nac_hadley": 2, "lro_nac_lola": 2, "mgs_moc_m0402852": 1, "mgs_moc_pair": 1,
-    "kaguya_tc": 1, "mex_hrsc_h5270": 1, "mro_ctx_b10": 1, "mro_ctx_isds": 8, "usgscsm_states": 1,
+    "mgs_moc_wa_three": (3, "MGS"), "lro_nac_hadley": (2, "LRO"), "lro_nac_lola": (2, "LRO"),
+    "mgs_moc_m0402852": (1, "MGS"), "mgs_moc_pair": (1, "MGS"), "kaguya_tc": (1, "KAGUYA"),
+    "mex_hrsc_h5270": (1, "MEX"), "mro_ctx_b10": (1, "MRO"), "mro_ctx_isds": (8, "MRO"), "usgscsm_states": (1, ""),
 }  # fmt: skip
-"""Images that the case of a folder of real data has."""
+"""Images that the case of a folder of real data has, and their mission."""
 
 
 @pytest.mark.parametrize(
@@ -162,7 +211,9 @@ def test_real_data_make_a_case_that_check_accepts(shared_data: Path, tmp_path: P
     out = tmp_path / "case.toml"
     made = draft_case([shared_data / folder], out)
     wanted = decode(out)
-    assert len(wanted.images) == REAL[folder]
+    count, mission = REAL[folder]
+    assert len(wanted.images) == count
+    np.testing.assert_allclose(wanted.orientation.prior("").sigmas[0], documented(mission), rtol=1e-12)
     assert ("# [[altimetry]]" in made.text) == (folder == "lro_nac_hadley")
     assert images_inventory(out) or mgsgraph.read_case(out).network.rays.point.size > 40
 

@@ -319,6 +319,7 @@ def test_the_sun_is_taken_over_and_brought_to_body_axes(tables: Written, tmp_pat
     isd_path, state_path = write_csm(solution, out, {image.name: path})[:2]
     isd, state = json.loads(isd_path.read_text()), json.loads(state_path.read_text().split("\n", 1)[1])
     assert isd["name_platform"] == state["m_platformName"] == "MARS GLOBAL SURVEYOR"
+    assert read_isd(isd_path, "x").mission == read_model_state(state_path, "x").mission == "MGS"
     assert isd["naif_keywords"] == {"BODY_CODE": 499, "INS-94031_LIGHTTIME_CORRECTION": "NONE"}
     sun = 1e3 * np.array(isd["sun_position"]["positions"]).mean(axis=0)
     motion = 1e3 * np.array(isd["sun_position"]["velocities"][0])

@@ -12,6 +12,7 @@ Whether a table holds geometric or apparent positions its keywords say, or the s
 ale/base/data_naif.py).
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -156,6 +157,12 @@ SPACECRAFT = (
 def spacecraft_of(code: int) -> Spacecraft | None:
     """By NAIF's code."""
     return next((one for one in SPACECRAFT if one.code == code), None)
+
+
+def spacecraft_named(platform: str) -> Spacecraft | None:
+    """By what support data call it."""
+    name = " ".join(re.split(r"[^A-Z0-9]+", platform.upper())).strip()
+    return next((one for one in SPACECRAFT if name in one.names), None)
 
 
 def aberration_of(values: Mapping[str, Any], source: str, instrument: int | None = None) -> Aberration | None:

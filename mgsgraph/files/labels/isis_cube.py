@@ -309,6 +309,7 @@ def _image(
         trajectory=_trajectory(tables, epoch, stated, body),
         body=body,
         remarks=(*remarks_on(stated, why), *_other_constants(label, keywords), *_odd_rates(label, tables)),
+        mission=label.camera.mission,
     )
 
 

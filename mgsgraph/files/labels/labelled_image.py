@@ -157,6 +157,7 @@ def _sampled(
             trajectory=trajectory,
             body=body,
             remarks=(*_remarks(one, said_by), *_short(one, when)),
+            mission=camera.mission,
         )
         for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
     )

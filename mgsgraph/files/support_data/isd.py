@@ -23,7 +23,15 @@ from mgsgraph.files.cameras.line_scanners import ATTITUDE_BIAS, CORRECTIONS, MI,
 from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import validated
 from mgsgraph.files.geometric_keys import SUPPORT_DATA, require_usual, unread
-from mgsgraph.files.labels.aberration import SPACECRAFT, Aberration, Spacecraft, aberration_of, geometric, remarks_on
+from mgsgraph.files.labels.aberration import (
+    Aberration,
+    Spacecraft,
+    aberration_of,
+    geometric,
+    remarks_on,
+    spacecraft_named,
+    spacecraft_of,
+)
 from mgsgraph.files.labels.isis_cube import is_cube_json
 from mgsgraph.files.opening import read_json
 from mgsgraph.files.support_data.isd_layout import (
@@ -107,6 +115,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
         image = PushbroomImage(
             name=name, lines=isd.image_lines, samples=isd.image_samples, interior=interior,
             timing=_timing(isd, source), trajectory=trajectory, body=body,
+            mission=spacecraft.names[-1] if (spacecraft := _spacecraft(isd)) else "",
         )  # fmt: skip
         return replace(image, remarks=(*remarks, *words, *odd_pixels(image)))
 
@@ -245,12 +254,9 @@ def _stated(isd: SupportData, source: str) -> tuple[Aberration, str]:
 
 def _spacecraft(isd: SupportData) -> Spacecraft | None:
     """By name_platform, or by the one whose instruments the keywords are of."""
-    name = " ".join(re.split(r"[^A-Z0-9]+", (isd.name_platform or "").upper())).strip()
+    named = spacecraft_named(isd.name_platform or "")
     codes = {int(key[3:].partition("_")[0]) // -1000 for key in isd.naif_keywords if re.match(r"INS-\d{5,6}_", key)}
-    found = [one for one in SPACECRAFT if name in one.names]
-    if not found and len(codes) == 1:
-        found = [one for one in SPACECRAFT if -one.code in codes]
-    return found[0] if found else None
+    return named or (spacecraft_of(-codes.pop()) if len(codes) == 1 else None)
 
 
 def _body_velocity(isd: SupportData, where: str) -> Array:

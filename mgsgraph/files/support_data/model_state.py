@@ -18,6 +18,7 @@ import numpy as np
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.cameras.other_sensors import model_words
 from mgsgraph.files.decoding import Count, Number, Positive, validated
+from mgsgraph.files.labels.aberration import spacecraft_named
 from mgsgraph.files.opening import head_of, read_json
 from mgsgraph.files.support_data.isd_layout import MODEL, distortion_of_state
 from mgsgraph.geometry import rotation
@@ -63,6 +64,8 @@ class _State(msgspec.Struct, kw_only=True):
     m_nLines: Count
     m_nSamples: Count
     m_platformFlag: int = 1
+    m_platformName: str = ""
+    m_platformIdentifier: str = ""
     m_zDirection: Number = 1.0
     m_focalLength: Positive
     m_distortionType: int
@@ -135,9 +138,10 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
     with errors_from(source):
         interior, timing = _interior(state, source), _timing(state, source)
         trajectory = _trajectory(state, interior, timing, source)
+        spacecraft = spacecraft_named(state.m_platformName or state.m_platformIdentifier)
         image = PushbroomImage(
             name=name, lines=state.m_nLines, samples=state.m_nSamples, interior=interior, timing=timing,
-            trajectory=trajectory, body=body,
+            trajectory=trajectory, body=body, mission=spacecraft.names[-1] if spacecraft else "",
         )  # fmt: skip
     return replace(image, remarks=tuple(_second_statements(state, image, source)))
 
