@@ -1,6 +1,6 @@
 """One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
 
-Ground to image is Newton's method on the line. Images that are one and the same were taken at the same times from the
+Ground to image is a search over the lines (`geometry.line_search`). Images that are one and the same were taken at the same times from the
 same places in the same directions.
 
 Nominal orientation in polynomials of time, fitted to a sampled trajectory: the papers', and ISIS jigsaw's.
@@ -12,7 +12,7 @@ J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolyn
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -21,26 +21,22 @@ from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
     by_point,
+    by_ray,
     by_rotation,
-    focal_plane,
-    image_by_ray,
     image_motion,
     ray_motion,
+    to_lines_and_samples,
 )
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, solved
+from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory, require_covered
 from mgsgraph.record import Record
 
-_NEWTON_STEPS = 30
-_PIXEL_TOLERANCE = 1e-9
-_EDGE = np.array([0.5, 2.0])
-"""Newton may leave the image by this share of its lines and samples; beyond, a place counts as not seen (and the
-polynomials of the optics mean nothing)."""
-
+if TYPE_CHECKING:
+    from mgsgraph.geometry.line_search import Sightings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineTiming(Record):
@@ -71,11 +67,16 @@ class LineTiming(Record):
         starts = frozen(self.start_times, "line timing, start times", (lines.size,))
         if np.any(np.diff(starts) <= 0.0):
             raise InputError("line timing, start times", "times that go back", "increasing start times")
-        late = starts[:-1] + np.diff(lines) * periods[:-1] - starts[1:]
-        for k in np.flatnonzero(late > periods[:-1])[:1]:
-            where = f"line timing, segment from line {lines[k]}"
-            raise InputError(where, f"it ends {late[k]:.6f} s after the next begins", "segments one after the other")
         assign(self, first_lines=lines, start_times=starts, periods=periods)
+        for k in np.flatnonzero(self.pauses < -1.0)[:1]:
+            where, late = f"line timing, segment from line {lines[k]}", -self.pauses[k] * periods[k]
+            raise InputError(where, f"it ends {late:.6f} s after the next begins", "segments one after the other")
+
+    @property
+    def pauses(self) -> Array:
+        """(s - 1,) between segments, in lines of the one before; negative where they overlap."""
+        before = self.start_times[:-1] + np.diff(self.first_lines) * self.periods[:-1]
+        return np.asarray((self.start_times[1:] - before) / self.periods[:-1])
 
     def at(self, lines: Array) -> tuple[Array, Array]:
         """Times (n,) in s past the epoch of lines (n,), and seconds per line there."""
@@ -105,6 +106,11 @@ class ExteriorOrientation(Protocol):
     @property
     def spin(self) -> Array | None:
         """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
+        ...
+
+    @property
+    def knots(self) -> Array:
+        """(k,) s past the epoch, times at which its rates may jump."""
         ...
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
@@ -248,7 +254,10 @@ class PushbroomImage(Record):
     def ground_to_image(
         self, points: Array, correction: OrientationCorrection | None = None, start: Array | None = None
     ) -> tuple[Array, Array]:
-        """Image places of ground points, by Newton's method on the line (and the sample, for a bent detector).
+        """Image places of ground points.
+
+        A point seen several times (`sightings` has all places) is given where the body is not between; of such places
+        that in the image, or least outside it in shares of its lines and samples; of several in it the first one.
 
         Parameters
         ----------
@@ -257,7 +266,7 @@ class PushbroomImage(Record):
         correction : OrientationCorrection, optional
             of the nominal orientation; none when absent.
         start : (n,), optional
-            first guess of the line; the image's middle when absent.
+            lines: of places where the body is not between the one nearest to it is given. NaN where none is known.
 
         Returns
         -------
@@ -267,20 +276,33 @@ class PushbroomImage(Record):
         jacobian : (n, 2, 3)
             d(line, sample) / d(point), per m.
         """
-        place = np.empty((points.shape[0], 2))
-        place[:, 0] = 0.5 * self.lines if start is None else start
-        place[:, 1] = 0.5 * self.samples
-        size = np.array([self.lines, self.samples])
-        for _ in range(_NEWTON_STEPS):
-            error, jacobian, by_point = self._misplacement(points, place, self.pose(place[:, 0], correction))
-            step = -solved(jacobian, error[:, :, None])[:, :, 0]
-            before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
-            if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
-                break
-        derivative = -solved(jacobian, by_point)
-        unseen = ~(np.abs(step).max(axis=1) < 1e3 * _PIXEL_TOLERANCE)
-        place[unseen], derivative[unseen] = np.nan, np.nan
-        return place, derivative
+        found, size = self.sightings(points, correction), np.array([self.lines, self.samples])
+        chosen = np.arange(found.point.size)
+        if np.any(np.diff(found.point) == 0):
+            beside = np.abs(found.places / size - 0.5).max(axis=1)
+            away = np.maximum(beside, 0.5) if start is None else np.abs(found.places[:, 0] - start[found.point])
+            chosen = np.lexsort([found.places[:, 0], away, found.hidden, found.point])
+            chosen = chosen[np.flatnonzero(np.diff(found.point, prepend=-1))]
+        places, jacobian = np.full((len(points), 2), np.nan), np.full((len(points), 2, 3), np.nan)
+        places[found.point[chosen]], jacobian[found.point[chosen]] = found.places[chosen], found.jacobian[chosen]
+        return places, jacobian
+
+    def sightings(self, points: Array, correction: OrientationCorrection | None = None) -> "Sightings":
+        """All places at which it sees ground points (n, 3) in m, body-fixed, within the bounds of `ground_to_image`: a
+        camera that turns sees some twice, and behind the body lie others.
+        """
+        from mgsgraph.geometry.line_search import Scan, sightings  # compiled: not before it is needed
+
+        knots = [self.timing.lines(self.trajectory.knots)]
+        if correction is not None and correction.nodes is not None:
+            nodes = correction.nodes
+            knots.append(self.timing.lines(nodes.times + (nodes.epoch - self.trajectory.epoch)))
+        size = np.array([self.lines, self.samples], dtype=np.float64)
+        scan = Scan(
+            lambda lines: self.pose(lines, correction), size, self.interior, np.concatenate(knots),
+            self.timing.first_lines[1:], self.timing.pauses,
+        )  # fmt: skip
+        return sightings(scan, np.ascontiguousarray(points, dtype=np.float64))
 
     def by_correction(self, points: Array, places: Array, correction: OrientationCorrection) -> Array:
         """(n, 2, 9) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
@@ -289,28 +311,16 @@ class PushbroomImage(Record):
         """
         moments = self.moments(places[:, 0])
         nominal = self.pose(places[:, 0])
-        pose, axes = correction.apply(nominal, moments), correction.axes(nominal, moments)
-        _, jacobian, in_plane = self._misplacement(points, places, pose)
-        ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
-        of_rays = image_by_ray(ray, self.interior.focal_length)
-        turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
-        of_interior = [np.broadcast_arrays(*by_interior(row, ray)) for row in ((1.0, 0.0), (0.0, 1.0))]
-        looks = np.stack([np.stack(row, axis=1) for row in of_interior], axis=1)
-        return -solved(jacobian, np.concatenate([-in_plane, turned, looks], axis=2))
-
-    def _misplacement(self, points: Array, place: Array, pose: Pose) -> tuple[Array, Array, Array]:
-        """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being
-        that of its line; derivatives by (line, sample) (n, 2, 2) and by the point (n, 2, 3). Eq. 1 of Yoon & Shan.
-        """
-        detector, slope = self.interior.focal_plane(place[:, 1])
+        pose, axes = correction.apply(nominal, moments), rotation.rows(correction.axes(nominal, moments))
         attitude, focal = rotation.rows(pose.matrix), self.interior.focal_length
         ray = transform(attitude, rotation.components(points - pose.position))
-        ray = ray[0], ray[1], np.where(ray[2] > 0.0, ray[2], np.nan)
         motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.angular_rate))
-        by_line = rotation.stacked(image_motion(ray, motion, focal))
-        points_rows = [rotation.stacked(by_point(row, attitude)) for row in image_by_ray(ray, focal)]
-        error = rotation.stacked(focal_plane(ray, focal)) - detector
-        return error, np.stack([by_line, -slope], axis=2), np.stack(points_rows, axis=1)
+        slope = rotation.components(self.interior.focal_plane(places[:, 1])[1])
+        scale, found = to_lines_and_samples(image_motion(ray, motion, focal), slope), []
+        for row, of_image in zip(by_ray(scale, ray, focal), scale, strict=True):  # of residuals: the places' are opposite
+            parts = by_point(row, attitude), by_rotation(row, ray, axes), by_interior(of_image, ray)
+            found.append(np.hstack([sign * rotation.stacked(part) for sign, part in zip((1, -1, -1), parts, strict=True)]))
+        return np.stack(found, axis=1)
 
 
 # --- images that are one and the same
@@ -428,6 +438,11 @@ class PolynomialTrajectory:
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, to which the polynomials were fitted."""
         return self.start, self.stop
+
+    @property
+    def knots(self) -> Array:
+        """None: polynomials are smooth."""
+        return np.zeros(0)
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""
