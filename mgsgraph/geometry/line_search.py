@@ -17,24 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.compiled import cached_kernel, compiled, make_equations_compilable
-from mgsgraph.factors.algebra import scale, subtract, transform
-from mgsgraph.factors.collinearity import (
-    by_point,
-    by_ray,
-    focal_plane,
-    image_motion,
-    ray_motion,
-    residual,
-    to_lines_and_samples,
-)
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import InteriorOrientation
-from mgsgraph.geometry.compiled_pose import place_at, put, vector
+from mgsgraph.geometry.compiled_search import newton_steps, scan_grid
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
-
-make_equations_compilable()
 
 EDGE = np.array([0.5, 2.0])
 """Shares of its lines and samples by which a place may lie outside an image; beyond it counts as not seen (and the
@@ -45,8 +32,6 @@ _DETECTOR = 33
 """Samples at which a detector's bend is tabulated."""
 _BLOCK = 16
 """Intervals of the grid that are looked at together first."""
-_NEAR = 0.05
-"""By how much w may miss zero where its parabola is nearest to it, in shares of its slope over the interval."""
 _STEPS, _AT_REST = 60, 1e-7
 """Steps of Newton's method; pixels of a step that ends it."""
 _JOINT = 0.01
@@ -100,7 +85,7 @@ class _Brackets(NamedTuple):
     """(m,) whether w has one sign at both ends."""
 
     def of(self, rows: Index | Mask) -> "_Brackets":
-        return _Brackets(*(part[rows] for part in self))
+        return _Brackets(self.point[rows], self.ends[rows], self.place[rows], self.above[rows], self.dip[rows])
 
 
 def sightings(scan: Scan, points: Array) -> Sightings:
@@ -108,7 +93,8 @@ def sightings(scan: Scan, points: Array) -> Sightings:
     found = _brackets(scan, points)
     if np.any(found.dip):
         parted = _parted(scan, points, found.of(found.dip))
-        found = _Brackets(*(np.concatenate(both) for both in zip(found.of(~found.dip), *parted, strict=True)))
+        every = found.of(~found.dip), *parted
+        found = _Brackets(*[np.concatenate([getattr(one, name) for one in every]) for name in _Brackets._fields])
         found = found.of(np.lexsort([found.ends[:, 0], found.point]))
     return _settled(scan, points, found)
 
@@ -118,16 +104,16 @@ def _grid(scan: Scan) -> tuple[Array, Pose]:
     low, high = -EDGE[0] * scan.size[0], (1.0 + EDGE[0]) * scan.size[0]
     lines = np.concatenate([scan.knots, scan.breaks, np.nextafter(scan.breaks, -np.inf)])
     lines = np.unique(np.concatenate([np.linspace(low, high, _EVEN), lines[(lines > low) & (lines < high)]]))
-    pose, steps = scan.pose(lines), np.diff(lines)
+    pose, apart = scan.pose(lines), np.diff(lines)
     rate = np.linalg.norm(pose.angular_rate, axis=1)
     rate += np.linalg.norm(pose.velocity, axis=1) / np.linalg.norm(pose.position, axis=1)
-    parts = np.ceil(np.maximum(rate[:-1], rate[1:]) * steps / _TURN)
+    parts = np.ceil(np.maximum(rate[:-1], rate[1:]) * apart / _TURN)
     parts = np.clip(np.nan_to_num(parts, nan=1.0), 1, _MOST_PARTS).astype(np.int64)
     if np.all(parts == 1):
         return lines, pose
     of = np.repeat(np.arange(parts.size), parts)
     share = (np.arange(of.size) - (np.cumsum(parts) - parts)[of]) / parts[of]
-    lines = np.append(lines[of] + share * steps[of], lines[-1])
+    lines = np.append(lines[of] + share * apart[of], lines[-1])
     return lines, scan.pose(lines)
 
 
@@ -158,7 +144,7 @@ def _bend(scan: Scan) -> _Bend:
     width = float(np.abs(place[:, 0]).max() + 2.0 * _TURN * scan.interior.focal_length * np.abs(rates[:, 1]).max())
     straight = width < 1e-6 * float(np.linalg.norm(slope[0]))
     rows = np.hstack([scan.interior.focal_length * axes, -centre[:, None]])
-    return _Bend(rows, tuple(map(np.ascontiguousarray, (*table, rates))), 0.0 if straight else width)
+    return _Bend(rows, (np.ascontiguousarray(table[0]), table[1], rates), 0.0 if straight else width)
 
 
 def _brackets(scan: Scan, points: Array) -> _Brackets:
@@ -170,8 +156,8 @@ def _brackets(scan: Scan, points: Array) -> _Brackets:
     blocks, room = _blocks(lines, planes, bend.width), 2 * len(points) + 16
     while True:
         which, values = np.empty((room, 2), dtype=np.int64), np.empty((room, 5))
-        widths = bend.width, 1e-3 * scan.interior.focal_length
-        count = _scan(points - origin, lines, planes, blocks, bend.table, widths, which, values)
+        widths = bend.width, (_TURN if bend.width > 0.0 else 1e-3) * scan.interior.focal_length
+        count = scan_grid(points - origin, lines, planes, blocks, bend.table, widths, which, values)
         if count <= room:
             break
         room = count
@@ -207,114 +193,13 @@ def _blocks(lines: Array, planes: Array, width: float) -> tuple[Index, Array]:
     return ends, np.maximum.reduceat(margins, ends[:-1])
 
 
-@compiled
-def _at(point, planes, k, part):
-    """A number of a point at line k of the grid (`_planes`)."""
-    x, y, z = point
-    return planes[k, part, 0] * x + planes[k, part, 1] * y + planes[k, part, 2] * z - planes[k, part, 3]
-
-
-@compiled
-def _bent(w, depth, along, table):
-    """w of a bent detector, which goes on straight beyond its table."""
-    end = min(max(along / depth, table[0][0]), table[0][-1])
-    place, slope = place_at(end, table)
-    return w - depth * place[1] - (along - depth * end) * slope[1]
-
-
-@compiled
-def _root(first, last, slope):
-    """Where from 0 to 1 the parabola with these values at 0 and 1, of unlike sign, and this slope at 0 is zero."""
-    bent = last - first - slope
-    root = np.sqrt(max(slope * slope - 4.0 * bent * first, 0.0))
-    for one in (-slope - root, -slope + root):
-        share = 2.0 * first / one
-        if 0.0 <= share <= 1.0:
-            return share
-    return first / (first - last)
-
-
-@compiled
-def _nearest(before, after, slope):
-    """Where from 0 to 1 w has its zero, or is nearest to it and may reach it, and which of the two (0, 1); else -1."""
-    if (before >= 0.0) != (after >= 0.0):
-        return _root(before, after, slope), 0
-    bent = after - before - slope
-    if not slope * before <= 0.0 or not bent * before > 0.0:
-        return -1.0, 1
-    share = -0.5 * slope / bent
-    if share > 1.1 or (before + 0.5 * share * slope) / before > _NEAR * abs(slope / before):
-        return -1.0, 1
-    return min(share, 1.0), 1
-
-
-@cached_kernel
-def _scan(points, lines, planes, blocks, table, widths, which, values):
-    """Write down the brackets of points (n, 3), as many as there is room for; how many there are."""
-    count, slack, (ends, margins) = 0, 0.01 * (table[0][-1] - table[0][0]) + widths[1], blocks
-    for i in range(points.shape[0]):
-        point = vector(points, i)
-        off = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
-        w = _at(point, planes, 0, 0)
-        for block in range(margins.shape[0]):
-            w, earlier = _at(point, planes, ends[block + 1], 0), w
-            if min(abs(w), abs(earlier)) > margins[block, 0] + off * margins[block, 1] and w * earlier > 0.0:
-                continue
-            before = after = 0.0
-            for k in range(ends[block] - 1, ends[block + 1]):
-                before, after = after, _at(point, planes, k + 1, 0)
-                if widths[0] > 0.0 and abs(after) <= widths[0] * abs(_at(point, planes, k + 1, 2)):
-                    after = _bent(after, _at(point, planes, k + 1, 2), _at(point, planes, k + 1, 1), table)
-                if k < ends[block]:
-                    continue
-                share, dip = _nearest(before, after, _at(point, planes, k, 3))
-                if not share >= 0.0:
-                    continue
-                first, last = _at(point, planes, k, 2), _at(point, planes, k + 1, 2)
-                depth = first + share * (last - first)
-                first, last = _at(point, planes, k, 1), _at(point, planes, k + 1, 1)
-                along = (first + share * (last - first)) / depth
-                if not depth > 0.0 or not table[0][0] - slack <= along <= table[0][-1] + slack:
-                    continue
-                if count < which.shape[0]:
-                    which[count, 0], which[count, 1] = i, dip
-                    values[count, 0], values[count, 1], values[count, 4] = lines[k], lines[k + 1], before
-                    values[count, 2] = lines[k] + share * (lines[k + 1] - lines[k])
-                    values[count, 3] = place_at(along, table)[0][0]
-                count += 1
-    return count
-
-
-@cached_kernel
-def _steps(points, pose, detector, focal, step, derivative, across):
-    """Newton's step (n, 2) in lines and samples, the places' derivatives by the points (n, 2, 3), and on which side of
-    the detector a point is and to which side it moves (n, 2); NaN behind the camera.
-    """
-    position, velocity, matrix, rate = pose
-    place, slope = detector
-    for i in range(points.shape[0]):
-        attitude = vector(matrix[i], 0), vector(matrix[i], 1), vector(matrix[i], 2)
-        ray = transform(attitude, subtract(vector(points, i), vector(position, i)))
-        ray = ray[0], ray[1], ray[2] if ray[2] > 0.0 else np.nan
-        motion = image_motion(ray, ray_motion(attitude, ray, vector(velocity, i), vector(rate, i)), focal)
-        here, along = focal_plane(ray, focal), (slope[i, 0], slope[i, 1])
-        by = to_lines_and_samples(motion, along)
-        off = residual(by, here, (place[i, 0], place[i, 1]), 0.0)
-        step[i, 0], step[i, 1] = -off[0], -off[1]
-        across[i, 0] = (here[1] - place[i, 1]) * along[0] - (here[0] - place[i, 0]) * along[1]
-        across[i, 1] = motion[1] * along[0] - motion[0] * along[1]
-        rows = by_ray(by, ray, focal)
-        for k in range(2):
-            put(derivative[i], k, scale(-1.0, by_point(rows[k], attitude)))
-
-
 def _step(scan: Scan, points: Array, place: Array) -> tuple[Array, Array, Array, Array]:
-    """Newton's step from places (n, 2), derivatives, sides as `_steps` has them, and positions (n, 3) of the camera."""
+    """Newton's step from places (n, 2), derivatives, sides as `newton_steps` has them, and the camera's positions."""
     pose = scan.pose(place[:, 0])
     step, derivative, across = np.empty_like(place), np.empty((len(place), 2, 3)), np.empty_like(place)
     detector = scan.interior.focal_plane(place[:, 1])
     motion = pose.position, pose.velocity, pose.matrix, pose.angular_rate
-    _steps(points, motion, detector, scan.interior.focal_length, step, derivative, across)
+    newton_steps(points, motion, detector, scan.interior.focal_length, step, derivative, across)
     return step, derivative, across, pose.position
 
 
