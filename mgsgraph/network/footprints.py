@@ -248,11 +248,10 @@ def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
 def visible_places(image: PushbroomImage, points: Array, correction: OrientationCorrection | None = None) -> Array:
     """(n, 2) line and sample of points (n, 3) in m; NaN on the far side of the body, or far from the image's ground."""
     places, near = np.full((points.shape[0], 2), np.nan), _near(image, points, correction)
-    if near.size:
-        found, _ = image.ground_to_image(points[near], correction)
-        eye = image.pose(found[:, 0], correction).position
-        facing = np.einsum("ni,ni->n", points[near], eye - points[near]) > 0.0
-        places[near[facing]] = found[facing]
+    found, _ = image.ground_to_image(points[near], correction)
+    way = image.pose(found[:, 0], correction).position - points[near]
+    facing = np.einsum("ni,ni->n", points[near], way) > 0.0
+    places[near[facing]] = found[facing]
     return places
 
 
