@@ -24,8 +24,8 @@ from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_o
 from mgsgraph.files.labels.aberration import Aberration
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
-from mgsgraph.geometry.image import PushbroomImage, require_distinct
-from mgsgraph.geometry.plausibility import require_plausible
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import require_distinct, require_plausible
 from mgsgraph.record import meanings
 
 _FILES: tuple[ImageKind, ...] = ("isd", "state", "label", "cube")

@@ -14,7 +14,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.kinds import IMAGES, Kind, image_kind, image_name
 from mgsgraph.geometry.body import target_name
-from mgsgraph.geometry.image import PushbroomImage, twins
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import twins
 from mgsgraph.units import KM
 
 _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,

@@ -1,7 +1,6 @@
 """One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
 
-Ground to image is Newton's method on the line. Images that are one and the same were taken at the same times from the
-same places in the same directions.
+Ground to image is a search over the lines (`geometry.line_search`).
 
 Nominal orientation in polynomials of time, fitted to a sampled trajectory: the papers', and ISIS jigsaw's.
 
@@ -10,9 +9,8 @@ orientation over the image is theirs. jigsaw's (CKDEGREE, without OVEREXISTING) 
 J2000, fitted to the records of its attitude table (ISIS SpiceRotation::SetPolynomial); positions stay as they are.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -21,26 +19,22 @@ from mgsgraph.factors.algebra import transform
 from mgsgraph.factors.collinearity import (
     by_interior,
     by_point,
+    by_ray,
     by_rotation,
-    focal_plane,
-    image_by_ray,
     image_motion,
     ray_motion,
+    to_lines_and_samples,
 )
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid, intersect_ellipsoid
-from mgsgraph.geometry.camera import InteriorOrientation, solved
+from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.orientation import Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.geometry.trajectory import AttitudeTable, Pose, Trajectory, require_covered
 from mgsgraph.record import Record
 
-_NEWTON_STEPS = 30
-_PIXEL_TOLERANCE = 1e-9
-_EDGE = np.array([0.5, 2.0])
-"""Newton may leave the image by this share of its lines and samples; beyond, a place counts as not seen (and the
-polynomials of the optics mean nothing)."""
-
+if TYPE_CHECKING:
+    from mgsgraph.geometry.line_search import Sightings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineTiming(Record):
@@ -71,11 +65,16 @@ class LineTiming(Record):
         starts = frozen(self.start_times, "line timing, start times", (lines.size,))
         if np.any(np.diff(starts) <= 0.0):
             raise InputError("line timing, start times", "times that go back", "increasing start times")
-        late = starts[:-1] + np.diff(lines) * periods[:-1] - starts[1:]
-        for k in np.flatnonzero(late > periods[:-1])[:1]:
-            where = f"line timing, segment from line {lines[k]}"
-            raise InputError(where, f"it ends {late[k]:.6f} s after the next begins", "segments one after the other")
         assign(self, first_lines=lines, start_times=starts, periods=periods)
+        for k in np.flatnonzero(self.pauses < -1.0)[:1]:
+            where, late = f"line timing, segment from line {lines[k]}", -self.pauses[k] * periods[k]
+            raise InputError(where, f"it ends {late:.6f} s after the next begins", "segments one after the other")
+
+    @property
+    def pauses(self) -> Array:
+        """(s - 1,) between segments, in lines of the one before; negative where they overlap."""
+        before = self.start_times[:-1] + np.diff(self.first_lines) * self.periods[:-1]
+        return np.asarray((self.start_times[1:] - before) / self.periods[:-1])
 
     def at(self, lines: Array) -> tuple[Array, Array]:
         """Times (n,) in s past the epoch of lines (n,), and seconds per line there."""
@@ -105,6 +104,11 @@ class ExteriorOrientation(Protocol):
     @property
     def spin(self) -> Array | None:
         """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes; None where unknown."""
+        ...
+
+    @property
+    def knots(self) -> Array:
+        """(k,) s past the epoch, times at which its rates may jump."""
         ...
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
@@ -250,7 +254,10 @@ class PushbroomImage(Record):
     def ground_to_image(
         self, points: Array, correction: OrientationCorrection | None = None, start: Array | None = None
     ) -> tuple[Array, Array]:
-        """Image places of ground points, by Newton's method on the line (and the sample, for a bent detector).
+        """Image places of ground points.
+
+        A point seen several times (`sightings` has all places) is given where the body is not between; of such places
+        that in the image, or least outside it in shares of its lines and samples; of several in it the first one.
 
         Parameters
         ----------
@@ -259,7 +266,7 @@ class PushbroomImage(Record):
         correction : OrientationCorrection, optional
             of the nominal orientation; none when absent.
         start : (n,), optional
-            first guess of the line; the image's middle when absent.
+            lines: of places where the body is not between the one nearest to it is given. NaN where none is known.
 
         Returns
         -------
@@ -269,20 +276,33 @@ class PushbroomImage(Record):
         jacobian : (n, 2, 3)
             d(line, sample) / d(point), per m.
         """
-        place = np.empty((points.shape[0], 2))
-        place[:, 0] = 0.5 * self.lines if start is None else start
-        place[:, 1] = 0.5 * self.samples
-        size = np.array([self.lines, self.samples])
-        for _ in range(_NEWTON_STEPS):
-            error, jacobian, by_point = self._misplacement(points, place, self.pose(place[:, 0], correction))
-            step = -solved(jacobian, error[:, :, None])[:, :, 0]
-            before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
-            if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
-                break
-        derivative = -solved(jacobian, by_point)
-        unseen = ~(np.abs(step).max(axis=1) < 1e3 * _PIXEL_TOLERANCE)
-        place[unseen], derivative[unseen] = np.nan, np.nan
-        return place, derivative
+        found, size = self.sightings(points, correction), np.array([self.lines, self.samples])
+        chosen = np.arange(found.point.size)
+        if np.any(np.diff(found.point) == 0):
+            beside = np.abs(found.places / size - 0.5).max(axis=1)
+            away = np.maximum(beside, 0.5) if start is None else np.abs(found.places[:, 0] - start[found.point])
+            chosen = np.lexsort([found.places[:, 0], away, found.hidden, found.point])
+            chosen = chosen[np.flatnonzero(np.diff(found.point, prepend=-1))]
+        places, jacobian = np.full((len(points), 2), np.nan), np.full((len(points), 2, 3), np.nan)
+        places[found.point[chosen]], jacobian[found.point[chosen]] = found.places[chosen], found.jacobian[chosen]
+        return places, jacobian
+
+    def sightings(self, points: Array, correction: OrientationCorrection | None = None) -> "Sightings":
+        """All places at which it sees ground points (n, 3) in m, body-fixed, within the bounds of `ground_to_image`: a
+        camera that turns sees some twice, and behind the body lie others.
+        """
+        from mgsgraph.geometry.line_search import Scan, sightings  # compiled: not before it is needed
+
+        knots = [self.timing.lines(self.trajectory.knots)]
+        if correction is not None and correction.nodes is not None:
+            nodes = correction.nodes
+            knots.append(self.timing.lines(nodes.times + (nodes.epoch - self.trajectory.epoch)))
+        size = np.array([self.lines, self.samples], dtype=np.float64)
+        scan = Scan(
+            lambda lines: self.pose(lines, correction), size, self.interior, np.concatenate(knots),
+            self.timing.first_lines[1:], self.timing.pauses,
+        )  # fmt: skip
+        return sightings(scan, np.ascontiguousarray(points, dtype=np.float64))
 
     def by_correction(self, points: Array, places: Array, correction: OrientationCorrection) -> Array:
         """(n, 2, 9) derivatives of the image places (n, 2) of ground points (n, 3), as `ground_to_image` finds them, by
@@ -291,106 +311,17 @@ class PushbroomImage(Record):
         """
         moments = self.moments(places[:, 0])
         nominal = self.pose(places[:, 0])
-        pose, axes = correction.apply(nominal, moments), correction.axes(nominal, moments)
-        _, jacobian, in_plane = self._misplacement(points, places, pose)
-        ray = transform(rotation.rows(pose.matrix), rotation.components(points - pose.position))
-        of_rays = image_by_ray(ray, self.interior.focal_length)
-        turned = np.stack([rotation.stacked(by_rotation(row, ray, rotation.rows(axes))) for row in of_rays], axis=1)
-        of_interior = [np.broadcast_arrays(*by_interior(row, ray)) for row in ((1.0, 0.0), (0.0, 1.0))]
-        looks = np.stack([np.stack(row, axis=1) for row in of_interior], axis=1)
-        return -solved(jacobian, np.concatenate([-in_plane, turned, looks], axis=2))
-
-    def _misplacement(self, points: Array, place: Array, pose: Pose) -> tuple[Array, Array, Array]:
-        """Focal-plane distance (n, 2) in m of the points' images from the detector pixel at `place`, the pose being
-        that of its line; derivatives by (line, sample) (n, 2, 2) and by the point (n, 2, 3). Eq. 1 of Yoon & Shan.
-        """
-        detector, slope = self.interior.focal_plane(place[:, 1])
+        pose, axes = correction.apply(nominal, moments), rotation.rows(correction.axes(nominal, moments))
         attitude, focal = rotation.rows(pose.matrix), self.interior.focal_length
         ray = transform(attitude, rotation.components(points - pose.position))
-        ray = ray[0], ray[1], np.where(ray[2] > 0.0, ray[2], np.nan)
         motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.angular_rate))
-        by_line = rotation.stacked(image_motion(ray, motion, focal))
-        points_rows = [rotation.stacked(by_point(row, attitude)) for row in image_by_ray(ray, focal)]
-        error = rotation.stacked(focal_plane(ray, focal)) - detector
-        return error, np.stack([by_line, -slope], axis=2), np.stack(points_rows, axis=1)
-
-
-# --- images that are one and the same
-
-_LINES = 0.5
-"""Lines by which the times of their first and last edges may differ."""
-_PIXELS = 1.0
-"""By which what they see may differ: one image read by two roads differs by thousandths."""
-_APART = 1e3
-"""m between two cameras at mid-image from which on they are of two spacecraft."""
-
-
-class ImageTimes(NamedTuple):
-    """When the lines of an image were taken."""
-
-    epoch: float
-    """s TDB past J2000, that of the image's trajectory."""
-    timing: LineTiming
-    """Times of the lines past it."""
-
-    @classmethod
-    def of(cls, image: PushbroomImage) -> "ImageTimes":
-        """Of an image."""
-        return cls(image.trajectory.epoch, image.timing)
-
-    @property
-    def start(self) -> float:
-        """Time of the first line's first edge, s TDB past J2000."""
-        return self.epoch + float(self.timing.at(np.zeros(1))[0][0])
-
-
-def begun_together(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
-    """Pairs of images, by their numbers, whose first lines were taken at the same time; they alone can be twins."""
-    starts = [one.start for one in times]
-    order, found = np.argsort(starts, kind="stable").tolist(), []
-    for k, first in enumerate(order):
-        for second in order[k + 1 :]:
-            if starts[second] - starts[first] > _LINES * float(times[first].timing.periods.max()):
-                break
-            found.append((first, second))
-    return found
-
-
-def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
-    """Pairs of images, by their numbers, that are the same image under two names.
-
-    Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
-    told apart by that: the ground on the ellipsoid under a grid of pixels is compared.
-    """
-    near = begun_together([ImageTimes.of(image) for image in images])
-    flown = {j: images[j].pose(images[j].middle[0]).position[0] for j in {j for pair in near for j in pair}}
-    near = [(j, k) for j, k in near if np.linalg.norm(flown[j] - flown[k]) < _APART]
-    return sorted((min(pair), max(pair)) for pair in near if _same(images[pair[0]], images[pair[1]]))
-
-
-def require_distinct(images: Sequence[PushbroomImage], where: str) -> None:
-    """Raise InputError for one image under two names; `where` they stand."""
-    for first, second in twins(images)[:1]:
-        both = f"{images[first].name} and {images[second].name}"
-        found = f"{both}, which are one image: the same times, the same trajectory"
-        raise InputError(where, found, "each image once", "take one of the two out")
-
-
-def _same(one: PushbroomImage, other: PushbroomImage) -> bool:
-    if (one.lines, one.samples, one.body.equatorial) != (other.lines, other.samples, other.body.equatorial):
-        return False
-    end = np.array([float(one.lines)])
-    stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (one, other)]
-    if abs(stops[0] - stops[1]) > _LINES * one.timing.periods.max():
-        return False
-    lines, samples = (axis.ravel() for axis in np.meshgrid(
-        np.linspace(0.0, one.lines, 3), np.linspace(0.0, one.samples, 3)
-    ))  # fmt: skip
-    ground, slopes = one.image_to_ground(lines, samples)
-    apart = np.linalg.norm(other.image_to_ground(lines, samples)[0] - ground, axis=1)
-    pixel = np.linalg.norm(slopes, axis=1).max(axis=1)
-    seen = np.isfinite(apart)
-    return bool(np.any(seen) and np.all(apart[seen] < _PIXELS * pixel[seen]))
+        slope = rotation.components(self.interior.focal_plane(places[:, 1])[1])
+        scale, found = to_lines_and_samples(image_motion(ray, motion, focal), slope), []
+        for row, of_image in zip(by_ray(scale, ray, focal), scale, strict=True):
+            parts = by_point(row, attitude), by_rotation(row, ray, axes), by_interior(of_image, ray)
+            by_place, *others = map(rotation.stacked, parts)  # of residuals, which are opposite to the place
+            found.append(np.hstack([by_place, *(-other for other in others)]))
+        return np.stack(found, axis=1)
 
 
 _NODES = 2049
@@ -430,6 +361,11 @@ class PolynomialTrajectory:
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, to which the polynomials were fitted."""
         return self.start, self.stop
+
+    @property
+    def knots(self) -> Array:
+        """None: polynomials are smooth."""
+        return np.zeros(0)
 
     def require(self, times: Array, where: str, slack: float = 0.0) -> None:
         """Raise EphemerisGap, naming `where`, unless all times (n,) lie in the coverage widened by `slack` seconds."""

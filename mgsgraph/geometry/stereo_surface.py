@@ -322,8 +322,8 @@ def heights_above(
     start: Array | None = None,
 ) -> SurfaceHeights:
     """Heights of points (n, 3), m, above a surface, by the corrections of the two images; those of points that are
-    `level` (n,) along the vertical, with the derivatives that level ground would have. `start` (n, 2) are first guesses
-    of the lines.
+    `level` (n,) along the vertical, with the derivatives that level ground would have. `start` (n, 2) are lines near
+    which they are seen.
     """
 
     def part(mine: slice) -> SurfaceHeights:

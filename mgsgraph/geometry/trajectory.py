@@ -196,6 +196,11 @@ class Trajectory(Record):
         return max(float(t.times[0]) for t in tables), min(float(t.times[-1]) for t in tables)
 
     @property
+    def knots(self) -> Array:
+        """(k,) s past the epoch, times of all three tables."""
+        return np.concatenate([self.position.times, self.camera.times, self.body.times])
+
+    @property
     def spin(self) -> Array:
         """(3,) rad/s, angular velocity of the body against inertial space, in body-fixed axes: of its table."""
         _, angular_rate = self.body.at(self.body.times[[0, -1]])
@@ -238,6 +243,11 @@ class FixedTrajectory:
     def coverage(self) -> tuple[float, float]:
         """First and last time, s past the epoch, at which it holds."""
         return self.sampled.coverage
+
+    @property
+    def knots(self) -> Array:
+        """(k,) s past the epoch, times of both tables."""
+        return self.sampled.knots
 
     @property
     def spin(self) -> Array | None:

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from mgsgraph.geometry.image import twins
+from mgsgraph.geometry.plausibility import twins
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass

@@ -247,24 +247,24 @@ def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
 
 def visible_places(image: PushbroomImage, points: Array, correction: OrientationCorrection | None = None) -> Array:
     """(n, 2) line and sample of points (n, 3) in m; NaN on the far side of the body, or far from the image's ground."""
-    places, near = np.full((points.shape[0], 2), np.nan), _visible(image, points, correction)
-    if near.size:
-        places[near], _ = image.ground_to_image(points[near], correction)
+    places, near = np.full((points.shape[0], 2), np.nan), _near(image, points, correction)
+    found, _ = image.ground_to_image(points[near], correction)
+    way = image.pose(found[:, 0], correction).position - points[near]
+    facing = np.einsum("ni,ni->n", points[near], way) > 0.0
+    places[near[facing]] = found[facing]
     return places
 
 
-def _visible(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
-    """Points that are near the image's own ground and on its side of the body."""
+def _near(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
+    """Points that are near the image's own ground."""
     edge = np.array([0.0, 0.5, 1.0])
     lines, samples = (one.ravel() for one in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
-    eye = image.pose(image.middle[0], correction).position[0]
-    facing = np.einsum("ni,ni->n", points, eye - points) > 0.0
     if not np.all(np.isfinite(ground)):
-        return np.flatnonzero(facing)
+        return np.arange(len(points))
     centre = ground.mean(axis=0)
-    reach = np.linalg.norm(ground - centre, axis=1).max() * 2.0 + _REACH  # Newton follows half a length beyond the ends
-    return np.flatnonzero(facing & (np.linalg.norm(points - centre, axis=1) < reach))
+    reach = np.linalg.norm(ground - centre, axis=1).max() * 2.0 + _REACH  # places go on beyond the ends
+    return np.flatnonzero(np.linalg.norm(points - centre, axis=1) < reach)
 
 
 def misregistration(
@@ -290,7 +290,7 @@ def misregistration(
         m, places of the footprints instead of their own (adjusted ones).
     """
     ground = shots.footprints if points is None else points
-    projected, _ = image.ground_to_image(ground, correction, np.nan_to_num(true_places[:, 0], nan=0.5 * image.lines))
+    projected, _ = image.ground_to_image(ground, correction, true_places[:, 0])
     kept = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
     off = projected[kept] - true_places[kept]
     metres = on_ground(image, projected[kept], ground[kept], correction)

@@ -20,7 +20,8 @@ from mgsgraph.files.kinds import image_kind, image_name
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
-from mgsgraph.geometry.image import ImageTimes, PushbroomImage, begun_together, require_distinct
+from mgsgraph.geometry.image import PushbroomImage
+from mgsgraph.geometry.plausibility import ImageTimes, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.duplicates import duplicates

@@ -18,7 +18,8 @@ from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import understood
 from mgsgraph.files.writing import writing_to
-from mgsgraph.geometry.image import ImageTimes, LineTiming
+from mgsgraph.geometry.image import LineTiming
+from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore

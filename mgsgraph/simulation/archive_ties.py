@@ -154,14 +154,13 @@ def _projected(
     places = footprints.coordinates(image, directions[point])
     near = np.flatnonzero(np.all(np.abs(places) < 1.0 + _shares(archive, footprints, image), axis=1))
     near = near[np.argsort(image[near], kind="stable")]
-    point, image, along = point[near], image[near], places[near, 0]
+    point, image = point[near], image[near]
     pixels = np.full((near.size, 2), np.nan)
     bounds = np.flatnonzero(np.diff(image, prepend=-1, append=-1))
     for first, last in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         j = int(image[first])
         taken = image_of(j)
-        start = 0.5 * taken.lines * (1.0 + along[first:last])
-        found, _ = taken.ground_to_image(points[point[first:last]], archive.true(j), start)
+        found, _ = taken.ground_to_image(points[point[first:last]], archive.true(j))
         found[~well_inside(taken, found)] = np.nan
         pixels[first:last] = found
     seen = np.isfinite(pixels[:, 0])

@@ -132,7 +132,7 @@ def strip_images(
         period, interior, samples = 4e-3 * macropixel, hrsc_interior(line, macropixel), HRSC_PIXELS // macropixel
         all_lines = int((latest - earliest) / period), samples
         whole = line_image(f"{name}/{line}", all_lines, interior, one_rate(earliest, period), trajectory)
-        pixels, _ = whole.ground_to_image(corners, start=whole.timing.lines(np.tile(interval, 3)))
+        pixels, _ = whole.ground_to_image(corners)
         times = whole.timing.at(pixels[:, 0])[0]
         beyond = 0.0 if line == "ND" else SLACK / float(speed.min())
         first, last = float(times.min()) - beyond, float(times.max()) + beyond
@@ -188,12 +188,10 @@ class PointMatching(Record):
 
 
 class _Swath(NamedTuple):
-    """Where the lines of an image lie on the ground, nominally: first guesses."""
+    """Where the lines of an image lie on the ground, nominally."""
 
     along: Array
     """(t,) rad at Mars' centre from the pericentre, increasing: of the middle samples of some lines."""
-    lines: Array
-    """(t,)."""
     across: Array
     """(t,) rad, of the same."""
     half_width: Array
@@ -250,8 +248,7 @@ class FlownStrip:
 
     def _projected(self, j: int, points: Array) -> Array:
         """True line and sample (n, 2) in image j; NaN where unseen."""
-        guess = np.interp(_angles(self.axes, points)[0], self.swaths[j].along, self.swaths[j].lines)
-        return self.images[j].ground_to_image(points, self.true, guess)[0]
+        return self.images[j].ground_to_image(points, self.true)[0]
 
 
 def matched_points(
@@ -320,7 +317,7 @@ def _swath(axes: Array, image: PushbroomImage, level: float) -> _Swath:
         image.image_to_ground(lines, np.full(_TABLE, share * image.samples), level)[0] for share in (0.0, 0.5, 1.0)
     ]
     left, middle, right = (_angles(axes, points) for points in ground)
-    return _Swath(middle[0], lines, middle[1], 0.5 * np.abs(left[1] - right[1]))
+    return _Swath(middle[0], middle[1], 0.5 * np.abs(left[1] - right[1]))
 
 
 def _angles(axes: Array, points: Array) -> tuple[Array, Array]:

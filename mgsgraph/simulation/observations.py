@@ -302,8 +302,7 @@ class TrueImage:
         """Which of points (n, 3) in m, body-fixed, it shows well inside its edges, (k,); lines and samples (k, 2)."""
         scaled = (points - self.middle) @ self.axes.T / self.half_size
         near = np.flatnonzero(np.all(np.abs(scaled) < 1.0 + _SLACK, axis=1))
-        start = 0.5 * self.image.lines * (1.0 + scaled[near, 0])
-        pixels, _ = self.image.ground_to_image(points[near], self.true, start)
+        pixels, _ = self.image.ground_to_image(points[near], self.true)
         inside = well_inside(self.image, pixels)
         return near[inside], pixels[inside]
 

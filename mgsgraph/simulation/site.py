@@ -402,8 +402,6 @@ _CROSSING = 202.45 * DEG
 """rad, longitude where the orbit crosses the equator northward at the epoch: it then passes within 0.5 deg of all."""
 _SPAN = (-28_500.0, 28_330.0)
 """s past the epoch, of the first line and the last: a minute before Eos and a minute after Isidis."""
-_PASSED = {"eos": -28_440.0, "gusev": 6_760.0, "isidis": 28_268.0}
-"""s past the epoch, when the sites are passed."""
 _ALTITUDE = 380e3
 """m above the ellipsoid at the equator."""
 _FOCAL_LENGTH, _PITCH, _SAMPLES = 11.08e-3, 7e-6, 1024
@@ -476,8 +474,7 @@ def _all_ties(
     point, names, measures, sigmas = list[Index](), list[str](), list[Array](), list[Array]()
     for site in sites:
         n = len(site.ties.ids)
-        start = np.full(n, float(bridge.timing.lines(np.array([_PASSED[site.settings.name]]))[0]))
-        pixels, _ = bridge.ground_to_image(site.true_ties, true, start)
+        pixels, _ = bridge.ground_to_image(site.true_ties, true)
         if not np.all(well_inside(bridge, pixels)):
             raise InputError(_CAMPAIGN, f"a tie point of {site.settings.title} that the bridge does not show")
         point += [count + site.ties.measure_point, count + np.arange(n)]

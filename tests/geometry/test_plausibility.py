@@ -17,8 +17,8 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
-from mgsgraph.geometry.image import LineTiming, PushbroomImage, require_distinct, twins
-from mgsgraph.geometry.plausibility import require_on_ground, require_plausible
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
+from mgsgraph.geometry.plausibility import require_distinct, require_on_ground, require_plausible, twins
 from mgsgraph.geometry.records import (
     chosen_rows,
     concatenated,

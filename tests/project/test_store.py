@@ -19,7 +19,7 @@ from projects import ODD, StopHere, bundle_of, change, contents, differences, di
 from mgsgraph.adjustment.incremental.state import Bundle, InMemory
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.image import ImageTimes
+from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.parts import KnownImage, Members, bundles, joined, select_points, with_images, without_images
