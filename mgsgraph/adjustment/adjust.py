@@ -115,7 +115,7 @@ class Prediction:
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
     network.require_observed()
-    layout, selection, before = nominal_reduction(lay_out(network, settings))
+    layout, selection, before = nominal_reduction(lay_out(network, settings).convex)
     rows, orientation = selection.rows(layout), np.zeros(layout.columns)
     joint = orientation_covariance(BundleGraph(layout, rows), before)
     covariances = point_covariances(layout, rows, orientation, before.points, joint)
@@ -390,7 +390,7 @@ def adjust_network(
     with _sweeper(layout, settings, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
-        layout, selection, before = nominal_reduction(layout, sweeper, left_in)
+        layout, selection, before = nominal_reduction(layout.convex, sweeper, left_in)
         clock.stop("solve")
         nominal = nominal_state(layout, before, sweeper)
         clock.stop("residuals")
