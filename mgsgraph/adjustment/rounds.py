@@ -99,8 +99,6 @@ Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 100
 """When blunders are sought: each takes something out, or back once."""
-_NARROWER = 4.0
-"""By what sigmas become narrower from stage to stage on the way to a redescending loss."""
 _STAGE = 1e-4
 """Share of the cost: a stage ends where a step gains less."""
 _RESTING = 1e-4
@@ -319,20 +317,18 @@ def _graduated(
     layout: Layout, selection: Selection, orientation: Array, settings: SolverSettings, progress: Progress,
     sweeper: Sweeper,
 ) -> Solved:  # fmt: skip
-    """Where a redescending loss begins, by graduated non-convexity (Yang, Antonante, Tzoumas, Carlone 2020): with a
-    convex loss and sigmas so wide that no residual is beyond the wanted width, then narrower by `_NARROWER` each time.
-    A-priori orientations keep their sigmas, so that first they bound what blunders do. What has no weight at the end
-    is left out: the same point has other minima close by.
+    """Where a redescending loss begins: with a convex one and sigmas that become narrower (`SolverSettings.narrowing`).
+    A-priori orientations keep theirs, so that first they bound what blunders do. What has no weight at the end is left
+    out: with it points have several minima, and the cost jumps from one to another.
     """
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
     begin, places = graph.reduction(orientation, COSTS), layout.observation_rows
     largest = max(float(np.nanmax(one, initial=0.0)) for one in _squares(layout, selection, begin, sweeper).values())
-    stages = math.ceil(math.log(max(math.sqrt(largest) / settings.width, 1.0), _NARROWER))
     early, history = replace(settings, cost_tolerance=max(settings.cost_tolerance, _STAGE)), tuple[Iteration, ...]()
-    for stage in range(stages, -1, -1):
+    for factor in settings.narrowing(math.sqrt(largest)):
         wide = graph.rows._replace(weight=graph.rows.weight.copy())
-        wide.weight[:, np.concatenate([places.rays, places.ranges, places.stereo])] /= _NARROWER**stage
-        layout = layout if stage else layout.with_loss("tukey", settings.width)
+        wide.weight[:, np.concatenate([places.rays, places.ranges, places.stereo])] /= factor
+        layout = layout if factor > 1.0 else layout.with_loss("tukey", settings.width)
         solved = _solve(BundleGraph(layout, wide, sweeper), selection, orientation, None, early, progress)
         orientation, history = solved.orientation, history + solved.history
     return replace(solved, selection=_with_weight(solved, sweeper), cost_initial=graph.cost(begin), history=history)

@@ -86,6 +86,14 @@ class SolverSettings(Record):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InputError(f"solver, {name}", f"{getattr(self, name)}", "a number between 0 and 1")
 
+    def narrowing(self, largest: float) -> list[float]:
+        """Factors of the sigmas on the way to a redescending loss, graduated non-convexity (Yang, Antonante, Tzoumas,
+        Carlone 2020): first no residual, `largest` sigmas at most, is beyond the width; each is a quarter of the one
+        before, the last one.
+        """
+        stages = math.ceil(math.log(max(largest / self.width, 1.0), 4.0))
+        return [4.0**stage for stage in range(stages, -1, -1)]
+
     @property
     def width(self) -> float:
         """Loss width in sigmas; always a float: an int would make numba compile the kernel anew."""
