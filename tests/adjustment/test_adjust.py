@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from explicit_form import by_gtsam
 from increments import network_of, strip
-from networks import network, pair, with_shift_and_surface
+from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network, predict
 from mgsgraph.adjustment.factor_graph import factor_graph
@@ -20,7 +20,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, PointClass, ProfileShifts
-from mgsgraph.network.parts import without_images
+from mgsgraph.network.parts import select_points, without_images
 from mgsgraph.simulation.demo.demonstration import nees
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
@@ -289,9 +289,11 @@ def test_a_blunder_among_many_rays_leaves_its_point_where_the_others_put_it() ->
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
 def test_a_robust_loss_without_redundancy_is_refused(loss: str) -> None:
-    """One image of the pair, its ties on a terrain model: two rows and a height for three coordinates."""
-    net = without_images(with_shift_and_surface(network(pair(), laser=False)), ["SIM/B"])
+    """An image of which nothing is known, and three known points: six rows for six unknowns."""
+    net = without_images(select_points(network(pair()), [0, 5, 11]), ["SIM/B"])
     assert net is not None
+    points = replace(net.points, kinds=np.full(3, PointKind.FIXED), places=pair().true_ties[[0, 5, 11]])
+    net = replace(net, points=points, priors=(OrientationPrior(np.full((1, 6), np.inf)),))
     with pytest.raises(InputError, match="redundancy") as caught:
         adjust_network(net, SolverSettings(loss=loss))
     assert "\n" not in str(caught.value)
