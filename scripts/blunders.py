@@ -146,12 +146,12 @@ def error_ratios(
     good[network.rays.point[rows]] = False
     rays = np.isin(np.arange(network.rays.point.size), rows, invert=True)
     left_in = replace(every, rays=rays)
-    told = [adjust_network(wrong, replace(settings, loss=loss, starts=0), left_in=left_in) for loss in losses]
-    good &= np.all([one.determined for one in told], axis=0)
     try:
+        told = [adjust_network(wrong, replace(settings, loss=loss, starts=0), left_in=left_in) for loss in losses]
         found = adjust_network(wrong, settings)
     except MgsgraphError:
         return [1e9 for _ in losses]
+    good &= np.all([one.determined for one in told], axis=0)
     mine, *known = (np.sqrt(np.sum((one.places - truth)[good] ** 2)) for one in (found, *told))
     return [float(mine / one) if found.converged and np.isfinite(mine) else 1e9 for one in known]
 

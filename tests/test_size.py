@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (856, 13602, 18),
     "single files": (824, 9593, 10),
     "scripts": (6453, 102170, 45),
-    "tests": (35738, 538230, 195),
+    "tests": (35740, 538230, 195),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
