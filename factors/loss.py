@@ -8,6 +8,9 @@ import numpy as np
 
 from mgsgraph.compiled import equation
 
+HUBER_WIDTH = 1.345
+"""Sigmas, at which Huber's loss is 95% efficient under normal errors (Holland & Welsch 1977)."""
+
 
 @equation
 def huber(square, k):

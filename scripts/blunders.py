@@ -6,6 +6,9 @@ direction, limits and sizes in turn.
 
     python scripts/blunders.py [--cases block gusev eos isidis hrsc] [--seeds 200] [--processes N] [--out FILE]
 
+Cases `..., tukey` (`--cases tukey`): what `loss = "tukey"` loses of clean data; and the errors of points whose rays are
+all good where some of the ties' image coordinates are off by hundreds of pixels, over those of adjustments told so.
+
 Exit status: 0 done, 2 bad input.
 """
 
@@ -15,21 +18,26 @@ from pathlib import Path
 
 import numpy as np
 from montecarlo import prepared
+from nees import prepared as prepared_strip
 from scipy.stats import ncx2
 from study import Z99, Blocks, Draw, cases, names_of, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.blunders import UNCONTROLLED, critical_value, judged, swept
 from mgsgraph.adjustment.graph.forms import BETWEEN, SHARE
-from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.rounds import all_rows
+from mgsgraph.adjustment.settings import Loss, SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network import Network
+from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
+from mgsgraph.simulation.pair import PairSettings, simulate_pair
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from networks import network as network_of_pair
 from redraw import redraw
 
 PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
@@ -39,6 +47,13 @@ RATE = 0.02
 POWERS = 0.80, 0.95
 HRSC = BlockSettings(strips=2, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
 CASES = "block", "gusev", "eos", "isidis", "hrsc"
+TUKEY = tuple(f"{case}, tukey" for case in ("pair", "gusev", "eos", "isidis", "strip"))
+GROSS, MORE = 0.3, (0.4, 0.5, 0.6, 0.7)
+"""Shares of the ties' rays that are far off: in each draw, and in every fourth."""
+FAR = 100.0, 900.0
+"""px, by which, in a random direction."""
+
+
 def network_of(case: str, seed: int) -> tuple[Network, SolverSettings]:
     """A draw of a case, and the settings it is adjusted with."""
     if case == "hrsc":
@@ -97,8 +112,67 @@ def of_planted(clean: Solution, limit: float, size: float, seed: int) -> Array:
     return np.array([*sums, *strong, np.sum(others & beside), np.sum(others & ~beside)], dtype=np.float64)
 
 
+def with_truth(case: str, seed: int) -> tuple[Network, Array, SolverSettings]:
+    """A draw of a case of Tukey's loss, true places (n, 3) in m, and settings."""
+    if case == "pair":
+        pair = simulate_pair(PairSettings(ties=60, shots=20), seed)
+        places = np.concatenate([pair.true_ties, pair.true_footprints])
+        return network_of_pair(pair), places, SolverSettings(loss="tukey")
+    network, settings = prepared_strip("HRSC strip, passes") if case == "strip" else prepared(case)
+    draw = redraw(network, np.random.default_rng([seed, 21]), settings.angles)
+    return draw.network, draw.places, replace(settings, loss="tukey")
+
+
+def far_off(network: Network, share: float, rng: np.random.Generator) -> tuple[Network, Index]:
+    """The network with a share of its ties' rays elsewhere in their images; which."""
+    rays, size = network.rays, np.array([(one.lines, one.samples) for one in network.images], dtype=np.float64)
+    ties = np.flatnonzero((network.points.classes == PointClass.TIE)[rays.point])
+    rows, places = rng.choice(ties, round(share * ties.size), replace=False), rays.places.copy()
+    angle, most = rng.uniform(0.0, 2.0 * np.pi, rows.size), size[rays.image[rows]] - 1.0
+    off = rng.uniform(*FAR, rows.size)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    outside = np.abs(2.0 * (places[rows] + off) - most - 1.0) > most - 1.0
+    places[rows] = np.clip(places[rows] + np.where(outside, -off, off), 1.0, most)
+    return replace(network, rays=replace(rays, places=places)), rows
+
+
+def error_ratios(
+    network: Network, truth: Array, settings: SolverSettings, share: float, seed: int, losses: tuple[Loss, ...]
+) -> list[float]:
+    """Root mean square error of ties whose rays are all good over that of adjustments, with some losses, that are told
+    the blunders; 1e9 where a point, or the adjustment, is lost.
+    """
+    wrong, rows = far_off(network, share, np.random.default_rng([seed, 23]))
+    every, good = all_rows(wrong), (network.points.classes == PointClass.TIE) & ~network.undetermined
+    good[network.rays.point[rows]] = False
+    rays = np.isin(np.arange(network.rays.point.size), rows, invert=True)
+    left_in = replace(every, rays=rays)
+    try:
+        told = [adjust_network(wrong, replace(settings, loss=loss, starts=0), left_in=left_in) for loss in losses]
+        found = adjust_network(wrong, settings)
+    except MgsgraphError:
+        return [1e9 for _ in losses]
+    good &= np.all([one.determined for one in told], axis=0)
+    mine, *known = (np.sqrt(np.sum((one.places - truth)[good] ** 2)) for one in (found, *told))
+    return [float(mine / one) if found.converged and np.isfinite(mine) else 1e9 for one in known]
+
+
+def with_tukey(case: str, seed: int) -> Draw:
+    """Rays and ranges of clean data, and those without weight; ratios of errors; steps and seconds beside Huber's."""
+    network, truth, settings = with_truth(case, seed)
+    clean, others = adjust_network(network, settings), adjust_network(network, replace(settings, loss="huber"))
+    lost = np.concatenate([clean.rays_rejected, clean.ranges_rejected])
+    turn = seed % len(MORE)
+    ratios = error_ratios(network, truth, settings, GROSS, seed, ("tukey", "none"))
+    ratios += error_ratios(network, truth, settings, MORE[turn], seed, ("tukey",))
+    seconds = [one.seconds["solve"] for one in (clean, others)]
+    return {"lost": [lost.size, int(lost.sum())], "turn": turn, "ratios": ratios,
+            "converged": clean.converged, "steps": [len(one.history) for one in (clean, others)], "seconds": seconds}
+
+
 def one_draw(case: str, seed: int) -> Draw:
     """What is rejected of clean data, and of planted blunders."""
+    if case in TUKEY:
+        return with_tukey(case.split(",")[0], seed)
     network, settings = network_of(case, seed)
     good, clean = of_clean(network, settings), adjust_network(network, settings)
     turn = seed % len(PLANTED)
@@ -128,9 +202,28 @@ def planted_row(case: str, turn: int, every: list[Draw]) -> list[str]:
     return [case, *(f"{value:g}" for value in PLANTED[turn]), *counts, band, *of_powers, *ends]
 
 
+def tukey_row(case: str, every: list[Draw]) -> list[str]:
+    """What Tukey's loss loses, and its errors."""
+    rows, lost = np.sum([draw["lost"] for draw in every], axis=0)
+    ratios = np.array([draw["ratios"] for draw in every])
+    turns = np.array([draw["turn"] for draw in every])
+    cells = [f"{np.median(one):.3f}, {one.max():.3g}, {np.sum(one > 1.05)}" for one in ratios.T[:2]]
+    more = [ratios[turns == turn, 2] for turn in range(len(MORE))]
+    beyond = [f"{np.sum(one > 1.05)} of {one.size}" if one.size else "-" for one in more]
+    steps = np.mean([draw["steps"] for draw in every], axis=0)
+    slower = np.median([one / other for one, other in (draw["seconds"] for draw in every)])
+    return [case.split(",")[0], str(len(every)), f"{rows:.0f}", f"{lost:.0f}, {lost / rows:.3%}",
+            *cells, *beyond,
+            f"{steps[0]:.0f} ({steps[1]:.0f})", f"{slower:.1f}"]
+
+
 def judge(every: list[Draw]) -> Blocks:
-    """Both tables."""
+    """The tables of the cases."""
     of = {case: cases(every, case) for case in names_of(every)}
+    if any(case in TUKEY for case in of):
+        head = ("case", "draws", "measurements", "lost", "told", "told, least squares",
+                *(f"{share:.0%}" for share in MORE), "steps (huber)", "time / huber")
+        return {"tukey": table(head, [tukey_row(case, mine) for case, mine in of.items()])}
     clean = [clean_row(case, mine) for case, mine in of.items()]
     wrong = [planted_row(case, turn, mine) for case, mine in of.items() for turn in range(len(PLANTED))]
     heads = "case", "limit", "sigmas", "planted", "found", "expected", "80 %", "95 %", "beside it", "elsewhere"
@@ -141,4 +234,4 @@ def judge(every: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 200, "blunders.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES + TUKEY, 200, "blunders.md"), one_draw, judge))

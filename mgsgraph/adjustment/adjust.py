@@ -47,6 +47,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.adjustment.sparse_cholesky import NotDefinite
 from mgsgraph.errors import InputError, SolverError
+from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.kernel.rows import FIXED, NO_LOSS, PRIOR
 from mgsgraph.kernel.sweep import Reduction
@@ -115,7 +116,7 @@ class Prediction:
 def predict(network: Network, settings: SolverSettings) -> Prediction:
     """Covariances that an adjustment of the network will have; raises what `adjust_network` raises before solving."""
     network.require_observed()
-    layout, selection, before = nominal_reduction(lay_out(network, settings))
+    layout, selection, before = nominal_reduction(lay_out(network, settings).convex)
     rows, orientation = selection.rows(layout), np.zeros(layout.columns)
     joint = orientation_covariance(BundleGraph(layout, rows), before)
     covariances = point_covariances(layout, rows, orientation, before.points, joint)
@@ -390,7 +391,9 @@ def adjust_network(
     with _sweeper(layout, settings, cluster) as sweeper:
         if cluster is not None:
             clock.stop("send to workers")
-        layout, selection, before = nominal_reduction(layout, sweeper, left_in)
+        layout, selection, before = nominal_reduction(layout.convex, sweeper, left_in)
+        if settings.loss != "none":
+            _require_redundancy(layout, selection)
         clock.stop("solve")
         nominal = nominal_state(layout, before, sweeper)
         clock.stop("residuals")
@@ -406,6 +409,24 @@ def adjust_network(
         del before, layout  # the posterior needs the memory
         found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
         return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
+
+
+def _require_redundancy(layout: Layout, selection: Selection) -> None:
+    """Raise InputError for a robust loss where each row is needed to place its point, or for what has no prior: its
+    residual is zero, whatever is wrong with it.
+    """
+    network, n = layout.network, len(layout.network.points)
+    kinds, surface, stereo = network.points.kinds, network.surface, network.stereo
+    rows = 2 * np.bincount(network.rays.point[selection.rays], minlength=n)
+    rows += np.bincount(network.ranges.point[selection.ranges], minlength=n) + 3 * (kinds == PointKind.CONSTRAINED)
+    rows += 0 if surface is None else np.isfinite(surface.sigmas)
+    rows += 0 if stereo is None else selection.stereo & (stereo.surface >= 0)
+    spare = np.maximum(rows - 3 * (kinds != PointKind.FIXED), 0)[~selection.out].sum()
+    if spare <= np.count_nonzero(np.isinf(layout.sigmas)):
+        raise InputError(
+            "solver, loss", "a robust loss, and no redundancy: each measurement is needed",
+            "points with more measurements than it takes to place them", "take loss = \"none\", or add measurements",
+        )  # fmt: skip
 
 
 def _require_ties(name: str, solved: Solved) -> None:

@@ -9,7 +9,7 @@ An image or a point *stands out* where its mean square per measure is many times
 chance gives. Wrong measures of few points make residuals of many images larger, and one wrong image those of its
 points: where nearly all points that stand out are measured in one image, or in those that stand out, and few other
 points are, the images explain the points; else the points explain the images, and these are looked at again without
-them. Of a redescending loss (Tukey) nothing stands out: what it leaves out depends on where it began.
+them.
 """
 
 import math
@@ -23,7 +23,7 @@ import numpy as np
 from mgsgraph.adjustment.fit import Residuals, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, TUKEY, WEAK
+from mgsgraph.kernel.rows import BEHIND, GOOD, OUT, WEAK
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.parallel import nearly_parallel
@@ -273,9 +273,8 @@ def drivers_of(
     known = found or residuals(layout, reduction.orientation, reduction.points, graph.sweeper)
     lost = taking & (states != GOOD)
     here = _costs(graph, reduction, known, lost)
-    redescending = layout.model.loss == TUKEY
-    factor = 0.0 if redescending else _IMAGES if np.any(reduction.orientation) else _UNADJUSTED
-    every = _of_cost(network, here, factor) + _of_lost(network, lost, here, redescending)
+    factor = _IMAGES if np.any(reduction.orientation) else _UNADJUSTED
+    every = _of_cost(network, here, factor) + _of_lost(network, lost, here)
     behind = np.flatnonzero(taking & (states == BEHIND))
     return Drivers(
         contributions=tuple(every),
@@ -320,12 +319,10 @@ def _by_image(layout: Layout, values: Array) -> Array:
 
 def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributions]:
     """Of the cost: images where they explain the points; else points, and images that stand out without these, too. An
-    image stands out from a factor on; of zero nothing does.
+    image stands out from a factor on.
     """
     images, points = costs.of_images(), costs.of_points()
     of_images, of_points = outstanding(*images, factor, pulled=_PULLED), outstanding(*points, _POINTS)
-    if not factor:
-        of_images, of_points = np.zeros_like(of_images), np.zeros_like(of_points)
     scattered = bool(np.mean(of_points) > _MOST) and bool(np.any(of_images))
     points_first = bool(np.any(of_points)) and not (scattered or covered(network, images[0], of_images, of_points))
     if points_first:
@@ -340,7 +337,7 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     return [one for one in (found[::-1] if points_first else found) if one.members.size]
 
 
-def _of_lost(network: Network, lost: Mask, costs: _Costs, redescending: bool) -> list[Contributions]:
+def _of_lost(network: Network, lost: Mask, costs: _Costs) -> list[Contributions]:
     """Of points (n,) without a place: all of them stand out where they are few; images by how many of them they saw."""
     count = int(np.count_nonzero(lost))
     if not count:
@@ -348,7 +345,7 @@ def _of_lost(network: Network, lost: Mask, costs: _Costs, redescending: bool) ->
     seen = network.rays.image[lost[network.rays.point]]
     number = np.bincount(seen, minlength=len(network.images)).astype(np.float64)
     whole = np.bincount(network.rays.image, minlength=number.size) / lost.size
-    few, (level, measures) = count <= _MOST * lost.size and not redescending, costs.of_images()
+    few, (level, measures) = count <= _MOST * lost.size, costs.of_images()
     far = (number >= 0.5 * count) & (number / count >= _IMAGES * whole) & (count >= FEWEST) & few
     level = level / np.maximum(measures, 1.0)
     found = [

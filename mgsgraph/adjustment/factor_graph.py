@@ -9,12 +9,13 @@ bundle form that `adjust` takes: it shares no line with the compiled kernel and 
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 
-from mgsgraph.adjustment.keys import Keys
+from mgsgraph.adjustment.keys import Adjusted, Keys, Source, network_and_settings
+from mgsgraph.adjustment.optimize import optimize
 from mgsgraph.adjustment.settings import LOSS_WIDTHS, SolverSettings
 from mgsgraph.errors import InputError
 from mgsgraph.factors.effects import (
@@ -67,7 +68,8 @@ class FactorGraph(NamedTuple):
     graph: gtsam.NonlinearFactorGraph
     """Factors."""
     values: gtsam.Values
-    """Where to begin: zero for corrections; known places, or where nominal rays cross, for points."""
+    """Where to begin: zero for corrections; known places, or where nominal rays cross, for points. With Tukey's loss,
+    which begins nowhere else well: the optimum of Huber's."""
     keys: Keys
     """Which key is whose."""
 
@@ -90,55 +92,6 @@ class Selected:
     """(n,) points whose heights above stereo surfaces take part."""
     values: Sequence[Array]
     """Of all variables."""
-
-
-@runtime_checkable
-class Case(Protocol):
-    """A network and how to adjust it; `mgsgraph.Case` is one."""
-
-    network: Network
-    """Who sees what."""
-    settings: SolverSettings
-    """How to solve it."""
-
-
-@runtime_checkable
-class Adjusted(Case, Protocol):
-    """A network and what was found of it; `mgsgraph.Solution` is one."""
-
-    places: Array
-    """(n, 3) m, of points."""
-    rays_used: Mask
-    """(k,)"""
-    ranges_used: Mask
-    """(r,)"""
-
-    @property
-    def determined(self) -> Mask:
-        """(n,) points that have a place."""
-        ...
-
-    @property
-    def stereo_used(self) -> Mask:
-        """(n,) points whose height above a stereo surface took part."""
-        ...
-
-    @property
-    def values(self) -> tuple[Array, ...]:
-        """Of all variables of the network."""
-        ...
-
-
-Source = Case | Network
-"""What a graph can be made of."""
-
-
-def network_and_settings(source: Any) -> tuple[Network, SolverSettings]:
-    """Network and settings; the defaults of a network alone."""
-    if not isinstance(source, Network | Case):
-        found = f"a {type(source).__name__}"
-        raise InputError("factor graph", found, "a Case, Network or Solution", "read a file by `mgsgraph.read_case`")
-    return (source, SolverSettings()) if isinstance(source, Network) else (source.network, source.settings)
 
 
 def factor_graph(source: Source) -> FactorGraph:
@@ -168,14 +121,40 @@ def factor_graph(source: Source) -> FactorGraph:
     """
     network, settings = network_and_settings(source)
     selected = _of_solution(source) if isinstance(source, Adjusted) else nominal_selection(network)
-    graph, values, keys = gtsam.NonlinearFactorGraph(), gtsam.Values(), Keys(network)
+    values, keys = gtsam.Values(), Keys(network)
     for v in _adjusted(network):
         values.insert(keys.variable(v), selected.values[v])
     for i in np.flatnonzero(selected.points & (network.points.kinds != PointKind.FIXED)).tolist():
         values.insert(keys.point(i), selected.places[i])
+    if settings.loss == "tukey" and not isinstance(source, Adjusted):
+        values = _begun(network, settings, keys, selected, values)
+    return FactorGraph(_graph(network, settings, keys, selected), values, keys)
+
+
+def _graph(network: Network, settings: SolverSettings, keys: Keys, selected: Selected) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
     for factor in (*prior_factors(network, keys), *measurement_factors(network, settings, keys, selected)):
         graph.add(factor)
-    return FactorGraph(graph, values, keys)
+    return graph
+
+
+def _begun(
+    network: Network, settings: SolverSettings, keys: Keys, selected: Selected, values: gtsam.Values
+) -> gtsam.Values:
+    """Where Tukey's loss begins: where Huber's has its optimum, reached by sigmas that become narrower."""
+    plain, convex = (replace(settings, loss=loss, loss_width=None) for loss in ("none", "huber"))
+    graph = _graph(network, plain, keys, selected)
+    largest = max((graph.at(i).error(values) for i in range(graph.size())), default=0.0)
+    for factor in settings.narrowing(float(np.sqrt(2.0 * largest))):
+        rays, ranges, stereo = network.rays, network.ranges, network.stereo
+        wide = replace(
+            network, rays=replace(rays, sigmas=rays.sigmas * factor),
+            ranges=replace(ranges, sigmas=ranges.sigmas * factor),
+            stereo=None if stereo is None else replace(stereo, sigmas=stereo.sigmas * factor),
+        )  # fmt: skip
+        graph = _graph(wide, convex, keys, selected)
+        values = optimize(graph, values, cost_tolerance=1e-4).values
+    return values
 
 
 def with_factors(

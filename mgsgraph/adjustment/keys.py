@@ -1,9 +1,15 @@
-"""GTSAM keys of a network's unknowns, asked for by the names of images, points, profiles and passes."""
+"""GTSAM keys of a network's unknowns, asked for by the names of images, points, profiles and passes; and what a graph
+can be made of.
+"""
+
+from typing import Any, Protocol, runtime_checkable
 
 import gtsam
 import numpy as np
 
+from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network
 from mgsgraph.record import card
 
@@ -107,3 +113,52 @@ class Keys:
         if kind == "s":
             return f"shift of {network.shift_names[k]}"
         return f"shared unknown {network.shared[k].name}"
+
+
+@runtime_checkable
+class Case(Protocol):
+    """A network and how to adjust it; `mgsgraph.Case` is one."""
+
+    network: Network
+    """Who sees what."""
+    settings: SolverSettings
+    """How to solve it."""
+
+
+@runtime_checkable
+class Adjusted(Case, Protocol):
+    """A network and what was found of it; `mgsgraph.Solution` is one."""
+
+    places: Array
+    """(n, 3) m, of points."""
+    rays_used: Mask
+    """(k,)"""
+    ranges_used: Mask
+    """(r,)"""
+
+    @property
+    def determined(self) -> Mask:
+        """(n,) points that have a place."""
+        ...
+
+    @property
+    def stereo_used(self) -> Mask:
+        """(n,) points whose height above a stereo surface took part."""
+        ...
+
+    @property
+    def values(self) -> tuple[Array, ...]:
+        """Of all variables of the network."""
+        ...
+
+
+Source = Case | Network
+"""What a graph can be made of."""
+
+
+def network_and_settings(source: Any) -> tuple[Network, SolverSettings]:
+    """Network and settings; the defaults of a network alone."""
+    if not isinstance(source, Network | Case):
+        found = f"a {type(source).__name__}"
+        raise InputError("factor graph", found, "a Case, Network or Solution", "read a file by `mgsgraph.read_case`")
+    return (source, SolverSettings()) if isinstance(source, Network) else (source.network, source.settings)

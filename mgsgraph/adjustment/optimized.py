@@ -7,10 +7,10 @@ import numpy as np
 
 from mgsgraph.adjustment.adjust import Clock, nominal_reduction, nominal_state, read_off
 from mgsgraph.adjustment.batch import Outcome
-from mgsgraph.adjustment.factor_graph import Source, factor_graph, network_and_settings
+from mgsgraph.adjustment.factor_graph import factor_graph
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
-from mgsgraph.adjustment.keys import Keys
+from mgsgraph.adjustment.keys import Keys, Source, network_and_settings
 from mgsgraph.adjustment.marginals import dense_covariance
 from mgsgraph.adjustment.optimize import Marginals
 from mgsgraph.adjustment.rounds import Solved, all_rows, relinearized

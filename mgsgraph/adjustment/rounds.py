@@ -18,6 +18,7 @@ from mgsgraph.adjustment.batch import Outcome, solve_bundle
 from mgsgraph.adjustment.blunders import Search
 from mgsgraph.adjustment.covariances import Linearised, orientation_covariance
 from mgsgraph.adjustment.drivers import driver_sentences, drivers_of
+from mgsgraph.adjustment.fit import residuals
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.rays import followed
@@ -27,7 +28,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import PointBehindCamera, SolverError, Unsolvable
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, WEAK, Rows, Small
+from mgsgraph.kernel.rows import BEHIND, GOOD, NO_LOSS, OUT, PREDICTED, TUKEY, WEAK, Rows, Small
 from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 from mgsgraph.network import Network
 from mgsgraph.network.parallel import nearly_parallel
@@ -98,6 +99,8 @@ Progress = Callable[[Iteration], None]
 
 _MOST_PASSES = 100
 """When blunders are sought: each takes something out, or back once."""
+_STAGE = 1e-4
+"""Share of the cost: a stage ends where a step gains less."""
 _RESTING = 1e-4
 """Posterior sigmas: where convergence is slow, rays are not relinearized any more after a first step as short."""
 _MOST_LAYOUTS = 60
@@ -230,7 +233,7 @@ def solve_in_rounds(
             history, initial = first.history, first.cost_initial
         else:
             points = BundleGraph(layout, bare.rows(layout), sweeper).reduction(orientation, COSTS).points
-        layout, known = _on_surfaces(layout, orientation, points), None
+        layout, known = _on_surfaces(layout.convex, orientation, points), None
     search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
     for number in range(1, _MOST_PASSES + 1):
         solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
@@ -276,12 +279,17 @@ def _solve_exactly(
     sweeper: Sweeper,
 ) -> Solved:
     """One pass: solve, and again with rays laid out about their predicted lines until every row is exact."""
-    layout = layout.without_steps
+    layout, begun = layout.without_steps, None
+    if settings.loss == "tukey" and layout.model.loss != TUKEY:
+        begun = _graduated(layout, selection, orientation, settings, progress, sweeper)
+        layout, selection, orientation, known = begun.layout, begun.selection, begun.orientation, None
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
     if known is None:
         selection, graph, known = _start(graph, selection, orientation, None, settings)
     solved = _solve(graph, selection, orientation, known, settings, progress)
     initial, history = solved.cost_initial, solved.history
+    if begun is not None:
+        initial, history = begun.cost_initial, begun.history + history
     for _ in range(_MOST_LAYOUTS):
         own = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
         anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own, sweeper=sweeper)
@@ -298,7 +306,52 @@ def _solve_exactly(
         if solved.layout.stereo is not None:
             message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
+    if settings.loss == "tukey" and (kept := _with_weight(solved, sweeper)) is not selection:
+        graph = BundleGraph(solved.layout, kept.rows(solved.layout), sweeper)
+        solved = _solve(graph, kept, solved.orientation, None, settings, progress, solved.outcome.slow)
+        history += solved.history
     return replace(solved, cost_initial=initial, history=history)
+
+
+def _graduated(
+    layout: Layout, selection: Selection, orientation: Array, settings: SolverSettings, progress: Progress,
+    sweeper: Sweeper,
+) -> Solved:  # fmt: skip
+    """Where a redescending loss begins: with a convex one and sigmas that become narrower (`SolverSettings.narrowing`).
+    A-priori orientations keep theirs, so that first they bound what blunders do. What has no weight at the end is left
+    out: with it points have several minima, and the cost jumps from one to another.
+    """
+    graph = BundleGraph(layout, selection.rows(layout), sweeper)
+    begin, places = graph.reduction(orientation, COSTS), layout.observation_rows
+    largest = max(float(np.nanmax(one, initial=0.0)) for one in _squares(layout, selection, begin, sweeper).values())
+    early, history = replace(settings, cost_tolerance=max(settings.cost_tolerance, _STAGE)), tuple[Iteration, ...]()
+    for factor in settings.narrowing(math.sqrt(largest)):
+        wide = graph.rows._replace(weight=graph.rows.weight.copy())
+        wide.weight[:, np.concatenate([places.rays, places.ranges, places.stereo])] /= factor
+        layout = layout if factor > 1.0 else layout.with_loss("tukey", settings.width)
+        solved = _solve(BundleGraph(layout, wide, sweeper), selection, orientation, None, early, progress)
+        orientation, history = solved.orientation, history + solved.history
+    return replace(solved, selection=_with_weight(solved, sweeper), cost_initial=graph.cost(begin), history=history)
+
+
+def _squares(layout: Layout, selection: Selection, at: Reduction, sweeper: Sweeper) -> dict[str, Array]:
+    """Squares in sigmas of selected rays (k,), ranges (r,), and heights above stereo surfaces (n,); else NaN."""
+    found, network = residuals(layout, at.orientation, at.points, sweeper), layout.network
+    stereo = found.stereo if network.stereo is None else found.stereo / network.stereo.sigmas
+    rays = np.sum((found.image / network.rays.sigmas) ** 2, axis=1)
+    rays[selection.out[network.rays.point]] = np.nan
+    every = {"rays": rays, "ranges": (found.ranges / network.ranges.sigmas) ** 2, "stereo": stereo**2}
+    return {name: np.where(getattr(selection, name), one, np.nan) for name, one in every.items()}
+
+
+def _with_weight(solved: Solved, sweeper: Sweeper) -> Selection:
+    """The selection without rows to which a redescending loss gives no weight, and without points that the others don't
+    determine; itself when there are none.
+    """
+    layout, selection, limit = solved.layout, solved.selection, solved.layout.model.width**2
+    squares = _squares(layout, selection, solved.reduction, sweeper)
+    left = replace(selection, **{name: getattr(selection, name) & ~(one >= limit) for name, one in squares.items()})
+    return _without_lost(layout, selection if left.same(selection) else left, solved.reduction)
 
 
 def _start(

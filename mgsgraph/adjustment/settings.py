@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from mgsgraph.errors import InputError
+from mgsgraph.factors.loss import HUBER_WIDTH
 from mgsgraph.geometry.orientation import Angles as Angles
 from mgsgraph.record import Record
 
@@ -14,8 +15,10 @@ Device = Literal["cpu", "cuda", "auto"]
 
 _CHOICES = (("line", Line), ("angles", Angles), ("loss", Loss), ("device", Device))
 
-LOSS_WIDTHS = {"none": math.inf, "huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
-"""Width in sigmas of each loss at which it is 95% efficient under normal errors (Holland & Welsch 1977)."""
+LOSS_WIDTHS = {"none": math.inf, "huber": HUBER_WIDTH, "cauchy": 2.3849, "tukey": 6.0}
+"""Width in sigmas of each loss: at which Huber's and Cauchy's are 95% efficient under normal errors (Holland & Welsch
+1977). Beyond Tukey's a row has no weight, and what others predict of a good row with half the redundancy scatters by
+1.4 sigmas: six (nine median deviations: Mosteller & Tukey 1977) are 4.2 of these."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,14 @@ class SolverSettings(Record):
         for name in ("cost_tolerance", "step_tolerance"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InputError(f"solver, {name}", f"{getattr(self, name)}", "a number between 0 and 1")
+
+    def narrowing(self, largest: float) -> list[float]:
+        """Factors of the sigmas on the way to a redescending loss, graduated non-convexity (Yang, Antonante, Tzoumas,
+        Carlone 2020): first no residual, `largest` sigmas at most, is beyond the width; each is a quarter of the one
+        before, the last one.
+        """
+        stages = math.ceil(math.log(max(largest / self.width, 1.0), 4.0))
+        return [4.0**stage for stage in range(stages, -1, -1)]
 
     @property
     def width(self) -> float:

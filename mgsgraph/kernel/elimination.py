@@ -14,6 +14,7 @@ sums lie as their block does, so that one of five points costs per point hardly 
 import numpy as np
 
 from mgsgraph.factors.algebra import add, dot, scale
+from mgsgraph.factors.loss import HUBER_WIDTH
 from mgsgraph.kernel.lanes import (
     ACTIVE,
     BASIS,
@@ -53,7 +54,7 @@ from mgsgraph.kernel.lanes import (
     transpose_four,
 )
 from mgsgraph.kernel.measurements import all_rows, row_count, vector
-from mgsgraph.kernel.rows import GOOD, IMAGE, NO_LOSS, PREDICTED, SURFACE, WEAK
+from mgsgraph.kernel.rows import GOOD, HUBER, IMAGE, NO_LOSS, PREDICTED, SURFACE, TUKEY, WEAK, Model
 from mgsgraph.kernel.tile import (
     BEGIN,
     END,
@@ -396,6 +397,8 @@ def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth
 
 INNER_STEPS = 250
 """Quadratic rows need one to three; far from its optimum a Cauchy or Tukey loss converges slowly."""
+BEGINNING = 30
+"""Steps at most with plain squares, and with Huber's loss, before the loss that is asked for."""
 PLAIN_TOLERANCE = 1e-3
 """Sigmas: after a shorter step the next would be some 1e-7 long (rows are linear to 1e-4 over a sigma), and what it
 would gain is known from the linear model to 1e-14: no second look is needed."""
@@ -466,7 +469,8 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
     Begins at `points` (n, 3); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
     Unless `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is
     begun anew, at `rows.start` and with plain squares, for where such a loss is flat it leads nowhere; so earlier calls
-    don't count.
+    don't count. Tukey's loss follows Huber's, which has one minimum: plain squares alone would put a point between a
+    blunder and its good rays, where Tukey's is flat.
     """
     fixed = rows.pattern_fixed[segments[0, PATTERN]] > 0
     robust = model.loss != NO_LOSS
@@ -475,20 +479,23 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
         for l in range(segments[k, BEGIN], segments[k, END]):
             w[ACTIVE + l] = 1.0
     plainly = move and robust and not fixed
-    slow = robust or on_terrain(rows, segments)
+    convexly, convex = plainly and model.loss == TUKEY, Model(model.line, model.angles, HUBER, HUBER_WIDTH)
+    slow, steps = robust or on_terrain(rows, segments), 0
     for _ in range(2 * INNER_STEPS):
-        all_rows(rows, model, robust and not plainly, segments, count, x, w, depth, kept)
+        now = convex if convexly else model
+        all_rows(rows, now, robust and not plainly, segments, count, x, w, depth, kept)
         if fixed:
             break
         factorise(w)
         if not move:
             break
         step_points(w)
-        tolerance = SLOW_TOLERANCE if slow and not plainly else PLAIN_TOLERANCE
-        if largest_step(w) < tolerance * tolerance:
-            if not plainly:
+        last, steps = not (plainly or convexly), steps + 1
+        tolerance = SLOW_TOLERANCE if slow and last else PLAIN_TOLERANCE
+        if largest_step(w) < tolerance * tolerance or (steps == BEGINNING and not last):
+            if last:
                 break
-            plainly = False
+            plainly, convexly, steps = False, plainly and convexly, 0
     if move and not fixed:
         take_back(w)
 

@@ -215,8 +215,6 @@ def drivers_section(solution: Solution) -> Section:
     if found is None:
         return Section("drivers")
     said = " ".join(driver_sentences(found, solution.network))
-    if solution.settings.loss == "tukey":
-        said += " With the loss tukey the end depends on the start: begin with huber, or give better orientations."
     table = drivers_table(solution)
     return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
         **record_of("drivers", found),

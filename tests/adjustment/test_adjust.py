@@ -1,14 +1,18 @@
 """The bundle form and GTSAM's optimiser on the explicit one agree; sigmas are realistic; blunders go and return."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from explicit_form import by_gtsam
+from increments import network_of, strip
 from networks import network, pair
 
 from mgsgraph.adjustment.adjust import adjust_network, predict
+from mgsgraph.adjustment.factor_graph import factor_graph
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
+from mgsgraph.adjustment.optimize import optimize
 from mgsgraph.adjustment.rounds import all_rows, solve_in_rounds
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.errors import InputError, PointBehindCamera, WeakNetwork
@@ -16,6 +20,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.network import Network, PointClass, ProfileShifts
+from mgsgraph.network.parts import select_points, without_images
 from mgsgraph.simulation.demo.demonstration import nees
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
@@ -206,3 +211,89 @@ def test_iteration_limit_is_said() -> None:
     solution = adjust_network(network(pair()), SolverSettings(max_iterations=1, **TIGHT))
     assert not solution.converged
     assert "max_iterations" in solution.message
+
+
+# --- Tukey's loss
+
+
+@pytest.mark.parametrize("seed", range(8000, 8005))
+def test_tukeys_loss_loses_nothing_of_clean_data(seed: int) -> None:
+    """Nominal orientations are hundreds of its widths off."""
+    net = network(pair(60, 20, seed))
+    solution = adjust_network(net, SolverSettings(loss="tukey"))
+    assert solution.converged
+    assert not np.any(solution.rays_rejected)
+    assert not np.any(solution.ranges_rejected)
+    assert np.all(solution.determined)
+    plain = adjust_network(net, SolverSettings())
+    assert np.max(np.abs(solution.places - plain.places) / plain.sigmas) < 1.5
+
+
+def blundered(seed: int, share: float = 0.3) -> tuple[Network, np.ndarray]:
+    """A pair with a share of its ties' image coordinates hundreds of pixels off, and which of its rays are good."""
+    net, rng = network(pair(60, 20, seed)), np.random.default_rng(seed)
+    rows, places = rng.choice(120, round(120 * share), replace=False), net.rays.places.copy()
+    places[rows] += np.where(places[rows] < 1000.0, 1.0, -1.0) * rng.uniform(100.0, 600.0, (rows.size, 2))
+    return replace(net, rays=replace(net.rays, places=places)), np.isin(np.arange(len(places)), rows, invert=True)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_points_whose_rays_are_good_are_as_good_as_if_blunders_were_known(seed: int) -> None:
+    (net, good), drawn = blundered(seed), pair(60, 20, seed)
+    settings = SolverSettings(loss="tukey")
+    solution = adjust_network(net, settings)
+    told = adjust_network(net, settings, left_in=replace(all_rows(net), rays=good))
+    mine = np.bincount(net.rays.point[~good], minlength=len(net.points))[:60] == 0
+    assert solution.converged
+    assert np.all(solution.determined[:60][mine])
+    error, known = (np.sum((one.places[:60] - drawn.true_ties)[mine] ** 2) for one in (solution, told))
+    assert error < 1.05**2 * known
+    assert solution.fit.degrees_of_freedom <= told.fit.degrees_of_freedom + np.count_nonzero(~good)
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_both_forms_agree_with_tukeys_loss(wrong: bool) -> None:
+    """The explicit form begins at the nominal orientation; with what the bundle form has left out, near its optimum."""
+    net, settings = blundered(4)[0] if wrong else network(pair(20, 8)), SolverSettings(loss="tukey", **TIGHT)
+    bundle = adjust_network(net, settings)
+    source = bundle if wrong else SimpleNamespace(network=net, settings=settings)
+    graph, values, keys = factor_graph(source)
+    for j in range(2 if wrong else 0):
+        off = 1e-3 * np.random.default_rng(j).normal(size=18) * net.priors[j].sigmas.ravel()
+        values.update(keys.variable(j), values.atVector(keys.variable(j)) + off)
+    found = optimize(graph, values, cost_tolerance=1e-13)
+    assert bundle.cost_final == pytest.approx(found.cost, rel=1e-10)
+    for i in np.flatnonzero(bundle.determined).tolist():
+        np.testing.assert_allclose(found.values.atPoint3(keys.point(i)), bundle.places[i], atol=2e-3)
+
+
+def test_a_blunder_among_many_rays_leaves_its_point_where_the_others_put_it() -> None:
+    """At any orientation: plain squares put it where Tukey's loss is flat. Across the epipolar lines: two of its rays
+    look nearly along one another, so that along them two rays stand against two.
+    """
+    net = network_of(strip(), range(6))
+    counts = np.bincount(net.rays.point, minlength=len(net.points))
+    row = int(np.flatnonzero(counts[net.rays.point] == counts.max())[0])
+    assert counts.max() >= 4
+    solution = adjust_network(net, SolverSettings())
+    places = net.rays.places.copy()
+    places[row, 0] += 300.0
+    wrong = replace(net, rays=replace(net.rays, places=places))
+    layout = lay_out(wrong, SolverSettings(loss="tukey"))
+    x, every = layout.variables.joined(solution.values), all_rows(wrong)
+    without = replace(every, rays=np.arange(counts.sum()) != row)
+    first, second = (BundleGraph(layout, one.rows(layout)).reduction(x) for one in (every, without))
+    np.testing.assert_allclose(first.points, second.points, atol=1e-3)
+    np.testing.assert_array_equal(first.states, 0)
+
+
+@pytest.mark.parametrize("loss", ["huber", "cauchy", "tukey"])
+def test_a_robust_loss_without_redundancy_is_refused(loss: str) -> None:
+    """An image of which nothing is known, and three known points: six rows for six unknowns."""
+    net = without_images(select_points(network(pair()), [0, 5, 11]), ["SIM/B"])
+    assert net is not None
+    points = replace(net.points, kinds=np.full(3, PointKind.FIXED), places=pair().true_ties[[0, 5, 11]])
+    net = replace(net, points=points, priors=(OrientationPrior(np.full((1, 6), np.inf)),))
+    with pytest.raises(InputError, match="redundancy") as caught:
+        adjust_network(net, SolverSettings(loss=loss))
+    assert "\n" not in str(caught.value)

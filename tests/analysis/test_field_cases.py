@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from mgsgraph.adjustment.adjust import predict
+from mgsgraph.adjustment.factor_graph import factor_graph
+from mgsgraph.adjustment.optimize import optimize
 from mgsgraph.analysis.geometry_checks import convergence, deviating_heights
 from mgsgraph.analysis.verdict import Cause, State, verdict
 from mgsgraph.case.reading import Case, adjust, read_case
@@ -42,6 +44,18 @@ def test_a_tie_of_two_places_is_named_before_and_after(shared_data: Path) -> Non
         found = deviating_heights(one.network, nominal.places, nominal.covariances)
         assert [one.network.points.ids[k] for k in found.points.tolist()] == names
     assert "lro_pair00088" in inventory(wrong, details=False)
+
+
+def test_the_explicit_form_takes_sigmas_of_all_sizes(shared_data: Path) -> None:
+    """Field case 10: ties to 0.08 px, footprints to 1.2 px, ranges to 0.02 m."""
+    network = read_case(CASES / "lro_nac_lola.toml").network
+    laser = (network.points.classes == PointClass.LASER)[network.rays.point]
+    rays = replace(network.rays, sigmas=network.rays.sigmas * np.where(laser, 1.2 / 30.0, 0.08)[:, None])
+    ranges = replace(network.ranges, sigmas=network.ranges.sigmas * (0.02 / 10.0))
+    graph, values, _ = factor_graph(replace(network, rays=rays, ranges=ranges))
+    found = optimize(graph, values)
+    assert found.converged
+    assert found.cost == pytest.approx(1120.278386, abs=1e-6)
 
 
 def test_attitudes_of_another_time_are_named(tmp_path: Path) -> None:

@@ -158,9 +158,14 @@ class Layout:
         rows = with_stereo(self.network, self.patterns, self.rows, anew, self.storage)
         return self._with(stereo=anew, rows=rows)
 
-    def with_loss(self, loss: Loss) -> "Layout":
-        """The same with another loss, at its customary width."""
-        return self._with(model=self.model._replace(loss=_LOSSES[loss], width=LOSS_WIDTHS[loss]))
+    def with_loss(self, loss: Loss, width: float | None = None) -> "Layout":
+        """The same with another loss, at its customary width where none is given."""
+        return self._with(model=self.model._replace(loss=_LOSSES[loss], width=width or LOSS_WIDTHS[loss]))
+
+    @property
+    def convex(self) -> "Layout":
+        """The same with a loss that has one minimum: Huber's in the place of Tukey's."""
+        return self.with_loss("huber") if self.model.loss == TUKEY else self
 
     @property
     def without_steps(self) -> "Layout":

@@ -136,7 +136,7 @@ class Sweep:
         self.network, self._settings = network, settings
         self._seen = about(network)
         self._names = unknowns(self._seen)
-        layout = lay_out(self._seen, settings, places)
+        layout = lay_out(self._seen, settings, places).convex  # new images begin at their nominal orientation
         self._select(layout, unmarked(network))
         self._last: Reduction | None = None
         self._spread: Array | None = None

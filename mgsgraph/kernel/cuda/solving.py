@@ -23,7 +23,7 @@ from mgsgraph.factors.collinearity import (
     to_lines_and_samples,
 )
 from mgsgraph.factors.ground import ground_residual, upper_triangle
-from mgsgraph.factors.loss import cauchy, huber, tukey
+from mgsgraph.factors.loss import HUBER_WIDTH, cauchy, huber, tukey
 from mgsgraph.factors.pose import about_axes, opk_paper, opk_peer, perspective_centre
 from mgsgraph.factors.ranging import range_residual
 from mgsgraph.factors.stereo_surface import linear_height
@@ -43,7 +43,7 @@ from mgsgraph.kernel.cuda.tables import (
     place_among,
     vector,
 )
-from mgsgraph.kernel.elimination import INNER_STEPS, PLAIN_TOLERANCE, SINGULAR, SLOW_TOLERANCE
+from mgsgraph.kernel.elimination import BEGINNING, INNER_STEPS, PLAIN_TOLERANCE, SINGULAR, SLOW_TOLERANCE
 from mgsgraph.kernel.rows import (
     BEHIND,
     CAMERA,
@@ -58,7 +58,9 @@ from mgsgraph.kernel.rows import (
     PREDICTED,
     RANGE,
     STEREO,
+    TUKEY,
     WEAK,
+    Model,
 )
 
 
@@ -328,13 +330,16 @@ def solved(tables, model, data, weight, x, piece, lane, point, active, move):
     fixed = tables.pattern[pattern, KNOWN] > 0
     robust = model.loss != NO_LOSS
     plainly = bool(move and robust and not fixed)
+    convexly = plainly and model.loss == TUKEY
+    convex = Model(model.line, model.angles, HUBER, HUBER_WIDTH)
     slow = robust or tables.pattern[pattern, HEIGHTS] > 0
-    status, cost, squared, before = GOOD, 0.0, 0.0, point
+    status, cost, squared, before, steps = GOOD, 0.0, 0.0, point, 0
     factor, forward = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for _ in range(2 * INNER_STEPS):
         before = point
         cost, normal, gradient, status = normal_equations(
-            tables, model, data, weight, x, piece, lane, point, active, robust and not plainly, status
+            tables, convex if convexly else model, data, weight, x, piece, lane, point, active,
+            robust and not plainly, status,
         )
         if fixed:
             break
@@ -347,11 +352,12 @@ def solved(tables, model, data, weight, x, piece, lane, point, active, move):
         point = (point[0] - step[0], point[1] - step[1], point[2] - step[2])
         squared = forward[0] * forward[0] + forward[1] * forward[1] + forward[2] * forward[2]
         cost -= 0.5 * squared
-        tolerance = SLOW_TOLERANCE if slow and not plainly else PLAIN_TOLERANCE
-        if not squared >= tolerance * tolerance:
-            if not plainly:
+        last, steps = not (plainly or convexly), steps + 1
+        tolerance = SLOW_TOLERANCE if slow and last else PLAIN_TOLERANCE
+        if (not squared >= tolerance * tolerance) or (steps == BEGINNING and not last):
+            if last:
                 break
-            plainly = False
+            plainly, convexly, steps = False, plainly and convexly, 0
     if move and (not fixed) and squared > PLAIN_TOLERANCE * PLAIN_TOLERANCE:
         cost += 0.5 * squared  # the steps ran out: what the last one promised doesn't count
     return point, before, factor, forward, status, cost
