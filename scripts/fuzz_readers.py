@@ -261,7 +261,7 @@ def _kept() -> Iterator[Reader]:
 
     def campaign(folder: Path) -> None:
         case = seeds.pair_folder() / "case.toml"
-        seeds.commanded("campaign", case, "--out", folder, "--no-figures")
+        seeds.commanded("batch", case, "--out", folder, "--no-figures")
 
     def locked(folder: Path) -> None:
         file = LockedFile("https://example.org/a.img", 12, "0f" * 32, "2026-11-23T00:00:00Z")

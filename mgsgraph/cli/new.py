@@ -1,4 +1,4 @@
-"""Verbs to begin with: help, and a case file for the files that one has."""
+"""The verb to begin with: a case file for the files that one has."""
 
 from pathlib import Path
 
@@ -6,32 +6,15 @@ import click
 
 from mgsgraph.cli.options import PATH
 
-_CASE = "case"
 
-
-@click.command()
-@click.argument("words", nargs=-1, metavar="[VERB | case [TABLE]]")
-@click.pass_context
-def help(ctx: click.Context, words: tuple[str, ...]) -> None:
-    """Say what a VERB does and takes, or what a case file may say: all tables and keys, or those of one TABLE (images,
-    ties, solver ...; head for the keys before the first table).
-    """
-    group = ctx.find_root().command
-    assert isinstance(group, click.Group)
-    if words[:1] == (_CASE,) and len(words) <= 2:
-        from mgsgraph.case.case_file import keys_text
-
-        click.echo(keys_text(words[1] if len(words) > 1 else None))
+def _print_keys(ctx: click.Context, option: click.Parameter, table: str | None) -> None:
+    """All tables and keys of a case file, or those of one table; nothing else then."""
+    if table is None or ctx.resilient_parsing:
         return
-    if len(words) > 1:
-        raise click.UsageError(f"{' '.join(words)}: a verb, or case and one of its tables")
-    if not words:
-        click.echo(ctx.find_root().get_help())
-        return
-    name, command, _ = group.resolve_command(ctx.find_root(), list(words))
-    assert command is not None
-    with click.Context(command, info_name=name, parent=ctx.find_root()) as inner:
-        click.echo(command.get_help(inner))
+    from mgsgraph.case.case_file import keys_text
+
+    click.echo(keys_text(table or None))
+    ctx.exit()
 
 
 @click.command()
@@ -39,6 +22,10 @@ def help(ctx: click.Context, words: tuple[str, ...]) -> None:
 @click.option("--out", type=PATH, default=Path("case.toml"), show_default=True, help="Case file; an earlier one stays.")
 @click.option("--name", default="", help="What to call it; OUT's name, or the data's folder's, when absent.")
 @click.option("--replace", is_flag=True, help="Overwrite a case file that is there.")
+@click.option(
+    "--keys", is_flag=False, flag_value="", is_eager=True, expose_value=False, callback=_print_keys, metavar="[TABLE]",
+    help="Print all tables and keys of a case file, or those of TABLE (images, ties ...; head: before any table).",
+)  # fmt: skip
 def new(files: tuple[Path, ...], out: Path, name: str, replace: bool) -> None:
     """Look at FILEs (those directly in a FOLDER, those of an ISIS list) and write a case file of them, with comments.
 

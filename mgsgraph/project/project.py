@@ -15,10 +15,11 @@ import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.image import ImageTimes, LineTiming
+from mgsgraph.names import image_names
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
@@ -82,7 +83,7 @@ class Change(msgspec.Struct, frozen=True):
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, edit, solve, check or coregister."""
+    """init, match, add, remove, edit, solve, check or align (coregister up to version 0.2)."""
     what: str
     """What was changed, in a few words."""
     summary: Mapping[str, Any]
@@ -247,6 +248,11 @@ class Project(Record):
         return () if found is None else tuple(map(Path, self._from_json(found[0], tuple[str, ...])))
 
     # --- history
+
+    def images_named(self, asked: Iterable[str]) -> list[str]:
+        """Names of images, each once, by their names or parts of names that no other has."""
+        with errors_from(str(self.folder)):
+            return image_names(asked, self.store.image_names())
 
     def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
         """Record a change; its number."""

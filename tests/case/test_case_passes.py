@@ -238,7 +238,7 @@ correlation_time_s = 1.0
     assert isinstance(found, ProcessPrior)
     assert not np.allclose(start.attitude[0].sigmas, found.attitude[0].sigmas)
     with pytest.raises(InputError, match="strengths of processes to be estimated"):
-        group(["init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
+        group(["project", "init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
     with pytest.raises(click.UsageError, match="estimated strengths"):
         group(["adjust", str(path), "--two-steps", "--out", str(tmp_path / "out")], standalone_mode=False)
 
@@ -528,7 +528,8 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
 
 def test_projects_keep_them(block_folder: Path, tmp_path: Path) -> None:
     """The project's network is the case's, pass by pass."""
-    group(["init", str(tmp_path / "project"), "--case", str(block_folder / "case.toml")], standalone_mode=False)
+    words = ["project", "init", str(tmp_path / "project"), "--case", str(block_folder / "case.toml")]
+    group(words, standalone_mode=False)
     with open_project(tmp_path / "project") as project:
         kept = project.store.network()
     wanted = mgsgraph.read_case(block_folder / "case.toml").network

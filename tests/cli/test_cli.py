@@ -33,10 +33,15 @@ def test_help(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("qqq",), "adjust, analyze, check"),
+        (("qqq",), "adjust, align, batch"),
         (("adjsut",), "mean 'adjust'?"),
         (("adjust",), "CASE"),
-        (("adjust", "x.toml"), "--out"),
+        (("coregister", "CASE"), "mgsgraph align"),
+        (("help", "case"), "mgsgraph new --keys"),
+        (("solve", "PROJECT"), "mgsgraph project solve"),
+        (("project", "RESULT", "IMAGE", "--pixel", "1", "2"), "mgsgraph locate"),
+        (("project", "slove", "PROJECT"), "mean 'solve'?"),
+        (("align", "x.toml", "--reach", "9"), "'--reach'; --search"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),
         (("check", "a", "b"), "b"),
         (("fetch", "M04/02852", "--verify"), "No such option '--verify'; the same fetch again holds the folder"),
@@ -243,7 +248,7 @@ def test_what_cleans_up_behind_an_interrupt_is_let_do_so() -> None:
 
 def test_names_that_are_no_text_are_refused(tmp_path: Path) -> None:
     """Bytes that are no UTF-8 came as half a character to the first record that should hold the name."""
-    code = "import sys; sys.argv[1:] = ['init', 'a\\udcff']; from mgsgraph.cli import main; main()"
+    code = "import sys; sys.argv[1:] = ['check', 'a\\udcff']; from mgsgraph.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
