@@ -29,6 +29,7 @@ from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.case_file import keys_markdown
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.cli import group
+from mgsgraph.cli.verbs import VERBS
 from mgsgraph.files.geometric_keys import FORMATS, Use
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
@@ -121,8 +122,11 @@ def commands_markdown() -> str:
     """A section for each verb."""
     lines: list[str] = []
     with click.Context(group, info_name="mgsgraph") as whole:
-        for name in group.list_commands(whole):
-            command = group.get_command(whole, name)
+        for name in VERBS:
+            command: click.Command | None = group
+            for word in name.split():
+                assert isinstance(command, click.Group)
+                command = command.get_command(whole, word)
             assert command is not None
             lines += _verb(name, command, whole)
     return "\n".join(lines) + "\n"

@@ -235,7 +235,7 @@ def test_before_the_first_solution_images_are_only_put_in(
     call("project", "add", other, folder / "image_B.isd", *ties)
     said = capsys.readouterr().out
     assert "Unconnected" not in said
-    assert "mgsgraph solve" in said
+    assert "mgsgraph project solve" in said
     call("project", "solve", other, "--no-figures")
     one, two = (read_solution(path / "solutions" / "0001") for path in (project, other))
     assert two.cost_final == pytest.approx(one.cost_final, rel=1e-9)
