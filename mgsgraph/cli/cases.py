@@ -28,8 +28,8 @@ from mgsgraph.cli.options import (
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster.connection import Connection
     from mgsgraph.adjustment.settings import SolverSettings
-    from mgsgraph.adjustment.solution import Solution
     from mgsgraph.case.reading import Case
+    from mgsgraph.project.reading import CaseResults
     from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
     from mgsgraph.results.results import Overrides
 
@@ -125,13 +125,9 @@ def adjust(
 
 
 def _in_two_steps(
-    read: "Case",
-    settings: "SolverSettings",
-    out: Path,
-    connection: AbstractContextManager["Connection | None"],
-    overrides: "Overrides",
-    details: bool,
-) -> bool:
+    read: "Case", settings: "SolverSettings", out: Path, connection: AbstractContextManager["Connection | None"],
+    overrides: "Overrides", details: bool,
+) -> bool:  # fmt: skip
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
@@ -239,60 +235,49 @@ def align(
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """
-    from mgsgraph.case.reading import read_case
-    from mgsgraph.files.output.folders import require_replaceable
+    from mgsgraph.analysis.verdict import is_valid
+    from mgsgraph.cli.progress import counting_bars
     from mgsgraph.project.connection import FILE
+    from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import case_with_results
+    from mgsgraph.project.relief import align as align_project
     from mgsgraph.registration.minima import ReliefSettings
-    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.relief import coregistration_section
 
     terrain: Literal["cells", "spline"] = "spline" if no_cells else "cells"
     settings = ReliefSettings(footprint, search, spacing, require_two(images), terrain, not no_crossovers)
     if (case / FILE).is_file():
         if out is not None or of_case is not None or ties is not None:
             raise click.UsageError("--out, --case and --ties are for a case: a project has its own")
-        ctx.exit(0 if _aligned_project(case, settings, workers, not no_figures) else 1)
-    require_replaceable(out := folder_for(out, case, "align"))
-    source = case_with_results(case, of_case)
-    if source.folder is not None and out.resolve() in (source.folder.resolve(), source.folder.resolve().parent):
-        raise click.UsageError(f"--out would replace {case}: give another folder")
-    before = None if source.folder is None else read_solution(source.folder)
-    read = read_case(source.case, ties=ties)
-    print_sentences(read.notes)
-    ctx.exit(0 if _aligned(read, out, not no_figures, settings, before, workers) else 1)
+        with counting_bars() as show, open_project(case, write=True) as opened:
+            registration, out = align_project(opened, settings, workers, not no_figures, show)
+    else:
+        out = folder_for(out, case, "align")
+        registration = _aligned(case_with_results(case, of_case), out, not no_figures, settings, ties, workers)
+    click.echo(coregistration_section(registration).text())
+    click.echo(f"Results are in {out}")
+    ctx.exit(0 if is_valid(registration.solution) else 1)
 
 
 def _aligned(
-    read: "Case", out: Path, figures: bool, settings: "ReliefSettings", before: "Solution | None", workers: int | None
-) -> bool:
-    """Register a case by relief, write and print what came out; whether it converged."""
+    source: "CaseResults", out: Path, figures: bool, settings: "ReliefSettings", ties: Path | None, workers: int | None
+) -> "ReliefRegistration":
+    """Register a case by relief, and write what came out."""
+    from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bars
+    from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.registration.relief import register_by_relief
+    from mgsgraph.results.archive import read_solution
     from mgsgraph.results.relief import write_coregistration
 
+    require_replaceable(out)
+    if source.folder is not None and out.resolve() in (source.folder.resolve(), source.folder.resolve().parent):
+        raise click.UsageError(f"--out would replace {source.folder}: give another folder")
+    before = None if source.folder is None else read_solution(source.folder)
+    read = read_case(source.case, ties=ties)
+    print_sentences(read.notes)
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)
         write_coregistration(registration, out, figures, read.path, read.networks)
-    return _print_registration(registration, out)
-
-
-def _aligned_project(folder: Path, settings: "ReliefSettings", workers: int | None, figures: bool) -> bool:
-    """The same for a project, which has the rows from then on."""
-    from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.project.project import open_project
-    from mgsgraph.project.relief import align as register
-
-    with counting_bars() as show, open_project(folder, write=True) as opened:
-        found = register(opened, settings, workers, figures, show)
-    return _print_registration(found.registration, found.folder)
-
-
-def _print_registration(registration: "ReliefRegistration", out: Path) -> bool:
-    """Print what a registration by relief has found; whether it converged."""
-    from mgsgraph.analysis.verdict import is_valid
-    from mgsgraph.results.relief import coregistration_section
-
-    click.echo(coregistration_section(registration).text())
-    click.echo(f"Results are in {out}")
-    return is_valid(registration.solution)
+    return registration

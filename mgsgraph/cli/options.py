@@ -39,10 +39,9 @@ DEVICE = click.option(
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
     click.option(
-        "--loss",
-        type=click.Choice(["none", "huber", "cauchy", "tukey"]),
+        "--loss", type=click.Choice(["none", "huber", "cauchy", "tukey"]),
         help="Robust loss on image coordinates and ranges.",
-    ),
+    ),  # fmt: skip
     click.option(
         "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
     ),

@@ -2,15 +2,15 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
-from click.core import ParameterSource
 
 from mgsgraph.cli.options import CASE, NO_FIGURES, PATH, TIES, folder_for, print_sentences
 
 if TYPE_CHECKING:
     from mgsgraph.files.place_table import Sort
+    from mgsgraph.project.reading import ShotChoice
 
 
 @click.command()
@@ -122,10 +122,10 @@ def locate(
 )  # fmt: skip
 @TIES
 @NO_FIGURES
-@click.pass_context
 def footprints(
-    ctx: click.Context, /, source: Path, files: tuple[Path, ...], of_case: Path | None, out: Path | None,
-    ties: Path | None, no_figures: bool, **chosen: Any,
+    source: Path, files: tuple[Path, ...], of_case: Path | None, names: tuple[str, ...], dates: tuple[str, str] | None,
+    quality: str, off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
+    ties: Path | None, no_figures: bool,
 ) -> None:  # fmt: skip
     """Project the footprints of a case's laser profiles into its images, and compare the images at them; or, with
     FILES, find the laser shots of FILES that fall in the images.
@@ -141,18 +141,20 @@ def footprints(
 
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
-    own = {"of_case": "--case", "ties": "--ties", "no_figures": "--no-figures"}
-    for name in own if files else chosen:
-        if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            option = own.get(name, f"--{name.replace('_', '-').replace('names', 'image')}")
-            raise click.UsageError(f"{option} goes {'without' if files else 'with'} FILES of laser shots alone")
+    from mgsgraph.project.reading import ShotChoice
+
+    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
+    if files and (of_case, ties, no_figures) != (None, None, False):
+        raise click.UsageError("--case, --ties and --no-figures go without FILES of laser shots")
     if files:
-        _found_shots(source, files, out, **chosen)
+        _find_shots(source, files, names, choice, out)
+    elif names or choice != ShotChoice():
+        raise click.UsageError("--image, --dates, --quality, --off-nadir, --margin, --along, --version go with FILES")
     else:
-        _registered(source, of_case, folder_for(out, source, "footprints"), ties, not no_figures)
+        _register(source, of_case, folder_for(out, source, "footprints"), ties, not no_figures)
 
 
-def _registered(source: Path, case: Path | None, out: Path, ties: Path | None, figures: bool) -> None:
+def _register(source: Path, case: Path | None, out: Path, ties: Path | None, figures: bool) -> None:
     """Register the laser profiles of a case by projection, write and print what came out."""
     from mgsgraph.case.reading import read_case
     from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
@@ -170,19 +172,17 @@ def _registered(source: Path, case: Path | None, out: Path, ties: Path | None, f
     click.echo(f"Results are in {out}")
 
 
-def _found_shots(
-    source: Path, files: tuple[Path, ...], out: Path | None, names: tuple[str, ...], dates: tuple[str, str] | None,
-    quality: str, off_nadir: float | None, margin: float, along: bool, version: str | None,
-) -> None:  # fmt: skip
+def _find_shots(
+    source: Path, files: tuple[Path, ...], names: tuple[str, ...], choice: "ShotChoice", out: Path | None
+) -> None:
     """Find the shots of files over images, print and write which."""
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.network.footprints import crossings
-    from mgsgraph.project.reading import ShotChoice, oriented_images, search_shots
+    from mgsgraph.project.reading import oriented_images, search_shots
     from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
     if out is not None:
         require_free(out, SELECTION)
-    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
     seen = oriented_images(source, names)
     over = search_shots(files, seen, choice)
     print_sentences([seen.warning] if seen.warning else [])

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
-    from mgsgraph.project.reading import CaseResults
     from mgsgraph.results.tables import TableForm
+    from mgsgraph.studio.verdicts import Verdicts
 
 _PAGES = (".html", ".htm")
 _NETWORKS = (".pvl", ".net", ".csv")
@@ -75,16 +75,9 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
-    ctx: click.Context,
-    project: Path,
-    images: tuple[str, ...],
-    ties: tuple[Path, ...],
-    shots: tuple[Path, ...],
-    of_pass: str,
-    shares: tuple[str, ...],
-    table: Path | None,
-    dry_run: bool,
-) -> None:
+    ctx: click.Context, project: Path, images: tuple[str, ...], ties: tuple[Path, ...], shots: tuple[Path, ...],
+    of_pass: str, shares: tuple[str, ...], table: Path | None, dry_run: bool,
+) -> None:  # fmt: skip
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
 
     IMAGE is support data (.json, .isd), a MOC label (.img, .lbl, .cub; with the project's kernels) or a case file
@@ -102,10 +95,7 @@ def add(
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
-    if table is not None:
-        from mgsgraph.results.impact import require_writable
-
-        require_writable(table, project)
+    _require_writable(table, project)
     wanted = [parse_image(text) for text in images]
     with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
@@ -156,10 +146,8 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.project.changes import remove_images
     from mgsgraph.project.project import open_project
-    from mgsgraph.results.impact import require_writable
 
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
         names = opened.images_named(images)
         impact = remove_images(opened, names)
@@ -196,7 +184,6 @@ def measure(
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
     from mgsgraph.project.project import Measure, open_project
-    from mgsgraph.results.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
         raise click.UsageError("one of --pixel, --reject, --accept and --remove")
@@ -206,8 +193,7 @@ def measure(
         raise click.UsageError("--sigma-px is of --pixel")
     if sigma_px is not None and not 0.0 < sigma_px < float("inf"):
         raise InputError("--sigma-px", f"{sigma_px}", "a positive number of pixels")
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     sigma = sigma_px or 0.0
     with open_project(project, write=True) as opened:
         names = [opened.images_named([image])[0] for image, _, _ in pixels]
@@ -236,13 +222,18 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
     """
     from mgsgraph.project.edits import undo as take_back
     from mgsgraph.project.project import open_project
-    from mgsgraph.results.impact import require_writable
 
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     with open_project(project, write=True) as opened:
         done = take_back(opened, change)
     _print_edits(ctx, project, [done], table)
+
+
+def _require_writable(table: Path | None, project: Path) -> None:
+    if table is not None:
+        from mgsgraph.results.impact import require_writable
+
+        require_writable(table, project)
 
 
 def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
@@ -350,13 +341,9 @@ def studio(
     """
     if review is not None:
         _review(path, of_case, review, ties, worst, points, verdicts)
-    elif ties is not None or worst is not None or points or verdicts is not None:
+        return
+    if ties is not None or worst is not None or points or verdicts is not None:
         raise click.UsageError("--ties, --worst, --point and --verdicts go with --review FILE")
-    else:
-        _serve(path, of_case, port, no_browser)
-
-
-def _serve(path: Path, case: Path | None, port: int | None, no_browser: bool) -> None:
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
 
@@ -367,7 +354,7 @@ def _serve(path: Path, case: Path | None, port: int | None, no_browser: bool) ->
     from mgsgraph.studio.server import serve
 
     with stage_bar(1) as stages, stages.stage("reading"):
-        opened = Opened(path, case)
+        opened = Opened(path, of_case)
         opened.footprints()
 
     def ready(address: str) -> None:
@@ -384,38 +371,30 @@ def _review(
     path: Path, of_case: Path | None, out: Path, ties: Path | None, worst: int | None, points: tuple[str, ...],
     verdicts: Path | None,
 ) -> None:  # fmt: skip
-    from mgsgraph.errors import InputError
-    from mgsgraph.project.reading import case_with_results
-
-    source = case_with_results(path, of_case)
-    if out.suffix.lower() in _PAGES:
-        if worst is not None and points:
-            raise click.UsageError("--worst and --point can't both be given")
-        _write_page(source, out, ties, worst, points, verdicts)
-    elif out.suffix.lower() in _NETWORKS:
-        if verdicts is None:
-            raise click.UsageError(f"{out} is a network; it is written by --verdicts, a page has the ending .html")
-        if given := [name for name, value in (("worst", worst), ("point", points)) if value]:
-            raise click.UsageError(f"--{given[0]} is for a page, and {out} is a network")
-        _write_network(source.case, out, ties, verdicts)
-    else:
-        raise InputError(str(out), f"the ending {out.suffix!r}", "a page (.html) or a network (.pvl, .net, .csv)")
-
-
-def _write_page(
-    source: "CaseResults", out: Path, ties: Path | None, worst: int | None, points: tuple[str, ...],
-    verdicts: Path | None,
-) -> None:  # fmt: skip
+    """Write the page, or the network without what was rejected on it."""
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.errors import InputError
+    from mgsgraph.project.reading import case_with_results
     from mgsgraph.results.archive import read_solution
     from mgsgraph.studio.match_review import WORST, require_page, review_case, write_review
     from mgsgraph.studio.verdicts import read_verdicts, reviewed_network
 
-    require_page(out)
-    if ties is None:
-        reviewed_network(source.case)  # of several, none could be written without the rejected points
+    source, page = case_with_results(path, of_case), out.suffix.lower() in _PAGES
+    if not page and out.suffix.lower() not in _NETWORKS:
+        raise InputError(str(out), f"the ending {out.suffix!r}", "a page (.html) or a network (.pvl, .net, .csv)")
+    if not page and (verdicts is None or worst is not None or points):
+        raise click.UsageError(f"{out}: a network is written by --verdicts; --worst and --point are for a page (.html)")
+    if worst is not None and points:
+        raise click.UsageError("--worst and --point can't both be given")
+    network = ties or reviewed_network(source.case)  # of several, none could be written without the rejected points
+    if page:
+        require_page(out)
     earlier = None if verdicts is None else read_verdicts(verdicts)
+    if not page:
+        assert earlier is not None
+        _write_network(source.case, network, earlier, out)
+        return
     adjusted = None if source.folder is None else read_solution(source.folder)
     read = read_case(source.case, ties=ties)
     with counting_bar("comparing chips", "measure") as bar:
@@ -425,15 +404,12 @@ def _write_page(
     click.echo(f"The page is {out}")
 
 
-def _write_network(case: Path, out: Path, ties: Path | None, verdicts: Path) -> None:
+def _write_network(case: Path, network: Path, verdicts: "Verdicts", out: Path) -> None:
     from mgsgraph.export.exchange_setting import case_setting
     from mgsgraph.files.networks.table import is_table
-    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
+    from mgsgraph.studio.verdicts import write_kept
 
-    network = reviewed_network(case) if ties is None else ties
     setting = case_setting(case) if is_table(network) else None
-    ignored, total = write_kept(
-        network, read_verdicts(verdicts), out, setting, lambda: tuple(case_setting(case).sizes)
-    )
+    ignored, total = write_kept(network, verdicts, out, setting, lambda: tuple(case_setting(case).sizes))
     click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
     click.echo(f"The network is {out}")

@@ -8,8 +8,7 @@ import click
 from mgsgraph.cli.options import CASE, DETAILS, NO_FIGURES, PATH, TIES, print_sentences
 
 if TYPE_CHECKING:
-    from mgsgraph.adjustment.solution import Solution
-    from mgsgraph.project.reading import Results
+    from mgsgraph.results.section import Section
 
 _SUMMARY = 10
 """Rows of the table by suspicion with --details."""
@@ -159,12 +158,7 @@ def _choose_spacing(
     read = read_case(found.case, ties=ties or found.ties)
     with counting_bar("adjusting", "step") as bar:
         choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
-    section = nodes_section(choice, read.name)
-    if out is not None:
-        section.write_folder(out, NODES)
-    click.echo(section.text())
-    if out is not None:
-        click.echo(f"The study is in {out}")
+    _show(nodes_section(choice, read.name), out, NODES, "study")
 
 
 @click.command()
@@ -205,12 +199,16 @@ def plan(
         wanted = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
         made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
-    section = plan_section(made)
+    _show(plan_section(made), out, PLAN, "plan")
+
+
+def _show(section: "Section", out: Path | None, record: str, what: str, figures: bool = True) -> None:
+    """Write a section to a folder, if one is wanted, and print it."""
     if out is not None:
-        section.write_folder(out, PLAN)
-    click.echo(section.text())
+        section.write_folder(out, record, figures)
+    click.echo(section.text(_SUMMARY))
     if out is not None:
-        click.echo(f"The plan is in {out}")
+        click.echo(f"The {what} is in {out}")
 
 
 @click.command()
@@ -237,51 +235,36 @@ def report(
     solution. Differences are RESULT minus EARLIER. With a folder as --out that is all.
     """
     from mgsgraph.case.reading import read_case
+    from mgsgraph.files.output.folders import COMPARISON, require_replaceable
     from mgsgraph.project.reading import comparison_with_truth, results_of
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.comparison import compare as compared
     from mgsgraph.results.page import require_page, write_report
 
     folder = None if compare is None or out.suffix else out
     require_used("--no-figures", no_figures, folder is not None, "--compare with --out FOLDER")
     if folder is None:
         require_page(out)
-    found = results_of(result)
+    else:
+        require_replaceable(out, COMPARISON)
+    found, earlier = results_of(result), None if compare is None else results_of(compare)
     case, own_ties = (of_case, None) if of_case is not None else (found.case, found.ties)
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
-    adjusted = read_solution(found.folder)
-    before = None if compare is None else _compared(found, adjusted, results_of(compare), folder, not no_figures)
+    adjusted, before = read_solution(found.folder), None if earlier is None else read_solution(earlier.folder)
+    print_sentences([one.warning for one in (earlier, found) if one is not None and one.warning])
+    if earlier is not None and before is not None:
+        click.echo(f"A: {earlier.folder} ({before.name})\nB: {found.folder} ({adjusted.name})")
+        _show(compared(adjusted, before, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures)
     if folder is not None:
         return
     read = None if case is None else read_case(case, ties=ties or own_ties)
     if read is not None:
         read.require_images_of(adjusted)
-    inputs = _inputs([found.folder, before and before[0]], case, ties or own_ties)
-    write_report(adjusted, out, read, before and before[1], inputs, comparison_with_truth(found.folder))
-    print_sentences([found.warning] if found.warning and compare is None else [])
+    inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
+    write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
     click.echo(f"The page is {out}")
-
-
-def _compared(
-    later: "Results", adjusted: "Solution", earlier: "Results", out: Path | None, figures: bool
-) -> "tuple[Path, Solution]":
-    """Print how one solution differs from an earlier one, and write it to a folder; the earlier one."""
-    from mgsgraph.files.output.folders import COMPARISON, require_replaceable
-    from mgsgraph.results.archive import read_solution
-    from mgsgraph.results.comparison import compare
-
-    if out is not None:
-        require_replaceable(out, COMPARISON)
-    before = read_solution(earlier.folder)
-    found = compare(adjusted, before, ("A", "B"))
-    click.echo(f"A: {earlier.folder} ({before.name})\nB: {later.folder} ({adjusted.name})")
-    print_sentences([words for words in (earlier.warning, later.warning) if words])
-    click.echo(found.section.text(10))
-    if out is not None:
-        found.section.write_folder(out, COMPARISON, figures=figures)
-        click.echo(f"The comparison is in {out}")
-    return earlier.folder, before
 
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:

@@ -45,12 +45,9 @@ def _resumable() -> Iterator[None]:
 @click.command()
 @click.argument("site", default="gusev")
 @click.option(
-    "--out",
-    type=PATH,
-    default=Path("mgsgraph-demo"),
-    show_default=True,
+    "--out", type=PATH, default=Path("mgsgraph-demo"), show_default=True,
     help="Folder for inputs and results; made anew.",
-)
+)  # fmt: skip
 @_SEED
 @_ATTITUDE_TIME_BIAS
 @click.option("--no-relief", is_flag=True, help="Leave the registration by relief out, which takes most of the time.")

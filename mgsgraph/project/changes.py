@@ -161,8 +161,7 @@ def solve_project(
     name, settings, store = project.name, project.settings.solver.settings, project.store
     settings = settings if device is None else replace(settings, device=device)
     if not store.members():
-        found = "nothing to adjust: no measure in any image"
-        remedy = f"add some: mgsgraph project add {project.folder} IMAGE"
+        found, remedy = "nothing to adjust: no measure in any image", f"mgsgraph project add {project.folder} IMAGE"
         if project.case is not None:
             remedy = f"find tie points in them: mgsgraph match {project.folder}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)

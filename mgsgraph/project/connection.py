@@ -167,9 +167,8 @@ def _existing(folder: Path) -> Path:
         if not folder.exists():
             raise InputError(str(folder), "no such project", remedy=start)
         if not folder.is_dir():
-            remedy = "give the folder that it is in"
-            if folder.suffix == ".toml":
-                remedy = f"make one of the case: mgsgraph project init PROJECT --case {folder}"
+            case = f"make one of the case: mgsgraph project init PROJECT --case {folder}"
+            remedy = case if folder.suffix == ".toml" else "give the folder that it is in"
             raise InputError(str(folder), "is a file", "the folder of a project", remedy)
         if not path.is_file():
             other = f"begin one in a folder of its own: mgsgraph project init {folder / 'project'}"

@@ -504,9 +504,7 @@ def state_of(project: Project, text: str) -> PointState:
 
 
 def last_state(project: Project, point: str) -> PointState | None:
-    """A point as its last change left it, with those measures set aside whose images are there; None where nobody has
-    changed it, or it was taken out.
-    """
+    """A point as its last change left it, set aside measures in images that are there; None: never changed, or out."""
     last = project.last_edit_of(point)
     if last is None or last[1] is None:
         return None

@@ -440,5 +440,4 @@ def _words(project: Project) -> str:
         return f"Nothing has been adjusted yet: mgsgraph project solve {project.folder}"
     if project.last_results() is None:
         return ""
-    command = f"mgsgraph project solve {project.folder}"
-    return f"Changed since its last batch solution (adjusted by iSAM2); for a new one: {command}"
+    return f"Changed since its last batch solution, by iSAM2; for a new one: mgsgraph project solve {project.folder}"

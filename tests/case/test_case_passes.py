@@ -105,6 +105,14 @@ def test_images_of_several_passes_are_found_by_one_table(tmp_path: Path) -> None
     assert [one.name for one in named] == [f"LRO {one.name}" for one in passes]
 
 
+@pytest.mark.parametrize(("table", "proposed"), [("", True), ("[[passes]]", False)])
+def test_images_of_one_moment_without_a_pass_are_named(tmp_path: Path, table: str, proposed: bool) -> None:
+    left, right, other = (image.name for image in rig().images)
+    notes = [note for note in mgsgraph.read_case(write_rig(tmp_path, table)).notes if "[[mountings]]" in note]
+    assert len(notes) == proposed
+    assert all(left in note and right in note and other not in note for note in notes)
+
+
 def test_images_of_two_cameras_that_follow_upon_each_other() -> None:
     """L and R, and both again after five minutes, R before L in the list: each later one goes by its own camera."""
     left, right, _ = rig().images

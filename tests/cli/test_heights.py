@@ -269,8 +269,8 @@ def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_pat
         "no such file": (case, tmp_path / "none.csv", "--out", out),
         "SIM/Z: no such image": (case, shots, "--image", "SIM/Z", "--out", out),
         "dates": (case, shots, "--dates", "1999-13-01", "1999-02-01", "--out", out),
-        "--ties goes without FILES": (case, shots, "--ties", out),
-        "--margin goes with FILES": (case, "--margin", 2),
+        "--ties and --no-figures go without FILES": (case, shots, "--ties", out),
+        "go with FILES": (case, "--margin", 2),
     }.items():
         assert said in refusal("footprints", *arguments)
     assert mine.read_text(encoding="utf-8") == "years,of,work\n"

@@ -189,8 +189,8 @@ def test_what_cannot_be_reviewed_writes_nothing(pictured_case: Path, tmp_path: P
     for said, arguments in {
         "no such file": (tmp_path / "none.toml", "--review", page),
         "'.txt'; expected a page (.html) or a network": (case, "--review", tmp_path / "page.txt"),
-        "it is written by --verdicts": (case, "--review", network),
-        "--worst is for a page": (case, "--review", network, "--verdicts", verdicts, "--worst", 3),
+        "is written by --verdicts": (case, "--review", network),
+        "--worst and --point are for a page": (case, "--review", network, "--verdicts", verdicts, "--worst", 3),
         "can't both be given": (case, "--review", page, "--worst", 3, "--point", "TIE00001"),
         "no point NONE": (case, "--review", page, "--point", "NONE"),
         "none.csv: no such file": (case, "--review", page, "--verdicts", tmp_path / "none.csv"),
