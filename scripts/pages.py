@@ -68,7 +68,9 @@ _COMMANDS = """<!-- written by scripts/pages.py -->
 Every verb with its options, as `mgsgraph VERB --help` says it: this page is made from the commands themselves. Bad
 input is one line on standard error and exit status 2; 0 is done, 1 not converged (results are written), 130 interrupted
 (nothing is half-written). Results appear whole or not at all: an earlier result is replaced only when the new one is
-there, a folder that holds anything else is refused.
+there, a folder that holds anything else is refused. Without `--out` they lie in the working directory, in NAME-VERB:
+NAME is that of the case file or result (of a `case.toml` that of its folder). An image is named by any part of its name
+that no other has.
 """
 _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files

@@ -41,7 +41,7 @@ _OPTIONS = (
     click.option(
         "--loss", type=click.Choice(["none", "huber", "cauchy", "tukey"]),
         help="Robust loss on image coordinates and ranges.",
-    ),  # fmt: skip
+    ),
     click.option(
         "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
     ),

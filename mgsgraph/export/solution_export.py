@@ -173,24 +173,26 @@ def target_of(name: Target | str) -> Target:
 
 def require_supported(targets: Sequence[Target], settings: ExportSettings) -> None:
     """Raise InputError for a setting that would do nothing with any of the targets."""
-    for name, used_by in _USED_BY.items():
-        if getattr(settings, name) and not set(targets) & set(used_by):
+    for name, (option, used_by) in _USED_BY.items():
+        if getattr(settings, name) not in (getattr(_DEFAULT, name), []) and not set(targets) & set(used_by):
             where, expected = (" or ".join(one.value for one in several) for several in (targets, used_by))
             found, remedy = "an option that it ignores", "leave it out"
-            raise InputError(f"export to {where}, {name}", found, f"it with {expected} alone", remedy)
+            raise InputError(f"export to {where}, {option}", found, f"it with {expected} alone", remedy)
 
 
 def settings_for(target: Target, settings: ExportSettings) -> ExportSettings:
     """Those settings that a target uses, of those of several targets."""
-    unused = [name for name, used_by in _USED_BY.items() if target not in used_by]
-    return replace(settings, **{name: getattr(ExportSettings(), name) for name in unused})
+    unused = [name for name, (_, used_by) in _USED_BY.items() if target not in used_by]
+    return replace(settings, **{name: getattr(_DEFAULT, name) for name in unused})
 
 
+_DEFAULT = ExportSettings()
 _USED_BY = {
-    "scaled": (Target.ISIS, Target.ASP), "raster": (Target.GIS,), "networks": (Target.ISIS,),
-    "verify": (Target.SPICE,), "support": (Target.CSM, Target.ASP), "files": (Target.CSM, Target.ASP),
+    "scaled": ("scaled", (Target.ISIS, Target.ASP)), "raster": ("raster", (Target.GIS,)),
+    "networks": ("ties", (Target.ISIS,)), "verify": ("verify", (Target.SPICE,)),
+    "support": ("case", (Target.CSM, Target.ASP)), "files": ("case", (Target.CSM, Target.ASP)),
 }  # fmt: skip
-"""Settings that not all targets use."""
+"""Option of each setting that not all targets use, and those that do."""
 _Written = tuple[Sequence[Path], tuple[str, ...]]
 """Files, and what is to be said of them."""
 
