@@ -42,12 +42,8 @@ _OPTIONS = (
         "--loss", type=click.Choice(["none", "huber", "cauchy", "tukey"]),
         help="Robust loss on image coordinates and ranges.",
     ),
-    click.option(
-        "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
-    ),
-    click.option(
-        "--starts", type=click.IntRange(0), help="Starts over the terrain model's shift; 0: none. 16 of small networks."
-    ),
+    click.option("--reject", type=float, help="Reject what good rays exceed as rarely as so many sigmas; 0: none."),
+    click.option("--starts", type=click.IntRange(0), help="Starts over the terrain's shift; 0: none; 16 if small."),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
     TABLES,

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
     from mgsgraph.results.tables import TableForm
-    from mgsgraph.studio.verdicts import Verdicts
 
 _PAGES = (".html", ".htm")
 _NETWORKS = (".pvl", ".net", ".csv")
@@ -375,10 +374,12 @@ def _review(
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.errors import InputError
+    from mgsgraph.export.exchange_setting import case_setting
+    from mgsgraph.files.networks.table import is_table
     from mgsgraph.project.reading import case_with_results
     from mgsgraph.results.archive import read_solution
     from mgsgraph.studio.match_review import WORST, require_page, review_case, write_review
-    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network
+    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
 
     source, page = case_with_results(path, of_case), out.suffix.lower() in _PAGES
     if not page and out.suffix.lower() not in _NETWORKS:
@@ -391,9 +392,11 @@ def _review(
     if page:
         require_page(out)
     earlier = None if verdicts is None else read_verdicts(verdicts)
-    if not page:
-        assert earlier is not None
-        _write_network(source.case, network, earlier, out)
+    if not page and earlier is not None:
+        setting = case_setting(source.case) if is_table(network) else None
+        ignored, total = write_kept(network, earlier, out, setting, lambda: tuple(case_setting(source.case).sizes))
+        click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
+        click.echo(f"The network is {out}")
         return
     adjusted = None if source.folder is None else read_solution(source.folder)
     read = read_case(source.case, ties=ties)
@@ -402,14 +405,3 @@ def _review(
     write_review(made, out, earlier)
     click.echo(f"- {made.choice}.")
     click.echo(f"The page is {out}")
-
-
-def _write_network(case: Path, network: Path, verdicts: "Verdicts", out: Path) -> None:
-    from mgsgraph.export.exchange_setting import case_setting
-    from mgsgraph.files.networks.table import is_table
-    from mgsgraph.studio.verdicts import write_kept
-
-    setting = case_setting(case) if is_table(network) else None
-    ignored, total = write_kept(network, verdicts, out, setting, lambda: tuple(case_setting(case).sizes))
-    click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
-    click.echo(f"The network is {out}")

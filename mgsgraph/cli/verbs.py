@@ -54,22 +54,17 @@ RENAMED = {
 }
 """What verbs of version 0.2 are called now."""
 REMOVED = {
-    "add --check": "mgsgraph project solve PROJECT ends with the closing check",
-    "adjust --form": "points are always eliminated, to the same result; as GTSAM factors: `mgsgraph.factor_graph`",
     "adjust --relief": "mgsgraph align CASE",
-    "align --pair": "--image A --image B",
     "align --reach": "--search",
     "align --solution": "mgsgraph align RESULT, with --case CASE where RESULT doesn't know it",
     "analyze --cell-m": "--post",
     "analyze --poses": "--pose once for each, with --correlations",
     "analyze --snoop": "mgsgraph adjust CASE --reject, with the critical value that --reliability says",
-    "batch --form": "points are always eliminated, to the same result",
     "convert --images": "--size",
     "convert --only": "--image",
     "convert --target": "--body",
     "convert --thin": "ISIS's cnetthinner keeps few points, well spread; --image keeps some images",
     "dem --mola": "--shots",
-    "dem --pair": "--image A --image B",
     "export --network": "--ties",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",
     "fetch --mirrors": "--mirror takes a file of addresses, too",
@@ -78,7 +73,10 @@ REMOVED = {
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
     "footprints --solution": "mgsgraph footprints RESULT, with --case CASE where RESULT doesn't know it",
     "locate --place": "--ground",
-    "remove --check": "mgsgraph project solve PROJECT ends with the closing check",
+    "match --method": "features alone are matched; for more of them, --per-cell",
+    **{f"{verb} --check": "`project solve` ends with the closing check" for verb in ("add", "remove")},
+    **{f"{verb} --form": "always eliminated; in GTSAM: mgsgraph.factor_graph" for verb in ("adjust", "batch")},
+    **{f"{verb} --pair": "--image A --image B" for verb in ("align", "dem")},
     **{f"{verb} --verbose": "-v, which prints the tables too" for verb in ("adjust", "batch", "solve")},
 }
 """Options that verbs had once, and what serves instead."""
