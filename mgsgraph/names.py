@@ -24,6 +24,9 @@ from mgsgraph.errors import InputError
 
 _MOST_COMPARED = 20_000
 """Names among which those nearest to a misspelt one are sought."""
+_MOST_NAMED = 6
+"""Names that a message lists."""
+_IMAGE = "image"
 Chosen = Union[slice, "NDArray[np.int64]", "NDArray[np.bool_]"]
 """Which names: a slice, numbers (m,) or marks (n,)."""
 
@@ -281,7 +284,8 @@ class RepeatedNames(_Column):
 
 
 def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], what: str) -> int:
-    """The number of one of several, asked for by its name or by its number, 0 .. n - 1.
+    """The number of one of several, asked for by its name or by its number, 0 .. n - 1; of an image also by a part of
+    its name that no other has.
 
     Parameters
     ----------
@@ -294,21 +298,35 @@ def number_of(asked: "str | int | np.integer[Any]", numbers: Mapping[str, int], 
     Raises
     ------
     InputError
-        Where there is none of that name, with the names that come nearest, or of that number.
+        Where there is none of that name, with the names that come nearest, or of that number; a part of several names.
     """
+    found, near = f"no such {what} among {len(numbers)}", list[str]()
     if isinstance(asked, str):
         if asked in numbers:
             return numbers[asked]
-        few = len(numbers) <= _MOST_COMPARED
-        near, expected = get_close_matches(asked, numbers, n=3) if few else [], "one of their names"
+        if what == _IMAGE and asked:
+            near = [name for name in numbers if asked in name]
+        if len(near) == 1:
+            return numbers[near[0]]
+        if near:
+            found = f"a part of {len(near)} names"
+        elif len(numbers) <= _MOST_COMPARED:
+            near = get_close_matches(asked, numbers, n=3)
+        expected = "one of their names"
     else:
         if 0 <= index(asked) < len(numbers):
             return index(asked)
-        near, expected = list[str](), f"a number from 0 to {len(numbers) - 1}, or a name"
+        expected = f"a number from 0 to {len(numbers) - 1}, or a name"
     if not numbers:
         raise InputError(f"{what} {asked}", f"there is no {what}")
-    names = near or list(itertools.islice(numbers, 3))
-    raise InputError(f"{what} {asked}", f"no such {what} among {len(numbers)}", f"{expected}, e.g. {', '.join(names)}")
+    names = near[:_MOST_NAMED] or list(itertools.islice(numbers, 3))
+    raise InputError(f"{what} {asked}", found, f"{expected}, e.g. {', '.join(names)}")
+
+
+def image_names(asked: Iterable[str], names: Sequence[str]) -> list[str]:
+    """Names of images, each once, of which names or parts of names were asked for (`number_of`)."""
+    numbers = {name: j for j, name in enumerate(names)}
+    return list(dict.fromkeys(names[number_of(one, numbers, _IMAGE)] for one in asked))
 
 
 def _encoded(names: Sequence[str], source: str) -> Names:

@@ -325,20 +325,20 @@ def project_row(strip: SimulatedStrip, images: int, repeats: int, solve: bool, w
         show(f"{images} images: run {again} of {repeats}")
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(kept_one, copy)
-        runs["status"].append(mgsgraph("status", copy))
-        runs["dry"].append(mgsgraph("add", copy, *arguments, "--dry-run"))
-        runs["add"].append(mgsgraph("add", copy, *arguments))
+        runs["status"].append(mgsgraph("project", "status", copy))
+        runs["dry"].append(mgsgraph("project", "add", copy, *arguments, "--dry-run"))
+        runs["add"].append(mgsgraph("project", "add", copy, *arguments))
         trees.append(tree(copy))
     add, dry, status = (median(one[1:]) for one in (runs["add"], runs["dry"], runs["status"]))  # the first compiles
     size = (kept_one / "project.sqlite").stat().st_size / 1e6
-    last = str(mgsgraph("solve", copy, "--no-figures")) if solve else "-"
+    last = str(mgsgraph("project", "solve", copy, "--no-figures")) if solve else "-"
     points = str(len(strip.upto(images).ties.ids))
     seconds = f"{statistics.median(trees[1:]):.2f}"
     return [str(images), points, f"{size:.0f}", str(add), seconds, str(dry), str(status), last]
 
 
 def project(parser: OneLine, given: list[str]) -> int:
-    """What do `mgsgraph add`, `status` and `solve` cost as commands, with 10, 100, 498 images already in the project?
+    """What do `project add`, `status` and `solve` cost as commands, with 10, 100, 498 images already in the project?
 
     Makes a project of a simulated strip's first images (batch, adopted), writes the files of the next image, and runs
     the commands on copies of the project, each several times. Fills docs/project_cost.md.

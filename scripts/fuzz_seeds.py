@@ -120,10 +120,10 @@ def worked_folder() -> Path:
     folder = pair_folder()
     case = folder / "case.toml"
     commanded("adjust", case, "--out", folder / "result", "--no-figures")
-    commanded("init", folder / "project", "--case", case)
-    commanded("solve", folder / "project", "--no-figures")
-    commanded("init", folder / "half", "--case", case)
-    commanded("remove", folder / "half", "SIM/B")
+    commanded("project", "init", folder / "project", "--case", case)
+    commanded("project", "solve", folder / "project", "--no-figures")
+    commanded("project", "init", folder / "half", "--case", case)
+    commanded("project", "remove", folder / "half", "SIM/B")
     return folder
 
 

@@ -8,7 +8,7 @@ python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of
 mgsgraph demo --out mgsgraph-demo
 mgsgraph match mgsgraph-demo/inputs/case.toml --out MATCHES
 mgsgraph adjust mgsgraph-demo/inputs/case.toml --ties MATCHES/network.pvl --out RESULT
-mgsgraph review mgsgraph-demo/inputs/case.toml --ties MATCHES/network.pvl --solution RESULT --out review.html
+mgsgraph studio RESULT --ties MATCHES/network.pvl --review review.html
 mgsgraph dem RESULT --case mgsgraph-demo/inputs/case.toml --out DEM
 mgsgraph analyze mgsgraph-demo --out analysis
 mgsgraph analyze mgsgraph-demo --curve E02-00665 --raster --out sigmas

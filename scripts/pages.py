@@ -29,6 +29,7 @@ from mgsgraph.analysis.unexplained import unexplained
 from mgsgraph.case.case_file import keys_markdown
 from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.cli import group
+from mgsgraph.cli.verbs import VERBS
 from mgsgraph.files.geometric_keys import FORMATS, Use
 from mgsgraph.files.output.table import Column, Table
 from mgsgraph.geometry.stereo_surface import SurfaceHeights
@@ -67,7 +68,9 @@ _COMMANDS = """<!-- written by scripts/pages.py -->
 Every verb with its options, as `mgsgraph VERB --help` says it: this page is made from the commands themselves. Bad
 input is one line on standard error and exit status 2; 0 is done, 1 not converged (results are written), 130 interrupted
 (nothing is half-written). Results appear whole or not at all: an earlier result is replaced only when the new one is
-there, a folder that holds anything else is refused.
+there, a folder that holds anything else is refused. Without `--out` they lie in the working directory, in NAME-VERB:
+NAME is that of the case file or result (of a `case.toml` that of its folder). An image is named by any part of its name
+that no other has.
 """
 _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files
@@ -121,8 +124,11 @@ def commands_markdown() -> str:
     """A section for each verb."""
     lines: list[str] = []
     with click.Context(group, info_name="mgsgraph") as whole:
-        for name in group.list_commands(whole):
-            command = group.get_command(whole, name)
+        for name in VERBS:
+            command: click.Command | None = group
+            for word in name.split():
+                assert isinstance(command, click.Group)
+                command = command.get_command(whole, word)
             assert command is not None
             lines += _verb(name, command, whole)
     return "\n".join(lines) + "\n"
@@ -197,7 +203,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)
-    yield "what mgsgraph shots writes", selection_table(registration.before[0].found)
+    yield "what mgsgraph footprints writes", selection_table(registration.before[0].found)
     yield from _without_rows()
 
 

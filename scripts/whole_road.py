@@ -32,9 +32,9 @@ from mgsgraph.text import root_mean_square as rms
 PAGE = DOCS / "whole_road.md"
 ROAD = (
     "fetch {images} --out DATA",
-    "init PROJECT --case DATA/case.toml",
+    "project init PROJECT --case DATA/case.toml",
     "match PROJECT",
-    "solve PROJECT",
+    "project solve PROJECT",
     "report PROJECT --out report.html",
     "export PROJECT --to spice --out SPICE",
     "dem PROJECT --out DEM",

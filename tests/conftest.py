@@ -128,7 +128,7 @@ def solved(pair_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     project = str(tmp_path_factory.mktemp("solved") / "project")
     for words in (["init", project, "--case", str(pair_folder / "case.toml")], ["solve", project, "--no-figures"]):
-        assert not group(words, standalone_mode=False)
+        assert not group(["project", *words], standalone_mode=False)
     return Path(project)
 
 

@@ -258,14 +258,14 @@ def grown(folder: Path) -> Result:
     site, project, found = case_file("strip --images 5 --ties 80 --steps").parent, folder / "project", Result()
     sigmas = folder / "settings.toml"
     sigmas.write_text("format = 1\n[orientation]\nposition_sigma_m = 100.0\nangle_sigma_mrad = 0.29\n", "utf-8")
-    command("init", project, "--name", "grown", "--settings", sigmas)
+    command("project", "init", project, "--name", "grown", "--settings", sigmas)
     for k, image in enumerate(sorted(site.glob("image_*.isd"))):
         step, impact = site / f"step_{k:03d}", folder / f"impact_{k}.csv"
         brought = ["--shots", step / "lidar.json", "--impact", impact, *(["--ties", step / "ties.pvl"] if k else [])]
-        command("add", project, f"STRIP/{image.stem.removeprefix('image_')}={image}", *brought)
+        command("project", "add", project, f"STRIP/{image.stem.removeprefix('image_')}={image}", *brought)
         found |= of_columns(of_lines(impact))
         if k in (2, 4):
-            command("solve", project, "--no-figures")
+            command("project", "solve", project, "--no-figures")
             solution = mgsgraph.read_solution(max((project / "solutions").iterdir()))
             found |= prefixed(f"{k + 1} images", of_solution(solution))
     return found

@@ -212,7 +212,10 @@ def of_mgsgraph(words: Sequence[str], comment: str) -> None:
     if words[:1] in ([], ["--help"], ["--version"]):
         return
     with click.Context(group, info_name="mgsgraph") as whole:
-        command = group.get_command(whole, words[0])
+        command: click.Command | None = group.get_command(whole, words[0])
+        if isinstance(command, click.Group):
+            words = words[1:]
+            command = command.get_command(whole, words[0])
         assert command is not None, words[0]
         shown = [word for word in words[1:] if not word.startswith("[")]  # [--snoop]: may be said
         comment += " ".join(word for word in words[1:] if word.startswith("["))
@@ -460,13 +463,13 @@ ASKED = {
     "A file is missing": "adjust nothing.toml --out NEW",
     "No pixels": "match data/case.toml --out NEW",
     "A column is unknown": "convert points.csv x.net",
-    "Verdicts of another network": "review data/case.toml --verdicts verdicts.csv --out kept.pvl",
-    "Nothing to register": "coregister data/case.toml --out NEW",
+    "Verdicts of another network": "studio data/case.toml --verdicts verdicts.csv --review kept.pvl",
+    "Nothing to register": "align data/case.toml --out NEW",
     "The folder is taken": "adjust data/case.toml --out other",
     "Not a result": "analyze other",
     "No such point, no such image": "analyze RESULT --pose SIMA 10",
     "Rays that miss each other": "analyze RESULT --pixel SIM/A 100 100 --pixel SIM/B 900 900",
-    "No project there": "solve nowhere",
+    "No project there": "project solve nowhere",
 }
 """What is asked for, beside the case and its result."""
 

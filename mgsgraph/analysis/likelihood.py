@@ -18,10 +18,11 @@ from mgsgraph.adjustment.covariances import Linearised, Linearity, linearity
 from mgsgraph.adjustment.frames import Frames
 from mgsgraph.adjustment.graph import BundleGraph, Layout
 from mgsgraph.adjustment.rounds import about_predicted_lines
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import OUT, Rows
 from mgsgraph.kernel.sweep import COSTS, SYSTEM
+from mgsgraph.names import image_names
 from mgsgraph.record import Record
 from mgsgraph.text import listed
 
@@ -170,6 +171,10 @@ class Likelihood(Record):
         Raises InputError where there are none.
         """
         names = {f"{kind}{owner}" for kind in ("", "image ", "shared unknown ")}
+        if names.isdisjoint(axis.owner for axis in self._frames.axes):
+            with errors_from(f"likelihood, {owner!r}, no shift or shared unknown"):
+                (owner,) = image_names([owner], [image.name for image in self._at.network.images])
+            names = {owner, f"image {owner}"}
         mine = [c for c, axis in enumerate(self._frames.axes) if axis.owner in names]
         for name in axes:
             if name not in (there := [str(self._frames.axes[c]) for c in mine]):

@@ -1,6 +1,6 @@
 """A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name.
 
-Tables and keys of a case file, as its schema has them: for `mgsgraph help case`, and for docs/case_file.md.
+Tables and keys of a case file, as its schema has them: for `mgsgraph new --keys`, and for docs/case_file.md.
 """
 
 import textwrap
@@ -34,6 +34,8 @@ _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "position_bias_s": ("label",), "line_times": ("label",), "aberration": ("isd", "cube"), "observer": ("isd", "cube"),
 }  # fmt: skip
 """Keys that say something of files of some kinds alone."""
+_PROJECT = "project.sqlite"
+"""File that makes a folder a project (`mgsgraph.project`, which imports this room)."""
 _FORMER = {
     "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
     "mola": ("[[shots]]", "its key pedr is file"),
@@ -88,7 +90,7 @@ def stated(path: Path) -> CaseInput:
         _refuse_other_kinds(path)
         raise
     _refuse_former(toml.tables, str(path))
-    return validated(toml, CaseInput, path, "all keys: mgsgraph help case")
+    return validated(toml, CaseInput, path, "all keys: mgsgraph new --keys")
 
 
 def _refuse_former(value: Any, where: str) -> None:
@@ -105,6 +107,9 @@ def _refuse_former(value: Any, where: str) -> None:
 
 def _refuse_other_kinds(path: Path) -> None:
     """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
+    if (path / _PROJECT).is_file():
+        remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
+        raise InputError(str(path), "a project", "a case file (TOML)", remedy)
     kind = "a folder" if path.is_dir() else kind_of(path)
     if kind not in (None, Kind.CASE):
         raise InputError(str(path), str(kind), "a case file (TOML)", f"make one: mgsgraph new {path}")
@@ -395,7 +400,7 @@ def keys_text(table: str | None = None, width: int = 110) -> str:
     """
     if table is None:
         said = "\n\n".join(_table_text(one, width) for one in key_tables())
-        return f"{said}\n\nPaths are relative to the file. One table alone: mgsgraph help case TABLE"
+        return f"{said}\n\nPaths are relative to the file. One table alone: mgsgraph new --keys TABLE"
     names = {one.path or HEAD: one for one in key_tables()}
     wanted = table.strip("[]").lower()
     if wanted not in names:

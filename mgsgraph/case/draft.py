@@ -36,7 +36,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.text import many, some
 
 _ALTIMETRY = "[[altimetry]]"
-_RELIEF = "control by relief for `mgsgraph coregister`"
+_RELIEF = "control by relief for `mgsgraph align`"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 _SAME_SHOT = 1e-3
 """s between the times of one shot in two files."""
@@ -206,7 +206,7 @@ _UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, a
 """Why a file is left out."""
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
-# Written by `mgsgraph new`, and yours to change. All keys: mgsgraph help case.
+# Written by `mgsgraph new`, and yours to change. All keys: mgsgraph new --keys.
 format = 1
 name = {name}
 """
@@ -289,7 +289,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
-    """Kinds of all files by their paths; and those in folders that are of no kind, and why."""
+    """Kinds of all files by their paths; and those, of several or in folders, that are of no kind, and why."""
     kinds, unknown = dict[Path, Kind](), dict[Path, str]()
     for one in given:
         inside = _inside(one)
@@ -299,7 +299,7 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
                 unknown[path] = _NO_TEXT
             elif kind is not None and kind not in _NOT_TAKEN:
                 kinds[path] = kind
-            elif path is one and kind is not Kind.OWN_RECORD:
+            elif path is one and kind is not Kind.OWN_RECORD and (len(given) == 1 or not path.is_file()):
                 head_of(path, 1)  # says what it is that is no file
                 found = described(path, kind) if kind else _UNKNOWN
                 remedy = INSTEAD.get(kind, "leave it out") if kind else "leave it out"

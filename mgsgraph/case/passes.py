@@ -7,6 +7,7 @@ boresight angles, and away by a lever arm; stated, or unknown beside what is sta
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import msgspec
@@ -226,6 +227,18 @@ def passes_of(
     return tuple(found)
 
 
+def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int]]) -> list[str]:
+    """A sentence where images that are of no pass were taken at one time from one trajectory; of large blocks none."""
+    alone = sorted(set(range(len(images))).difference(*of_passes), key=lambda j: seconds(images[j]))
+    for one, other in pairwise(images[j] for j in alone[:_MOST_COMPARED]):
+        if seconds(other)[0] < seconds(one)[1] and len(found_passes([one, other])) == 1:
+            return [
+                f"{one.name} and {other.name} were taken at one time from one trajectory: [[passes]] adjusts it once, "
+                "[[mountings]] the angles between their cameras (docs/rigs.md)"
+            ]
+    return []
+
+
 def pass_name(images: Sequence[PushbroomImage]) -> str:
     """UTC of the first line of a pass, as 2009-07-13T02:03:04."""
     return utc_of_tdb(min(seconds(image)[0] for image in images)).strftime("%Y-%m-%dT%H:%M:%S")
@@ -240,6 +253,8 @@ def _pass(
         return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior_of(where, default), axes)
 
 
+_MOST_COMPARED = 1000
+"""Images, in the order of time, among which two of one moment are sought."""
 _LOOSE = 1e-3
 """rad by which the tables of two images of one camera may have it mounted otherwise in one pass."""
 

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
-from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of
+from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, rig_notes
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
@@ -143,7 +143,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     tie_points, notes = _read_ties(wanted, parts, folder)
     if tie_points:
         parts.add_points(tie_points, PointClass.TIE, 1.0)
-    notes += _unread_keys(wanted, folder)
+    notes += [*_unread_keys(wanted, folder), *rig_notes(images, of_passes)]
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
         datum = wanted.ground_control.datum
@@ -156,7 +156,8 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         parts.add_points(control, PointClass.CONTROL, 1.0)
     profiles = _add_laser(parts, wanted, path) if laser else ()
     if not parts.count:
-        raise Unmeasured(str(path), "neither ties nor ground control nor laser", "at least one of them")
+        found, remedy = "neither ties nor ground control nor laser", f"find ties in the images: mgsgraph match {path}"
+        raise Unmeasured(str(path), found, "at least one of them", remedy)
     settings = wanted.solver.settings
     held = np.array([image.held for image in wanted.images])
     radii, areoid, models = _read_terrain(wanted, path, images)
@@ -294,7 +295,7 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
             f"image {network.images[j].name}",
             " ".join(["no point is measured in it.", *notes]) if notes else "no point is measured in it",
             "at least one tie, laser or control point",
-            "take it out of the case or give it measures",
+            "take it out of the case, or give it measures, as `mgsgraph match` does",
         )
 
 

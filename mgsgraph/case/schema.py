@@ -41,7 +41,7 @@ class ShotsInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     file: str
     """Shots as their archive has them: MOLA PEDR (binary, PEDR2TAB table, CSV of the Orbital Data Explorer), LOLA RDR
-    (binary or CSV), MLA RDR (CSV), a PDS3 label of a table of shots, or a selection of `mgsgraph shots`."""
+    (binary or CSV), MLA RDR (CSV), a PDS3 label of a table of shots, or a selection of `mgsgraph footprints`."""
     image: str | None = None
     """Image taken along with it, whose orientation carries the ranges; found by time when absent."""
     range_sigma_m: Sigma | None = None

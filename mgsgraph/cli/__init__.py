@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib import import_module
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
 from mgsgraph.cli.options import guard_streams
-from mgsgraph.cli.verbs import REMOVED, VERBS
+from mgsgraph.cli.verbs import GROUPS, REMOVED, RENAMED, VERBS
 from mgsgraph.errors import MgsgraphError, one_line
 
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
@@ -23,6 +23,7 @@ _AGAIN = 0.2
 """s after which one tries again that a library's code, or a callback of it, may have swallowed."""
 _INTERRUPTED = "interrupted; results are as they were before, or whole"
 _OUT_OF_MEMORY = "error: out of memory; give the machine more or leave images out"
+_PROJECT = """Keep a block in a folder, PROJECT, to which images come one after another."""
 _LONGEST = 700
 """Characters of what click has against an argument."""
 _NO_MEMORY = -4
@@ -32,30 +33,50 @@ _LEAST = 2_000_000_000
 
 
 class _Verbs(click.Group):
-    """Verbs by name, with their one-line help known before their modules are imported."""
+    """Verbs by name, with their one-line help known before their modules are imported; all, or those of a group of
+    verbs whose names begin with `prefix`.
+    """
+
+    def __init__(self, *args: Any, prefix: str = "", **given: Any) -> None:
+        super().__init__(*args, **given)
+        names = (verb.removeprefix(prefix).split()[0] for verb in VERBS if verb.startswith(prefix))
+        self._prefix, self._names = prefix, list(dict.fromkeys(names))
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, args or ["--help"])
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(VERBS)
+        return self._names
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in VERBS:
+        if cmd_name not in self._names:
             return None
-        module, _ = VERBS[cmd_name]
+        if self._prefix + cmd_name not in VERBS:
+            return _Verbs(cmd_name, prefix=f"{cmd_name} ", help=_PROJECT)
+        module, _ = VERBS[self._prefix + cmd_name]
         command = getattr(import_module(f"mgsgraph.cli.{module}"), cmd_name)
         return command if isinstance(command, click.Command) else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(verb, help) for verb, (_, help) in VERBS.items()])
+        for title, verbs in GROUPS.items():
+            if lines := [(verb, help) for verb, (_, help) in verbs.items() if verb.startswith(self._prefix)]:
+                with formatter.section(title):
+                    formatter.write_dl(lines)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and not args[0].startswith("-") and args[0] not in VERBS:
-            near = get_close_matches(args[0], VERBS, n=1)
-            others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(VERBS)}"
-            raise click.UsageError(f"no command {args[0]!r}; {others}", ctx)
+        if args and not args[0].startswith("-") and args[0] not in self._names:
+            raise click.UsageError(f"no command {self._prefix + args[0]!r}; {self._instead(args)}", ctx)
         return super().resolve_command(ctx, args)
+
+    def _instead(self, args: list[str]) -> str:
+        """What to give in the place of a verb that isn't there."""
+        if not self._prefix and args[0] in RENAMED:
+            return f"it is now: {RENAMED[args[0]]}"
+        near = get_close_matches(args[0], self._names, n=1)
+        others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(self._names)}"
+        return f"{others} (ground <-> image is now: mgsgraph locate)" if self._prefix else others
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -172,8 +193,9 @@ def _said(error: click.ClickException) -> str:
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is None:
         return message
-    option = f"{context.info_name} {error.option_name}" if isinstance(error, click.NoSuchOption) else ""
-    return f"{message}; {REMOVED.get(option, f'see {context.command_path} --help')}"
+    if isinstance(error, click.NoSuchOption) and (new := REMOVED.get(f"{context.info_name} {error.option_name}")):
+        return f"No such option {error.option_name!r}; {new}"
+    return f"{message}; see {context.command_path} --help"
 
 
 def _leave(message: str, status: int) -> NoReturn:

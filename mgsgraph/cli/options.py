@@ -18,29 +18,32 @@ if TYPE_CHECKING:
 
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
-DETAILS = click.option("--details", is_flag=True, help="Print all tables and sentences.")
+DETAILS = click.option("-v", "--details", is_flag=True, help="Print all tables and sentences.")
+ITERATIONS = click.option(
+    "-v", "--details", is_flag=True, help="Print one line per iteration, and all tables and sentences."
+)
+CASE = click.option(
+    "--case", "of_case", type=PATH, help="Case that was adjusted, where RESULT doesn't know it."
+)
 NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
 TABLES = click.option(
     "--tables", type=click.Choice(["csv", "parquet"]),
     help="Form of points and residuals; when absent CSV up to 200,000 rows, else Parquet.",
 )  # fmt: skip
-PAIR = click.option("--pair", metavar="A,B", help="Names of the two images to take; all that overlap when absent.")
+TWO_IMAGES = click.option(
+    "--image", "images", multiple=True, metavar="IMAGE", help="Images to take, twice; all that overlap when absent."
+)
 DEVICE = click.option(
     "--device", type=click.Choice(["cpu", "cuda", "auto"]), help="Who goes over the points: the CPU or a GPU."
 )
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
     click.option(
-        "--loss",
-        type=click.Choice(["none", "huber", "cauchy", "tukey"]),
+        "--loss", type=click.Choice(["none", "huber", "cauchy", "tukey"]),
         help="Robust loss on image coordinates and ranges.",
     ),
-    click.option(
-        "--reject", type=float, help="Reject what good rays exceed as rarely as so many standard deviations; 0: none."
-    ),
-    click.option(
-        "--starts", type=click.IntRange(0), help="Starts over the terrain model's shift; 0: none. 16 of small networks."
-    ),
+    click.option("--reject", type=float, help="Reject what good rays exceed as rarely as so many sigmas; 0: none."),
+    click.option("--starts", type=click.IntRange(0), help="Starts over the terrain's shift; 0: none; 16 if small."),
     click.option("--no-laser", is_flag=True, help="Leave the laser rows out."),
     NO_FIGURES,
     TABLES,
@@ -64,12 +67,25 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
     return with_overrides
 
 
-def image_pair(pair: str | None) -> tuple[str, ...]:
-    """Names of the two images that --pair gives; none without it."""
-    images = () if pair is None else tuple(name.strip() for name in pair.split(","))
-    if pair is not None and (len(images) != 2 or len({*images, ""}) != 3):
-        raise click.UsageError(f"--pair {pair}: two different names, with a comma between them")
+def require_two(images: tuple[str, ...]) -> tuple[str, ...]:
+    """The names that --image gives if they are two, or none."""
+    if images and len(set(images)) != 2:
+        raise click.UsageError(f"--image {', '.join(images)}: two different images, or none of them for all")
     return images
+
+
+def out_option(verb: str, more: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The option --out of a verb that always writes a folder (`folder_for`)."""
+    return click.option("--out", type=PATH, help=f"Folder for the results; made anew.{more}  [default: NAME-{verb}]")
+
+
+def folder_for(out: Path | None, source: Path, verb: str) -> Path:
+    """OUT, or else a folder in the working directory named after what is worked on and the verb: case file or folder;
+    after its folder where it has the name that most case files have, or that of the archive in each result.
+    """
+    whole = source.resolve()
+    name = whole.stem if whole.suffix in (".toml", ".npz") else whole.name
+    return out or Path(f"{whole.parent.name if name in ('case', 'solution') else name}-{verb}")
 
 
 def print_sentences(sentences: Iterable[str]) -> None:

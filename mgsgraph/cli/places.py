@@ -1,4 +1,4 @@
-"""The verbs that project coordinates between ground and image, and find laser shots over images."""
+"""The verbs that go between ground and image: coordinates, and footprints of laser shots."""
 
 import sys
 from pathlib import Path
@@ -6,24 +6,25 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import PATH, print_sentences
+from mgsgraph.cli.options import CASE, NO_FIGURES, PATH, TIES, folder_for, print_sentences
 
 if TYPE_CHECKING:
     from mgsgraph.files.place_table import Sort
+    from mgsgraph.project.reading import ShotChoice
 
 
 @click.command()
 @click.argument("source", type=PATH, metavar="CASE|RESULT|PROJECT")
 @click.argument("image")
-@click.option("--points", type=PATH, metavar="CSV", help="Places to project; see below for its columns.")
-@click.option("--into", type=click.Choice(["image", "ground"]), help="Where to, of a CSV with places of both sorts.")
+@click.option("--points", type=PATH, metavar="CSV", help="Coordinates to convert; see below for its columns.")
+@click.option("--into", type=click.Choice(["image", "ground"]), help="Where to, of a CSV with columns of both.")
 @click.option(
     "--pixel", "pixels", type=(float, float), multiple=True, metavar="LINE SAMPLE",
-    help="An image place to project onto the ground; may be repeated. The first pixel's centre is at 0.5 (--isis: 1).",
+    help="A pixel to project onto the ground; may be repeated. The first pixel's centre is at 0.5 (--isis: 1).",
 )  # fmt: skip
 @click.option(
-    "--place", "places", type=(float, float), multiple=True, metavar="LONGITUDE LATITUDE",
-    help="A ground place to project into the image, planetocentric degrees, east; may be repeated.",
+    "--ground", "places", type=(float, float), multiple=True, metavar="LONGITUDE LATITUDE",
+    help="A ground point to project into the image, planetocentric degrees, east; may be repeated.",
 )  # fmt: skip
 @click.option("--isis", is_flag=True, help="Count lines and samples from 1, at the first pixel's centre.")
 @click.option("--height", type=float, metavar="M", help="Of the ground above the ellipsoid.")
@@ -32,12 +33,12 @@ if TYPE_CHECKING:
 @click.option("--reference-radius", type=float, metavar="M", help="Above which a GeoTIFF's heights are.")
 @click.option("--ellipsoid", is_flag=True, help="The ellipsoid, also where CASE or RESULT has a terrain model.")
 @click.option("--out", type=PATH, help="CSV file for the result, over an earlier one; the screen when absent.")
-def project(
+def locate(
     source: Path, image: str, points: Path | None, into: "Sort | None", pixels: tuple[tuple[float, float], ...],
     places: tuple[tuple[float, float], ...], isis: bool, height: float | None, radius: float | None,
     terrain: Path | None, reference_radius: float | None, ellipsoid: bool, out: Path | None,
 ) -> None:
-    """Project ground places into IMAGE, or places in IMAGE onto the ground: the terrain model of CASE or RESULT if it
+    """Project ground points into IMAGE, or pixels of IMAGE onto the ground: the terrain model of CASE or RESULT if it
     has one, else the height of RESULT's adjusted points about each place; `height_from` says which. The orientation is
     the adjusted one of RESULT or PROJECT, the nominal one of CASE; of the former there are sigmas, with that of the
     height, and numbers have two digits of theirs. IMAGE may be a part of a name that no other image has.
@@ -59,7 +60,7 @@ def project(
     from mgsgraph.results.places import PLACES, Surface, places_text, project_places
 
     if sum(map(bool, (points, pixels, places))) != 1:
-        raise click.UsageError("one of --points CSV, --pixel LINE SAMPLE, --place LONGITUDE LATITUDE")
+        raise click.UsageError("one of --points CSV, --pixel LINE SAMPLE, --ground LONGITUDE LATITUDE")
     if sum((height is not None, radius is not None, terrain is not None, ellipsoid)) > 1:
         raise click.UsageError("one of --height, --radius, --terrain and --ellipsoid")
     if reference_radius is not None and terrain is None:
@@ -96,43 +97,93 @@ def project(
 
 
 @click.command()
-@click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILES...")
-@click.option("--case", type=PATH, required=True, metavar="CASE|RESULT", help="Whose images; a project's, too.")
-@click.option("--image", "names", multiple=True, metavar="NAME",
-    help="One image alone, by its name or a part of it that no other has; may be repeated.")
+@click.argument("source", type=PATH, metavar="CASE|RESULT|PROJECT")
+@click.argument("files", type=PATH, nargs=-1, metavar="[FILES...]")
+@CASE
+@click.option("--image", "names", multiple=True, metavar="IMAGE", help="Of FILES: this image alone; may be repeated.")
 @click.option(
-    "--dates", type=(str, str), metavar="FROM TO", help="UTC, as 2010-05-10 or 2010-05-10T06:30; both days included."
-)
+    "--dates", type=(str, str), metavar="FROM TO",
+    help="Of FILES: UTC, as 2010-05-10 or 2010-05-10T06:30; both days included.",
+)  # fmt: skip
 @click.option(
     "--quality", type=click.Choice(["ground", "all"]), default="ground", show_default=True,
-    help="Returns from the ground, or those too that the archive marks as noise or clouds.",
+    help="Of FILES: returns from the ground, or those too that the archive marks as noise or clouds.",
 )  # fmt: skip
-@click.option("--off-nadir", type=float, metavar="DEG", help="No shots farther off nadir, nor where it is not known.")
-@click.option("--margin", type=click.FloatRange(0.0), default=0.0, help="Pixels a shot may lie beside an image.")
-@click.option("--along", is_flag=True, help="Shots alone that were fired while an image was taken in which they fall.")
+@click.option(
+    "--off-nadir", type=float, metavar="DEG", help="Of FILES: no shots farther off nadir, nor where it is not known."
+)
+@click.option("--margin", type=click.FloatRange(0.0), default=0.0, help="Of FILES: pixels that they may lie beside.")
+@click.option("--along", is_flag=True, help="Of FILES: only shots fired while an image was taken in which they fall.")
 @click.option("--version", metavar="LETTER", help="Of a PEDR product, where its name doesn't say.")
-@click.option("--out", type=PATH, metavar="CSV", help="File for the selection, which a case takes as [[shots]] file.")
-def shots(
-    files: tuple[Path, ...], case: Path, names: tuple[str, ...], dates: tuple[str, str] | None, quality: str,
-    off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
-) -> None:
-    """Find the laser shots of FILES that fall in images, profile by profile, and those taken along with an image.
+@click.option(
+    "--out", type=PATH,
+    help="Folder for the results; made anew.  [default: NAME-footprints] With FILES: CSV file for the selection, which "
+    "a case takes as [[shots]] file; none when absent.",
+)  # fmt: skip
+@TIES
+@NO_FIGURES
+def footprints(
+    source: Path, files: tuple[Path, ...], of_case: Path | None, names: tuple[str, ...], dates: tuple[str, str] | None,
+    quality: str, off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
+    ties: Path | None, no_figures: bool,
+) -> None:  # fmt: skip
+    """Project the footprints of a case's laser profiles into its images, and compare the images at them; or, with
+    FILES, find the laser shots of FILES that fall in the images.
 
-    FILES are of one altimeter: MOLA PEDR, LOLA RDR, MLA RDR, Kaguya LALT, or earlier selections. Footprints are
-    projected with the nominal orientation of CASE, or the adjusted one of RESULT: an image whose orientation is 300 m
-    off finds its shots 300 m off.
+    The orientation is the nominal one of CASE, or the adjusted one of RESULT or PROJECT: an image whose orientation is
+    300 m off finds its shots 300 m off.
+
+    Without FILES, OUT holds registration.json, registration.csv (each shot in each image), discrepancy.csv (by how much
+    two images contradict each other about each footprint) and figures with numbered footprints.
+
+    FILES are of one altimeter: MOLA PEDR, LOLA RDR, MLA RDR, Kaguya LALT, or earlier selections. Shots are listed
+    profile by profile, with those taken along with an image.
 
     Exit status: 0, with shots found or none; 2 bad input, and nothing is written.
     """
+    from mgsgraph.project.reading import ShotChoice
+
+    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
+    if files and (of_case, ties, no_figures) != (None, None, False):
+        raise click.UsageError("--case, --ties and --no-figures go without FILES of laser shots")
+    if files:
+        _find_shots(source, files, names, choice, out)
+    elif names or choice != ShotChoice():
+        raise click.UsageError("--image, --dates, --quality, --off-nadir, --margin, --along, --version go with FILES")
+    else:
+        _register(source, of_case, folder_for(out, source, "footprints"), ties, not no_figures)
+
+
+def _register(source: Path, case: Path | None, out: Path, ties: Path | None, figures: bool) -> None:
+    """Register the laser profiles of a case by projection, write and print what came out."""
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
+    from mgsgraph.project.reading import case_with_results
+    from mgsgraph.registration.case import register_case
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.results.registration import registration_section, write_registration
+
+    require_replaceable(out, REGISTRATION)
+    found = case_with_results(source, case)
+    adjusted = None if found.folder is None else read_solution(found.folder)
+    registration = register_case(read_case(found.case, ties=ties or found.ties), adjusted)
+    write_registration(registration, out, figures=figures)
+    click.echo(registration_section(registration).text())
+    click.echo(f"Results are in {out}")
+
+
+def _find_shots(
+    source: Path, files: tuple[Path, ...], names: tuple[str, ...], choice: "ShotChoice", out: Path | None
+) -> None:
+    """Find the shots of files over images, print and write which."""
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.network.footprints import crossings
-    from mgsgraph.project.reading import ShotChoice, oriented_images, search_shots
+    from mgsgraph.project.reading import oriented_images, search_shots
     from mgsgraph.results.places import SELECTION, crossings_section, selection_table
 
     if out is not None:
         require_free(out, SELECTION)
-    choice = ShotChoice(dates, quality == "ground", off_nadir, margin, along, version)
-    seen = oriented_images(case, names)
+    seen = oriented_images(source, names)
     over = search_shots(files, seen, choice)
     print_sentences([seen.warning] if seen.warning else [])
     click.echo(crossings_section(over, crossings(over)).text(None))

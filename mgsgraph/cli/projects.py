@@ -1,4 +1,4 @@
-"""Verbs for a project, a folder to which images come one after the other."""
+"""Verbs for a project, a folder to which images come one after the other; and the studio."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec
@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import click
 
 from mgsgraph.cli.options import (
-    DETAILS,
+    CASE,
     DEVICE,
+    ITERATIONS,
     NO_FIGURES,
     PATH,
     TABLES,
+    TIES,
     print_sentences,
     print_solution,
 )
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from mgsgraph.project.edits import Edited
     from mgsgraph.results.tables import TableForm
 
+_PAGES = (".html", ".htm")
+_NETWORKS = (".pvl", ".net", ".csv")
 _IMPACT = click.option(
     "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."
 )
@@ -54,32 +58,25 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     if begun.waits:
         click.echo(f"Its images wait for tie points; next: mgsgraph match {project}")
     elif case is not None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph project solve {project}")
     else:
-        click.echo(f"Next: mgsgraph add {project} IMAGE...")
+        click.echo(f"Next: mgsgraph project add {project} IMAGE...")
 
 
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, metavar="[NAME=]IMAGE...")
-@click.option("--ties", type=PATH, multiple=True, help="Control network with their measures; may be repeated.")
-@click.option("--shots", type=PATH, multiple=True, help="Laser shots: ISIS lidar (.json) or PEDR; may be repeated.")
+@click.option("--ties", type=PATH, multiple=True, metavar="NETWORK", help="Tie points of theirs; may be repeated.")
+@click.option("--shots", type=PATH, multiple=True, metavar="FILE", help="ISIS lidar (.json) or PEDR; may be repeated.")
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
 @_IMPACT
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
-    ctx: click.Context,
-    project: Path,
-    images: tuple[str, ...],
-    ties: tuple[Path, ...],
-    shots: tuple[Path, ...],
-    of_pass: str,
-    shares: tuple[str, ...],
-    table: Path | None,
-    dry_run: bool,
-) -> None:
+    ctx: click.Context, project: Path, images: tuple[str, ...], ties: tuple[Path, ...], shots: tuple[Path, ...],
+    of_pass: str, shares: tuple[str, ...], table: Path | None, dry_run: bool,
+) -> None:  # fmt: skip
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
 
     IMAGE is support data (.json, .isd), a MOC label (.img, .lbl, .cub; with the project's kernels) or a case file
@@ -97,10 +94,7 @@ def add(
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
-    if table is not None:
-        from mgsgraph.results.impact import require_writable
-
-        require_writable(table, project)
+    _require_writable(table, project)
     wanted = [parse_image(text) for text in images]
     with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
@@ -144,20 +138,19 @@ def _warn(addition: "Addition") -> None:
 @_IMPACT
 @click.pass_context
 def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
-    """Take each IMAGE (by its name) out of PROJECT with its measures, and adjust what it touched.
+    """Take each IMAGE (by its name or a unique part of it) out of PROJECT with its measures, and adjust the rest.
 
     Exit status: 0 removed, 1 removed and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.project.changes import remove_images
     from mgsgraph.project.project import open_project
-    from mgsgraph.results.impact import require_writable
 
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
-        impact = remove_images(opened, images)
-    click.echo(f"{project}: removed {', '.join(images)}")
+        names = opened.images_named(images)
+        impact = remove_images(opened, names)
+    click.echo(f"{project}: removed {', '.join(names)}")
     _print_impact(ctx, project, impact, table)
 
 
@@ -182,15 +175,14 @@ def measure(
 ) -> None:  # fmt: skip
     """Measure POINT in images of PROJECT, or reject what is measured, and adjust what it touches.
 
-    All of it is done or nothing; each step is a change of the history, which `mgsgraph undo` takes back. A rejected
-    measure stays out of `mgsgraph solve`, too, until it is accepted again.
+    All of it is done or nothing; each step is a change of the history, which `mgsgraph project undo` takes back. A
+    rejected measure stays out of `mgsgraph project solve`, too, until it is accepted again.
 
     Exit status: 0 done, 1 done and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
     from mgsgraph.project.project import Measure, open_project
-    from mgsgraph.results.impact import require_writable
 
     if not (pixels or rejected or accepted or gone):
         raise click.UsageError("one of --pixel, --reject, --accept and --remove")
@@ -200,17 +192,17 @@ def measure(
         raise click.UsageError("--sigma-px is of --pixel")
     if sigma_px is not None and not 0.0 < sigma_px < float("inf"):
         raise InputError("--sigma-px", f"{sigma_px}", "a positive number of pixels")
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     sigma = sigma_px or 0.0
-    wanted = [Measure(image, line, sample, sigma, sigma) for image, line, sample in pixels]
     with open_project(project, write=True) as opened:
+        names = [opened.images_named([image])[0] for image, _, _ in pixels]
+        wanted = [Measure(name, *pixel[1:], sigma, sigma) for name, pixel in zip(names, pixels, strict=True)]
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
         done = [edits.measure(opened, point, wanted)] if new else []
         done += [] if new else [edits.put_measure(opened, point, one) for one in wanted]
-        done += [edits.reject(opened, point, image) for image in rejected]
-        done += [edits.accept(opened, point, image) for image in accepted]
+        done += [edits.reject(opened, point, image) for image in opened.images_named(rejected)]
+        done += [edits.accept(opened, point, image) for image in opened.images_named(accepted)]
         done += [edits.remove_point(opened, point)] if gone else []
     _print_edits(ctx, project, done, table)
 
@@ -223,19 +215,24 @@ def measure(
 def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
     """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
 
-    Edits are the changes that `mgsgraph measure` makes; `mgsgraph status` shows their numbers.
+    Edits are the changes that `mgsgraph project measure` makes; `mgsgraph project status` shows their numbers.
 
     Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.project.edits import undo as take_back
     from mgsgraph.project.project import open_project
-    from mgsgraph.results.impact import require_writable
 
-    if table is not None:
-        require_writable(table, project)
+    _require_writable(table, project)
     with open_project(project, write=True) as opened:
         done = take_back(opened, change)
     _print_edits(ctx, project, [done], table)
+
+
+def _require_writable(table: Path | None, project: Path) -> None:
+    if table is not None:
+        from mgsgraph.results.impact import require_writable
+
+        require_writable(table, project)
 
 
 def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
@@ -252,12 +249,11 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
 @NO_FIGURES
 @TABLES
 @DEVICE
-@DETAILS
-@click.option("-v", "--verbose", is_flag=True, help="One line per iteration.")
+@ITERATIONS
 @click.pass_context
 def solve(
     ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", device: "Device | None",
-    details: bool, verbose: bool,
+    details: bool,
 ) -> None:  # fmt: skip
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
@@ -271,7 +267,7 @@ def solve(
 
     with (
         open_project(project, write=True) as opened,
-        iteration_bar(verbose, opened.settings.solver.settings.max_iterations) as bar,
+        iteration_bar(details, opened.settings.solver.settings.max_iterations) as bar,
     ):
         solved = solve_project(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution, details)
@@ -284,7 +280,7 @@ def solve(
 @click.command()
 @click.argument("project", type=PATH)
 def status(project: Path) -> None:
-    """Say what is in PROJECT, how it hangs together, what the last solution was, and what has changed since."""
+    """Say what is in PROJECT, how it is connected, what the last solution was, and what has changed since."""
     from mgsgraph.project.project import open_project
     from mgsgraph.project.status import status as describe
 
@@ -296,7 +292,7 @@ def status(project: Path) -> None:
 def _print_impact(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
     """Sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not converged."""
     if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph solve {project}")
+        click.echo(f"Nothing is adjusted yet; next: mgsgraph project solve {project}")
         return
     print_sentences(impact.sentences)
     click.echo("\n".join(impact.tables_text()))
@@ -309,18 +305,44 @@ def _print_impact(ctx: click.Context, project: Path, impact: "Impact | None", ta
 
 
 @click.command()
-@click.argument("path", type=PATH, metavar="PROJECT|RESULT|CASE")
-@click.option("--case", type=PATH, help="Case of RESULT, for its images' pixels; that of a demonstration is found.")
+@click.argument("path", type=PATH, metavar="CASE|RESULT|PROJECT")
+@CASE
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
 @click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
-def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) -> None:
-    """Look at PROJECT, RESULT or CASE in the browser, measure, and ask: map, images, points, questions.
+@click.option(
+    "--review", type=PATH, metavar="FILE",
+    help="Write a page (.html) for the review of tie points, or with --verdicts a network (.pvl, .net, .csv), and end.",
+)  # fmt: skip
+@TIES
+@click.option("--worst", type=click.IntRange(1), help="Of --review: how many points to show.  [default: 300]")
+@click.option(
+    "--point", "points", multiple=True, metavar="NAME",
+    help="Of --review: point to show, in place of the worst; may be repeated.",
+)  # fmt: skip
+@click.option(
+    "--verdicts", type=PATH, metavar="CSV", help="Of --review: what the page has saved: to act upon, or to begin with."
+)
+def studio(
+    path: Path, of_case: Path | None, port: int | None, no_browser: bool, review: Path | None, ties: Path | None,
+    worst: int | None, points: tuple[str, ...], verdicts: Path | None,
+) -> None:  # fmt: skip
+    """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, points, questions.
 
     The page is for this machine alone; its address holds a token that lasts as long as the command. Changes of a
     project are stored one by one: the command may be ended at any time (Ctrl+C).
 
+    --review shows the images of CASE around its tie points instead, in one file for any browser, so that a user can
+    accept or reject each; with those of RESULT, their residuals. It saves verdicts as CSV. With --verdicts, and a
+    network as FILE, the network is written with Ignore = True at rejected points, and nothing else changed. Nothing
+    overwrites the network that was reviewed.
+
     Exit status: 0, 2 bad input.
     """
+    if review is not None:
+        _review(path, of_case, review, ties, worst, points, verdicts)
+        return
+    if ties is not None or worst is not None or points or verdicts is not None:
+        raise click.UsageError("--ties, --worst, --point and --verdicts go with --review FILE")
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
 
@@ -331,7 +353,7 @@ def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) ->
     from mgsgraph.studio.server import serve
 
     with stage_bar(1) as stages, stages.stage("reading"):
-        opened = Opened(path, case)
+        opened = Opened(path, of_case)
         opened.footprints()
 
     def ready(address: str) -> None:
@@ -342,3 +364,44 @@ def studio(path: Path, case: Path | None, port: int | None, no_browser: bool) ->
             webbrowser.open_new_tab(address)
 
     serve(opened, port, ready)
+
+
+def _review(
+    path: Path, of_case: Path | None, out: Path, ties: Path | None, worst: int | None, points: tuple[str, ...],
+    verdicts: Path | None,
+) -> None:  # fmt: skip
+    """Write the page, or the network without what was rejected on it."""
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.errors import InputError
+    from mgsgraph.export.exchange_setting import case_setting
+    from mgsgraph.files.networks.table import is_table
+    from mgsgraph.project.reading import case_with_results
+    from mgsgraph.results.archive import read_solution
+    from mgsgraph.studio.match_review import WORST, require_page, review_case, write_review
+    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
+
+    source, page = case_with_results(path, of_case), out.suffix.lower() in _PAGES
+    if not page and out.suffix.lower() not in _NETWORKS:
+        raise InputError(str(out), f"the ending {out.suffix!r}", "a page (.html) or a network (.pvl, .net, .csv)")
+    if not page and (verdicts is None or worst is not None or points):
+        raise click.UsageError(f"{out}: a network is written by --verdicts; --worst and --point are for a page (.html)")
+    if worst is not None and points:
+        raise click.UsageError("--worst and --point can't both be given")
+    network = ties or reviewed_network(source.case)  # of several, none could be written without the rejected points
+    if page:
+        require_page(out)
+    earlier = None if verdicts is None else read_verdicts(verdicts)
+    if not page and earlier is not None:
+        setting = case_setting(source.case) if is_table(network) else None
+        ignored, total = write_kept(network, earlier, out, setting, lambda: tuple(case_setting(source.case).sizes))
+        click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
+        click.echo(f"The network is {out}")
+        return
+    adjusted = None if source.folder is None else read_solution(source.folder)
+    read = read_case(source.case, ties=ties)
+    with counting_bar("comparing chips", "measure") as bar:
+        made = review_case(read, adjusted, worst=worst or WORST, points=points, verdicts=earlier, progress=bar)
+    write_review(made, out, earlier)
+    click.echo(f"- {made.choice}.")
+    click.echo(f"The page is {out}")

@@ -1,21 +1,24 @@
 """Verbs that ask the covariance of an adjustment, and show it on a page."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from mgsgraph.cli.options import NO_FIGURES, PATH, print_sentences
+from mgsgraph.cli.options import CASE, DETAILS, NO_FIGURES, PATH, TIES, print_sentences
+
+if TYPE_CHECKING:
+    from mgsgraph.results.section import Section
 
 _SUMMARY = 10
 """Rows of the table by suspicion with --details."""
 _WEAK = 5
-_DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alpha", "power")
+_DETAILS = ("correlations", "probability", "images", "post", "sigma_px", "alpha", "power")
 """Parameters that say more of a question and are none."""
 
 
 @click.command()
-@click.argument("adjusted", type=PATH, metavar="SOLUTION_OR_PROJECT")
+@click.argument("adjusted", type=PATH, metavar="RESULT|PROJECT|CASE")
 @click.option("--point", "points", multiple=True, metavar="NAME", help="Sigmas and error ellipsoid of a ground point.")
 @click.option(
     "--pair", "pairs", multiple=True, type=(str, str), metavar="NAME NAME",
@@ -37,7 +40,7 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 @click.option("--curve", "curves", multiple=True, metavar="IMAGE", help="Sigmas along an image's lines.")
 @click.option("--raster", is_flag=True, help="Sigmas of new points over the images' overlap, a GeoTIFF in --out.")
 @click.option("--image", "images", multiple=True, metavar="IMAGE", help="Images of the raster, two or more; else all.")
-@click.option("--cell-m", type=float, help="Side of the raster's cells.")
+@click.option("--post", type=float, metavar="M", help="Between posts of the raster.")
 @click.option("--sigma-px", type=float, help="Of the measures of new points (--pixel, --raster); 1 when absent.")
 @click.option("--unexplained", is_flag=True, help="What the adjustment can't explain, by name, with the term to add.")
 @click.option("--components", is_flag=True, help="Are the sigmas consistent? Variance components.")
@@ -53,14 +56,27 @@ _DETAILS = ("correlations", "probability", "images", "cell_m", "sigma_px", "alph
 )  # fmt: skip
 @click.option("--weak", type=click.IntRange(1), metavar="N", help="N least-constrained directions, in words.")
 @click.option("--outliers", is_flag=True, help="A row per image: its measurements, rejected ones, and largest tests.")
-@click.option("--details", is_flag=True, help="All tests with their tables.")
-@click.option("--out", type=PATH, help="Folder for analysis.json, tables and figures; made anew.")
+@click.option(
+    "--nodes", is_flag=False, flag_value="4,8,16,32", metavar="[S,S,...]",
+    help="Choose the spacing of the orientation images of [[passes]], in seconds; 4,8,16,32 when absent.",
+)  # fmt: skip
+@click.option("--hold-out", type=float, help="Of --nodes: share of points with three rays or more; 0.2 when absent.")
+@click.option("--seed", type=click.IntRange(0), help="Of --nodes: of the rays held out; 0 when absent.")
+@TIES
+@DETAILS
+@click.option("--out", type=PATH, help="Folder for analysis.json (nodes.json), tables and figures; made anew.")
 @NO_FIGURES
-def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) -> None:
-    """Ask the covariance of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project).
+def analyze(
+    adjusted: Path, out: Path | None, no_figures: bool, nodes: str | None, hold_out: float | None, seed: int | None,
+    ties: Path | None, **asked: Any,
+) -> None:  # fmt: skip
+    """Query the covariance of RESULT (of `mgsgraph adjust`) or PROJECT; with --nodes, the node spacing of CASE.
 
     Without a question: the verdict of all tests in at most ten lines, and what is significant; with --details the
     tables, too. Sigmas are for sigma0 = 1, as the a-priori sigmas imply. Nothing of what is asked is changed.
+
+    --nodes adjusts CASE (with [[passes]]), or that of RESULT, with orientation images at several spacings, without one
+    ray of some of its points, and chooses the coarsest that predicts these no worse than the best one.
 
     Exit status: 0, also where tests fail; 2 bad input.
     """
@@ -71,6 +87,12 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
     from mgsgraph.results.answers import Questions
 
+    if nodes is not None:
+        if any(asked.values()) or no_figures:
+            raise click.UsageError("--nodes goes with --hold-out, --seed, --ties and --out alone")
+        _choose_spacing(adjusted, nodes, 0.2 if hold_out is None else hold_out, seed or 0, out, ties)
+        return
+    require_used("--hold-out, --seed, --ties", (hold_out, seed, ties) != (None, None, None), False, "--nodes")
     if out is not None:
         require_replaceable(out, ANALYSIS)
     details = asked.pop("details")
@@ -78,9 +100,9 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     every = details or (nothing and out is not None)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
     about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
-    given = {name: asked[name] is not None for name in ("cell_m", "probability", "sigma_px", "alpha", "power")}
+    given = {name: asked[name] is not None for name in ("post", "probability", "sigma_px", "alpha", "power")}
     for option, stated, useful, of in (
-        ("--image, --cell-m", asked["images"] or given["cell_m"], raster, "--raster"),
+        ("--image, --post", asked["images"] or given["post"], raster, "--raster"),
         ("--raster", raster, out, "--out FOLDER, for the GeoTIFF"),
         ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
         ("--probability", given["probability"], points or pixels, "--point or --pixel"),
@@ -95,7 +117,7 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
     questions = Questions(**about, pixels=measures, correlations=asked["correlations"], probability=probability)
     levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
     wanted = Wanted(
-        questions, asked["curves"], asked["images"] if raster else None, asked["cell_m"], sigma,
+        questions, asked["curves"], asked["images"] if raster else None, asked["post"], sigma,
         asked["unexplained"] or every, asked["components"] or asked["iterate"] or every, asked["likelihood"],
         asked["iterate"], asked["reliability"] or (_SUMMARY if every else 0),
         asked["weak"] or (_WEAK if every else 0), asked["outliers"] or every, levels,
@@ -119,8 +141,28 @@ def analyze(adjusted: Path, out: Path | None, no_figures: bool, **asked: Any) ->
         click.echo(f"The analysis is in {out}")
 
 
+def _choose_spacing(
+    source: Path, spacings: str, hold_out: float, seed: int, out: Path | None, ties: Path | None
+) -> None:
+    from mgsgraph.analysis.spacing import choose_spacing
+    from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import counting_bar
+    from mgsgraph.files.output.folders import NODES, require_replaceable
+    from mgsgraph.project.reading import case_with_results
+    from mgsgraph.results.spacing import nodes_section, seconds_of
+
+    wanted = seconds_of(spacings)
+    if out is not None:
+        require_replaceable(out, NODES)
+    found = case_with_results(source)
+    read = read_case(found.case, ties=ties or found.ties)
+    with counting_bar("adjusting", "step") as bar:
+        choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
+    _show(nodes_section(choice, read.name), out, NODES, "study")
+
+
 @click.command()
-@click.argument("adjusted", type=PATH, metavar="SOLUTION_OR_PROJECT")
+@click.argument("adjusted", type=PATH, metavar="RESULT|PROJECT")
 @click.argument("candidates", type=PATH)
 @click.option("--choose", type=click.IntRange(1), default=3, show_default=True, help="How many to choose at the most.")
 @click.option(
@@ -136,8 +178,8 @@ def plan(
     adjusted: Path, candidates: Path, choose: int, targets: tuple[str, ...], criterion: str, out: Path | None
 ) -> None:
     """Rank the images, laser profiles and control points of CANDIDATES (a TOML file, see docs/plan.md) by what they
-    would do to the sigmas of SOLUTION_OR_PROJECT (results of `mgsgraph adjust`, or a project), before anything is
-    measured; and choose some, each in sight of those before it.
+    would do to the sigmas of RESULT (of `mgsgraph adjust`) or PROJECT, before anything is measured; and choose some,
+    each in sight of those before it.
 
     Exit status: 0, also where nothing is worth anything; 2 bad input.
     """
@@ -157,83 +199,72 @@ def plan(
         wanted = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
         made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
-    section = plan_section(made)
+    _show(plan_section(made), out, PLAN, "plan")
+
+
+def _show(section: "Section", out: Path | None, record: str, what: str, figures: bool = True) -> None:
+    """Write a section to a folder, if one is wanted, and print it."""
     if out is not None:
-        section.write_folder(out, PLAN)
-    click.echo(section.text())
+        section.write_folder(out, record, figures)
+    click.echo(section.text(_SUMMARY))
     if out is not None:
-        click.echo(f"The plan is in {out}")
+        click.echo(f"The {what} is in {out}")
 
 
 @click.command()
-@click.argument("solution", type=PATH)
-@click.option("--compare", type=PATH, metavar="OTHER", help="Results of an earlier adjustment, to compare with.")
+@click.argument("result", type=PATH, metavar="RESULT|PROJECT")
+@click.option("--compare", type=PATH, metavar="EARLIER", help="Results or project to compare with.")
+@CASE
+@TIES
 @click.option(
-    "--case", type=PATH,
-    help="Case that was adjusted: show laser footprints on its images. A demo's and a project's are found.",
-)
-@click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that the case names.")
-@click.option("--out", type=PATH, default=Path("report.html"), show_default=True, help="HTML file; replaced.")
-def report(solution: Path, compare: Path | None, case: Path | None, ties: Path | None, out: Path) -> None:
-    """Write one HTML file about SOLUTION (results of `mgsgraph adjust`, or a project): summary, maps, figures, tables.
+    "--out", type=PATH, default=Path("report.html"), show_default=True,
+    help="HTML file; replaced. With --compare also a folder, made anew: comparison.json, tables, a map of differences.",
+)  # fmt: skip
+@NO_FIGURES
+def report(
+    result: Path, compare: Path | None, of_case: Path | None, ties: Path | None, out: Path, no_figures: bool
+) -> None:
+    """Write one HTML file about RESULT (of `mgsgraph adjust`) or PROJECT: summary, maps, figures, tables.
 
     The page holds everything that it shows and asks nothing of the network. It says from which files it was made, with
-    their checksums.
+    their checksums. Laser footprints are shown on the images of the case: a demo's and a project's are found, others
+    are given by --case.
+
+    With --compare it says how RESULT differs from EARLIER: settings, input, what moved by how many sigmas, what is
+    better known. Each is a folder of results (also one of a project's solutions/NNNN), or a project: its last batch
+    solution. Differences are RESULT minus EARLIER. With a folder as --out that is all.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.project.reading import comparison_with_truth, results_of
-    from mgsgraph.results.archive import read_solution
-    from mgsgraph.results.page import require_page, write_report
-
-    require_page(out)
-    solution, own_case, own_ties, warning = results_of(solution)
-    compare = None if compare is None else results_of(compare).folder
-    adjusted, earlier = read_solution(solution), None if compare is None else read_solution(compare)
-    if case is None and own_case is not None:
-        case, ties = own_case, ties or own_ties
-    if ties is not None and case is None:
-        raise click.UsageError("--ties is for a case: give --case, too")
-    read = None if case is None else read_case(case, ties=ties)
-    if read is not None:
-        read.require_images_of(adjusted)
-    inputs = _inputs([solution, compare], case, ties)
-    write_report(adjusted, out, read, earlier, inputs, comparison_with_truth(solution))
-    if warning:
-        click.echo(f"- {warning}")
-    click.echo(f"The page is {out}")
-
-
-@click.command()
-@click.argument("earlier", type=PATH, metavar="A")
-@click.argument("later", type=PATH, metavar="B")
-@click.option("--out", type=PATH, help="Folder for comparison.json, tables and a map of the differences; made anew.")
-@NO_FIGURES
-def compare(earlier: Path, later: Path, out: Path | None, no_figures: bool) -> None:
-    """Say how solution B differs from solution A: settings, input, what moved by how many sigmas, what is better known.
-
-    Each is a folder of results of `mgsgraph adjust` (also one of a project's solutions/NNNN), or a project: its last
-    batch solution. Differences are B minus A.
-
-    Exit status: 0, 2 bad input.
-    """
     from mgsgraph.files.output.folders import COMPARISON, require_replaceable
-    from mgsgraph.project.reading import results_of
+    from mgsgraph.project.reading import comparison_with_truth, results_of
     from mgsgraph.results.analysis import require_used
     from mgsgraph.results.archive import read_solution
     from mgsgraph.results.comparison import compare as compared
+    from mgsgraph.results.page import require_page, write_report
 
-    require_used("--no-figures", no_figures, out is not None, "--out FOLDER")
-    if out is not None:
+    folder = None if compare is None or out.suffix else out
+    require_used("--no-figures", no_figures, folder is not None, "--compare with --out FOLDER")
+    if folder is None:
+        require_page(out)
+    else:
         require_replaceable(out, COMPARISON)
-    one, other = results_of(earlier), results_of(later)
-    before, after = read_solution(one.folder), read_solution(other.folder)
-    found = compared(after, before, ("A", "B"))
-    click.echo(f"A: {one.folder} ({before.name})\nB: {other.folder} ({after.name})")
-    print_sentences([words for words in (one.warning, other.warning) if words])
-    click.echo(found.section.text(10))
-    if out is not None:
-        found.section.write_folder(out, COMPARISON, figures=not no_figures)
-        click.echo(f"The comparison is in {out}")
+    found, earlier = results_of(result), None if compare is None else results_of(compare)
+    case, own_ties = (of_case, None) if of_case is not None else (found.case, found.ties)
+    if ties is not None and case is None:
+        raise click.UsageError("--ties is for a case: give --case, too")
+    adjusted, before = read_solution(found.folder), None if earlier is None else read_solution(earlier.folder)
+    print_sentences([one.warning for one in (earlier, found) if one is not None and one.warning])
+    if earlier is not None and before is not None:
+        click.echo(f"A: {earlier.folder} ({before.name})\nB: {found.folder} ({adjusted.name})")
+        _show(compared(adjusted, before, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures)
+    if folder is not None:
+        return
+    read = None if case is None else read_case(case, ties=ties or own_ties)
+    if read is not None:
+        read.require_images_of(adjusted)
+    inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
+    write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
+    click.echo(f"The page is {out}")
 
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:

@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import DETAILS, NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
+from mgsgraph.cli.options import (
+    CASE,
+    DETAILS,
+    NO_FIGURES,
+    PATH,
+    TWO_IMAGES,
+    WORKERS,
+    folder_for,
+    out_option,
+    print_sentences,
+    print_solution,
+    require_two,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.matching.settings import MatchSettings
@@ -18,7 +30,6 @@ _SEED = click.option(
 _ATTITUDE_TIME_BIAS = click.option(
     "--attitude-time-bias", type=float, help="Seconds by which the nadir image's CK is off, beside what is drawn."
 )
-_OUT_MISSING = "Missing option '--out'"
 
 
 @contextmanager
@@ -34,12 +45,9 @@ def _resumable() -> Iterator[None]:
 @click.command()
 @click.argument("site", default="gusev")
 @click.option(
-    "--out",
-    type=PATH,
-    default=Path("mgsgraph-demo"),
-    show_default=True,
+    "--out", type=PATH, default=Path("mgsgraph-demo"), show_default=True,
     help="Folder for inputs and results; made anew.",
-)
+)  # fmt: skip
 @_SEED
 @_ATTITUDE_TIME_BIAS
 @click.option("--no-relief", is_flag=True, help="Leave the registration by relief out, which takes most of the time.")
@@ -83,7 +91,7 @@ def demo(
 
 @click.command()
 @click.argument("site")
-@click.option("--out", type=PATH, required=True, help="Folder for the files; absent or empty.")
+@click.option("--out", type=PATH, help="Folder for the files; absent or empty.  [default: SITE-simulate]")
 @_SEED
 @_ATTITUDE_TIME_BIAS
 @click.option("--no-pictures", is_flag=True, help="Uniform grey images, which are enough for geometry.")
@@ -100,27 +108,20 @@ def demo(
 )  # fmt: skip
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
 def simulate(
-    site: str,
-    out: Path,
-    seed: int,
-    attitude_time_bias: float | None,
-    no_pictures: bool,
-    kind: str | None,
-    images: int | None,
-    ties: int | None,
-    steps: bool,
-) -> None:
+    site: str, out: Path | None, seed: int, attitude_time_bias: float | None, no_pictures: bool, kind: str | None,
+    images: int | None, ties: int | None, steps: bool,
+) -> None:  # fmt: skip
     """Simulate SITE and write its files to a folder.
 
     SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
-    track; three-sites: the three study sites and a bridge image that holds them together, in one case; archive: as many
+    track; three-sites: the three study sites and a bridge image that connects them, in one case; archive: as many
     images as are adjusted as a whole, with a binary network.
 
     Archives, of any number of images and ties: kaguya (3,361 images and 240,000 ties by default), a block of Kaguya's
     two terrain cameras; ctx (70,000 and 2.4 million), CTX about the whole globe; moc (97,000 and 1.5 million), MOC's
     narrow angle in clusters; dense (20,000 and 12 million) and block (500 and a million), the terrain cameras again.
 
-    case.toml in it is what `mgsgraph adjust`, `mgsgraph register` and `mgsgraph coregister` take; truth.json says what
+    case.toml in it is what `mgsgraph adjust`, `mgsgraph footprints` and `mgsgraph align` take; truth.json says what
     they should find. Errors are drawn from the sigmas that case.toml states; an attitude time bias, which it doesn't
     know of, comes on top: 0.95 s move the nadir image by the 325 m of the papers' text.
     """
@@ -128,6 +129,7 @@ def simulate(
     from mgsgraph.files.output.folders import fresh_folder
     from mgsgraph.simulation.demo.demonstration import simulated_files, simulation
 
+    out = out or Path(f"{site}-simulate")
     with stage_bar(2) as stages:
         made = simulation(site, seed, attitude_time_bias, not no_pictures, kind, images, ties, steps, stages.detail)
         with fresh_folder(out, "truth.json") as aside:
@@ -137,13 +139,16 @@ def simulate(
 
 @click.command()
 @click.argument("images", nargs=-1, metavar="IMAGE...")
-@click.option("--out", type=PATH, help="Folder to fetch into; an earlier one is added to.")
+@click.option(
+    "--out", type=PATH, default=Path("mgsgraph-fetch"), show_default=True,
+    help="Folder to fetch into; an earlier one is added to.",
+)  # fmt: skip
 @click.option(
     "--terrain", type=click.Choice(["4", "16", "128", "none"]), default="16", show_default=True,
     help="MOLA's grids, pixels per degree: 4 (4 MB), 16 (66 MB), 128 (260 MB for each tile).",
 )  # fmt: skip
 @click.option(
-    "--shots", "altimeter", type=click.Choice(["mola", "lola"]), help="No images: an altimeter's shots in --box (ODE)."
+    "--altimeter", type=click.Choice(["mola", "lola"]), help="No images: an altimeter's shots in --box (ODE)."
 )
 @click.option(
     "--box", type=(float, float, float, float), metavar="W E S N",
@@ -155,7 +160,7 @@ def simulate(
     help="All archives below one address (URL/images/, URL/kernels/ ...), or a TOML file with single ones' addresses.",
 )  # fmt: skip
 def fetch(
-    images: tuple[str, ...], out: Path | None, terrain: str, altimeter: str | None,
+    images: tuple[str, ...], out: Path, terrain: str, altimeter: str | None,
     box: tuple[float, float, float, float] | None, volumes: tuple[str, ...], mirror: str | None,
 ) -> None:
     """Fetch all that the adjustment of images needs, by their ids, and write a case file: of MOC's narrow angle
@@ -166,10 +171,8 @@ def fetch(
     interrupted download goes on where it was. Exit status: 0, 2 for bad input or an archive that can't give what is
     needed, 130 interrupted.
     """
-    if out is None:
-        raise click.UsageError(_OUT_MISSING)
     if (altimeter is None) != (box is None) or (altimeter is not None and images):
-        raise click.UsageError("--shots and --box go together, without images")
+        raise click.UsageError("--altimeter and --box go together, without images")
     from mgsgraph.cli.progress import counting_bar, passing_word
     from mgsgraph.fetch.folder import fetch_images, fetch_shots
     from mgsgraph.fetch.needs import Archives
@@ -195,9 +198,8 @@ def fetch(
 
 
 @click.command()
-@click.argument("case", type=PATH)
-@click.option("--out", type=PATH, help="Folder for the networks, tables and figure; made anew. A project has its own.")
-@click.option("--method", hidden=True)
+@click.argument("case", type=PATH, metavar="CASE|PROJECT")
+@out_option("match", " A project has its own.")
 @click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; default: the coarsest image's.")
 @click.option(
     "--search", type=float, metavar="M",
@@ -207,15 +209,15 @@ def fetch(
 @click.option("--height-sigma", type=float, metavar="M", help="By how much the ground may be higher or lower.")
 @click.option("--cells", type=int, default=250, show_default=True, help="Approximate number of cells per overlap.")
 @click.option("--per-cell", type=int, default=2, show_default=True, help="Matches kept in each cell.")
-@click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
+@WORKERS
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, method: str | None, step: float | None, search: float | None,
-    height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
+    case: Path, out: Path | None, step: float | None, search: float | None, height: float | None,
+    height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
 
-    CASE may also be a project whose images wait for tie points: they go into it, with all that its case names besides.
+    The images of PROJECT wait for tie points: they go into it, with all that its case names besides.
 
     Images are resampled to one ground grid on the terrain, features matched where orientation and heights say, and
     every match measured by least squares in the images themselves, with its covariance. Use the result with
@@ -227,8 +229,6 @@ def match(
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    if method not in (None, "sift"):
-        raise click.UsageError(f"--method {method} is gone: features alone are matched; for more of them, --per-cell")
     settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
     project: Path | None = None
     if (case / FILE).is_file():
@@ -236,16 +236,15 @@ def match(
             raise click.UsageError("--out is for a case: a project keeps its tie points itself")
         with open_project(project := case) as opened:
             case, out = waiting_case(opened), opened.matches
-    if out is None:
-        if not case.is_file():
-            raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
-        raise click.UsageError(_OUT_MISSING)
+    if case.is_dir():
+        raise InputError(str(case), "neither a case file nor a project", "one of the two", "check the path")
+    out = folder_for(out, case, "match")
     _match(case, out, settings, height, height_sigma, workers, not no_figures)
     if project is not None:
         with open_project(project, write=True) as opened:
             words = take_ties(opened, out / "network.pvl")
         click.echo(f"{project}: {words}; nothing is adjusted yet")
-        click.echo(f"Next: mgsgraph solve {project}")
+        click.echo(f"Next: mgsgraph project solve {project}")
 
 
 def _match(
@@ -267,9 +266,9 @@ def _match(
 
 
 @click.command()
-@click.argument("solution", type=PATH)
-@click.option("--case", type=PATH, help="Case that was adjusted, for its pixels. A demo's is found.")
-@click.option("--out", type=PATH, required=True, help="Folder for the results; made anew.")
+@click.argument("solution", type=PATH, metavar="RESULT|PROJECT")
+@CASE
+@out_option("dem")
 @click.option("--post", type=float, metavar="M", help="Between posts of the terrain model; default: as the matches.")
 @click.option("--spacing", type=float, metavar="M", help="Between matches; default: five pixels of the ground grid.")
 @click.option(
@@ -277,18 +276,17 @@ def _match(
     help="Reference surface of the heights.",
 )
 @click.option(
-    "--shots", "--mola", "mola", type=PATH, multiple=True, metavar="FILE",
-    help="More laser shots to check by; repeatable.",
+    "--shots", type=PATH, multiple=True, metavar="FILE", help="More laser shots to check by; may be repeated.",
 )
 @click.option("--ortho-pixel", type=float, metavar="M", help="Pixel of the ortho image; default: the image's own.")
-@PAIR
+@TWO_IMAGES
 @WORKERS
 @NO_FIGURES
 def dem(
-    solution: Path, case: Path | None, out: Path, post: float | None, spacing: float | None, heights: str,
-    mola: tuple[Path, ...], ortho_pixel: float | None, pair: str | None, workers: int | None, no_figures: bool,
+    solution: Path, of_case: Path | None, out: Path | None, post: float | None, spacing: float | None, heights: str,
+    shots: tuple[Path, ...], ortho_pixel: float | None, images: tuple[str, ...], workers: int | None, no_figures: bool,
 ) -> None:
-    """Match the images of SOLUTION (results of `mgsgraph adjust`, or a project) densely and write a terrain model.
+    """Match the images of RESULT (of `mgsgraph adjust`) or PROJECT densely and write a terrain model.
 
     OUT then holds dem.tif (height, sigma, its parts by matching and by orientation, number of points), ortho.tif (an
     image laid on it), dem.json, shots.csv (heights against laser shots that
@@ -297,15 +295,13 @@ def dem(
     from typing import cast
 
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.project.reading import read_posterior, results_of
+    from mgsgraph.project.reading import case_with_results, read_posterior
     from mgsgraph.registration.dem.model import DemSettings, Heights
     from mgsgraph.results.terrain_model import dem_section, make_dem
 
-    settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, image_pair(pair), mola)
+    settings = DemSettings(post, spacing, cast(Heights, heights), ortho_pixel, require_two(images), shots)
     _, posterior, warning = read_posterior(solution)
-    case = case or results_of(solution).case
-    if case is None:
-        raise click.UsageError("the pixels are the case's: give it by --case")
+    out, case = folder_for(out, solution, "dem"), case_with_results(solution, of_case).case
     with counting_bars() as show:
         made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
     print_sentences([warning] if warning else [])

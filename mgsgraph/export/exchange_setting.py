@@ -17,7 +17,7 @@ from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
 from mgsgraph.record import Record
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
-_SAID = "--target, --radii, --case"
+_SAID = "--body, --radii, --case"
 """Where a setting comes from, for messages."""
 
 
@@ -86,9 +86,9 @@ def setting_of(
     """
     known = case_setting(case) if case is not None else ExchangeSetting()
     stated = {}
-    for name, text in _pairs("--images", "NAME=LINESxSAMPLES", sizes):
+    for name, text in _pairs("--size", "NAME=LINESxSAMPLES", sizes):
         if not (size := _SIZE.fullmatch(text)):
-            raise InputError("--images", repr(f"{name}={text}"), "NAME=LINESxSAMPLES, as E0200665=9856x1024")
+            raise InputError("--size", repr(f"{name}={text}"), "NAME=LINESxSAMPLES, as E0200665=9856x1024")
         stated[name] = int(size[1]), int(size[2])
     return replace(
         known,
@@ -154,7 +154,7 @@ def with_head(network: ControlNetwork, output: Path, setting: ExchangeSetting) -
     """With a target, which ISIS demands, an id and radii."""
     target = network.target_name or setting.target
     if not target:
-        raise InputError(str(output), "no name of the target body", "one", "say --target MARS, or another")
+        raise InputError(str(output), "no name of the target body", "one", "say --body MARS, or another")
     radii = network.target_radii
     if not radii and setting.ellipsoid is not None:
         radii = (setting.ellipsoid.equatorial, setting.ellipsoid.equatorial, setting.ellipsoid.polar)

@@ -29,7 +29,7 @@ ADJUSTED_BY = f"Adjusted by {PROGRAM}"
 _OF_A_PRIORI = ("apriori", "apriori_covariance", "apriori_source")
 _CONSTRAINED = ("latitude_constrained", "longitude_constrained", "radius_constrained")
 _LOST = "types, a-priori places, figures of merit and dates of measures"
-_NAME_IT = "name the network: --network FILE"
+_NAME_IT = "name the network: --ties NETWORK"
 
 
 class Sources(NamedTuple):
@@ -127,7 +127,7 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
             points.append(_united(original, own, met))
     if not met["taken"]:
         found = "none of the points that were adjusted"
-        raise InputError(source.source, found, "the network that was adjusted", "name another one (--network)")
+        raise InputError(source.source, found, "the network that was adjusted", "name another one (--ties)")
     network = structs.replace(
         adjusted, points=(*points, *mine.values()), network_id=source.network_id or adjusted.network_id,
         target_name=source.target_name or adjusted.target_name, created=source.created,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,7 +113,7 @@ def export_solution(
     """
     path, out, settings = Path(path), Path(out), settings or ExportSettings()
     target = target_of(target)
-    _require_supported(target, settings)
+    require_supported((target,), settings)
     _require_same_target(out, target)
     solution = read_solution(path)
     with fresh_folder(out, EXPORT) as aside, _called_as_asked(aside, out):
@@ -171,20 +171,28 @@ def target_of(name: Target | str) -> Target:
     raise InputError("export, target", repr(name), ", ".join(target.value for target in Target))
 
 
-def _require_supported(target: Target, settings: ExportSettings) -> None:
-    """Raise InputError for a setting that would do nothing."""
-    for name, given, targets in (
-        ("scaled", settings.scaled, (Target.ISIS, Target.ASP)),
-        ("raster", settings.raster, (Target.GIS,)),
-        ("network", bool(settings.networks), (Target.ISIS,)),
-        ("verify", settings.verify, (Target.SPICE,)),
-        ("case", settings.support is not None or bool(settings.files), (Target.CSM, Target.ASP)),
-    ):
-        if given and target not in targets:
-            expected = f"it with {' or '.join(one.value for one in targets)} alone"
-            raise InputError(f"export to {target.value}, {name}", "an option that it ignores", expected, "leave it out")
+def require_supported(targets: Sequence[Target], settings: ExportSettings) -> None:
+    """Raise InputError for a setting that would do nothing with any of the targets."""
+    for name, (option, used_by) in _USED_BY.items():
+        if getattr(settings, name) not in (getattr(_DEFAULT, name), []) and not set(targets) & set(used_by):
+            where, expected = (" or ".join(one.value for one in several) for several in (targets, used_by))
+            found, remedy = "an option that it ignores", "leave it out"
+            raise InputError(f"export to {where}, {option}", found, f"it with {expected} alone", remedy)
 
 
+def settings_for(target: Target, settings: ExportSettings) -> ExportSettings:
+    """Those settings that a target uses, of those of several targets."""
+    unused = [name for name, (_, used_by) in _USED_BY.items() if target not in used_by]
+    return replace(settings, **{name: getattr(_DEFAULT, name) for name in unused})
+
+
+_DEFAULT = ExportSettings()
+_USED_BY = {
+    "scaled": ("scaled", (Target.ISIS, Target.ASP)), "raster": ("raster", (Target.GIS,)),
+    "networks": ("ties", (Target.ISIS,)), "verify": ("verify", (Target.SPICE,)),
+    "support": ("case", (Target.CSM, Target.ASP)), "files": ("case", (Target.CSM, Target.ASP)),
+}  # fmt: skip
+"""Option of each setting that not all targets use, and those that do."""
 _Written = tuple[Sequence[Path], tuple[str, ...]]
 """Files, and what is to be said of them."""
 

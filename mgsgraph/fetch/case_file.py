@@ -115,7 +115,7 @@ def _other_shots(image: ImageNeeds) -> str:
     """Laser shots over an image, for a person to choose from: many profiles, seldom one that was taken along."""
     return (
         f"# laser shots about {image.product.name}; which ones fall in it:\n"
-        f"# mgsgraph shots {image.shots_path} --case {CASE}\n"
+        f"# mgsgraph footprints {CASE} {image.shots_path}\n"
         f'# [[altimetry]]\n# file = "{image.shots_path}"\n'
     )
 

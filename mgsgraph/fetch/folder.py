@@ -84,9 +84,9 @@ class Fetched(Record):
 
         project = at(_PROJECT)
         return [
-            f"mgsgraph init {project} --case {at(CASE)}",
+            f"mgsgraph project init {project} --case {at(CASE)}",
             f"mgsgraph match {project}",
-            f"mgsgraph solve {project}",
+            f"mgsgraph project solve {project}",
             f"mgsgraph dem {project} --out {at('dem')}",
         ]
 
@@ -136,7 +136,7 @@ def fetch_images(
     E02/01453: 2001-03-17T18:39:14.00, orbit 9043, mgs_ext1.bsp, mgs_sc_ext1.bc, ap19043l.b
     28 files fetched, 67.1 MB; 0 were here already
     >>> fetched.commands()[0]
-    'mgsgraph init data/project --case data/case.toml'
+    'mgsgraph project init data/project --case data/case.toml'
     """
     products, choice, folder = products_of(images), terrain_of(terrain), Path(out)
     volumes, archives = volumes_of(volumes), archives or Archives()

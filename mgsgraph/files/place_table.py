@@ -70,8 +70,8 @@ class PlaceTable:
     @classmethod
     def of_surface(cls, places: Array) -> "PlaceTable":
         """Planetocentric longitudes and latitudes (n, 2) in degrees that stand in no file."""
-        require_degrees(_SURFACE, frozen(places, "--place", (None, 2)), lambda _, name: f"--place, {name}")
-        return cls("--place", _texts(_SURFACE, places), "ground", directions=places * DEG)
+        require_degrees(_SURFACE, frozen(places, "--ground", (None, 2)), lambda _, name: f"--ground, {name}")
+        return cls("--ground", _texts(_SURFACE, places), "ground", directions=places * DEG)
 
 
 def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceTable:

@@ -104,7 +104,7 @@ def require_separable(network: Network) -> None:
     if network.crossovers is not None:
         raise InputError(
             "crossovers of laser profiles", "rows of several profiles in what is adjusted image by image",
-            "profiles by themselves", "register them without (`mgsgraph coregister --no-crossovers`)",
+            "profiles by themselves", "register them without (`mgsgraph align --no-crossovers`)",
         )
     if network.linear:
         raise InputError(

@@ -9,10 +9,11 @@ import numpy as np
 from mgsgraph.adjustment.graph.forms import IN_PROCESS
 from mgsgraph.adjustment.incremental.state import ground_motion
 from mgsgraph.adjustment.solution import Solution
-from mgsgraph.errors import InputError, WeakNetwork
+from mgsgraph.errors import InputError, WeakNetwork, errors_from
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array
+from mgsgraph.names import image_names
 from mgsgraph.network import PointClass
 from mgsgraph.network.corrections import designs
 from mgsgraph.network.parts import KnownImage, Unknown, unknowns
@@ -93,13 +94,12 @@ def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
             raise InputError("target", f"no {'tie ' if wanted == ('ties',) else ''}point that moves", "another target")
         return Targets(tuple(ids[i] for i in np.flatnonzero(mine).tolist()), (), wanted)
     place, images = {name: i for i, name in enumerate(ids)}, {image.name: j for j, image in enumerate(network.images)}
+    with errors_from("target, no determined point"):
+        whole = (one if one in place or one in WORDS else image_names([one], list(images))[0] for one in wanted)
+        wanted = tuple(dict.fromkeys(whole))
     for name in wanted:
         if name in WORDS:
             raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
-        if name not in place and name not in images:
-            known = ", ".join([*ids[:2], *list(images)[:2]])
-            found = f"{name!r}, which is no determined point and no image of the network"
-            raise InputError("target", found, f"'ties', 'all', or names ({known}, ...)")
         if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
             raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
     if not wanted:

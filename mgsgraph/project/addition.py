@@ -293,7 +293,7 @@ def _named(
 def _require_new(names: Sequence[str], there: Sequence[str], where: str) -> None:
     for k, name in enumerate(names):
         if name in there:
-            remedy = f"remove it first to replace it: mgsgraph remove {where} {name}"
+            remedy = f"remove it first to replace it: mgsgraph project remove {where} {name}"
             raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")

@@ -82,7 +82,7 @@ def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
     project : Project
         Opened with `write=True`.
     images : sequence of str
-        Names.
+        Names, or parts of names that no other has.
 
     Raises
     ------
@@ -96,11 +96,7 @@ def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
     ...     print(mgsgraph.remove_images(project, ["SIM/B"]), [change.what for change in project.changes()])
     None ['pair/case.toml', 'SIM/B']
     """
-    store, there, images = project.store, set(project.store.image_names()), list(dict.fromkeys(images))
-    for name in images:
-        if name not in there:
-            known = ", ".join(sorted(there)[:4]) or "it has none"
-            raise InputError(str(project.folder), f"no image {name!r}", f"one of the project's ({known})")
+    store, images = project.store, project.images_named(images)
     impact: Impact | None = None
     if is_solved(project):
         impact = incremental(project).remove(*images)
@@ -165,7 +161,7 @@ def solve_project(
     name, settings, store = project.name, project.settings.solver.settings, project.store
     settings = settings if device is None else replace(settings, device=device)
     if not store.members():
-        found, remedy = "nothing to adjust: no measure in any image", f"add some: mgsgraph add {project.folder} IMAGE"
+        found, remedy = "nothing to adjust: no measure in any image", f"mgsgraph project add {project.folder} IMAGE"
         if project.case is not None:
             remedy = f"find tie points in them: mgsgraph match {project.folder}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
@@ -309,18 +305,18 @@ def waiting_case(project: Project) -> Path:
     if project.store.members():
         raise InputError(
             str(project.folder), "it has measures already", "a project whose images wait for tie points",
-            f"find others with mgsgraph match CASE --out MATCHES, then mgsgraph add {project.folder} --ties NETWORK",
+            f"find others: mgsgraph match CASE --out MATCHES, mgsgraph project add {project.folder} --ties NETWORK",
         )
     if project.case is None:
         raise InputError(
-            str(project.folder), "a project that was made without a case", "one made with mgsgraph init --case",
+            str(project.folder), "a project that was made without a case", "one made with mgsgraph project init --case",
             "give the case file itself: mgsgraph match CASE --out MATCHES",
         )
     names, there = [image.name for image in decode(project.case).images], project.store.image_names()
     if set(names) != set(there):
         raise InputError(
             str(project.case), f"the images {', '.join(names)}", f"those of {project.folder}, {', '.join(there)}",
-            f"begin another project with it: mgsgraph init PROJECT --case {project.case}",
+            f"begin another project with it: mgsgraph project init PROJECT --case {project.case}",
         )
     return project.case
 

@@ -28,7 +28,7 @@ _READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
 A_PROJECT = "a project as mgsgraph writes it"
 ELSEWHERE = "take a copy of the project's folder back; the results in its folder solutions are files of their own"
-OLDER = "read it with mgsgraph 0.2.0, or build it anew from its case: mgsgraph init"
+OLDER = "read it with mgsgraph 0.2.0, or build it anew from its case: mgsgraph project init"
 _Kind = TypeVar("_Kind")
 _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 
@@ -162,14 +162,16 @@ def _guarded(method: Callable[..., Any] | None) -> Callable[..., Any]:
 
 def _existing(folder: Path) -> Path:
     """The project's file, after a look at what can be seen without SQLite."""
-    path, start = folder / FILE, f"make one with: mgsgraph init {folder}"
+    path, start = folder / FILE, f"make one with: mgsgraph project init {folder}"
     try:
         if not folder.exists():
             raise InputError(str(folder), "no such project", remedy=start)
         if not folder.is_dir():
-            raise InputError(str(folder), "is a file", "the folder of a project", "give the folder that it is in")
+            case = f"make one of the case: mgsgraph project init PROJECT --case {folder}"
+            remedy = case if folder.suffix == ".toml" else "give the folder that it is in"
+            raise InputError(str(folder), "is a file", "the folder of a project", remedy)
         if not path.is_file():
-            other = f"begin one in a folder of its own: mgsgraph init {folder / 'project'}"
+            other = f"begin one in a folder of its own: mgsgraph project init {folder / 'project'}"
             remedy = f"give the folder of a project, or {other}" if any(folder.iterdir()) else start
             raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=remedy)
         empty = path.stat().st_size == 0

@@ -318,7 +318,7 @@ def _measured_alone(project: Project, points: GroundPoints, state: PointState) -
 
 
 def _on_terrain(project: Project, point: str, state: PointState) -> PointState:
-    """A tie point held to the project's terrain model as `mgsgraph add` holds new ones, where it has one there."""
+    """A tie point held to the project's terrain model as `project add` holds new ones, where it has one there."""
     if not state.measures:
         return state
     found = on_terrain(_measured_alone(project, _points(point, state), state), project.store)

@@ -15,11 +15,12 @@ import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.plausibility import ImageTimes
+from mgsgraph.names import image_names
 from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
@@ -83,7 +84,7 @@ class Change(msgspec.Struct, frozen=True):
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, edit, solve, check or coregister."""
+    """init, match, add, remove, edit, solve, check or align (coregister up to version 0.2)."""
     what: str
     """What was changed, in a few words."""
     summary: Mapping[str, Any]
@@ -248,6 +249,11 @@ class Project(Record):
         return () if found is None else tuple(map(Path, self._from_json(found[0], tuple[str, ...])))
 
     # --- history
+
+    def images_named(self, asked: Iterable[str]) -> list[str]:
+        """Names of images, each once, by their names or parts of names that no other has."""
+        with errors_from(str(self.folder)):
+            return image_names(asked, self.store.image_names())
 
     def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
         """Record a change; its number."""
@@ -499,9 +505,7 @@ def state_of(project: Project, text: str) -> PointState:
 
 
 def last_state(project: Project, point: str) -> PointState | None:
-    """A point as its last change left it, with those measures set aside whose images are there; None where nobody has
-    changed it, or it was taken out.
-    """
+    """A point as its last change left it, set aside measures in images that are there; None: never changed, or out."""
     last = project.last_edit_of(point)
     if last is None or last[1] is None:
         return None

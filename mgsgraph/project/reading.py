@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput, TerrainInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
-from mgsgraph.errors import InputError, errors_from
+from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import understood
 from mgsgraph.files.writing import read_record
@@ -27,6 +26,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Mask
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.geometry.trajectory import tdb_of_utc
+from mgsgraph.names import image_names
 from mgsgraph.network.footprints import Corrections, Registration, footprints_in_images
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
@@ -34,6 +34,7 @@ from mgsgraph.project.changes import incremental, is_solved
 from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.results.archive import ARCHIVE, read_solution
+from mgsgraph.results.results import case_of
 from mgsgraph.units import DEG
 
 _OWN_CASE = Path("inputs", "case.toml")
@@ -79,11 +80,37 @@ def results_of(path: Path) -> Results:
     with open_project(path) as project:
         last = project.last_results()
         if last is None or last.folder is None:
-            found, remedy = "a project without a batch solution", f"make one: mgsgraph solve {path}"
+            found, remedy = "a project without a batch solution", f"make one: mgsgraph project solve {path}"
             raise InputError(str(path), found, "results of an adjustment", remedy)
         network = project.matches / _NETWORK
         ties = network if network.is_file() else None
         return Results(path / last.folder, _case_of_all(project), ties, _since(project, last.change))
+
+
+class CaseResults(NamedTuple):
+    """A case, and results of it."""
+
+    case: Path
+    """The case file."""
+    folder: Path | None = None
+    """Folder of the results (or their archive); None for a case alone."""
+    ties: Path | None = None
+    """Tie points that take the place of the case's own."""
+
+
+def case_with_results(path: Path, case: Path | None = None) -> CaseResults:
+    """The case that a command works on, by its file, or by results or a project, which know theirs unless `case` does.
+
+    Raises
+    ------
+    InputError
+        A case given beside a case file; results that don't know theirs.
+    """
+    if not path.is_dir() and path.suffix != ".npz":
+        require(case is None, "--case", f"{case} beside the case {path}", "results as the other")
+        return CaseResults(path)
+    found = results_of(path)
+    return CaseResults(case or found.case or case_of(found.folder), found.folder, found.ties)
 
 
 def _since(project: Project, number: int) -> str:
@@ -92,7 +119,7 @@ def _since(project: Project, number: int) -> str:
     if not later:
         return ""
     said = ", ".join(f"{change.verb} {change.what}" for change in later)
-    remedy = f"for one of everything: mgsgraph solve {project.folder}"
+    remedy = f"for one of everything: mgsgraph project solve {project.folder}"
     return f"The project has changed since this solution ({said}); {remedy}"
 
 
@@ -186,7 +213,7 @@ def _is_project(path: Path) -> bool:
 def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
     """The adjustment that a project holds; InputError for one that has never been solved."""
     if not project.store.image_names() or not is_solved(project):
-        raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph solve {where}")
+        raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph project solve {where}")
     return incremental(project)
 
 
@@ -244,17 +271,9 @@ def _alone(wanted: CaseInput, number: int, path: Path) -> PushbroomImage:
 
 def _chosen(known: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
     """Numbers of the images of these names, each once; of all where there are none."""
-    return list(dict.fromkeys(_number(known, name, path) for name in names)) if names else list(range(len(known)))
-
-
-def _number(names: Sequence[str], image: str, path: Path) -> int:
-    """The image of this name, or the only one that has it as a part of its name."""
-    found = [k for k, name in enumerate(names) if name == image] or [k for k, name in enumerate(names) if image in name]
-    if len(found) == 1:
-        return found[0]
-    near = [names[k] for k in found] or get_close_matches(image, names, n=3, cutoff=0.3) or names
-    what = f"{len(found)} images that {image!r} may be" if found else f"no image {image!r}"
-    raise InputError(str(path), what, f"one of its images: {', '.join(near[:4])}")
+    number = {name: k for k, name in enumerate(known)}
+    with errors_from(str(path)):
+        return [number[name] for name in image_names(names, known)] if names else list(number.values())
 
 
 def open_view(

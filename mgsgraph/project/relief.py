@@ -17,7 +17,7 @@ from mgsgraph.workers import Progress, no_progress
 
 
 class RegisteredProject(NamedTuple):
-    """Result of `coregister`."""
+    """Result of `align`."""
 
     registration: ReliefRegistration
     """Its solution is the project's from now on."""
@@ -25,7 +25,7 @@ class RegisteredProject(NamedTuple):
     """Folder of the products."""
 
 
-def coregister(
+def align(
     project: Project,
     settings: ReliefSettings,
     workers: int | None = None,
@@ -49,7 +49,7 @@ def coregister(
     shots = int(found.solution.stereo_used.sum())
     what = f"{len(found.profiles)} laser profiles"
     summary = {"cost": found.solution.cost_final, "converged": found.solution.converged, "shots": shots}
-    project.record("coregister", what, summary)
+    project.record("align", what, summary)
     progress("tables and figures" if figures else "tables", 0, 1)
     folder = project.keep_solution(
         found.solution, write=lambda to: write_coregistration(found, to, figures, case.path, project.networks)
@@ -61,7 +61,7 @@ def _case(project: Project, settings: ReliefSettings) -> tuple[Case, tuple[str, 
     """The case of a project, all that is in the project in the place of its network; and which images both have."""
     if project.case is None or not project.store.members():
         found = "no case that names its images' pixels" if project.case is None else "nothing to adjust"
-        remedy = f"mgsgraph init {project.folder} --case CASE, where CASE has pixels, ties and laser profiles"
+        remedy = f"mgsgraph project init {project.folder} --case CASE, where CASE has pixels, ties and laser profiles"
         raise InputError(str(project.folder), found, "a project made with a case, and measures", remedy)
     network = replace(project.store.network(), stereo=None)
     case = read_case(project.case, ties=_ties(project))

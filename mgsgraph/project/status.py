@@ -105,7 +105,7 @@ def _solutions(project: Project, images: bool) -> list[str]:
     if unchecked:
         lines.append(
             f"  {many(len(unchecked), 'change')} since the last closing check against batch; "
-            f"next: mgsgraph solve {project.folder}"
+            f"next: mgsgraph project solve {project.folder}"
         )
     else:
         lines.append("  checked against batch since the last change")

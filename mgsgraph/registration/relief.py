@@ -26,10 +26,11 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import Case
 from mgsgraph.case.scene import picture_file
 from mgsgraph.compiled import in_threads
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import SurfaceHeights, heights_above
+from mgsgraph.names import image_names
 from mgsgraph.network import TERRAIN, Network, PointClass
 from mgsgraph.network.observations import with_posts
 from mgsgraph.network.records import Crossovers, StereoControl, crossovers
@@ -228,9 +229,8 @@ def _require_profiles(case: Case) -> None:
 def _require_pictures(case: Case, settings: ReliefSettings) -> None:
     """Raise InputError unless a case has the images that are wanted, and pixels, before anything takes long."""
     names = [image.name for image in case.network.images]
-    for name in settings.images:
-        if name not in names:
-            raise InputError(str(case.path), f"no image {name}", f"one of {some(names, len(names))}")
+    with errors_from(str(case.path)):
+        image_names(settings.images, names)
     if len(names) < 2:
         raise InputError(str(case.path), "one image", "two that overlap, at least")
     wanted = decode(case.path)
@@ -249,7 +249,7 @@ def _require_same(case: Case, before: Solution) -> None:
             there = some(found, len(found)) if found else "none"
             raise InputError(
                 f"solution {before.name!r}", f"other {what} ({there})",
-                f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or leave --solution out",
+                f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or give the case itself",
             )  # fmt: skip
 
 

@@ -144,7 +144,7 @@ class Wanted:
     """Sizes of tests."""
 
     def __post_init__(self) -> None:
-        for what, value in (("--sigma-px", self.sigma), ("--cell-m", 1.0 if self.cell is None else self.cell)):
+        for what, value in (("--sigma-px", self.sigma), ("--post", 1.0 if self.cell is None else self.cell)):
             if not (np.isfinite(value) and value > 0.0):
                 raise InputError(what, f"{value}", "a positive number")
 

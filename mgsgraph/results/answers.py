@@ -173,23 +173,24 @@ def _correlations(found: Estimate) -> Section:
 
 
 
-def _file_of(posterior: Posterior, image: str) -> str:
+def _file_of(image: str, number: int) -> str:
     """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
     plainly = file_stem(image)
-    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{posterior.network.image_number(image) + 1}"
+    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{number + 1}"
 
 
 def curve_section(posterior: Posterior, image: str) -> Section:
     """Sigmas of the orientation along an image's lines."""
-    picture = posterior.network.images[posterior.network.image_number(image)]
-    poses = posterior.poses(image, np.linspace(0.0, float(picture.lines), 61))
+    number = posterior.network.image_number(image)
+    picture = posterior.network.images[number]
+    image, poses = picture.name, posterior.poses(number, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
     units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
     parts = [
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)
     ]  # fmt: skip
-    file = _file_of(posterior, image)
+    file = _file_of(image, number)
     table = Table(file, f"Sigmas along image {image}", (
         *columns_of("curves", {"image": [image] * lines.size, "line": lines}),
         *parts,

@@ -82,7 +82,7 @@ def shared_table(solution: Solution) -> Table:
     found = separations(solution)
     units = [one.unit for one in found]
     return table_of("shared", {
-        "text": [f"{one.unknown.name[:34]} {one.axis}".strip() for one in found], "unit": units,
+        "text": [f"{one.unknown.name} {one.axis}".strip() for one in found], "unit": units,
     }, found)  # fmt: skip
 
 

@@ -46,7 +46,7 @@ class Surface(NamedTuple):
 _DAY = 86400.0
 _MINUTES = "%Y-%m-%dT%H:%M"
 PLACES = begins(
-    "a table of mgsgraph project",
+    "a table of mgsgraph locate",
     r"([^\n]*,)?state,(height_from,)?(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
 )
 """Tables that the verb writes, by the columns that it adds."""
@@ -199,7 +199,7 @@ def crossings_table(found: tuple[Crossing, ...]) -> Table:
     }, found)  # fmt: skip
 
 
-SELECTION = begins("a selection of mgsgraph shots", "altimeter,profile,utc,images,simultaneous,orbit,")
+SELECTION = begins("a selection of mgsgraph footprints", "altimeter,profile,utc,images,simultaneous,orbit,")
 """Tables of `selection_table`, by their columns."""
 
 

@@ -295,7 +295,7 @@ def case_of(folder: str | Path) -> Path:
     if not isinstance(record.get("case"), str):
         raise InputError(
             str(path), "no word of the case that was adjusted", "the result of `mgsgraph adjust CASE`",
-            f"give the case: mgsgraph coregister CASE --solution {folder}",
+            "name it by --case CASE",
         )  # fmt: skip
     return Path(record["case"])
 

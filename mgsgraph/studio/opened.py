@@ -166,7 +166,7 @@ Kind = Literal["project", "result", "case"]
 _Found = TypeVar("_Found")
 _MOST_NEAR = 2000
 """Points about one of a solution whose posterior is found together."""
-_CHANGED = "only a project can be changed; make one of the case: mgsgraph init PROJECT --case CASE"
+_CHANGED = "only a project can be changed; make one of the case: mgsgraph project init PROJECT --case CASE"
 
 
 class State(NamedTuple):
@@ -274,7 +274,7 @@ class Opened:
         """The posterior; InputError before any adjustment."""
         make = self.now.posterior
         if make is None:
-            remedy = "adjust it: mgsgraph solve PROJECT, or mgsgraph adjust CASE --out RESULT"
+            remedy = "adjust it: mgsgraph project solve PROJECT, or mgsgraph adjust CASE --out RESULT"
             raise InputError(str(self.path), "nothing has been adjusted: there is no posterior", remedy=remedy)
         return self.once("posterior", make)
 
@@ -437,7 +437,7 @@ def _project(path: Path, case: Path | None) -> State:
 def _words(project: Project) -> str:
     """What is to be said of a project that is not as its last batch solution left it."""
     if not is_solved(project):
-        return f"Nothing has been adjusted yet: mgsgraph solve {project.folder}"
+        return f"Nothing has been adjusted yet: mgsgraph project solve {project.folder}"
     if project.last_results() is None:
         return ""
-    return f"Changed since its last batch solution (adjusted by iSAM2); for a new one: mgsgraph solve {project.folder}"
+    return f"Changed since its last batch solution, by iSAM2; for a new one: mgsgraph project solve {project.folder}"

@@ -105,6 +105,14 @@ def test_images_of_several_passes_are_found_by_one_table(tmp_path: Path) -> None
     assert [one.name for one in named] == [f"LRO {one.name}" for one in passes]
 
 
+@pytest.mark.parametrize(("table", "proposed"), [("", True), ("[[passes]]", False)])
+def test_images_of_one_moment_without_a_pass_are_named(tmp_path: Path, table: str, proposed: bool) -> None:
+    left, right, other = (image.name for image in rig().images)
+    notes = [note for note in mgsgraph.read_case(write_rig(tmp_path, table)).notes if "[[mountings]]" in note]
+    assert len(notes) == proposed
+    assert all(left in note and right in note and other not in note for note in notes)
+
+
 def test_images_of_two_cameras_that_follow_upon_each_other() -> None:
     """L and R, and both again after five minutes, R before L in the list: each later one goes by its own camera."""
     left, right, _ = rig().images
@@ -238,7 +246,7 @@ correlation_time_s = 1.0
     assert isinstance(found, ProcessPrior)
     assert not np.allclose(start.attitude[0].sigmas, found.attitude[0].sigmas)
     with pytest.raises(InputError, match="strengths of processes to be estimated"):
-        group(["init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
+        group(["project", "init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
     with pytest.raises(click.UsageError, match="estimated strengths"):
         group(["adjust", str(path), "--two-steps", "--out", str(tmp_path / "out")], standalone_mode=False)
 
@@ -528,7 +536,8 @@ def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_pa
 
 def test_projects_keep_them(block_folder: Path, tmp_path: Path) -> None:
     """The project's network is the case's, pass by pass."""
-    group(["init", str(tmp_path / "project"), "--case", str(block_folder / "case.toml")], standalone_mode=False)
+    words = ["project", "init", str(tmp_path / "project"), "--case", str(block_folder / "case.toml")]
+    group(words, standalone_mode=False)
     with open_project(tmp_path / "project") as project:
         kept = project.store.network()
     wanted = mgsgraph.read_case(block_folder / "case.toml").network

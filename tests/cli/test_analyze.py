@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -94,7 +95,7 @@ def test_new_places_and_their_raster(result: Path, tmp_path: Path, said_by: Said
         for k in mine
         for part in ("--pixel", names[solution.network.rays.image[k]], *solution.network.rays.places[k].tolist())
     ]
-    more = "--sigma-px", 0.5, "--raster", "--cell-m", 500, "--out", tmp_path / "out"
+    more = "--sigma-px", 0.5, "--raster", "--post", 500, "--out", tmp_path / "out"
     assert "New point: longitude" in said_by("analyze", result, *pixels, *more)
     with rasterio.open(tmp_path / "out" / "sigmas.tif") as file:
         assert file.count == 4
@@ -102,9 +103,9 @@ def test_new_places_and_their_raster(result: Path, tmp_path: Path, said_by: Said
 
 
 def test_a_project_answers_as_its_solution_does(case_file: Path, tmp_path: Path) -> None:
-    call("init", tmp_path / "project", "--case", case_file)
+    call("project", "init", tmp_path / "project", "--case", case_file)
     assert "without a batch solution" in refusal("analyze", tmp_path / "project")
-    call("solve", tmp_path / "project", "--no-figures")
+    call("project", "solve", tmp_path / "project", "--no-figures")
     solution = read_solution(tmp_path / "project" / "solutions" / "0001")
     point = solution.network.points.ids[0]
     call("analyze", tmp_path / "project", "--point", point, "--out", tmp_path / "analysis")
@@ -120,7 +121,7 @@ def test_what_can_not_be_answered_is_said_in_one_line(result: Path, tmp_path: Pa
         "image nowhere: no such image": (result, "--pose", "nowhere", 1.0),
         "1 measures": (result, "--pixel", image, 1.0, 1.0),
         "no --out FOLDER, for the GeoTIFF": (result, "--raster"),
-        "no --raster": (result, "--cell-m", 100.0),
+        "no --raster": (result, "--post", 100.0),
         "no question": (result, "--correlations"),
         "--sigma-px: no --pixel or --raster": (result, "--sigma-px", 2.0),
         "--probability: no --point": (result, "--probability", 0.5),
@@ -201,40 +202,40 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None:
     given, ground, back = (case_file.with_name(name) for name in ("given.csv", "ground.csv", "back.csv"))
     given.write_text('note,isis_line,isis_sample\n"a, b",1,1\n,500.25,30\nfar,1e9,3\n', encoding="utf-8")
-    assert "--ellipsoid" in refusal("project", case_file, SIM, "--points", given, "--out", ground)
-    done = run("project", case_file, SIM, "--points", given, "--ellipsoid", "--out", ground)
+    assert "--ellipsoid" in refusal("locate", case_file, SIM, "--points", given, "--out", ground)
+    done = run("locate", case_file, SIM, "--points", given, "--ellipsoid", "--out", ground)
     assert done.returncode == 0, done.stderr
     there = rows(ground)
     assert [row["note"] for row in there] == ["a, b", "", "far"]
     assert [row["state"] for row in there] == ["seen", "seen", "far outside the image"]
     assert there[2]["x_m"] == ""
-    call("project", case_file, SIM, "--points", ground, "--into", "image", "--out", back)
+    call("locate", case_file, SIM, "--points", ground, "--into", "image", "--out", back)
     again = rows(back)
     for name in ("isis_line", "isis_sample"):  # the header says how pixels are counted, and so does the result's
         np.testing.assert_allclose(
             [float(row[name]) for row in again[:2]], [float(row[f"given_{name}"]) for row in again[:2]], atol=1e-3
         )
     assert [row["state"] for row in again] == ["seen", "seen", "no ground"]
-    assert "--into ground" in refusal("project", case_file, SIM, "--points", ground)
+    assert "--into ground" in refusal("locate", case_file, SIM, "--points", ground)
     before = given.read_bytes()
-    kept = refusal("project", case_file, SIM, "--points", given, "--out", given)
-    assert "given.csv: exists and is not a table of mgsgraph project" in kept
+    kept = refusal("locate", case_file, SIM, "--points", given, "--out", given)
+    assert "given.csv: exists and is not a table of mgsgraph locate" in kept
     assert given.read_bytes() == before
     for source, into, out in ((given, "ground", ground), (ground, "image", back)):  # earlier ones are replaced
-        call("project", case_file, SIM, "--points", source, "--into", into, "--ellipsoid", "--out", out)
+        call("locate", case_file, SIM, "--points", source, "--into", into, "--ellipsoid", "--out", out)
 
 
 def test_single_places_and_conventions(case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def values(*options: object) -> dict[str, str]:
-        call("project", case_file, SIM, *options, *([] if "--radius" in options else ["--ellipsoid"]))
+        call("locate", case_file, SIM, *options, *([] if "--radius" in options else ["--ellipsoid"]))
         return dict(line.split(" = ") for line in capsys.readouterr().out.splitlines())
 
     ours, isis = values("--pixel", 99.5, 9.5), values("--pixel", 100, 10, "--isis")
     assert ours["x_m"] == isis["x_m"]
     place = ours["longitude_deg"], ours["latitude_deg"]
-    line = values("--place", *place)
+    line = values("--ground", *place)
     assert float(line["line"]) == pytest.approx(99.5, abs=1e-3)
-    assert float(values("--place", *place, "--isis")["isis_line"]) == pytest.approx(100.0, abs=1e-3)
+    assert float(values("--ground", *place, "--isis")["isis_line"]) == pytest.approx(100.0, abs=1e-3)
     assert float(values("--pixel", 99.5, 9.5, "--radius", 3.38e6)["radius_m"]) == pytest.approx(3.38e6, abs=1e-6)
     assert "sigma_line_px" not in line
 
@@ -247,7 +248,7 @@ def test_results_have_the_adjusted_orientation_and_sigmas(
     capsys.readouterr()
 
     def shown(source: Path, *options: object, way: tuple[object, ...] = ("--pixel", 100, 20)) -> dict[str, str]:
-        call("project", source, SIM, *way, *options)
+        call("locate", source, SIM, *way, *options)
         return dict(line.split(" = ") for line in capsys.readouterr().out.splitlines())
 
     adjusted, nominal, there = shown(out, "--ellipsoid"), shown(case_file, "--ellipsoid"), shown(out)
@@ -258,14 +259,14 @@ def test_results_have_the_adjusted_orientation_and_sigmas(
     assert 1.0 < float(sigma) < 300.0
     assert len(sigma.replace(".", "").rstrip("0")) <= 2
     assert len(value.partition(".")[2]) == len(sigma.partition(".")[2])
-    back = shown(out, way=("--place", *(there[name].split(" +- ")[0] for name in ("longitude_deg", "latitude_deg"))))
+    back = shown(out, way=("--ground", *(there[name].split(" +- ")[0] for name in ("longitude_deg", "latitude_deg"))))
     assert back["height_from"] == "neighbors"
     for name, place in (("line", 100.0), ("sample", 20.0)):
         found, spread = map(float, back[name].split(" +- "))
         assert abs(found - place) < spread
     given = case_file.with_name("given.csv")
     given.write_text("longitude_deg,latitude_deg\n1,2\n", encoding="utf-8")
-    call("project", out, SIM, "--points", given)  # a table on the screen, words beside it
+    call("locate", out, SIM, "--points", given)  # a table on the screen, words beside it
     table, words = capsys.readouterr()
     assert next(csv.DictReader(table.splitlines()))["state"]
     assert words.startswith("- 1 ground place")
@@ -273,12 +274,12 @@ def test_results_have_the_adjusted_orientation_and_sigmas(
 
 WRONG = {
     "no place": ((), "--points"),
-    "two ways": (("--pixel", 1, 2, "--place", 1, 2), "one of"),
+    "two ways": (("--pixel", 1, 2, "--ground", 1, 2), "one of"),
     "two grounds": (("--pixel", 1, 2, "--height", 1, "--ellipsoid"), "one of"),
     "a reference of nothing": (("--pixel", 1, 2, "--reference-radius", 1), "--terrain"),
-    "a latitude": (("--place", 1, 91), "91"),
-    "a longitude": (("--place", 5000, -2), "5000"),
-    "a latitude that is none": (("--place", 0.1, "nan"), "nan"),
+    "a latitude": (("--ground", 1, 91), "91"),
+    "a longitude": (("--ground", 5000, -2), "5000"),
+    "a latitude that is none": (("--ground", 0.1, "nan"), "nan"),
     "a way for one pixel": (("--pixel", 1, 2, "--into", "ground"), "--points"),
     "a pixel that is none": (("--pixel", "nan", 2), "nan"),
     "kilometres": (("--pixel", 1, 2, "--radius", 3390), "not in km"),
@@ -290,24 +291,24 @@ WRONG = {
 @pytest.mark.parametrize("fault", WRONG)
 def test_what_is_refused(case_file: Path, fault: str) -> None:
     options, said = WRONG[fault]
-    assert said in refusal("project", case_file, SIM, *options)
+    assert said in refusal("locate", case_file, SIM, *options)
 
 
 def test_images_by_their_names(case_file: Path) -> None:
-    assert "2 images" in refusal("project", case_file, "SIM", "--pixel", 1, 2)
-    assert "no image" in refusal("project", case_file, "nothing", "--pixel", 1, 2)
-    call("project", case_file, "/B", "--pixel", 1, 2, "--ellipsoid")
+    assert re.search(r"2 names.* SIM/A, SIM/B", refusal("locate", case_file, "SIM", "--pixel", 1, 2))
+    assert "no such image" in refusal("locate", case_file, "nothing", "--pixel", 1, 2)
+    call("locate", case_file, "/B", "--pixel", 1, 2, "--ellipsoid")
 
 
 def test_a_table_that_counts_otherwise_than_the_flag_is_refused(case_file: Path) -> None:
     given = case_file.with_name("given.csv")
     given.write_text("line,sample\n101,201\n", encoding="utf-8")
-    assert "beside --isis" in refusal("project", case_file, SIM, "--points", given, "--isis")
+    assert "beside --isis" in refusal("locate", case_file, SIM, "--points", given, "--isis")
     given.write_text("isis_line,isis_sample\n101,201\n", encoding="utf-8")
-    call("project", case_file, SIM, "--points", given, "--isis", "--height", 0)
+    call("locate", case_file, SIM, "--points", given, "--isis", "--height", 0)
 
 
 def test_a_file_in_the_place_of_a_folder_is_named(case_file: Path) -> None:
     place = "--pixel", 1, 2, "--height", 0, "--out", case_file / "x.csv"
-    assert f"({case_file} is a file)" in refusal("project", case_file, SIM, *place)
+    assert f"({case_file} is a file)" in refusal("locate", case_file, SIM, *place)
     assert f"({case_file} is a file)" in refusal("convert", case_file.with_name("network.pvl"), case_file / "n.net")

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from commands import COMMAND, refused, run, run_afresh
+from commands import COMMAND, call, refusal, refused, run, run_afresh
 from numba.core import event
 from tqdm import tqdm
 
@@ -33,10 +34,15 @@ def test_help(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("qqq",), "adjust, analyze, check"),
+        (("qqq",), "adjust, align, batch"),
         (("adjsut",), "mean 'adjust'?"),
         (("adjust",), "CASE"),
-        (("adjust", "x.toml"), "--out"),
+        (("coregister", "CASE"), "mgsgraph align"),
+        (("help", "case"), "mgsgraph new --keys"),
+        (("solve", "PROJECT"), "mgsgraph project solve"),
+        (("project", "RESULT", "IMAGE", "--pixel", "1", "2"), "mgsgraph locate"),
+        (("project", "slove", "PROJECT"), "mean 'solve'?"),
+        (("align", "x.toml", "--reach", "9"), "'--reach'; --search"),
         (("adjust", "x.toml", "--out", "y", "--loss", "l1"), "huber"),
         (("check", "a", "b"), "b"),
         (("fetch", "M04/02852", "--verify"), "No such option '--verify'; the same fetch again holds the folder"),
@@ -243,7 +249,7 @@ def test_what_cleans_up_behind_an_interrupt_is_let_do_so() -> None:
 
 def test_names_that_are_no_text_are_refused(tmp_path: Path) -> None:
     """Bytes that are no UTF-8 came as half a character to the first record that should hold the name."""
-    code = "import sys; sys.argv[1:] = ['init', 'a\\udcff']; from mgsgraph.cli import main; main()"
+    code = "import sys; sys.argv[1:] = ['check', 'a\\udcff']; from mgsgraph.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
@@ -343,3 +349,48 @@ def test_names_move_nothing() -> None:
     for text in ("a\x1b[A", "\x1b[Ab", "\x1b[2A", "\x1b[A\r", "\x1b[B", "\x1b[A\x1b[2J"):
         said.write(text)
     assert "\x1b" not in stream.getvalue()
+
+
+# --- without --out, by parts of names, and what helps where a verb is given something else
+
+
+def test_results_lie_in_folders_named_after_case_and_verb(
+    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    named = case_file.rename(case_file.with_name("pair.toml"))
+    call("adjust", named, "--no-figures")
+    call("export", "pair-adjust", "--to", "csm,isis")
+    call("export", "pair-adjust/solution.npz", "--to", "isis, csm", "--out", "both", "--scaled")
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "case", "pair-adjust", "pair-adjust-csm", "pair-adjust-isis", "both"
+    }  # fmt: skip
+    scaled = [json.loads(path.read_text())["scaled"] for path in sorted(Path("both").glob("*/export.json"))]
+    assert [path.name for path in sorted(Path("both").iterdir())] == ["csm", "isis"]
+    assert scaled == [False, True]
+    assert "it with spice alone" in refusal("export", "pair-adjust", "--to", "csm,isis", "--verify")
+    assert "'doc'" in refusal("export", "pair-adjust", "--to", "csm,doc")
+
+
+def test_a_part_of_an_image_s_name_is_enough(solved: Path, tmp_path: Path) -> None:
+    project = Path(shutil.copytree(solved, tmp_path / "project"))
+    call("analyze", project, "--pose", "/A", 10, "--projection", "TIE00001", "/B")
+    for arguments in (("analyze", project, "--pose", "SIM", 10), ("project", "remove", project, "SIM")):
+        assert re.search("SIM: a part of 2 names.* SIM/A, SIM/B$", refusal(*arguments))
+    call("project", "measure", project, "TIE00001", "--reject", "/B")
+    call("project", "remove", project, "/B")
+    with mgsgraph.open_project(project) as opened:
+        assert opened.store.image_names() == ["SIM/A"]
+        assert [one.what for one in opened.changes()][-1] == "SIM/B"
+
+
+def test_remedies_name_the_verb_that_serves(solved: Path, case_file: Path) -> None:
+    text = case_file.read_text(encoding="utf-8")
+    head, _, rest = text.partition("[ties]")
+    case_file.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
+    for verb, remedy in {
+        ("adjust", solved): f"mgsgraph project solve {solved}",
+        ("project", "solve", case_file): f"mgsgraph project init PROJECT --case {case_file}",
+        ("adjust", case_file, "--no-laser"): f"mgsgraph match {case_file}",
+    }.items():
+        assert remedy in refusal(*verb)

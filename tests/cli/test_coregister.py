@@ -46,7 +46,7 @@ from mgsgraph.simulation.ground import GRID_VERTICAL, grid_shift
 
 APART = 20.0
 """m, by which images and profiles may disagree after the adjustment."""
-OPTIONS = ("--reach", 400, "--workers", 1)
+OPTIONS = ("--search", 400, "--workers", 1)
 TABLES = {
     "solution.json", "solution.npz", "points.csv", "orientation.csv", "residuals.csv", "connectivity.csv",
     "coregistration.json", "profiles.csv", "shots.csv",
@@ -112,7 +112,7 @@ def test_the_command_writes_a_result(
     relief_site.use_matches(monkeypatch)
     out, case = tmp_path / "out", relief_site.case_path()
     result = relief_site.result()
-    assert call("coregister", case, "--solution", result, "--out", out, *OPTIONS) == 0
+    assert call("align", result, "--case", case, "--out", out, *OPTIONS) == 0
     said = capsys.readouterr().out
     figures = {path.stem for path in out.iterdir() if path.suffix == ".png"}
     assert {"costs", "profiles_1", "profiles_2", "shifts"} <= figures
@@ -138,7 +138,7 @@ def test_the_command_writes_a_result(
     assert call("export", out, "--to", "csm", "--out", tmp_path / "csm") == 0
     assert call("report", out, "--out", tmp_path / "report.html") == 0
     monkeypatch.setattr(relief, "register_by_relief", lambda *_, **__: registration)
-    assert call("coregister", case, "--solution", result, "--out", out, *OPTIONS, "--no-figures") == 0
+    assert call("align", result, "--case", case, "--out", out, *OPTIONS, "--no-figures") == 0
     assert {path.name for path in out.iterdir()} == TABLES
 
 
@@ -148,7 +148,7 @@ def test_not_converged_is_written_and_is_exit_status_1(
 ) -> None:
     solution = replace(registration.solution, converged=False, message="It is far away.")
     monkeypatch.setattr(relief, "register_by_relief", lambda *_, **__: replace(registration, solution=solution))
-    assert call("coregister", relief_site.case_path(), "--out", tmp_path / "out", "--no-figures") == 1
+    assert call("align", relief_site.case_path(), "--out", tmp_path / "out", "--no-figures") == 1
     assert "NOT CONVERGED" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "coregistration.json").read_text(encoding="utf-8"))
     assert record["status"] == "not converged"
@@ -157,7 +157,7 @@ def test_not_converged_is_written_and_is_exit_status_1(
 def test_a_result_knows_its_case(
     registration: ReliefRegistration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """RESULT in place of CASE --solution RESULT."""
+    """RESULT in place of RESULT --case CASE."""
     given: list[Any] = []
 
     def registered(case: mgsgraph.Case, *_: Any, before: Any = None, **others: Any) -> ReliefRegistration:
@@ -166,16 +166,16 @@ def test_a_result_knows_its_case(
 
     monkeypatch.setattr(relief, "register_by_relief", registered)
     out, again = tmp_path / "out", tmp_path / "again"
-    assert call("coregister", relief_site.case_path(), "--out", out, "--no-figures") == 0
+    assert call("align", relief_site.case_path(), "--out", out, "--no-figures") == 0
     assert {path.name for path in out.iterdir()} == TABLES
-    assert call("coregister", out, "--out", again, "--no-figures") == 0
+    assert call("align", out, "--out", again, "--no-figures") == 0
     (first, nothing), (second, before) = given
     assert nothing is None
     assert first.settings.loss == "none"
     assert second.path == relief_site.case_path().resolve()
     assert before.name == registration.solution.name
     with pytest.raises(click.UsageError, match="would replace"):
-        call("coregister", out, "--out", out)
+        call("align", out, "--out", out)
 
 
 def test_a_project_has_the_surfaces_from_then_on(
@@ -183,7 +183,7 @@ def test_a_project_has_the_surfaces_from_then_on(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     project = tmp_path / "project"
-    assert call("init", project, "--case", relief_site.case_path()) == 0
+    assert call("project", "init", project, "--case", relief_site.case_path()) == 0
     given: list[Any] = []
 
     def registered(*arguments: Any, **_: Any) -> ReliefRegistration:
@@ -191,7 +191,7 @@ def test_a_project_has_the_surfaces_from_then_on(
         return registration
 
     monkeypatch.setattr(project_relief, "register_by_relief", registered)
-    assert call("coregister", project, "--no-figures", "--reach", 600) == 0
+    assert call("align", project, "--no-figures", "--search", 600) == 0
     case, settings = given
     assert {image.name for image in case.network.images} == set(settings.images)
     assert case.network.stereo is None
@@ -202,11 +202,11 @@ def test_a_project_has_the_surfaces_from_then_on(
         assert kept is not None
         assert made is not None
         assert (kept.surface >= 0).sum() == (made.surface >= 0).sum() > 100
-        assert opened.changes()[-1].verb == "coregister"
-    assert call("status", project) == 0
-    assert "coregister" in capsys.readouterr().out
+        assert opened.changes()[-1].verb == "align"
+    assert call("project", "status", project) == 0
+    assert "align" in capsys.readouterr().out
     with pytest.raises(click.UsageError, match="a project has its own"):
-        call("coregister", project, "--out", tmp_path / "out")
+        call("align", project, "--out", tmp_path / "out")
 
 
 @pytest.mark.slow
@@ -215,9 +215,9 @@ def test_a_project_registered_and_solved_has_the_same_answer(
 ) -> None:
     relief_site.use_matches(monkeypatch)
     project = tmp_path / "project"
-    assert call("init", project, "--case", relief_site.case_path()) == 0
-    assert call("coregister", project, "--no-figures", *OPTIONS) == 0
-    assert call("solve", project, "--no-figures") == 0
+    assert call("project", "init", project, "--case", relief_site.case_path()) == 0
+    assert call("align", project, "--no-figures", *OPTIONS) == 0
+    assert call("project", "solve", project, "--no-figures") == 0
     first, again = (mgsgraph.read_solution(project / "solutions" / name) for name in ("0001", "0002"))
     assert again.cost_final == pytest.approx(first.cost_final, rel=1e-9)
     shifts = [dict(zip(one.network.shift_names, one.shifts, strict=True)) for one in (first, again)]
@@ -319,20 +319,20 @@ def test_what_cannot_be_registered_is_said_in_one_line(case_file: Path, tmp_path
     (foreign / "mine.txt").touch()
     result, project, out = tmp_path / "result", tmp_path / "project", ("--out", tmp_path / "out")
     assert call("adjust", case_file, "--out", result, "--no-figures") == 0
-    assert call("init", project) == 0
+    assert call("project", "init", project) == 0
     for said, arguments in {
         "neither a laser profile nor a terrain model": (still, *out),
         "neither a laser profile": (bare, *out),
         "no pixels": (mola_profiles.with_profile(case_file), *out),
-        "no image E02-00666": (case, *out, "--pair", "E02-00665,E02-00666"),
-        "reach: nan m": (case, *out, "--reach", "nan"),
-        "none": (case, *out, "--solution", "none"),
+        "no such image": (case, *out, "--image", "E02-00665", "--image", "E02-00666"),
+        "reach: nan m": (case, *out, "--search", "nan"),
+        "none": (case, *out, "--case", "none"),
         "not a result of mgsgraph": (case, "--out", foreign),
-        "other images": (case, "--solution", result, *out),
+        "other images": (result, "--case", case, *out),
         "no case that names": (project,),
         "no word of the case": (tmp_path, *out),
     }.items():
-        assert said in refusal("coregister", *arguments)
+        assert said in refusal("align", *arguments)
     assert not (tmp_path / "out").exists()
 
 
@@ -358,7 +358,7 @@ def test_profiles_that_do_not_cross_the_images_are_refused(monkeypatch: pytest.M
 def test_the_whole_road_on_the_simulated_gusev_site(tmp_path: Path) -> None:
     """Pictures rendered, matched by least squares, registered: images and laser agree."""
     assert call("simulate", "gusev", "--out", tmp_path / "site") == 0
-    done = run("coregister", tmp_path / "site" / "case.toml", "--out", tmp_path / "out")
+    done = run("align", tmp_path / "site" / "case.toml", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     for row in rows_of(tmp_path / "out" / "profiles.csv"):
         before, after = (

@@ -89,7 +89,7 @@ def test_options_reach_the_model(
     other = tmp_path / "other.b"
     other.write_bytes(shots.read_bytes())
     out = tmp_path / "dem"
-    options = ("--post", 40, "--heights", "areoid", "--mola", other, "--ortho-pixel", 20, "--no-figures")
+    options = ("--post", 40, "--heights", "areoid", "--shots", other, "--ortho-pixel", 20, "--no-figures")
     assert call("dem", dem_site.result(), "--case", dem_site.case_path(), "--out", out, *options) == 0
     record = json.loads((out / "dem.json").read_text(encoding="utf-8"))
     assert (record["post_m"], record["ortho_pixel_m"], record["heights_above"]) == (40.0, 20.0, "the areoid")
@@ -104,7 +104,7 @@ def test_a_demo_s_case_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     demo = tmp_path / "demo"
     demo.mkdir()
     (demo / "solution.npz").write_bytes(dem_site.result().read_bytes())
-    with pytest.raises(Exception, match="give it by --case"):
+    with pytest.raises(Exception, match="--case"):
         call("dem", demo, "--out", tmp_path / "dem")
     (demo / "inputs").symlink_to(dem_site.case_path().parent)
     assert call("dem", demo, "--out", tmp_path / "dem", "--no-figures") == 0
@@ -124,13 +124,13 @@ def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -
         "no such file": (tmp_path / "none", "--case", site, *out),
         "none.toml: no such file": (result, "--case", tmp_path / "none.toml", *out),
         "post: -5.0 m; expected a positive number": (result, "--case", site, *out, "--post", "-5"),
-        "none.b": (result, "--case", site, *out, "--mola", tmp_path / "none.b"),
+        "none.b": (result, "--case", site, *out, "--shots", tmp_path / "none.b"),
         "give the case that was adjusted": (result, "--case", case_file, *out),  # another one
-        "no image E1": (result, "--case", site, *out, "--pair", "E02-00665,E1"),
-        "two different names": (result, "--case", site, *out, "--pair", "A,B,A"),
+        "no such image": (result, "--case", site, *out, "--image", "E02-00665", "--image", "E1"),
+        "two different images": (result, "--case", site, *out, "--image", "A"),
         "images that the solution doesn't have: E02-99999": (result, "--case", renamed, *out),
         "not a result of mgsgraph": (result, "--case", site, "--out", foreign),
-        "give it by --case": (result, *out),
+        "name it by --case": (result / "solution.npz", *out),
         "mgsgraph adjust": (site.parent, "--case", site, *out),
     }.items():
         assert said in refusal("dem", *arguments)
@@ -214,7 +214,7 @@ def test_the_solution_outlives_its_merit(
     assert not (out / "two_steps.json").exists()
 
 
-# --- `mgsgraph register` as a person uses it: files, sentences, exit status, and nothing left over after b
+# --- `mgsgraph footprints` as a person uses it: files, sentences, exit status, and nothing left over after b
 
 
 @pytest.mark.slow
@@ -222,7 +222,7 @@ def test_before_and_after_an_adjustment(case_file: Path, tmp_path: Path) -> None
     mola_case = profiles.with_profile(case_file)
     result, out = tmp_path / "result", tmp_path / "registration"
     assert run("adjust", mola_case, "--out", result, "--no-figures").returncode == 0
-    done = run("register", mola_case, "--solution", result, "--out", out)
+    done = run("footprints", result, "--case", mola_case, "--out", out)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     record = json.loads((out / "registration.json").read_text(encoding="utf-8"))
@@ -231,32 +231,32 @@ def test_before_and_after_an_adjustment(case_file: Path, tmp_path: Path) -> None
     assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
     assert "fall in SIM/A" in done.stdout
 
-    again = run("register", mola_case, "--out", out, "--no-figures")  # an earlier registration is replaced
+    again = run("footprints", mola_case, "--out", out, "--no-figures")  # an earlier registration is replaced
     assert again.returncode == 0, again.stderr
     assert {path.suffix for path in out.iterdir()} == {".json", ".csv"}
     assert "adjusted" not in again.stdout
 
     names = sorted(path.name for path in result.iterdir())  # a solution isn't
-    refused(run("register", mola_case, "--solution", result, "--out", result), "solution.json", result, names)
+    refused(run("footprints", result, "--out", result), "solution.json", result, names)
     names = sorted(path.name for path in out.iterdir())  # nor a registration by an adjustment
     refused(run("adjust", mola_case, "--out", out), "registration.json", out, names)
 
 
 def test_what_cannot_be_registered_writes_nothing(case_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "registration"
-    assert "no such file" in refusal("register", tmp_path / "none.toml", "--out", out)
-    assert "solution.npz" in refusal("register", case_file, "--solution", tmp_path, "--out", out)
-    assert "no laser profile" in refusal("register", case_file, "--out", out)
+    assert "no such file" in refusal("footprints", tmp_path / "none.toml", "--out", out)
+    assert "solution.npz" in refusal("footprints", tmp_path, "--case", case_file, "--out", out)
+    assert "no laser profile" in refusal("footprints", case_file, "--out", out)
     assert not out.exists()
 
 
-# --- `mgsgraph shots` as a person uses it: a profile found, written, and taken by the case in place of the
+# --- `mgsgraph footprints FILES` as a person uses it: a profile found, written, and taken by the case in place of the
 
 
 def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_path: Path) -> None:
     case = profiles.with_profile(case_file)
     found = tmp_path / "found.csv"
-    done = run("shots", case.with_name("profile.csv"), "--case", case, "--image", "SIM/A", "--along", "--out", found)
+    done = run("footprints", case, case.with_name("profile.csv"), "--image", "SIM/A", "--along", "--out", found)
     assert done.returncode == 0, done.stderr
     assert "18933 taken along" in done.stdout
 
@@ -265,12 +265,14 @@ def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_pat
     mine.write_text("years,of,work\n", encoding="utf-8")
     shots, out = case.with_name("profile.csv"), tmp_path / "out.csv"
     for said, arguments in {
-        "mine.csv: exists and is not a selection of mgsgraph shots": (shots, "--case", case, "--out", mine),
-        "no such file": (tmp_path / "none.csv", "--case", case, "--out", out),
-        "no image 'SIM/Z'": (shots, "--case", case, "--image", "SIM/Z", "--out", out),
-        "dates": (shots, "--case", case, "--dates", "1999-13-01", "1999-02-01", "--out", out),
+        "mine.csv: exists and is not a selection of mgsgraph footprints": (case, shots, "--out", mine),
+        "no such file": (case, tmp_path / "none.csv", "--out", out),
+        "SIM/Z: no such image": (case, shots, "--image", "SIM/Z", "--out", out),
+        "dates": (case, shots, "--dates", "1999-13-01", "1999-02-01", "--out", out),
+        "--ties and --no-figures go without FILES": (case, shots, "--ties", out),
+        "go with FILES": (case, "--margin", 2),
     }.items():
-        assert said in refusal("shots", *arguments)
+        assert said in refusal("footprints", *arguments)
     assert mine.read_text(encoding="utf-8") == "years,of,work\n"
     assert not out.exists()
 
@@ -281,7 +283,7 @@ def test_a_selection_takes_the_archives_place_in_a_case(case_file: Path, tmp_pat
     assert after.ranges.times.tolist() == before.ranges.times.tolist()
 
     nothing = tmp_path / "nothing.csv"
-    done = run("shots", found, "--case", case, "--dates", "1999-01-01", "1999-01-02", "--out", nothing)
+    done = run("footprints", case, found, "--dates", "1999-01-01", "1999-01-02", "--out", nothing)
     assert done.returncode == 0
     assert not nothing.exists()
 
@@ -298,15 +300,15 @@ def test_results_and_projects_show_their_shots_as_adjusted(
     if kind == "result":
         call("adjust", case_file, "--out", source, "--no-figures")
     else:
-        call("init", source, "--case", case_file)
+        call("project", "init", source, "--case", case_file)
         with pytest.raises(InputError, match="without a batch solution"):
-            call("shots", profile, "--case", source)
-        call("solve", source, "--no-figures")
+            call("footprints", source, profile)
+        call("project", "solve", source, "--no-figures")
     capsys.readouterr()
-    call("shots", profile, "--case", source, "--image", "/A", "--along", "--out", tmp_path / "found.csv")
+    call("footprints", source, profile, "--image", "/A", "--along", "--out", tmp_path / "found.csv")
     assert f"SIM/A: {profiles.SHOTS} shots of 1 profile fall in it, 18933 taken along" in capsys.readouterr().out
-    with pytest.raises(InputError, match="2 images that 'SIM' may be"):
-        call("shots", profile, "--case", source, "--image", "SIM")
+    with pytest.raises(InputError, match="SIM: a part of 2 names"):
+        call("footprints", source, profile, "--image", "SIM")
 
     shots = read_shots(tmp_path / "found.csv")
     off = []
@@ -319,7 +321,7 @@ def test_results_and_projects_show_their_shots_as_adjusted(
 
 def test_noise_is_left_out_unless_it_is_asked_for(case_file: Path, tmp_path: Path) -> None:
     case, found = profiles.with_profile(case_file), tmp_path / "found.csv"
-    call("shots", case.with_name("profile.csv"), "--case", case, "--out", found)
+    call("footprints", case, case.with_name("profile.csv"), "--out", found)
     with found.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     for row in rows[:7]:
@@ -330,6 +332,6 @@ def test_noise_is_left_out_unless_it_is_asked_for(case_file: Path, tmp_path: Pat
         writer.writerows(rows)
     sizes = []
     for k, more in enumerate([(), ("--quality", "all")]):
-        call("shots", tmp_path / "noisy.csv", "--case", case, *more, "--out", tmp_path / f"{k}.csv")
+        call("footprints", case, tmp_path / "noisy.csv", *more, "--out", tmp_path / f"{k}.csv")
         sizes.append(read_shots(tmp_path / f"{k}.csv").times.size)
     assert sizes == [len(rows) - 7, len(rows)]

@@ -75,7 +75,7 @@ def test_matches_are_adjusted(
     shutil.copy(out / "network.net", tmp_path / "binary.net")
     assert call("check", site, "--ties", tmp_path / "binary.net") == 0
     registration = tmp_path / "registration"
-    assert call("register", site, *ties, "--solution", result, "--out", registration, "--no-figures") == 0
+    assert call("footprints", result, "--case", site, *ties, "--out", registration, "--no-figures") == 0
     assert (registration / "registration.json").exists()
     capsys.readouterr()
 
@@ -116,26 +116,25 @@ def test_what_cannot_be_matched_writes_nothing(site: Path, tmp_path: Path, case_
     unknown.write_text(text, encoding="utf-8")
     for said, arguments in {
         "no such file": (tmp_path / "none.toml", "--out", out),
+        "neither a case file nor a project": (tmp_path,),
         "no pixels": (case_file, "--out", out),
         "matching, cells: 0; expected at least 1": (site, "--out", out, "--cells", "0"),
         "matching, step: -4.0; expected a positive number": (site, "--out", out, "--step", "-4"),
         "not a result of mgsgraph": (site, "--out", foreign),
         "an infinite a-priori sigma of its orientation": (unknown, "--out", out),
-        "--method grid is gone": (site, "--out", out, "--method", "grid"),
-        "--out": (site,),
     }.items():
         assert said in refusal("match", *arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "foreign"]
     assert (foreign / "mine.txt").exists()
 
 
-# --- `mgsgraph review` as a person uses it: a page, its verdicts, a network without the rejected points; a
+# --- `mgsgraph studio --review` as a person uses it: a page, its verdicts, a network without the rejected points; a
 
 
 def test_from_a_page_to_a_network(pictured_case: Path, tmp_path: Path) -> None:
     case = pictured_case
     page, kept = tmp_path / "review.html", tmp_path / "kept.net"
-    done = run("review", case, "--out", page, "--worst", 5)
+    done = run("studio", case, "--review", page, "--worst", 5)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
     assert "- 5 of 20 tie points: in turn the next by lowest correlation, " in done.stdout
@@ -145,23 +144,23 @@ def test_from_a_page_to_a_network(pictured_case: Path, tmp_path: Path) -> None:
     assert len(ids) == 5
     verdicts = tmp_path / "verdicts.csv"
     verdicts.write_text(f"# network {digest}\nid,verdict,note\n{ids[0]},reject,blurred\n{ids[1]},accept,\n")
-    done = run("review", case, "--verdicts", verdicts, "--out", kept)
+    done = run("studio", case, "--verdicts", verdicts, "--review", kept)
     assert done.returncode == 0, done.stderr
     assert "- 1 of 20 points of" in done.stdout
     before = read_control_network(case.with_name("network.pvl"))
     assert read_control_network(kept).ids == tuple(name for name in before.ids if name != ids[0])
 
-    done = run("review", case, "--out", page, "--verdicts", verdicts, "--points", f"{ids[0]}, {ids[1]}")
+    done = run("studio", case, "--review", page, "--verdicts", verdicts, "--point", ids[0], "--point", ids[1])
     assert done.returncode == 0, done.stderr
     text = page.read_text(encoding="utf-8")
     assert "2 of 20 tie points, as asked for" in text
     assert re.search(rf'data-id="{ids[0]}" data-verdict="reject"', text)
     assert 'value="blurred"' in text
 
-    other = "--ties", kept, "--verdicts", verdicts, "--out", tmp_path / "k.pvl"  # the new network is another one
-    assert "expected points of" in refusal("review", case, *other)
+    other = "--ties", kept, "--verdicts", verdicts, "--review", tmp_path / "k.pvl"  # the new network is another one
+    assert "expected points of" in refusal("studio", case, *other)
     verdicts.write_text(f"# network {digest}\nid,verdict\n{ids[1]},reject\n")
-    assert f"about network {digest}" in refusal("review", case, *other)
+    assert f"about network {digest}" in refusal("studio", case, *other)
     assert not (tmp_path / "k.pvl").exists()
 
 
@@ -172,7 +171,7 @@ def test_a_table_that_a_case_has_becomes_a_network(case_file: Path, tmp_path: Pa
     case_file.write_text(case_file.read_text(encoding="utf-8").replace("network.pvl", "points.csv"), encoding="utf-8")
     verdicts = tmp_path / "v.csv"
     verdicts.write_text("id,verdict\n")
-    done = run("review", case_file, "--verdicts", verdicts, "--out", tmp_path / "kept.net")
+    done = run("studio", case_file, "--verdicts", verdicts, "--review", tmp_path / "kept.net")
     assert done.returncode == 0, done.stderr
     assert read_network(tmp_path / "kept.net").target_name == "MARS"
 
@@ -188,20 +187,21 @@ def test_what_cannot_be_reviewed_writes_nothing(pictured_case: Path, tmp_path: P
     blind.write_text(text.replace('pixels = "B.tif"\n', ""), encoding="utf-8")
     untied.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
     for said, arguments in {
-        "no such file": (tmp_path / "none.toml", "--out", page),
-        "'.txt'; expected a page (.html) or a network": (case, "--out", tmp_path / "page.txt"),
-        "it is written by --verdicts": (case, "--out", network),
-        "--worst is for a page": (case, "--out", network, "--verdicts", verdicts, "--worst", 3),
-        "can't both be given": (case, "--out", page, "--worst", 3, "--points", "TIE00001"),
-        "no point NONE": (case, "--out", page, "--points", "NONE"),
-        "none.csv: no such file": (case, "--out", page, "--verdicts", tmp_path / "none.csv"),
-        "solution.npz": (case, "--out", page, "--solution", tmp_path),
-        "that was reviewed": (case, "--out", own, "--verdicts", verdicts),
-        "doubts.csv, line 2: the verdict": (case, "--out", network, "--verdicts", doubts),
-        "image SIM/B: no file of its pixels": (blind, "--out", page),
-        "no network of tie points; expected one": (untied, "--out", page),
+        "no such file": (tmp_path / "none.toml", "--review", page),
+        "'.txt'; expected a page (.html) or a network": (case, "--review", tmp_path / "page.txt"),
+        "is written by --verdicts": (case, "--review", network),
+        "--worst and --point are for a page": (case, "--review", network, "--verdicts", verdicts, "--worst", 3),
+        "can't both be given": (case, "--review", page, "--worst", 3, "--point", "TIE00001"),
+        "no point NONE": (case, "--review", page, "--point", "NONE"),
+        "none.csv: no such file": (case, "--review", page, "--verdicts", tmp_path / "none.csv"),
+        "solution.npz": (tmp_path, "--case", case, "--review", page),
+        "that was reviewed": (case, "--review", own, "--verdicts", verdicts),
+        "doubts.csv, line 2: the verdict": (case, "--review", network, "--verdicts", doubts),
+        "image SIM/B: no file of its pixels": (blind, "--review", page),
+        "no network of tie points; expected one": (untied, "--review", page),
+        "go with --review FILE": (case, "--verdicts", verdicts),
     }.items():
-        assert said in refusal("review", *arguments)
+        assert said in refusal("studio", *arguments)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "doubts.csv", "v.csv"]
 
 
@@ -241,7 +241,7 @@ def test_there_and_back_with_the_case(network: Path, case_file: Path) -> None:
     shutil.move(network, kept)
 
     assert convert(kept, folder / "x.dat", "--case", case_file, "--to", "nvm") == 0
-    assert convert(folder / "x.dat", folder / "back.net", "--target", "MARS", "--from", "nvm") == 0
+    assert convert(folder / "x.dat", folder / "back.net", "--body", "MARS", "--from", "nvm") == 0
 
     first, back = read_network(kept), read_network(folder / "back.net")
     assert len(first.points) == len(back.points)
@@ -260,7 +260,7 @@ def test_united_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert convert(network, folder / "free.csv") == 0
         rows = (folder / "free.csv").read_text().splitlines(keepends=True)
         (folder / name).write_text("".join([rows[0], *(row for row in rows if f",{image}," in row)]))
-    parts = [folder / "a.csv", folder / "b.csv", "--out", folder / "both.net", "--target", "MARS"]
+    parts = [folder / "a.csv", folder / "b.csv", "--out", folder / "both.net", "--body", "MARS"]
 
     with pytest.raises(InputError, match=r"an id that .*a\.csv has, too; .*--duplicates"):
         convert(*parts)
@@ -269,12 +269,12 @@ def test_united_and_split(network: Path, capsys: pytest.CaptureFixture[str]) -> 
     before, after = ([(m.serial_number, m.line) for one in each.points for m in one.measures]
                      for each in (whole, read_network(folder / "both.net")))  # fmt: skip
     assert after == before
-    assert convert(folder / "both.net", "--out", folder / "part.net", "--split", "--only", "SIM/*") == 0
+    assert convert(folder / "both.net", "--out", folder / "part.net", "--split", "--image", "SIM/*") == 0
     assert "Part 1: 20 points in 2 images" in capsys.readouterr().out
     assert len(read_network(folder / "part_1.net").points) == 20
     assert not (folder / "part.net").exists()
     assert not (folder / "part_2.net").exists()
-    for wrong, found in ((["--only", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
+    for wrong, found in ((["--image", "SIM/A"], "no point"), (["--out", folder / "both.net"], "one of the files")):
         with pytest.raises(InputError, match=found):
             convert(folder / "both.net", "--out", folder / "c.net", *wrong)
     with pytest.raises(click.UsageError, match="one file alone"):

@@ -295,5 +295,7 @@ def test_a_hostile_folder(case_file: Path, tmp_path: Path) -> None:
     assert "a name that is no Unicode text" in said
     named = sorted(folder.glob("*.isd*"))[:2]
     assert len(draft_case([*named, folder / "export.json"], tmp_path / "other.toml").text) > 100
+    named.append(folder / "noise_1.bin")  # as a shell's * gives them
+    assert "noise_1.bin" in "".join(draft_case(named, tmp_path / "starred.toml").said)
     with pytest.raises(InputError, match="a pipe; expected a file"):
         draft_case([*named, folder / "pipe.json"], tmp_path / "third.toml")

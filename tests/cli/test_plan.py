@@ -92,9 +92,9 @@ def test_a_plan_on_the_terminal_and_in_files(
 
 def test_a_project_gives_the_plan_of_its_solution(adjusted: Path, tmp_path: Path) -> None:
     project, path = tmp_path / "project", candidates(adjusted, image(4, "ties = 10\nexisting = true"))
-    call("init", project, "--case", adjusted / "case.toml")
+    call("project", "init", project, "--case", adjusted / "case.toml")
     assert "a project without a solution" in refusal("plan", project, path)
-    assert call("solve", project, "--no-figures") == 0
+    assert call("project", "solve", project, "--no-figures") == 0
     found = []
     for where in (project, adjusted / "results"):
         out = tmp_path / f"plan of {where.name}"
@@ -164,7 +164,7 @@ def test_bad_candidates_are_one_line(adjusted: Path, text: str, said: str) -> No
 def test_bad_arguments_are_one_line(adjusted: Path, tmp_path: Path) -> None:
     path = candidates(adjusted, image(4))
     for said, arguments in {
-        "'nobody', which is no determined point": (adjusted / "results", path, "--target", "nobody"),
+        "no determined point: image nobody": (adjusted / "results", path, "--target", "nobody"),
         "a folder with neither": (tmp_path, path),
         "no such file": (adjusted / "nowhere", path),
         "no candidates.toml": (adjusted / "results", adjusted / "no candidates.toml"),
@@ -198,7 +198,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = case.parent / "out"
-    arguments = ("nodes", case, "--spacings", "3,0.02,1.85", "--hold-out", "0.5", "--out", out)
+    arguments = ("analyze", case, "--nodes", "3,0.02,1.85", "--hold-out", "0.5", "--out", out)
     assert call(*arguments) == 0
     said = capsys.readouterr().out
     assert re.search(r"^ +0\.02 +\d+ +refused: pass 'STRIP/000N', nodes closer than the data supports", said, re.M)
@@ -215,17 +215,19 @@ def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--spacings", "four"), "'four'; expected positive numbers of seconds"),
-        (("--spacings", "4,-1"), "positive numbers"),
-        (("--spacings", "3"), "two or more that differ"),
-        (("--spacings", "3,0.02", "--hold-out", "2"), "share of 2.0"),
+        (("--nodes", "four"), "'four'; expected positive numbers of seconds"),
+        (("--nodes", "4,-1"), "positive numbers"),
+        (("--nodes", "3"), "two or more that differ"),
+        (("--nodes", "3,0.02", "--hold-out", "2"), "share of 2.0"),
+        (("--nodes", "3,4", "--weak", "2"), "--nodes goes with"),
+        (("--hold-out", "0.5"), "no --nodes"),
     ],
 )
 def test_bad_options_are_one_line(case: Path, options: tuple[str, ...], words: str) -> None:
-    assert words in refusal("nodes", case, *options)
+    assert words in refusal("analyze", case, *options)
 
 
 def test_what_is_not_studied(case: Path, tmp_path: Path) -> None:
     write_strip(strip(6).upto(2), tmp_path)
-    assert "no strips" in refusal("nodes", tmp_path / "case.toml")
-    assert "not a result" in refusal("nodes", case, "--out", tmp_path)
+    assert "no strips" in refusal("analyze", tmp_path / "case.toml", "--nodes")
+    assert "not a result" in refusal("analyze", case, "--nodes", "4,8", "--out", tmp_path)

@@ -109,7 +109,7 @@ def test_results_can_be_registered_and_replaced(
     out = tmp_path / "demo"
     shutil.copytree(demo[0], out)
     done = run(
-        "register", out / "inputs" / "case.toml", "--solution", out, "--out", tmp_path / "again", "--no-figures"
+        "footprints", out, "--case", out / "inputs" / "case.toml", "--out", tmp_path / "again", "--no-figures"
     )
     assert done.returncode == 0, done.stderr
     again, first = (
@@ -160,7 +160,7 @@ def test_simulate_replaces_nothing(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-# --- `mgsgraph campaign` as a person uses it: exit status, table, one line on bad input, interrupts that l
+# --- `mgsgraph batch` as a person uses it: exit status, table, one line on bad input, interrupts that l
 
 
 def folders(record: Path) -> list[str]:
@@ -178,12 +178,12 @@ def sites(case_file: Path, tmp_path: Path) -> Path:
 
 def test_all_done_is_exit_status_zero(sites: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("campaign", sites, "--out", out, "--no-figures", "-v")
+    done = run("batch", sites, "--out", out, "--no-figures", "-v")
     assert done.returncode == 0, done.stderr
     assert "2 cases: 2 done" in done.stdout
     assert "north: done, " in done.stdout
     assert sorted(path.name for path in out.iterdir()) == ["campaign.jsonl", "north", "south"]
-    again = run("campaign", sites, "--out", out, "--no-figures")
+    again = run("batch", sites, "--out", out, "--no-figures")
     assert again.returncode == 0
     assert "2 of them earlier" in again.stdout
     assert "north" not in again.stdout
@@ -191,12 +191,12 @@ def test_all_done_is_exit_status_zero(sites: Path, tmp_path: Path) -> None:
 
 def test_a_failed_case_is_exit_status_one_and_in_the_table(sites: Path, tmp_path: Path) -> None:
     (sites / "south" / "case.toml").write_text("format = 7\n", encoding="utf-8")
-    done = run("campaign", sites, "--out", tmp_path / "out", "--no-figures")
+    done = run("batch", sites, "--out", tmp_path / "out", "--no-figures")
     assert done.returncode == 1
     assert "2 cases: 1 done, 1 failed" in done.stdout
     assert "format 7" in done.stdout
     assert "Traceback" not in done.stderr
-    well = run("campaign", sites / "north", "--out", tmp_path / "out", "--no-figures")
+    well = run("batch", sites / "north", "--out", tmp_path / "out", "--no-figures")
     assert well.returncode == 0
 
 
@@ -211,7 +211,7 @@ def test_a_failed_case_is_exit_status_one_and_in_the_table(sites: Path, tmp_path
 )
 def test_bad_input_is_one_line(arguments: tuple[str, ...], said: str, sites: Path, tmp_path: Path) -> None:
     places = {"SITES": sites, "out": tmp_path / "out", "none.toml": tmp_path / "none.toml"}
-    assert said in refusal("campaign", *(places.get(word, word) for word in arguments))
+    assert said in refusal("batch", *(places.get(word, word) for word in arguments))
     assert not (tmp_path / "out").exists()
 
 
@@ -220,7 +220,7 @@ def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr("mgsgraph.project.campaign.open_cluster", partial(open_cluster, timeout=0.5))
     out = tmp_path / "out"
     with pytest.raises(InputError, match=r"no scheduler answers there within 0\.5 s"):
-        group(["campaign", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"], standalone_mode=False)
+        group(["batch", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"], standalone_mode=False)
     assert not out.exists()
 
 
@@ -232,7 +232,7 @@ def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path
     for k in range(14):
         shutil.copytree(sites / "north", sites / f"more{k}")
     out = tmp_path / "out"
-    command = [*COMMAND, "campaign", str(sites), "--out", str(out), "--no-figures", *place]
+    command = [*COMMAND, "batch", str(sites), "--out", str(out), "--no-figures", *place]
     process = subprocess.Popen(  # a session of its own: Ctrl-C reaches all of a terminal's processes
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -248,7 +248,7 @@ def test_an_interrupt_leaves_the_record_true(place: tuple[str, ...], sites: Path
     assert 0 < len(over) < 16
     assert all((out / name / "solution.json").exists() for name in over)
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
-    done = run("campaign", sites, "--out", out, "--no-figures")
+    done = run("batch", sites, "--out", out, "--no-figures")
     assert done.returncode == 0, done.stderr
     assert f"({len(over)} of them earlier" in done.stdout
     assert sorted(folders(out / "campaign.jsonl")) == sorted(path.name for path in sites.iterdir())
@@ -258,4 +258,4 @@ def test_without_dask_the_verb_works_here(sites: Path, tmp_path: Path, monkeypat
     """The extra is not needed without --cluster; `test_package` says that nothing imports it beforehand."""
     for name in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, name, None)
-    assert call("campaign", sites / "north", "--out", tmp_path / "out", "--no-figures") == 0
+    assert call("batch", sites / "north", "--out", tmp_path / "out", "--no-figures") == 0

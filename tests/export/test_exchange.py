@@ -182,8 +182,8 @@ def test_all_files_are_written_or_none(table: Path) -> None:
 def test_what_is_not_known_is_asked_for(table: Path) -> None:
     folder = table.parent
     for name, said in (
-        ("x.net", "no name of the target body; .*--target"), ("x.gcp", "unknown ellipsoid; .*--radii"),
-        ("x.nvm", "no size of image one; .*--images"), ("x.xyz", r"the ending '.xyz'; expected .pvl, .net, .*--to"),
+        ("x.net", "no name of the target body; .*--body"), ("x.gcp", "unknown ellipsoid; .*--radii"),
+        ("x.nvm", "no size of image one; .*--size"), ("x.xyz", r"the ending '.xyz'; expected .pvl, .net, .*--to"),
         ("points.csv", "one of the files that are read"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=said):
@@ -213,7 +213,7 @@ def test_options_become_a_setting(case_file: Path) -> None:
     assert setting.renamed == {"a=b": "c"}
     assert setting_of(case_file, (), None, "", (), None, True).target == "MARS"
     for bad in ("new=10", "new=0x5"):
-        with pytest.raises(InputError, match="--images"):
+        with pytest.raises(InputError, match="--size"):
             setting_of(None, (bad,), None, "", (), None, True)
     with pytest.raises(InputError, match="--rename: 'a' twice"):
         setting_of(None, (), None, "", ("a=b", "a=c"), None, True)
@@ -232,7 +232,7 @@ def test_networks_of_two_bodies_are_never_one(tmp_path: Path) -> None:
     mars, moon, out = named(tmp_path, "Mars"), named(tmp_path, "MOON"), tmp_path / "out.net"
     for inputs, setting, said in (
         ([mars, moon], None, r"MOON.net: the target body MOON; expected Mars, as in .*Mars.net"),
-        ([mars], ExchangeSetting(target="MOON"), r"--target, .*: the target body MOON; expected Mars"),
+        ([mars], ExchangeSetting(target="MOON"), r"--body, .*: the target body MOON; expected Mars"),
         ([mars], ExchangeSetting(ellipsoid=Ellipsoid(1737400.0, 1737400.0)), "1737400 m; expected that of Mars"),
         ([mars], ExchangeSetting(ellipsoid=Ellipsoid(3396.19, 3376.2)), "radius of 3396.19 m; .*radii are in m"),
     ):

@@ -127,7 +127,7 @@ def test_a_network_that_is_gone_or_changed_is_missed(results: Path, case: Case, 
     changed = export_solution(results, "isis", tmp_path / "out")
 
     for done in (gone, changed):
-        assert [note for note in done.notes if str(path) in note and "--network" in note] == list(done.notes)
+        assert [note for note in done.notes if str(path) in note and "--ties" in note] == list(done.notes)
     assert written.points[0].measures[0].type == MeasureType.REGISTERED_SUBPIXEL
     assert written.points[0].measures[0].log == ()
     named = export_solution(results, "isis", tmp_path / "out", ExportSettings(networks=(moved,)))

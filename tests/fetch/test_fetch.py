@@ -404,7 +404,7 @@ def test_fetch(archive: Flaky, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert call("fetch", "M04/02852", "m0402856", "--mirror", archive.address, "--out", out) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "- M04/02852: 1999-08-24T14:12:13.64, orbit 2063, mgs_map2.bsp, mgs_sc_map2.bc, ap12058l.b"
-    assert f"  mgsgraph init '{out}/project' --case '{out}/case.toml'" in said
+    assert f"  mgsgraph project init '{out}/project' --case '{out}/case.toml'" in said
 
 
 @pytest.mark.parametrize(

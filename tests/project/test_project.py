@@ -212,9 +212,10 @@ def test_a_read_only_disk(nobody: Path) -> None:
 
 
 def test_what_is_no_project(folder: Path, tmp_path: Path) -> None:
-    refused(tmp_path / "nowhere", "no such project.*mgsgraph init")
-    assert f"mgsgraph init {tmp_path / 'project'}" in refused(tmp_path, "no project.sqlite")  # there is a file in it
-    assert "mgsgraph init" not in refused(folder / "project.sqlite", "is a file")
+    refused(tmp_path / "nowhere", "no such project.*mgsgraph project init")
+    said = refused(tmp_path, "no project.sqlite")  # there is a file in it
+    assert f"mgsgraph project init {tmp_path / 'project'}" in said
+    assert "mgsgraph project init" not in refused(folder / "project.sqlite", "is a file")
     (tmp_path / "text").mkdir()
     (tmp_path / "text" / "project.sqlite").write_text("What is this?")
     assert "project.sqlite is damaged" in refused(tmp_path / "text", "is damaged")

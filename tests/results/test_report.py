@@ -422,7 +422,7 @@ def test_the_command_writes_every_common_point(solution: Solution, tmp_path: Pat
     write_results(solution, tmp_path / "a", figures=False)
     later = replace(solution, places=solution.places + [[1.0, 2.0, 3.0]] * solution.sigmas)
     write_results(later, tmp_path / "b", figures=False)
-    assert call("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "c") == 0
+    assert call("report", tmp_path / "b", "--compare", tmp_path / "a", "--out", tmp_path / "c") == 0
     assert {"comparison.json", "comparison.png"} < {path.name for path in (tmp_path / "c").iterdir()}
     rows = rows_of(tmp_path / "c" / "points_compared.csv")
     np.testing.assert_array_equal([float(row["east_m"]) for row in rows], CommonPoints(later, solution).moved[:, 0])

@@ -46,7 +46,7 @@ def test_states(tmp_path: Path, now: dict[str, str], several: bool, state: str) 
 @pytest.mark.slow
 def test_a_few_kills() -> None:
     """In a process of its own: it forks, which a process with other tests' threads should not."""
-    command = [sys.executable, str(SCRIPTS / "kills.py"), "--kills", "12", "--only", "convert", "init"]
+    command = [sys.executable, str(SCRIPTS / "kills.py"), "--kills", "12", "--only", "convert", "project init"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
     assert done.returncode == 0, done.stderr
     *_, kills_made, _, before, after, each, between, left, behind, unclean, _ = done.stdout.splitlines()[-1].split("|")
@@ -68,7 +68,7 @@ def test_fetch_and_init_from_a_served_archive(tmp_path: Path) -> None:
     assert done.megabytes > 10.0
     assert "Its images wait for tie points" in whole_road.step(init, [], tmp_path).said
     with pytest.raises(SystemExit, match="exit status 2"):
-        whole_road.step("mgsgraph solve PROJECT", [], tmp_path)
+        whole_road.step("mgsgraph project solve PROJECT", [], tmp_path)
 
 
 def test_a_model_that_lies_off_is_found_where_it_is() -> None:

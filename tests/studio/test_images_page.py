@@ -45,8 +45,9 @@ def folder(pair_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A solved project of the small pair with pixels."""
     folder = tmp_path_factory.mktemp("images")
     shutil.copytree(pair_folder, folder / "case")
-    assert call("init", folder / "project", "--case", profiles.with_pixels(folder / "case" / "case.toml")) == 0
-    assert call("solve", folder / "project", "--no-figures") == 0
+    case = profiles.with_pixels(folder / "case" / "case.toml")
+    assert call("project", "init", folder / "project", "--case", case) == 0
+    assert call("project", "solve", folder / "project", "--no-figures") == 0
     return folder
 
 

@@ -410,7 +410,7 @@ def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
     solved: Path, case_file: Path, tmp_path: Path
 ) -> None:
     assert posterior_near(solved, "nobody") is None
-    command("init", tmp_path / "new", "--case", case_file)
+    command("project", "init", tmp_path / "new", "--case", case_file)
     opened = Opened(tmp_path / "new")
     name = opened.block().network.points.ids[0]
     assert posterior_near(tmp_path / "new", name) is None

@@ -129,7 +129,7 @@ def test_names_with_html_do_nothing(browser: Any, tmp_path: Path) -> None:
     """Of project, images and points, in every panel."""
     pair = simulate_pair(PairSettings(ties=20, shots=8), seed=3)
     case = write_pair(pair, tmp_path / "case")
-    command("init", tmp_path / "plain", "--case", case)
+    command("project", "init", tmp_path / "plain", "--case", case)
     with open_project(tmp_path / "plain") as plain:
         network = plain.store.network()
     images = tuple(replace(one, name=f"{TRAP}{k}") for k, one in enumerate(network.images))
@@ -140,7 +140,7 @@ def test_names_with_html_do_nothing(browser: Any, tmp_path: Path) -> None:
         new = [NewImage(KnownImage(image, prior)) for image, prior in zip(images, network.priors, strict=True)]
         put_in(project.store, Addition(tuple(new), trapped))
         project.record("init", TRAP, {})
-    command("solve", tmp_path / "project", "--no-figures")
+    command("project", "solve", tmp_path / "project", "--no-figures")
     with studio(tmp_path / "project") as running:
         seen = Page(browser, running)
         seen.run("studio.request('/api/select?value=sigma').then(one => studio.select(one.names[0]))")
@@ -233,7 +233,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
     assert all(state is not None for state in states)
     assert [len(state.measures) for state in states if state] == [2, 2, 1, 2, 2]
     assert [len(state.set_aside) for state in states if state] == [0, 0, 1, 0, 0]
-    command("solve", folder, "--no-figures")
+    command("project", "solve", folder, "--no-figures")
     solution = read_solution(sorted((folder / "solutions").iterdir())[-1])
     found = solution.network.points.ids.find([f"moc-{k}" for k in range(1, 6)])
     assert np.all(found >= 0)

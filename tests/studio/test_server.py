@@ -306,7 +306,7 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
             stored = state.of(rays[name]["image"])
             assert stored is not None
             assert stored.line == pytest.approx(line) or len(changes) == len(done) + 1
-    command("solve", folder, "--no-figures")
+    command("project", "solve", folder, "--no-figures")
 
 
 # --- other kinds

@@ -1,8 +1,8 @@
 """Laser shots of any altimeter's file, known by its content, and the cloud of ground returns, of plain CSV too.
 
 What is read: MOLA PEDR and LOLA RDR, binary (`binary`); tables of PEDR2TAB, of the Orbital Data Explorer (MOLA, LOLA,
-MLA) and selections of `mgsgraph shots` (`tables`); any PDS3 table by its label (`labelled_table`); as a cloud, plain
-CSV too. All but PEDR files may be packed by gzip.
+MLA) and selections of `mgsgraph footprints` (`tables`); any PDS3 table by its label (`labelled_table`); as a cloud,
+plain CSV too. All but PEDR files may be packed by gzip.
 
 A plain CSV names its columns, with their units, in its first line: longitude_deg and latitude_deg (east,
 planetocentric) with radius_m, radius_km or height_m (above the body's ellipsoid), or x_m, y_m, z_m (body-fixed); it may

@@ -4,7 +4,7 @@
   one (TT; its digits are those of UTC and the leap seconds), which becomes TDB.
 * MLA RDR as CSV of ODE, names and km as in USGS's ode_csv2shapefile.py. The range is half of the time of flight, for no
   source says the unit of 1way_range; nor that of the spacecraft's height and of the angle off nadir, which are left.
-* A selection as `mgsgraph shots` writes it, and any CSV that names its columns so; empty cells are unknown.
+* A selection as `mgsgraph footprints` writes it, and any CSV that names its columns so; empty cells are unknown.
 * MOLA PEDR as PEDR2TAB and ODE write it. ODE serves version L alone; a table says it only by its file's name. Shots of
   versions before L are turned from the IAU1991 to the IAU2000 frame.
 

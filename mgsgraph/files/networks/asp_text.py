@@ -345,7 +345,7 @@ _FIRST = "NVM_V3"
 _CAMERA = "1 1 0 0 0 0 0 0 0 0"
 _CAMERA_FIELDS, _POINT_FIELDS, _MEASURE_FIELDS = 11, 7, 4
 _ALL_TYPES = frozenset(PointType)
-_REMEDY = "give image sizes (--case, or --images NAME=LINESxSAMPLES), or --nvm-no-shift"
+_REMEDY = "give image sizes (--case, or --size NAME=LINESxSAMPLES), or --nvm-no-shift"
 
 
 def half_sizes(sizes: Mapping[str, tuple[int, int]]) -> dict[str, tuple[float, float]]:

@@ -13,9 +13,10 @@ from typing import Any
 
 from msgspec import structs
 
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
-from mgsgraph.text import many, some
+from mgsgraph.names import image_names
+from mgsgraph.text import many
 
 
 def images_of(network: ControlNetwork) -> list[str]:
@@ -42,8 +43,8 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     Parameters
     ----------
     patterns : sequence of str
-        Names of images, or patterns as of files (MGS/*). Points go with the measures in other images where none is
-        left, or where a free one is left to a single image.
+        Names of images or parts of them, or patterns as of files (MGS/*). Points go with the measures in other images
+        where none is left, or where a free one is left to a single image.
 
     Raises
     ------
@@ -54,9 +55,8 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     chosen = set[str]()
     for pattern in patterns:
         alike = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
-        if not alike:
-            raise InputError(network.source, f"no image {pattern!r}", some(names, len(names)))
-        chosen.update(alike)
+        with errors_from(network.source):
+            chosen.update(alike or image_names([pattern], names))
     points, left_out, single = list[ControlPoint](), 0, 0
     for point in network.points:
         which = [k for k, one in enumerate(point.measures) if one.serial_number in chosen]

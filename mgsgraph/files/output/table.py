@@ -121,6 +121,8 @@ _UNITS = {"deg": DEG, "arcsec": ARCSEC, "mgon": MGON, "mrad": MRAD, "km": KM, "k
 """SI units in one of each; of any other unit it is one."""
 _SIGNS = {"percent": "%"}
 """What stands in headings for a unit that files spell out."""
+_WIDEST = 64
+"""Characters of a word in aligned text that are never cut."""
 _LAYOUT = re.compile(r"([<>])([+]?)(\d*)(\.\d+[a-z]|d|g)?")
 
 
@@ -218,9 +220,20 @@ class Column:
             return [fixed(value, int(self.page[1:-1])) for value in values.tolist()]
         return [f"{value:{self.page}}" if math.isfinite(value) else NONE for value in values.tolist()]
 
+    @property
+    def _layout(self) -> tuple[str, str, int, str]:
+        """Side, sign, width and format in aligned text; words widen their column up to a limit before they are cut."""
+        found = _LAYOUT.fullmatch(self.text)
+        assert found is not None, self.text
+        side, sign, width, form = found[1], found[2], int(found[3] or 0), found[4] or ""
+        if width and side == "<" and not isinstance(self.values, np.ndarray):
+            longest = max((len(value) for value in self.values if isinstance(value, str)), default=0)
+            width = max(width, min(longest, _WIDEST))
+        return side, sign, width, form
+
     def aligned(self) -> list[str]:
         """(n,) text in the column's width."""
-        side, sign, width, form = _layout(self.text)
+        side, sign, width, form = self._layout
         values = self.scaled
         if isinstance(values, np.ndarray) and values.ndim == 2:
             return [" ".join(_aligned(value, side, sign, width, form) for value in row) for row in values.tolist()]
@@ -229,19 +242,13 @@ class Column:
 
     def titles(self, units: bool) -> tuple[str, str]:
         """Two lines of heading in the column's width: its name, and its parts, or its unit where that is wanted."""
-        side, _, width, _ = _layout(self.text)
+        side, _, width, _ = self._layout
         name = str(self.head or self.key) if self.label is None else self.label
         if self.vector:
             below = " ".join(f"{part:{side}{width}}" for part in self.parts)
             return f"{name:{side}{len(below)}}", below
         unit = _SIGNS.get(self.unit, self.unit) if units and isinstance(self.unit, str) else ""
         return f"{name:{side}{width}}", f"{unit:{side}{width}}"
-
-
-def _layout(text: str) -> tuple[str, str, int, str]:
-    found = _LAYOUT.fullmatch(text)
-    assert found is not None, text
-    return found[1], found[2], int(found[3] or 0), found[4] or ""
 
 
 def _aligned(value: Any, side: str, sign: str, width: int, form: str) -> str:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.case.schema import CaseInput
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, errors_from
 from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.records import Array
 from mgsgraph.matching.patches import Tile, ortho_patch
 from mgsgraph.matching.scene import Ground, Picture, Scene
+from mgsgraph.names import image_names
 from mgsgraph.registration.dem.gridding import HeightGrid, MapGrid, bilinear
 from mgsgraph.text import some
 from mgsgraph.workers import Progress, no_progress
@@ -136,10 +137,8 @@ def adjusted_names(
     InputError
         Where one was not adjusted, isn't there, or there are fewer than two.
     """
-    for name in chosen:
-        if name not in there:
-            raise InputError(where, f"no image {name}", f"one of {some(list(there), len(there))}")
-    names = list(dict.fromkeys(chosen)) or list(there)
+    with errors_from(where):
+        names = image_names(chosen, there) or list(there)
     if len(names) < 2:
         raise InputError(where, f"one image for a terrain model ({names[0]})", "two different ones, at least")
     adjusted = [image.name for image in posterior.network.images]
@@ -148,7 +147,7 @@ def adjusted_names(
         raise InputError(
             where, f"images that the solution doesn't have: {some(missing, len(missing))}",
             f"those that were adjusted ({some(adjusted, len(adjusted))})",
-            "adjust this case, or give --pair" if both else "give the case that was adjusted",
+            "adjust this case, or give --image" if both else "give the case that was adjusted",
         )  # fmt: skip
     return names
 

@@ -16,7 +16,7 @@ export class Measuring {
     if (this.running) return this.name.focus();
     if (this.app.scene.writable === false) {
       const {lock} = this.app.scene;
-      return this.app.say(lock || 'Only a project can be changed: make one with mgsgraph init.', 'error');
+      return this.app.say(lock || 'Only a project can be changed: make one with mgsgraph project init.', 'error');
     }
     this.running = true;
     this.places.clear();

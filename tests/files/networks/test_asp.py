@@ -440,5 +440,5 @@ def test_what_nvm_cannot_hold_is_refused(tmp_path: Path) -> None:
     given = network({"a b": (1, 1), "c": (1, 1)})
     with pytest.raises(InputError, match="image 'a b': a name with blanks"):
         nvm_files(given, tmp_path / "x.nvm", half_sizes({"a b": (1, 1), "c": (1, 1)}))
-    with pytest.raises(InputError, match=r"no size of image a b; .*--images NAME=LINESxSAMPLES"):
+    with pytest.raises(InputError, match=r"no size of image a b; .*--size NAME=LINESxSAMPLES"):
         nvm_files(given, tmp_path / "x.nvm", {})
