@@ -296,7 +296,7 @@ def _solve_exactly(
             break
     else:
         if solved.layout.stereo is not None:
-            message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
+            message = f"Heights above stereo surfaces have not converged in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
     return replace(solved, cost_initial=initial, history=history)
 

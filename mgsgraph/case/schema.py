@@ -287,7 +287,8 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
-        wanted = f"sigma_{kind.reported[1]}"
+        scale, unit = (MRAD, "mrad") if kind.turns else kind.reported
+        wanted = f"sigma_{unit}"
         given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
         if set(given) != {wanted}:
             raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
@@ -298,7 +299,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
             raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * kind.reported[0]
+        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * scale
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 

@@ -17,6 +17,7 @@ from mgsgraph.cli.options import (
     PATH,
     TIES,
     WORKERS,
+    elapsed,
     image_pair,
     overruling,
     print_sentences,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 @TIES
 @DETAILS
 def check(case: Path, no_laser: bool, ties: Path | None, details: bool) -> None:
-    """Read and validate CASE and everything that it names; print where it is weak and what is there. Solves nothing.
+    """Read and validate CASE and everything that it names; print warnings and what is in it. Solves nothing.
 
     Of a CASE without measures, the images, which of them overlap, and whether `match` can find tie points.
     """
@@ -124,9 +125,8 @@ def adjust(
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution, details)
-    for sentence in said:
-        click.echo(sentence)
-    click.echo(f"Results are in {out}")
+    print_sentences(said)
+    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
     ctx.exit(0 if is_valid(solution) else 1)
 
 

@@ -35,7 +35,7 @@ _FORMATS = click.Choice([one.value for one in Format])
     help="Points of one id in several IN: refuse, or unite them; where they differ the first or the last file counts."
 )  # fmt: skip
 @click.option("--only", multiple=True, metavar="IMAGE", help="Image to keep, or a pattern as MGS/*; may be repeated.")
-@click.option("--split", is_flag=True, help="A file for each part that hangs together: OUT_1, OUT_2, ...")
+@click.option("--split", is_flag=True, help="A file for each connected part: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 def convert(

@@ -284,7 +284,7 @@ def solve(
 @click.command()
 @click.argument("project", type=PATH)
 def status(project: Path) -> None:
-    """Say what is in PROJECT, how it hangs together, what the last solution was, and what has changed since."""
+    """Say what is in PROJECT, how it is connected, what the last solution was, and what has changed since."""
     from mgsgraph.project.project import open_project
     from mgsgraph.project.status import status as describe
 

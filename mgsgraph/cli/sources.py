@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import DETAILS, NO_FIGURES, PAIR, PATH, WORKERS, image_pair, print_sentences, print_solution
+from mgsgraph.cli.options import (
+    DETAILS,
+    NO_FIGURES,
+    PAIR,
+    PATH,
+    WORKERS,
+    elapsed,
+    image_pair,
+    print_sentences,
+    print_solution,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.matching.settings import MatchSettings
@@ -53,8 +63,8 @@ def demo(
     """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
     archive, read it back, adjust it with its tie points and laser ranges, and register laser and images by relief.
 
-    Its errors are drawn from the sigmas that its case states. The last lines compare the result with the simulated
-    truth; with --details in tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
+    Its errors are drawn from the sigmas that its case states. Five lines compare the result with the simulated truth;
+    --details adds all tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
     Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
@@ -63,6 +73,7 @@ def demo(
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.files.output.folders import DEMO, fresh_folder
+    from mgsgraph.results.verdict import state_of
     from mgsgraph.simulation.demo.demonstration import DEMONSTRATED, STAGES, simulation_options
     from mgsgraph.simulation.demo.summary import write_demo
 
@@ -72,12 +83,13 @@ def demo(
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
-        solution, closing = write_demo(site, folder, seed, options, adjusting, stages, not no_figures, not no_relief)
-    print_solution(solution, details)
-    sentences = [closing[0], *(line for line in closing[1:] if line.startswith("- "))]
-    click.echo("\nCompared with the simulated truth")
-    click.echo("\n".join(closing if details else sentences))
-    click.echo(f"Inputs and results are in {out}")
+        figures, relief = not no_figures, not no_relief
+        solution, tables, sentences = write_demo(site, folder, seed, options, adjusting, stages, figures, relief)
+    if details:
+        print_solution(solution, details)
+        click.echo("\n".join([*tables, ""]))
+    click.echo("\n".join(sentences))
+    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
@@ -197,7 +209,6 @@ def fetch(
 @click.command()
 @click.argument("case", type=PATH)
 @click.option("--out", type=PATH, help="Folder for the networks, tables and figure; made anew. A project has its own.")
-@click.option("--method", hidden=True)
 @click.option("--step", type=float, metavar="M", help="Pixel of the common ground grid; default: the coarsest image's.")
 @click.option(
     "--search", type=float, metavar="M",
@@ -210,7 +221,7 @@ def fetch(
 @click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, method: str | None, step: float | None, search: float | None,
+    case: Path, out: Path | None, step: float | None, search: float | None,
     height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
@@ -227,8 +238,6 @@ def match(
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    if method not in (None, "sift"):
-        raise click.UsageError(f"--method {method} is gone: features alone are matched; for more of them, --per-cell")
     settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
     project: Path | None = None
     if (case / FILE).is_file():

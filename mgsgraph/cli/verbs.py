@@ -3,7 +3,7 @@
 VERBS = {
     "add": ("projects", "Add images to a project, and adjust what they touch."),
     "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
-    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, honesty, reliability, what is weak."),
+    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, their consistency, reliability, unconstrained directions."),
     "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
     "compare": ("questions", "Say how two solutions differ: settings, input, what moved by how many sigmas."),
     "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),
@@ -48,6 +48,7 @@ REMOVED = {
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
     "nodes --no-figures": "nodes draws none",
     "nodes --densify": "give closer --spacings, of which rays held out choose one",
+    "match --method": "features alone are matched; for more of them, --per-cell",
     "fetch --dry-run": "the archives' pages have sizes; an interrupted fetch goes on where it was",
 }
 """Options that verbs had once, and what serves instead."""

@@ -275,7 +275,7 @@ class PushbroomImage(Record):
             error, jacobian, by_point = self._misplacement(points, place, self.pose(place[:, 0], correction))
             step = -solved(jacobian, error[:, :, None])[:, :, 0]
             before, place = place, np.clip(place + step, -_EDGE * size, (1.0 + _EDGE) * size)
-            if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has come to rest, too
+            if not np.any(np.abs(place - before) > _PIXEL_TOLERANCE):  # NaN has converged, too
                 break
         derivative = -solved(jacobian, by_point)
         unseen = ~(np.abs(step).max(axis=1) < 1e3 * _PIXEL_TOLERANCE)
@@ -358,7 +358,7 @@ def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
     """Pairs of images, by their numbers, that are the same image under two names.
 
     Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
-    told apart by that: the ground on the ellipsoid under a grid of pixels is compared.
+    distinguished by that: the ground on the ellipsoid under a grid of pixels is compared.
     """
     near = begun_together([ImageTimes.of(image) for image in images])
     flown = {j: images[j].pose(images[j].middle[0]).position[0] for j in {j for pair in near for j in pair}}

@@ -149,7 +149,8 @@ def sentences_of(sections: Sequence[Section]) -> list[str]:
 def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
     """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
     tables = [Section("", tables=one.tables).text() for one in sections or solution_sections(solution)]
-    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
+    every = {**solution.seconds, "in all": sum(solution.seconds.values())}
+    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in every.items())
     return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
 
 
@@ -288,7 +289,7 @@ def case_of(folder: str | Path) -> Path:
     Raises
     ------
     InputError
-        A folder that is no result, or doesn't know its case.
+        A folder that holds no results, or doesn't name its case.
     """
     path = Path(folder) / RECORD
     record = read_record(path) if path.exists() else {}

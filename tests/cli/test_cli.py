@@ -124,12 +124,12 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     )
     case_file.write_text(text, encoding="utf-8")
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-laser")
-    refused(done, "too weak")
+    refused(done, "underdetermined")
     assert "SIM/" in done.stderr
     assert not (tmp_path / "result").exists()
     done = run("check", case_file, "--no-laser")
     assert done.returncode == 0, done.stderr
-    assert "too weak to solve" in done.stdout
+    assert "underdetermined" in done.stdout
 
 
 @pytest.mark.program("bash")

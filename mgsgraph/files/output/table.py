@@ -120,7 +120,7 @@ NONE = "–"
 _UNITS = {"deg": DEG, "arcsec": ARCSEC, "mgon": MGON, "mrad": MRAD, "km": KM, "km2": KM**2, "percent": 0.01}
 """SI units in one of each; of any other unit it is one."""
 _SIGNS = {"percent": "%"}
-"""What stands in headings for a unit that files spell out."""
+"""Headings' sign of a unit that files spell out."""
 _LAYOUT = re.compile(r"([<>])([+]?)(\d*)(\.\d+[a-z]|d|g)?")
 
 
