@@ -134,7 +134,8 @@ def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) 
 
 def quantity(value: float, unit: str) -> str:
     """A length in m or an angle in arcsec, three significant digits."""
-    value, unit = (value / ARCSEC, "arcsec") if unit == "rad" else (value, unit)
+    if unit == "rad":
+        value, unit = value / ARCSEC, "arcsec"
     return f"{value:.3g} {unit}" if value < 1e3 else f"{value:.0f} {unit}"
 
 

@@ -296,8 +296,8 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             if name not in names:
                 found, known = f"the image {name!r}", ", ".join(list(names)[:4])
                 raise InputError(f"{where}, images", found, f"some of the case's images ({known})")
-        for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
-            raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
+            if self.images.count(name) > 1:
+                raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
         sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * scale
         with errors_from(where):
@@ -306,11 +306,9 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 def _sigmas(value: float | list[float], width: int, where: str, kind: str) -> Array:
     """(width,) sigmas of a shared unknown: one number for all its components, or one for each."""
-    if isinstance(value, list) and len(value) != width:
+    if isinstance(value, list) and (len(value) != width or width == 1):
         counts = {1: "one number", 2: "one number, or two"}.get(width, "one number from 1e-9 to 1e9, or three")
         raise InputError(where, f"{value}", f"{counts} for {kind}")
-    if isinstance(value, list) and width == 1:
-        raise InputError(where, f"{value}", f"one number for {kind}")
     padded = [*value, *value[-1:] * (3 - width)] if isinstance(value, list) else value
     return three(padded, where, infinite=True)[:width]
 

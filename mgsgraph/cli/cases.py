@@ -2,7 +2,6 @@
 projection or by relief.
 """
 
-import time
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -104,9 +103,9 @@ def adjust(
     require_replaceable(out)
     if cluster is not None:
         parse_cluster(cluster)
-    begin = time.perf_counter()
+    begin = elapsed()
     read = read_case(case, overrides.laser, ties)
-    reading = {"reading": time.perf_counter() - begin}
+    reading = {"reading": elapsed() - begin}
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
     estimating = any(one.asks_for_strengths for one in read.network.passes)

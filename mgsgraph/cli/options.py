@@ -95,9 +95,8 @@ def print_solution(solution: "Solution", details: bool = False) -> None:
         click.echo("\n".join(summary(solution)))
         return
     sections = solution_sections(solution)
-    rest = elapsed() - sum(solution.seconds.values())
-    solution = replace(solution, seconds={**solution.seconds, "start-up, tables and figures": rest})
-    click.echo(summary_table(solution, sections))
+    every = {**solution.seconds, "start-up, tables and figures": elapsed() - sum(solution.seconds.values())}
+    click.echo(summary_table(replace(solution, seconds=every), sections))
     print_sentences(sentences_of(sections))
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -83,11 +83,12 @@ def demo(
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
-        figures, relief = not no_figures, not no_relief
-        solution, tables, sentences = write_demo(site, folder, seed, options, adjusting, stages, figures, relief)
+        solution, tables, sentences = write_demo(
+            site, folder, seed, options, adjusting, stages, not no_figures, not no_relief
+        )
     if details:
         print_solution(solution, details)
-        click.echo("\n".join([*tables, ""]))
+        sentences = [*tables, *sentences]
     click.echo("\n".join(sentences))
     click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {out}")
     ctx.exit(0 if is_valid(solution) else 1)
@@ -111,17 +112,7 @@ def demo(
     help="Of a strip: new tie points with each further image  [default: 2000]; of an archive: all of them, about.",
 )  # fmt: skip
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
-def simulate(
-    site: str,
-    out: Path,
-    seed: int,
-    attitude_time_bias: float | None,
-    no_pictures: bool,
-    kind: str | None,
-    images: int | None,
-    ties: int | None,
-    steps: bool,
-) -> None:
+def simulate(site: str, out: Path, no_pictures: bool, **asked: Any) -> None:
     """Simulate SITE and write its files to a folder.
 
     SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
@@ -141,7 +132,7 @@ def simulate(
     from mgsgraph.simulation.demo.demonstration import simulated_files, simulation
 
     with stage_bar(2) as stages:
-        made = simulation(site, seed, attitude_time_bias, not no_pictures, kind, images, ties, steps, stages.detail)
+        made = simulation(site, pictures=not no_pictures, progress=stages.detail, **asked)
         with fresh_folder(out, "truth.json") as aside:
             _, path = simulated_files(*made, aside, stages)
     click.echo(f"The case is {out / path.name}; the truth lies beside it in truth.json")
@@ -221,8 +212,8 @@ def fetch(
 @click.option("--workers", type=click.IntRange(1), help="Tiles at a time; one per processor when absent.")
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, step: float | None, search: float | None,
-    height: float | None, height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
+    case: Path, out: Path | None, height: float | None, height_sigma: float | None, workers: int | None,
+    no_figures: bool, **asked: Any,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
 
@@ -238,7 +229,7 @@ def match(
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
+    settings = MatchSettings(**asked)
     project: Path | None = None
     if (case / FILE).is_file():
         if out is not None:

@@ -3,7 +3,7 @@
 VERBS = {
     "add": ("projects", "Add images to a project, and adjust what they touch."),
     "adjust": ("cases", "Adjust a case: orientation, ground points and their sigmas."),
-    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, their consistency, reliability, unconstrained directions."),
+    "analyze": ("questions", "Ask the covariance of an adjustment: sigmas, consistency, reliability, weak directions."),
     "check": ("cases", "Read and validate a case, say what is in it, solve nothing."),
     "compare": ("questions", "Say how two solutions differ: settings, input, what moved by how many sigmas."),
     "convert": ("networks", "Convert control networks and tie points: ISIS, Ames Stereo Pipeline, tables."),

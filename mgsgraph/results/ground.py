@@ -235,8 +235,8 @@ def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
     record = dict(zip(("up_m", "sigma_up_m"), found.get("upward shift", ()), strict=False))
     tilts = np.array([both for name, both in found.items() if name.startswith("tilt")])
     if tilts.size:
-        keys = "tilt_about_east_north_arcsec", "sigma_tilt_about_east_north_arcsec"
-        record |= dict(zip(keys, (tilts.T / ARCSEC).tolist(), strict=True))
+        tilt, sigma = (tilts.T / ARCSEC).tolist()
+        record |= {"tilt_about_east_north_arcsec": tilt, "sigma_tilt_about_east_north_arcsec": sigma}
     return record
 
 
@@ -250,10 +250,7 @@ def minima_section(found: Minima | None) -> Section:
     began = f"{many(found.starts, 'start')} over the terrain model's shift ({found.lost} did not converge)"
     said = f"No better minimum than this one was found from {began}."
     if found.several:
-        said = (
-            f"{len(found.each)} minima were found from {began}. The lowest one is the solution; all sigmas are those "
-            "of their mixture."
-        )
+        said = f"{len(found.each)} minima from {began}: the lowest is the solution, sigmas are those of their mixture."
     table = _minima_table(found)
     return Section("minima", sentences=[said], tables=[table], numbers={
         "starts": found.starts, "lost": found.lost, "number": len(found.each),

@@ -149,8 +149,7 @@ def sentences_of(sections: Sequence[Section]) -> list[str]:
 def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
     """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
     tables = [Section("", tables=one.tables).text() for one in sections or solution_sections(solution)]
-    every = {**solution.seconds, "in all": sum(solution.seconds.values())}
-    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in every.items())
+    seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
 
 

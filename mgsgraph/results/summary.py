@@ -46,9 +46,8 @@ def _figures(solution: Solution) -> Iterator[str]:
     """Cost and sigma0; how many observations, and how they fit."""
     network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
-    remark = ""
-    if fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY:
-        remark = f"; residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are conservative"
+    small = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
+    remark = f"; residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are conservative" if small else ""
     yield (
         f"Fit: {sigma0} with {many(fit.degrees_of_freedom, 'degree')} of freedom, cost {solution.cost_initial:.4g} -> "
         f"{solution.cost_final:.4g}{remark}."
@@ -56,7 +55,7 @@ def _figures(solution: Solution) -> Iterator[str]:
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
     said = f"Residuals (rms): image points {two(line)} lines, {two(sample)} samples ({network.rays.point.size} in "
-    said += many(len(network.images), "image") + ")"
+    said += f"{many(len(network.images), 'image')})"
     if ranges.count:
         said += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
     yield f"{said}."

@@ -87,7 +87,7 @@ def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
     assert len(run("check", case_file, cwd=tmp_path).stdout.splitlines()) <= 15
     done = run("check", case_file, "--details", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Weak spots"):
+    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Warnings"):
         assert said in done.stdout
     assert re.findall(r"^  (tie|laser) +(\d+)", done.stdout, re.MULTILINE) == [("tie", "20"), ("laser", "8")]
     assert sorted(path.name for path in case_file.parent.iterdir()) == before

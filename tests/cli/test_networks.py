@@ -121,7 +121,6 @@ def test_what_cannot_be_matched_writes_nothing(site: Path, tmp_path: Path, case_
         "matching, step: -4.0; expected a positive number": (site, "--out", out, "--step", "-4"),
         "not a result of mgsgraph": (site, "--out", foreign),
         "an infinite a-priori sigma of its orientation": (unknown, "--out", out),
-        "--method grid is gone": (site, "--out", out, "--method", "grid"),
         "--out": (site,),
     }.items():
         assert said in refusal("match", *arguments)

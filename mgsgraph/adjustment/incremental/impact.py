@@ -130,9 +130,7 @@ class Impact(Record):
         if self.lost:
             which = " that no other image saw" if self.subjects else ""
             said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
-        if not self.converged:
-            said.append("It did not converge; solve the project.")
-        return said
+        return [*said, *([] if self.converged else ["It did not converge; solve the project."])]
 
     def _of_images(self) -> list[str]:
         images, old = self.images, ~self.images.new

@@ -129,7 +129,7 @@ class Disagreement:
     @property
     def rms(self) -> float:
         """m, of the distances on the ground."""
-        return root_mean_square(np.linalg.norm(self.found.metres, axis=1))
+        return rms_length(self.found.metres)
 
 
 def disagreements(
@@ -191,7 +191,7 @@ def overall(found: Sequence[Disagreement], state: str) -> tuple[float, float]:
     metres = np.concatenate([one.found.metres for one in mine])
     counts = np.array([one.found.shots.size for one in mine])
     squares = np.array([np.sum(one.sigmas**2) for one in mine])
-    return root_mean_square(np.linalg.norm(metres, axis=1)), float(np.sqrt(np.average(squares, weights=counts)))
+    return rms_length(metres), float(np.sqrt(np.average(squares, weights=counts)))
 
 
 def disagreement_table(found: Sequence[Disagreement]) -> Table:

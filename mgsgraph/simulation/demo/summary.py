@@ -34,12 +34,13 @@ from mgsgraph.simulation.demo.demonstration import (
     pair_statements,
     point_errors,
     point_statements,
+    rms_length,
     true_points,
 )
 from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.mgs_files import grid_file
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
-from mgsgraph.text import root_mean_square, two
+from mgsgraph.text import two
 from mgsgraph.units import ARCSEC
 from mgsgraph.workers import Stages
 
@@ -81,7 +82,7 @@ def write_demo(
         disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
     write_json(folder / SUMMARY, summary_json(demo))
     _write_record(folder)
-    lines = [line for table in tables(demo) for line in ("", table.title, *table.text(indent=2))]
+    lines = [line for table in tables(demo) for line in (table.title, *table.text(indent=2), "")]
     return demo.solution, lines, demo_statements(demo)
 
 
@@ -152,11 +153,10 @@ def headline(demo: Demonstration) -> str:
 
 def demo_statements(demo: Demonstration) -> list[str]:
     """Four sentences: MOLA against MOC, image against image, absolute errors, and stated sigmas against these."""
-    states = [
-        [one.metres for profile in profiles for one in profile.discrepancies]
+    before, after = (
+        rms_length(np.concatenate([one.metres for profile in profiles for one in profile.discrepancies]))
         for _, profiles in demo.registration.states()
-    ]
-    before, after = (root_mean_square(np.linalg.norm(np.concatenate(one), axis=1)) for one in states)
+    )
     between = f"Image against image at the laser footprints: {two(before)} m by the kernels, {two(after)} m adjusted."
     return [headline(demo), between, *point_statements(demo.solution, true_points(demo))]
 
