@@ -50,7 +50,8 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
     """The same for work in several stages, each of a known number of parts: one bar after the other, or, where standard
     error is no terminal, one line when a stage begins.
     """
-    bar, shown = tqdm[None](disable=True), ""
+    bar: tqdm[None] = tqdm(disable=True)
+    shown = ""
 
     def show(what: str, done: int, most: int) -> None:
         nonlocal bar, shown
