@@ -207,7 +207,7 @@ def test_the_first_command_of_the_readme_and_the_python_after_it(tmp_path: Path)
     subprocess.run(["git", "clone", "--quiet", ROOT, tmp_path / "clone"], check=True)
     install, _, *python = [one.text for one in BLOCKS if one.page == "README.md" and one.language in FIRST]
     outside = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    for words in (["sh", "-euc", install], [".venv/bin/python", "-c", "".join(python)]):
+    for words in (["sh", "-euc", install], [".venv/bin/python", "-P", "-c", "".join(python)]):
         subprocess.run(words, cwd=tmp_path / "clone", env=outside, check=True, timeout=1800)
 
 
