@@ -121,7 +121,7 @@ class Likelihood(Record):
     >>> (roll,) = posterior.likelihood.profiles("SIM/A", "constant roll")
     >>> low, high = roll.intervals[1]
     >>> print(f"sigma {206265 * roll.sigma:.1f} arcsec; with 95 % between {206265 * low:.0f} and {206265 * high:.0f}")
-    sigma 12.9 arcsec; with 95 % between -17 and 35
+    sigma 12.9 arcsec; with 95 % between -16 and 35
     """
 
     def __init__(self, at: Linearised) -> None:
