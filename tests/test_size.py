@@ -20,7 +20,7 @@ CEILINGS = {
     "project": (2442, 32515, 14),
     "export": (2660, 38224, 17),
     "simulation": (3695, 55824, 26),
-    "results": (4373, 65767, 36),
+    "results": (4373, 65772, 36),
     "registration": (1683, 25687, 12),
     "planning": (886, 13924, 6),
     "case": (2120, 31405, 11),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13596, 18),
     "single files": (823, 9568, 10),
     "scripts": (6389, 100750, 45),
-    "tests": (35683, 537247, 195),
+    "tests": (35683, 537248, 195),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

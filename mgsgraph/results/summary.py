@@ -68,10 +68,10 @@ def _points(solution: Solution) -> Iterator[str]:
         if not there.size:
             continue
         sigmas = np.median(local_sigmas(solution.covariances[there], solution.places[there]), axis=0)
-        moved = root_mean_square(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1))
+        moved = float(np.median(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1)))
         level = float(np.hypot(*sigmas[:2]))
         said = f"{one.name.capitalize()} points ({there.size}): median sigma {length(level)} horizontal, "
-        said += f"{length(float(sigmas[2]))} vertical; moved {length(moved)} (rms)."
+        said += f"{length(float(sigmas[2]))} vertical; median move {length(moved)}."
         yield said + (_geometry(solution.network, there, float(sigmas[2])) if one is PointClass.TIE else "")
 
 
