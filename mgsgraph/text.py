@@ -43,8 +43,7 @@ def length(value: float) -> str:
 
 def span(values: Array) -> str:
     """Least to largest value, or the one that all have."""
-    low, high = float(values.min()), float(values.max())
-    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+    return three(np.unique([values.min(), values.max()])).replace(", ", " to ")
 
 
 def many(number: int, noun: str) -> str:

@@ -99,7 +99,7 @@ def pages() -> dict[Path, str]:
 
 
 def _by_hand(page: str, mark: str) -> str:
-    """What stands in a page down to the mark."""
+    """Text of a page down to the mark."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
 
 

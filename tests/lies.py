@@ -435,7 +435,7 @@ def lidar() -> Format:
         (folder / "lidar.json").write_text(json.dumps(content))
         (folder / "case.toml").write_text(text)
         found = read_case(folder / "case.toml")
-        weak = tuple(line for line in inventory(found, details=False).splitlines() if "WEAK" in line)
+        weak = tuple(line for line in inventory(found, details=False).splitlines() if "Warning" in line)
         return np.concatenate([found.network.points.places[-52:].ravel(), found.network.ranges.values]), weak
 
     keys = tuple(f"points/0/{key}" for key in ("latitude", "longitude", "radius", "aprioriMatrix", "range", "time"))

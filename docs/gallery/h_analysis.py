@@ -42,7 +42,7 @@ from mgsgraph.results.figures.analysis import quantile_sheet
 quantiles = quantile_sheet(residual_statistics(solution), solution.name)
 
 # %%
-# Of what least was learnt: directions in which the sigma after is nearly the sigma before.
+# Least-constrained directions: the posterior sigma is nearly the prior sigma.
 from mgsgraph import weak_directions
 
 print(*(one.sentence for one in weak_directions(solution, 3)), sep="\n")

@@ -229,8 +229,8 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
 def _misfit(
     solved: Solved, nominal: Nominal, unknowns: Mapping[str, Any], sweeper: Sweeper, clock: Clock
 ) -> tuple[Residuals, Fit, Drivers | None]:
-    """How the observations fit at the end, sigma0 of those that take part, and what drives an adjustment that is no
-    result; books its stages. Raises SolverError (`_require_covariance`).
+    """How the observations fit at the end, sigma0 of those that take part, and what drives an adjustment that is not
+    valid; books its stages. Raises SolverError (`_require_covariance`).
     """
     layout, orientation = solved.layout, solved.orientation
     found = residuals(layout, orientation, solved.points, sweeper)
@@ -430,7 +430,7 @@ def _require_redundancy(layout: Layout, selection: Selection) -> None:
 
 
 def _require_ties(name: str, solved: Solved) -> None:
-    """Raise InputError where tie points that two rays or more have seen are all lost: what is left to come to rest on
+    """Raise InputError where tie points that two rays or more have seen are all lost: what is left to converge on
     says nothing of how the images fit together.
     """
     network = solved.layout.network

@@ -256,7 +256,7 @@ def _solved(
         if step is not None:
             linear = problem.linear(state)
         elif (damping := damping * _TIGHTEN**2) > _MOST_DAMPING:
-            raise Unsolvable("the normal equations can't be solved at any damping; the network is too weak", state)
+            raise Unsolvable("normal equations that no damping makes solvable; the network is underdetermined", state)
     return linear, step, damping
 
 

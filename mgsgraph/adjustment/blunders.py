@@ -4,7 +4,7 @@ An observation's residuals v have the covariance M = 1 - A Q A' (in sigmas), and
 degrees of freedom as M has rank: a ray of a tie that two images see has one, for nothing checks it along the epipolar
 line (Baarda 1968; Pope 1976; Foerstner & Wrobel 2016, section 4.6). A limit of so many standard deviations is the
 two-sided probability of a normal error beyond it, for any number of degrees of freedom. The worst goes first, with what
-can't be told apart from it; several go at a time where none could have brought the other about; in the end what is
+is inseparable from it; several go at a time where none could have brought the other about; in the end what is
 out is judged by what the others predict for it, and returns where it agrees. What has no redundancy is not judged.
 
 Of whole observations both rows are tested together; H is the covariance of the adjusted measures and M = 1 - H that of
@@ -283,7 +283,7 @@ class Search:
     def _candidates(
         self, at: Linearised, mine: Judged, tests: Array, dimensions: Small, units: Array, most: int = _MOST_CANDIDATES
     ) -> "list[_Candidate]":
-        """The worst of each point that has one beyond the limit, and what can't be told apart from it; worst first."""
+        """The worst of each point that has one beyond the limit, and what is inseparable from it; worst first."""
         severity = np.nan_to_num(tests / (units * self._critical(dimensions)))
         over = np.flatnonzero(severity > 1.0)
         worst = over[np.argsort(-severity[over], kind="stable")]
@@ -341,7 +341,7 @@ class Search:
 
 
 class _Candidate(NamedTuple):
-    """The observation of a point that is farthest beyond the limit, and those that can't be told apart from it."""
+    """The observation of a point that is farthest beyond the limit, and those inseparable from it."""
 
     observations: Index
     """As in `Judged`."""

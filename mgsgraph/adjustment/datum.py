@@ -23,6 +23,7 @@ from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.sweep import Reduction
 from mgsgraph.network.joining import nominal_poses
 from mgsgraph.text import listed, some
+from mgsgraph.units import ARCSEC
 
 _STEPS = 100
 _TOLERANCE = 1e-8
@@ -132,8 +133,9 @@ def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) 
 
 
 def quantity(value: float, unit: str) -> str:
-    """A length in m or an angle in mrad, three significant digits."""
-    value, unit = (value * 1e3, "mrad") if unit == "rad" else (value, unit)
+    """A length in m or an angle in arcsec, three significant digits."""
+    if unit == "rad":
+        value, unit = value / ARCSEC, "arcsec"
     return f"{value:.3g} {unit}" if value < 1e3 else f"{value:.0f} {unit}"
 
 

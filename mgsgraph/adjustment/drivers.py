@@ -1,4 +1,4 @@
-"""Which images and points drive an adjustment that does not come to rest, or to what is no result.
+"""Which images and points drive an adjustment that does not converge, or fails the sanity checks.
 
 These quantities are divided among images and among points, at the state that the adjustment has reached:
 

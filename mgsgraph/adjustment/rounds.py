@@ -304,7 +304,7 @@ def _solve_exactly(
             break
     else:
         if solved.layout.stereo is not None:
-            message = f"Heights above stereo surfaces have not come to rest in {_MOST_LAYOUTS} rounds."
+            message = f"Heights above stereo surfaces have not converged in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
     if settings.loss == "tukey" and (kept := _with_weight(solved, sweeper)) is not selection:
         graph = BundleGraph(solved.layout, kept.rows(solved.layout), sweeper)

@@ -50,7 +50,7 @@ class Solution(Record):
     settings: SolverSettings
     """How."""
     converged: bool
-    """Whether the adjustment came to rest."""
+    """Whether the adjustment converged."""
     message: str
     """Why it stopped, and what to do where that is not well."""
     history: tuple[Iteration, ...]
@@ -128,7 +128,7 @@ class Solution(Record):
     covariance, and what follows from it, is the mean square about the lowest one over their mixture."""
 
     drivers: Drivers | None = None
-    """Which images and points drive it; None where it came to rest with a sigma0 and orientations that can be, or an
+    """Which images and points drive it; None where it converged with a sigma0 and orientations that can be, or an
     older version didn't say."""
 
     @property

@@ -104,7 +104,7 @@ class TwoSteps(Record):
     off: Mask
     """(n,) points whose height row was judged to be a blunder, or the ground another one than the model's."""
     at_rest: bool
-    """Whether that judgement came to rest."""
+    """Whether that judgement converged."""
     history: tuple[tuple[Iteration, ...], tuple[Iteration, ...]]
     """Every step tried of either, over all passes."""
     seconds: tuple[float, float]

@@ -1,1 +1,1 @@
-"""What the covariance knows: questions to the posterior, honesty of the priors, reliability, weak directions."""
+"""What the covariance knows: questions to the posterior, consistency of the priors, reliability, weak directions."""

@@ -58,7 +58,7 @@ class Judgement(StrEnum):
     JUDGED = "judged"
     FEW = "too little redundancy"
     """Redundancy below `LEAST`."""
-    INSEPARABLE = "can't be told apart from another group"
+    INSEPARABLE = "inseparable from another group"
     """The factor of another group takes up what its own has."""
     ENTANGLED = "known together with another group's only"
     """Vague, and correlated with another factor by more than `CORRELATED`: the residuals fit both, and what is the
@@ -153,7 +153,7 @@ def _plainly(one: Component) -> str:
             f"{low:.2g} to {high:.2g} with {100 * SURE:.0f}%)"
         )
     if one.consistent:
-        return f"honest (factor {_with_sigma(one.factor, one.sigma)})"
+        return f"consistent (factor {_with_sigma(one.factor, one.sigma)})"
     if one.factor > 1.0:
         return f"too optimistic, sigmas too small by a factor of {_with_sigma(one.factor, one.sigma)}"
     inverse = 1.0 / one.factor
@@ -237,7 +237,7 @@ class IteratedComponents(Record):
     def sentences(self) -> list[str]:
         """Verdicts of all groups, and whether the factors converged."""
         passes = len(self.history)
-        end = f"Came to rest after {passes} passes." if self.converged else f"NOT at rest after {passes} passes."
+        end = f"Converged after {passes} passes." if self.converged else f"NOT CONVERGED after {passes} passes."
         return [*self.components.sentences, end]
 
 

@@ -22,7 +22,7 @@ from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names
 from mgsgraph.record import Record
-from mgsgraph.units import MRAD
+from mgsgraph.units import ARCSEC
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -325,8 +325,8 @@ class PoseEstimate(Record):
     Examples
     --------
     >>> print(posterior.pose("SIM/A", line=2500.0))
-    PoseEstimate('SIM/A', line 2500, sigma along 23.7 m, across 23.7 m, radial 3.53 m; roll 0.0627, pitch 0.0629,
-    yaw 0.0999 mrad)
+    PoseEstimate('SIM/A', line 2500, sigma along 23.7 m, across 23.7 m, radial 3.53 m; roll 12.9, pitch 13, yaw
+    20.6 arcsec)
     """
 
     image: str
@@ -363,11 +363,9 @@ class PoseEstimate(Record):
         return _roots(self.flight)
 
     def __repr__(self) -> str:
-        along, across, radial, roll, pitch, yaw = self.sigmas
-        return (
-            f"PoseEstimate({self.image!r}, line {self.line:g}, sigma along {along:.3g} m, across {across:.3g} m, "
-            f"radial {radial:.3g} m; roll {roll / MRAD:.3g}, pitch {pitch / MRAD:.3g}, yaw {yaw / MRAD:.3g} mrad)"
-        )
+        text = "PoseEstimate({!r}, line {:g}, sigma along {:.3g} m, across {:.3g} m, radial {:.3g} m; "
+        text += "roll {:.3g}, pitch {:.3g}, yaw {:.3g} arcsec)"
+        return text.format(self.image, self.line, *self.sigmas[:3], *(self.sigmas[3:] / ARCSEC))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,7 +35,7 @@ _TRIALS = 30
 _FAR = 30.0
 """Sigmas of the ellipsoid beyond which an interval counts as open."""
 _LAYOUTS = 10
-"""Times that rays are laid out anew."""
+"""Times that rays are relinearized."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +121,8 @@ class Likelihood(Record):
     --------
     >>> (roll,) = posterior.likelihood.profiles("SIM/A", "constant roll")
     >>> low, high = roll.intervals[1]
-    >>> print(f"sigma {1e3 * roll.sigma:.3f} mrad; with 95 % between {1e3 * low:.2f} and {1e3 * high:.2f} mrad")
-    sigma 0.063 mrad; with 95 % between -0.08 and 0.17 mrad
+    >>> print(f"sigma {206265 * roll.sigma:.1f} arcsec; with 95 % between {206265 * low:.0f} and {206265 * high:.0f}")
+    sigma 12.9 arcsec; with 95 % between -16 and 35
     """
 
     def __init__(self, at: Linearised) -> None:

@@ -269,7 +269,7 @@ class EstimatedStrengths(Record):
 
     @property
     def sentences(self) -> list[str]:
-        """One for each strength, for pairs that can't be told apart, and for how it ended."""
+        """One for each strength, for pairs that are inseparable, and for how it ended."""
         lines = [one.sentence for one in self.strengths]
         entangled = np.argwhere(np.triu(np.abs(self.correlation) > LIMIT, 1)).tolist()
         for i, k in entangled:

@@ -414,7 +414,7 @@ class ResidualVibrations(Record):
         """Sentences: each vibration, and what would not be seen."""
         found = [one.sentence for one in self.vibrations]
         if not found:
-            found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per turn)."]
+            found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
         blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
         if blind:
             found.append(f"Vibrations in {some(blind, len(blind))} can't be seen: points take them up as heights.")

@@ -33,7 +33,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedKind, SharedUnknown
 from mgsgraph.network.shared import ground_shift
 from mgsgraph.record import Record
-from mgsgraph.units import MRAD
+from mgsgraph.units import ARCSEC
 
 if TYPE_CHECKING:
     pass
@@ -62,7 +62,7 @@ class Quantity:
     owner: str
     """Pass or shared unknown."""
     unit: str
-    """m, mrad, s or ppm."""
+    """m, arcsec, s or ppm."""
     sigma: float
     """Posterior, in that unit."""
 
@@ -185,7 +185,7 @@ def _quantities(
     first, named, columns = joint.square_root.first, list[tuple[str, str, str]](), list[Array]()
     for k, one in enumerate(network.passes):
         variable = int(network.first_of_passes[k])
-        for name, unit, part in zip(_PARTS, ("m",) * 3 + ("mrad",) * 3, _means(network, k, angles), strict=True):
+        for name, unit, part in zip(_PARTS, ("m",) * 3 + ("arcsec",) * 3, _means(network, k, angles), strict=True):
             column = np.zeros(joint.columns)
             for node, weights in enumerate(part):
                 column[first[variable + node] : first[variable + node] + 6] = weights
@@ -205,13 +205,13 @@ def _quantities(
 
 
 def _means(network: Network, k: int, angles: Angles) -> Array:
-    """(6, nodes, 6) m and mrad of the mean corrections in the axes of the flight, of each node's corrections."""
+    """(6, nodes, 6) m and arcsec of the mean corrections in the axes of the flight, of each node's corrections."""
     nodes = network.passes[k].nodes
     start, stop = nodes.coverage
     times = np.linspace(start, stop, _PLACES)
     basis, _ = nodes.dense(times, nodes.epoch)
     turns = strip_turns(network, k, times + nodes.epoch, angles)
-    units = np.array([1.0] * 3 + [MRAD] * 3)
+    units = np.array([1.0] * 3 + [ARCSEC] * 3)
     return np.asarray(np.einsum("tn,tqc->qnc", basis, turns) / _PLACES / units[:, None, None])
 
 
@@ -251,7 +251,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Separation(Record):
-    """One component of a shared unknown: its estimate, and what separates it. Units of reports: s, mrad, m, ppm."""
+    """One component of a shared unknown: its estimate, and what separates it. Units of reports: s, arcsec, m, ppm."""
 
     name: str
     """Unknown and component."""
@@ -260,7 +260,7 @@ class Separation(Record):
     axis: str
     """x, y or z of the camera, of a boresight or lever arm; else empty."""
     unit: str
-    """s, mrad, m or ppm."""
+    """s, arcsec, m or ppm."""
     value: float
     """Estimated value, in that unit."""
     sigma: float

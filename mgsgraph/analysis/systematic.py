@@ -18,7 +18,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import GROUND, IMAGE, STEREO, SURFACE
 from mgsgraph.network import TERRAIN, Network, PointClass, SharedKind, SharedUnknown
 from mgsgraph.network.effects import along_track, footprint_motion
-from mgsgraph.units import KM, MRAD
+from mgsgraph.units import ARCSEC, KM
 
 _FEWEST = 8
 """Points without which nothing is asked of an image or a profile."""
@@ -186,7 +186,7 @@ def _of_terrain(rows: ResidualRows) -> Iterator[Family]:
         found = [
             Hypothesis(EffectKind.SLOPE, "east and north", "m", (0, 1)),
             Hypothesis(EffectKind.HEIGHT, "up", "m", (2,)),
-            Hypothesis(EffectKind.TILT, "up across the ground", "mrad", (4, 5)),
+            Hypothesis(EffectKind.TILT, "up across the ground", "arcsec", (4, 5)),
         ]
         # a model has errors of its own, by which low ground lies too low; they must not matter
         if np.std(height) > _RELIEF * np.median(sigmas) * np.sqrt(mine.size):
@@ -210,11 +210,11 @@ def _of_profiles(rows: ResidualRows) -> Iterator[Family]:
         up, level = ways[:, 2:], ways[:, :2]
         if np.mean(rolled[members]) > 0.5:  # about the axis that lifts the footprints most
             axis = np.einsum("nkc,nc->k", beams[members], ways[:, 2])
-            up = MRAD * np.einsum("nkc,k->nc", beams[members], axis / np.linalg.norm(axis))[:, None]
+            up = ARCSEC * np.einsum("nkc,k->nc", beams[members], axis / np.linalg.norm(axis))[:, None]
         motion = np.concatenate([level, up, powers[:, 1:, None] * ways[:, 2:], powers[:, 1:2, None] * level], axis=1)
         found = [Hypothesis(EffectKind.SLOPE, "east and north", "m", (0, 1))]
         found.append(
-            Hypothesis(EffectKind.BEAM, "beam", "mrad", (2,)) if np.mean(rolled[members]) > 0.5
+            Hypothesis(EffectKind.BEAM, "beam", "arcsec", (2,)) if np.mean(rolled[members]) > 0.5
             else Hypothesis(EffectKind.HEIGHT, "up", "m", (2,))
         )  # fmt: skip
         found += [Hypothesis(EffectKind.DRIFT, "up", "m", (3 + k,)) for k in range(_DRIFT_DEGREE)]

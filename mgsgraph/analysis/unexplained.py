@@ -131,7 +131,7 @@ _MOST_POINTS = 20_000
 _PER_OWNER = 1000, 100
 """Of each image and profile at most, and where these are many at least."""
 _ALIKE = 0.8
-"""Share of the named effect's test from which on another, which is gone with it, can't be told apart from it."""
+"""Share of the named effect's test from which on another, which is gone with it, is inseparable from it."""
 _CONFOUNDED = ("image places", "terrain model")
 """Kinds of rows of which the clearer correlation alone is named."""
 _PAIR = 2
@@ -164,7 +164,7 @@ class Effect(Record):
     amplitude: float
     """In `unit`; of jitter that of the sinusoid, of a correlation its coefficient."""
     unit: str
-    """px, m, m/km, mrad; empty for a correlation."""
+    """px, m, m/km, arcsec; empty for a correlation."""
     term: str
     """What to add to the case file."""
     sigma: float
@@ -193,11 +193,11 @@ class Effect(Record):
             EffectKind.HEIGHT: f"heights are off in common, {self.quantity} ({size}",
             EffectKind.TILT: f"heights are tilted ({size}",
             EffectKind.DRIFT: f"residuals vary along the track, {self.quantity} ({size}",
-            EffectKind.BEAM: f"footprints are off by a turn of the beam ({size}",
+            EffectKind.BEAM: f"footprints are off by a rotation of the beam ({size}",
             EffectKind.CORRELATION: f"{self.quantity} of points within {self.period:.3g} {self.unit} resemble each "
             f"other (correlation {self.amplitude:.2g}",
         }[self.kind]
-        other = f"; or {', '.join(self.alternatives)}, which cannot be told apart" if self.alternatives else ""
+        other = f"; or {', '.join(self.alternatives)}, which is inseparable from it" if self.alternatives else ""
         return f"{self.where}: {how}, p = {self.p_value:.1g}): {self.kind}{other}; {self.term}"
 
 

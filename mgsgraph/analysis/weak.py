@@ -1,4 +1,4 @@
-"""What is weak: the directions of which an adjustment has learnt least, in words.
+"""The least-constrained directions of an adjustment, in words.
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
 sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that remains after the measures. (In place of an
@@ -95,10 +95,10 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
     --------
     >>> for direction in mgsgraph.weak_directions(solution, 2):
     ...     print(direction)
-    constant along-track position against pitch of image SIM/B (100 %): one sigma is 24.2 m against 0.0593 mrad,
-    1.00 of what was known before
-    constant across-track position against roll of image SIM/B (100 %): one sigma is 24.7 m against 0.0565 mrad,
-    1.00 of what was known before
+    constant along-track position against pitch of image SIM/B (100 %): one sigma is 24.2 m against 12.2 arcsec,
+    1.00 of the prior sigma
+    constant across-track position against roll of image SIM/B (100 %): one sigma is 24.7 m against 11.7 arcsec,
+    1.00 of the prior sigma
     """
     layout = lay_out(solution.network, solution.settings, solution.places)
     return weakest(layout, solution.joint_covariance, count)
@@ -107,10 +107,10 @@ def weak_directions(solution: Solution, count: int = 5) -> tuple[WeakDirection, 
 def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[WeakDirection, ...]:
     """The directions of a layout's shared unknowns of which a covariance says least, weakest first."""
     if count < 1:
-        raise InputError("weak directions, count", f"{count}", "1 or more")
+        raise InputError("least-constrained directions", f"{count}", "1 or more")
     if joint.columns == 0 or joint.columns != layout.columns:
         raise InputError(
-            "weak directions", f"a covariance of {joint.columns} unknowns",
+            "least-constrained directions", f"a covariance of {joint.columns} unknowns",
             f"one of {layout.columns or 'at least one'}, as the network has",
             "give an adjustment with free orientation",
         )  # fmt: skip
@@ -234,7 +234,7 @@ def _described(frames: Frames, direction: Array, ratio: float, equals: int) -> W
     parts = parts_of(frames, direction)
     main = parts[0]
     variable = frames.layout.sigmas[frames.layout.columns_of(main.axis.variable)]
-    before = "1 km and 10 mrad (nothing was known before)" if np.any(np.isinf(variable)) else "what was known before"
+    before = "1 km and 2063 arcsec (no prior)" if np.any(np.isinf(variable)) else "the prior sigma"
     direction.flags.writeable = False
     return WeakDirection(
         ratio=ratio,

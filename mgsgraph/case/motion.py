@@ -1,5 +1,5 @@
-"""What a case file says of a trajectory's correction: where a pass's orientation images stand, and what is known
-beforehand, by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`: a bias, a drift and
+"""What a case file says of a trajectory's correction: where a pass's orientation images stand, and their priors,
+by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`: a bias, a drift and
 departures that forget themselves in time (`network.passes.NodePrior`); and the numbers that a case file may hold.
 """
 

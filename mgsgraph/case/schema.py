@@ -293,7 +293,8 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
-        wanted = f"sigma_{kind.reported[1]}"
+        scale, unit = (MRAD, "mrad") if kind.turns else kind.reported
+        wanted = f"sigma_{unit}"
         given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
         if set(given) != {wanted}:
             raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
@@ -301,21 +302,19 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             if name not in names:
                 found, known = f"the image {name!r}", ", ".join(list(names)[:4])
                 raise InputError(f"{where}, images", found, f"some of the case's images ({known})")
-        for name in [name for k, name in enumerate(self.images) if name in self.images[:k]][:1]:
-            raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
+            if self.images.count(name) > 1:
+                raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * kind.reported[0]
+        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * scale
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 
 
 def _sigmas(value: float | list[float], width: int, where: str, kind: str) -> Array:
     """(width,) sigmas of a shared unknown: one number for all its components, or one for each."""
-    if isinstance(value, list) and len(value) != width:
+    if isinstance(value, list) and (len(value) != width or width == 1):
         counts = {1: "one number", 2: "one number, or two"}.get(width, "one number from 1e-9 to 1e9, or three")
         raise InputError(where, f"{value}", f"{counts} for {kind}")
-    if isinstance(value, list) and width == 1:
-        raise InputError(where, f"{value}", f"one number for {kind}")
     padded = [*value, *value[-1:] * (3 - width)] if isinstance(value, list) else value
     return three(padded, where, infinite=True)[:width]
 

@@ -1,6 +1,5 @@
 """Verbs for a case: check it, adjust it, adjust many, align laser and images by relief."""
 
-import time
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from mgsgraph.cli.options import (
     TIES,
     TWO_IMAGES,
     WORKERS,
+    elapsed,
     folder_for,
     out_option,
     overruling,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @TIES
 @DETAILS
 def check(case: Path, no_laser: bool, ties: Path | None, details: bool) -> None:
-    """Read and validate CASE and everything that it names; print where it is weak and what is there. Solves nothing.
+    """Read and validate CASE and everything that it names; print warnings and what is in it. Solves nothing.
 
     Of a CASE without measures, the images, which of them overlap, and whether `match` can find tie points.
     """
@@ -97,9 +97,9 @@ def adjust(
     require_replaceable(out := folder_for(out, case, "adjust"))
     if cluster is not None:
         parse_cluster(cluster)
-    begin = time.perf_counter()
+    begin = elapsed()
     read = read_case(case, overrides.laser, ties)
-    reading = {"reading": time.perf_counter() - begin}
+    reading = {"reading": elapsed() - begin}
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
     estimating = any(one.asks_for_strengths for one in read.network.passes)
@@ -118,9 +118,8 @@ def adjust(
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution, details)
-    for sentence in said:
-        click.echo(sentence)
-    click.echo(f"Results are in {out}")
+    print_sentences(said)
+    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
     ctx.exit(0 if is_valid(solution) else 1)
 
 

@@ -4,7 +4,9 @@ goes to a terminal can't move its cursor, and what can't be written is said.
 
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -16,6 +18,7 @@ from mgsgraph.errors import MgsgraphError, printable
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
 
+_BEGAN = time.perf_counter()
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
 DETAILS = click.option("-v", "--details", is_flag=True, help="Print all tables and sentences.")
@@ -94,8 +97,13 @@ def print_sentences(sentences: Iterable[str]) -> None:
         click.echo(f"- {sentence}")
 
 
+def elapsed() -> float:
+    """S since the program began, libraries and drawing included."""
+    return time.perf_counter() - _BEGAN
+
+
 def print_solution(solution: "Solution", details: bool = False) -> None:
-    """Print what an adjustment has found in a few lines; with details all tables and sentences."""
+    """Print what an adjustment has found in a few lines; with details all tables, sentences and seconds."""
     from mgsgraph.results.results import sentences_of, solution_sections, summary_table
     from mgsgraph.results.summary import summary
 
@@ -103,7 +111,8 @@ def print_solution(solution: "Solution", details: bool = False) -> None:
         click.echo("\n".join(summary(solution)))
         return
     sections = solution_sections(solution)
-    click.echo(summary_table(solution, sections))
+    every = {**solution.seconds, "start-up, tables and figures": elapsed() - sum(solution.seconds.values())}
+    click.echo(summary_table(replace(solution, seconds=every), sections))
     print_sentences(sentences_of(sections))
 
 

@@ -1,9 +1,10 @@
-"""What a person sees while the adjustment runs: a bar over iterations, and a word when the kernel is being compiled."""
+"""Progress while a command runs: bars over iterations and stages, and a word when the kernel is being compiled."""
 
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING
 
 import click
@@ -26,12 +27,8 @@ _BEAT = 0.5
 @contextmanager
 def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
     """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
-    bar = IterationBar(verbose, most)
-    try:
-        with word_of_compiling():
-            yield bar
-    finally:
-        bar.close()
+    with closing(IterationBar(verbose, most)) as bar, word_of_compiling():
+        yield bar
 
 
 @contextmanager
@@ -53,14 +50,13 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
     """The same for work in several stages, each of a known number of parts: one bar after the other, or, where standard
     error is no terminal, one line when a stage begins.
     """
-    bar: tqdm[None] | None = None
+    bar: tqdm[None] = tqdm(disable=True)
     shown = ""
 
     def show(what: str, done: int, most: int) -> None:
         nonlocal bar, shown
-        if bar is None or shown != what:
-            if bar is not None:
-                bar.close()
+        if shown != what:
+            bar.close()
             if not sys.stderr.isatty():
                 click.echo(f"{what} ...", err=True)
             bar, shown = tqdm(desc=what, total=most, leave=False, disable=None), what
@@ -70,8 +66,7 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
     try:
         yield show
     finally:
-        if bar is not None:
-            bar.close()
+        bar.close()
 
 
 @contextmanager
@@ -85,7 +80,7 @@ def word_of_compiling() -> Iterator[None]:
             if over.wait(_BEAT):
                 return
             compiling += _BEAT * is_compiling()
-        click.echo("compiling the numeric kernel, as the first run after an installation does: a minute", err=True)
+        click.echo("compiling the numeric kernel, once after an installation: one to two minutes", err=True)
 
     watching = threading.Thread(target=watch, daemon=True)
     watching.start()
@@ -137,21 +132,25 @@ class IterationBar:
 
 @contextmanager
 def stage_bar(count: int) -> Iterator[Stages]:
-    """Stages that show themselves: which of `count` is running, and for how long all of them have."""
+    """Stages that show themselves: which of `count` is running, for how long all of them have, and the time left of one
+    that counts its parts.
+    """
     bar = tqdm(total=count, unit="stage", leave=False, disable=None, bar_format="{n_fmt}/{total_fmt} {desc} {elapsed}")
-    over, begun = threading.Event(), list[str]()
+    over, begun = threading.Event(), list[tuple[str, float]]()
 
     def tick() -> None:
         while not over.wait(_BEAT):
             bar.refresh()
 
     def announce(stage: str) -> None:
-        bar.update(1 if begun else 0)
-        begun.append(stage)
+        bar.update(bool(begun))
+        begun.append((stage, time.monotonic()))
         bar.set_description_str(stage)
 
     def detail(what: str, done: int, most: int) -> None:
-        bar.set_description_str(f"{begun[-1]}, {what} {done / most:.0%}", refresh=False)
+        stage, since = begun[-1]
+        left = (time.monotonic() - since) * (most - done) / max(done, 1)
+        bar.set_description_str(f"{stage}, {what} {done / most:.0%}, {left:.0f} s left", refresh=False)
 
     ticking = threading.Thread(target=tick, daemon=True)
     ticking.start()

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,6 +14,7 @@ from mgsgraph.cli.options import (
     PATH,
     TWO_IMAGES,
     WORKERS,
+    elapsed,
     folder_for,
     out_option,
     print_sentences,
@@ -61,8 +62,8 @@ def demo(
     """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
     archive, read it back, adjust it with its tie points and laser ranges, and register laser and images by relief.
 
-    Its errors are drawn from the sigmas that its case states. The last lines compare the result with the simulated
-    truth; with --details in tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
+    Its errors are drawn from the sigmas that its case states. Five lines compare the result with the simulated truth;
+    --details adds all tables. Registration by relief needs OpenCV (extra "match"), and is left out without it.
     Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input.
     """
     from mgsgraph.adjustment.solution import Solution
@@ -71,6 +72,7 @@ def demo(
     from mgsgraph.case.reading import adjust as run
     from mgsgraph.cli.progress import iteration_bar, stage_bar
     from mgsgraph.files.output.folders import DEMO, fresh_folder
+    from mgsgraph.results.verdict import state_of
     from mgsgraph.simulation.demo.demonstration import DEMONSTRATED, STAGES, simulation_options
     from mgsgraph.simulation.demo.summary import write_demo
 
@@ -80,12 +82,14 @@ def demo(
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
     with fresh_folder(out, DEMO) as folder, stage_bar(len(STAGES)) as stages:
-        solution, closing = write_demo(site, folder, seed, options, adjusting, stages, not no_figures, not no_relief)
-    print_solution(solution, details)
-    sentences = [closing[0], *(line for line in closing[1:] if line.startswith("- "))]
-    click.echo("\nCompared with the simulated truth")
-    click.echo("\n".join(closing if details else sentences))
-    click.echo(f"Inputs and results are in {out}")
+        solution, tables, sentences = write_demo(
+            site, folder, seed, options, adjusting, stages, not no_figures, not no_relief
+        )
+    if details:
+        print_solution(solution, details)
+        sentences = [*tables, *sentences]
+    click.echo("\n".join(sentences))
+    click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
@@ -107,10 +111,7 @@ def demo(
     help="Of a strip: new tie points with each further image  [default: 2000]; of an archive: all of them, about.",
 )  # fmt: skip
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
-def simulate(
-    site: str, out: Path | None, seed: int, attitude_time_bias: float | None, no_pictures: bool, kind: str | None,
-    images: int | None, ties: int | None, steps: bool,
-) -> None:  # fmt: skip
+def simulate(site: str, out: Path | None, no_pictures: bool, **asked: Any) -> None:
     """Simulate SITE and write its files to a folder.
 
     SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
@@ -131,7 +132,7 @@ def simulate(
 
     out = out or Path(f"{site}-simulate")
     with stage_bar(2) as stages:
-        made = simulation(site, seed, attitude_time_bias, not no_pictures, kind, images, ties, steps, stages.detail)
+        made = simulation(site, pictures=not no_pictures, progress=stages.detail, **asked)
         with fresh_folder(out, "truth.json") as aside:
             _, path = simulated_files(*made, aside, stages)
     click.echo(f"The case is {out / path.name}; the truth lies beside it in truth.json")
@@ -212,8 +213,8 @@ def fetch(
 @WORKERS
 @NO_FIGURES
 def match(
-    case: Path, out: Path | None, step: float | None, search: float | None, height: float | None,
-    height_sigma: float | None, cells: int, per_cell: int, workers: int | None, no_figures: bool,
+    case: Path, out: Path | None, height: float | None, height_sigma: float | None, workers: int | None,
+    no_figures: bool, **asked: Any,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
 
@@ -229,7 +230,7 @@ def match(
     from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
-    settings = MatchSettings(step=step, search=search, cells=cells, per_cell=per_cell)
+    settings = MatchSettings(**asked)
     project: Path | None = None
     if (case / FILE).is_file():
         if out is not None:

@@ -54,7 +54,7 @@ def write_asp(
     Raises
     ------
     InputError
-        No point with a measure that took part; images whose files the pipeline couldn't tell apart; a file that can't
+        No point with a measure that took part; images whose files have one name for the pipeline; a file that can't
         be written.
     """
     files = _files(solution, images or {})

@@ -74,7 +74,7 @@ class Document(NamedTuple):
         return f"{self.source}, line {self.text.count(chr(10), 0, position) + 1}"
 
     def excerpt(self, position: int) -> str:
-        """What stands there up to the end of the line, shortened, in quotes."""
+        """The rest of the line, shortened, in quotes."""
         rest = self.text[position : position + 60].split("\n", 1)[0].strip()
         return repr(rest) if rest else "nothing"
 

@@ -36,7 +36,7 @@ _LEAST_HEIGHT_LIMIT = 1.5
 """pixels of displacement by height, within which it is kept in any case."""
 _NEIGHBOURS = 8
 _UNKNOWN = 1e4
-"""m, unit of a position of which nothing is known beforehand."""
+"""m, unit of a position without a prior."""
 _FEWEST = 12
 """Matches of a pair that have to be coplanar under one correction."""
 

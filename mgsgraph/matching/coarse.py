@@ -29,7 +29,7 @@ SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""
 _TRIALS = 400
 _UNKNOWN_ANGLE = 1e-2
-"""rad, unit of a rotation of which nothing is known beforehand."""
+"""rad, unit of a rotation without a prior."""
 _MAD = 1.4826
 """Standard deviation of normal errors over their median absolute deviation."""
 _ROUNDS = 8
@@ -200,7 +200,7 @@ class Agreement(NamedTuple):
     moved: float
     """m rms, by which the correction moves the second picture on the ground at them."""
     expected: float
-    """m, sigma of this by what is known beforehand; NaN where nothing is."""
+    """m, a-priori sigma of this; NaN without a prior."""
     height_sigma: float
     """m, by how much the ground is higher or lower than its model, at them; NaN where the rays are nearly parallel."""
 

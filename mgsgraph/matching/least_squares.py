@@ -1,4 +1,4 @@
-"""Least-squares matching: sub-pixel positions of template windows in another picture, each with an honest covariance.
+"""Least-squares matching: sub-pixel positions of template windows in another picture, with consistent covariances.
 
 Ackermann, F. (1984): Digital image correlation, Photogrammetric Record 11(64). Gruen, A. (1985): Adaptive least squares
 correlation, S. Afr. J. Photogrammetry 14(3). How this differs from theirs, and why, stands in `window`.

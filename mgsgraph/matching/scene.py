@@ -84,7 +84,7 @@ class GroundChart(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground(Record):
-    """The ground as far as it is known beforehand, over a chart."""
+    """The a-priori ground, over a chart."""
 
     chart: GroundChart
     """The plane."""

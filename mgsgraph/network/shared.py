@@ -24,7 +24,7 @@ from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.record import Record
-from mgsgraph.units import MRAD, PPM
+from mgsgraph.units import ARCSEC, PPM
 
 DEGREE = 5
 """Of the polynomials: the velocity of an orbit's arc of 20 deg is one to 2e-9, of 60 deg to 1e-6."""
@@ -110,8 +110,8 @@ class SharedKind(StrEnum):
 
     @property
     def reported(self) -> tuple[float, str]:
-        """Unit in which reports and case files have its values, and what one of these is in `unit`."""
-        return {"rad": (MRAD, "mrad"), "": (PPM, "ppm")}.get(self.unit, (1.0, self.unit))
+        """One unit of reports in `unit`, and its name."""
+        return {"rad": (ARCSEC, "arcsec"), "" : (PPM, "ppm")}.get(self.unit, (1.0, self.unit))
 
     @property
     def turns(self) -> bool:

@@ -226,7 +226,7 @@ def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact
     moved = int(np.count_nonzero(~impact.points.new))
     counts = {"images_reached": len(impact.images.names), "points_moved": moved, "updates": impact.updates}
     number = project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
-    message = "All unknowns came to rest." if impact.converged else "It did not come to rest; solve the project anew."
+    message = "All unknowns converged." if impact.converged else "It did not converge; solve the project."
     project.record_incremental(impact.converged, message)
     if project.kept is not None:
         project.kept.noted(*project.changes(1))

@@ -115,7 +115,7 @@ class SolutionRow(msgspec.Struct, frozen=True):
     kind: str
     """batch or incremental."""
     converged: bool
-    """Whether the adjustment came to rest."""
+    """Whether the adjustment converged."""
     message: str
     """Reason why the adjustment ended."""
     cost: float | None

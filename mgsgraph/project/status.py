@@ -43,7 +43,7 @@ def _contents(project: Project) -> list[str]:
         f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
         f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
         f"  terrain model as control: {model}",
-        f"  measures set aside by hand: {sum(map(len, all_set_aside(project).values())) or 'none'}",
+        f"  measurements rejected by the user: {sum(map(len, all_set_aside(project).values())) or 'none'}",
         *_passes(project),
     ]
 

@@ -116,7 +116,7 @@ def register_case(case: Case, solution: Solution | None = None) -> CaseRegistrat
             for name, shots in zip(names, case.profiles, strict=True)
         )
         if not solution.converged:
-            warnings += (f"The adjustment has NOT CONVERGED: what is called adjusted is no result. {solution.message}",)
+            warnings += (f"The adjustment has NOT CONVERGED: the adjusted values are not valid. {solution.message}",)
     return CaseRegistration(case.name, before, after, case.pictures or (None,) * len(images), warnings)
 
 

@@ -8,7 +8,7 @@ the likelihood of a shift against another is -D,
 
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
-the right one when all shifts are alike beforehand. Where more is known beforehand, its chi^2 is added to D.
+the right one when all shifts are alike beforehand. The chi^2 of a prior is added to D.
 
 What a registration by relief says: its choices, and each laser profile and terrain model against the surface
 that the images show, before and after the adjustment with stereo rows.
@@ -87,7 +87,7 @@ def weighted(
     alike : float
         Shots that count as one.
     known : (n,)
-        chi^2 of their shifts by what is known beforehand.
+        chi^2 of their shifts by their priors.
     """
     freedom = np.maximum(shots - FITTED, 1) + _AS_STATED
     misfits, lowest = misfits + _AS_STATED, lowest + _AS_STATED

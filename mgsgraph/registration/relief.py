@@ -195,7 +195,7 @@ def registered(
         placed = placed._replace(lifted=lifted, shifts=solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
         rest = [new.at_rest(old) for old, new in zip(found, left, strict=True)]
-        if number == _MOST_ROUNDS:  # what has not come to rest is adjusted once more, as level ground
+        if number == _MOST_ROUNDS:  # what has not converged is adjusted once more, as level ground
             unreached = [not one for one in rest]
         left = [one.unreached if never else one for one, never in zip(left, unreached, strict=True)]
         if all(rest):

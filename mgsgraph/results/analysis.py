@@ -27,7 +27,7 @@ from mgsgraph.results.answers import Questions, answered, curve_section, raster_
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
 from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
 from mgsgraph.text import NAMED, many, some
-from mgsgraph.units import MRAD
+from mgsgraph.units import ARCSEC
 
 _KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior", "crossover")
 _MOST_ALIKE = 6
@@ -128,7 +128,7 @@ class Wanted:
     """px, of the measures of the raster's points."""
     unexplained: bool = False
     """Tests of the residuals against time, sample, slope, height and neighbours."""
-    honesty: bool = False
+    consistency: bool = False
     """Variance components, statistics of residuals; linearity."""
     likelihood: tuple[str, ...] = ()
     """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
@@ -158,7 +158,7 @@ _MOST_EFFECTS = 2
 def brief(solution: Solution) -> list[str]:
     """The verdict and what is significant, in at most ten lines."""
     found = verdict(solution)
-    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution)]
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, _MOST_EFFECTS)]
     if found.groups:
         effects = unexplained(solution)
         said += effects.sentences[:_MOST_EFFECTS]
@@ -192,8 +192,8 @@ def analysed(posterior: Posterior, wanted: Wanted, name: str) -> Iterator[Sectio
     if wanted.unexplained:
         yield unexplained_section(posterior, name)
         yield vibrations_section(posterior, name)
-    if wanted.honesty:
-        yield _honesty(posterior, name)
+    if wanted.consistency:
+        yield _consistency(posterior, name)
         yield linearity_section(linearity_of(posterior.linearised))
     if wanted.likelihood:
         yield likelihood_section(posterior, wanted.likelihood)
@@ -225,17 +225,17 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
     return write_sections(sections, {"format": 1, "name": name, **record}, folder, ANALYSIS, figures)
 
 
-def _honesty(posterior: Posterior, name: str) -> Section:
+def _consistency(posterior: Posterior, name: str) -> Section:
     at, fit = posterior.linearised, posterior.linearised.fit()
     if fit.degrees_of_freedom < 1:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
         text = f"No redundancy ({counts}): nothing tells whether the sigmas are realistic."
-        return Section("honesty", sentences=[text], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
+        return Section("consistency", sentences=[text], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
     found, statistics = components(at), residual_statistics(at)
     residuals = residuals_table(statistics)
     record = {"components": _components_record(found), "residuals": residuals.records()}
     return Section(
-        "honesty", "Stated sigmas against residuals", found.sentences, [residuals],
+        "consistency", "Stated sigmas against residuals", found.sentences, [residuals],
         record, [components_table(found)],
         sheets=drawn("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
     )  # fmt: skip
@@ -280,7 +280,7 @@ def _iterated(posterior: Posterior) -> Section:
 
 def _weak(posterior: Posterior, count: int) -> Section:
     if posterior.linearised.joint.columns == 0:
-        return Section("weak", sentences=["All orientation was held: nothing of it is weak."], numbers=[])
+        return Section("weak", sentences=["All orientation was held: it has no unconstrained directions."], numbers=[])
     found = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
     record = [
         {
@@ -300,7 +300,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
 
 
 def _separability(posterior: Posterior) -> Section:
-    """Mountings, attitude and position of passes that are not told apart."""
+    """Mountings, attitude and position of passes that are inseparable."""
     linearised = posterior.linearised
     found = inseparable(posterior.network, linearised.joint, linearised.settings.angles)
     none = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
@@ -329,8 +329,8 @@ def likelihood_section(posterior: Posterior, names: Sequence[str]) -> Section:
 
 def likelihood_table(profiles: Sequence[Profile]) -> Table:
     """One row per unknown."""
-    units = ["mrad" if one.unit == "rad" else one.unit for one in profiles]
-    scale = np.array([1.0 / MRAD if one.unit == "rad" else 1.0 for one in profiles])
+    units = ["arcsec" if one.unit == "rad" else one.unit for one in profiles]
+    scale = np.array([1.0 / ARCSEC if one.unit == "rad" else 1.0 for one in profiles])
     intervals = np.array([one.intervals for one in profiles]).reshape(-1, len(LEVELS), 2) * scale[:, None, None]
     ends = {
         f"{end}_{100.0 * level:.0f}": intervals[:, k, side]

@@ -28,7 +28,7 @@ from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.section import Section, columns_of, drawn, record_of
-from mgsgraph.units import DEG, MRAD
+from mgsgraph.units import ARCSEC, DEG
 
 _MOST_SHOWN = 12
 """Rows of a correlation matrix that are printed; the file has all."""
@@ -97,8 +97,8 @@ def _sigmas(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str 
 
 def _flight(covariance: Array) -> str:
     """Standard deviations of an orientation along the flight's axes (m, rad), in words."""
-    position, rotation = covariance[:3, :3], covariance[3:, 3:] / MRAD**2
-    return f"sigma {_sigmas(position, FLIGHT_NAMES[:3])}, {_sigmas(rotation, FLIGHT_NAMES[3:], ' mrad')}"
+    position, rotation = covariance[:3, :3], covariance[3:, 3:] / ARCSEC**2
+    return f"sigma {_sigmas(position, FLIGHT_NAMES[:3])}, {_sigmas(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
 
 
 def _place(found: PositionEstimate, probability: float, what: str) -> Section:
@@ -185,7 +185,7 @@ def curve_section(posterior: Posterior, image: str) -> Section:
     picture = posterior.network.images[number]
     image, poses = picture.name, posterior.poses(number, np.linspace(0.0, float(picture.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
-    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("mrad", sigmas[:, 3:], FLIGHT_NAMES[3:]))
+    units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("arcsec", sigmas[:, 3:], FLIGHT_NAMES[3:]))
     parts = [
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)

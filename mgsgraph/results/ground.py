@@ -16,7 +16,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.network.observations import Coverage, coverage
 from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
-from mgsgraph.units import MRAD
+from mgsgraph.units import ARCSEC
 
 _SAME = 1.05
 """Ratio up to which two sigmas count as the same."""
@@ -97,9 +97,9 @@ def laser_section(solution: Solution) -> Section:
     rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
     which, sigmas = ("mean", found.mean_sigma) if median is None else ("median", found.median_sigma)
     said = (
-        f"Without the laser rows ({rows}) the tie points' {which} sigmas would be "
-        f"{three(without if median is None else median)} m in x, y, z instead of {three(sigmas)} m: "
-        + ("they add little." if gain < _SAME else f"about {gain:.2g} times larger.")
+        f"Without the laser ({rows}) the tie points' {which} sigmas would be "
+        f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: "
+        + ("it adds little." if gain < _SAME else f"{gain:.2g} times larger.")
     )
     return Section("laser_effect", sentences=[said], numbers={
         "tie_mean_sigma_m": found.mean_sigma,
@@ -123,9 +123,8 @@ def _held_by(solution: Solution) -> list[str]:
     if constant.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
     return [
-        f"No laser rows and no ground control: only the orientation priors{held} hold the block on the ground. The "
-        f"constant terms' sigmas are {span(constant[:, :3])} m in position and {span(constant[:, 3:] / MRAD)} mrad in "
-        "rotation, and the sigmas of the ground points mostly repeat them."
+        f"No laser, no ground control: only the orientation priors{held} ({span(constant[:, :3])} m, "
+        f"{span(constant[:, 3:] / ARCSEC)} arcsec) fix the block, and the points' sigmas mostly repeat them."
     ]
 
 
@@ -215,7 +214,7 @@ def _shift_sentence(solution: Solution, shift: int) -> str:
     if name in network.considered:
         return f"{name}: its shift is considered, not estimated; its sigma of {sigmas[0]:.1f} m is part of all sigmas."
     parts = [
-        f"{term.name} {value / MRAD:+.4f} mrad (sigma {sigma / MRAD:.4f})" if term.unit == "rad" else
+        f"{term.name} {value / ARCSEC:+.2f} arcsec (sigma {sigma / ARCSEC:.2f})" if term.unit == "rad" else
         f"{term.name} {value:+.1f} m (sigma {sigma:.1f})"
         for term, value, sigma in zip(network.shift_terms[shift], solution.shift_values[shift], sigmas, strict=True)
     ]  # fmt: skip
@@ -236,7 +235,8 @@ def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
     record = dict(zip(("up_m", "sigma_up_m"), found.get("upward shift", ()), strict=False))
     tilts = np.array([both for name, both in found.items() if name.startswith("tilt")])
     if tilts.size:
-        record["tilt_about_east_north_mrad"], record["sigma_tilt_about_east_north_mrad"] = (tilts.T / MRAD).tolist()
+        tilt, sigma = (tilts.T / ARCSEC).tolist()
+        record |= {"tilt_about_east_north_arcsec": tilt, "sigma_tilt_about_east_north_arcsec": sigma}
     return record
 
 
@@ -250,10 +250,7 @@ def minima_section(found: Minima | None) -> Section:
     began = f"{many(found.starts, 'start')} over the terrain model's shift ({found.lost} did not converge)"
     said = f"No better minimum than this one was found from {began}."
     if found.several:
-        said = (
-            f"SEVERAL MINIMA: {len(found.each)} were found from {began}. The lowest one is the solution; all sigmas "
-            "are those of the mixture about it."
-        )
+        said = f"{len(found.each)} minima from {began}: the lowest is the solution, sigmas are those of their mixture."
     table = _minima_table(found)
     return Section("minima", sentences=[said], tables=[table], numbers={
         "starts": found.starts, "lost": found.lost, "number": len(found.each),

@@ -1,4 +1,4 @@
-"""What a case holds and where it is weak, as text for the terminal; nothing is solved for it."""
+"""What a case holds, with warnings, as text for the terminal; nothing is solved for it."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -43,7 +43,7 @@ from mgsgraph.results.section import ROWS, Section, table_of
 from mgsgraph.results.tables import connectivity_table
 from mgsgraph.results.verdict import beyond_priors_statements, range_statements, reading_statements
 from mgsgraph.text import length, many, root_mean_square, some, some_of, span, two
-from mgsgraph.units import DEG, KM, MILLISECOND, MM, MRAD
+from mgsgraph.units import ARCSEC, DEG, KM, MILLISECOND, MM, MRAD
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
@@ -58,11 +58,11 @@ _MEDIAN_DEVIATION = 0.6745
 _NAMED = 5
 """How many of a kind are named."""
 _WARNINGS = 7
-"""Weak spots that are told without details."""
+"""Warnings that are printed without details."""
 
 
 def inventory(case: Case, details: bool = True) -> str:
-    """What a case holds and where it is weak, as text: weak spots and figures in a few lines, or with all tables."""
+    """What a case holds, as text: warnings and figures in a few lines, or with all tables."""
     network, weak = case.network, list[str]()
     try:
         prediction = predict(network, case.settings)
@@ -84,7 +84,7 @@ def inventory(case: Case, details: bool = True) -> str:
         said = [*_expected(network, prediction), *ranges, *link_statement(connected)]
         said += [*prior_statements(known), *remarks]
         weak = weak[:_WARNINGS] + ([f"{len(weak) - _WARNINGS} more: --details"] if len(weak) > _WARNINGS else [])
-        return _text([Section("", f"{head}\n", [f"WEAK: {one}" for one in weak] or ["No weak spots seen."]),
+        return _text([Section("", f"{head}\n", [f"Warning: {one}" for one in weak] or ["No warnings."]),
                       Section("", "", said)]).replace("\n\n", "\n")  # fmt: skip
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
@@ -95,7 +95,7 @@ def inventory(case: Case, details: bool = True) -> str:
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),
         Section("", sentences=_terrain(network, prediction.places)),
-        Section("", "Weak spots", weak or ["none seen"]),
+        Section("", "Warnings", weak or ["none"]),
     ])  # fmt: skip
 
 
@@ -122,7 +122,7 @@ def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
         fit = "; nominal residuals {} lines, {} samples rms".format(*map(two, root_mean_square(seen, 0).tolist()))
         yield (
             f"{mine.size} {one.name.lower()} points, expected median sigma {length(float(np.hypot(*sigmas[:2])))} "
-            f"horizontally, {length(float(sigmas[2]))} in height{fit if seen.size else ''}."
+            f"horizontal, {length(float(sigmas[2]))} vertical{fit if seen.size else ''}."
         )
 
 
@@ -224,7 +224,7 @@ def _unknowns_table(network: Network) -> Table:
         sigmas = one.prior.node_sigmas(np.zeros(len(one.nodes)))[0]
         rows.append((
             f"pass {one.name}, {len(one.nodes)} orientation images ({one.nodes.basis}) every {one.nodes.spacing:.3g} s",
-            some_of(names, one.images), f"{span(sigmas[:3])} m, {span(sigmas[3:] / MRAD)} mrad",
+            some_of(names, one.images), _stated(sigmas),
         ))  # fmt: skip
         rows += _mountings(one, names)
     for shared in network.shared:
@@ -232,7 +232,7 @@ def _unknowns_table(network: Network) -> Table:
         sigmas = shared.sigmas / scale
         rows.append((shared.name, some_of(names, shared.images), f"{', '.join(f'{one:.3g}' for one in sigmas)} {unit}"))
     for term in () if network.surface is None else network.surface.terms:
-        size = f"{term.sigma / MRAD:.3g} mrad" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
+        size = f"{term.sigma / ARCSEC:.3g} arcsec" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
         rows.append((term.name, "terrain model", size))
     what, of, known = ([row[k] for row in rows] for k in range(3))
     return table_of("unknowns", {
@@ -291,7 +291,12 @@ def _orientation(network: Network, j: int) -> str:
     owner, prior, held = int(network.pass_of[j]), network.priors[j], "held; " if network.held[j] else ""
     if owner >= 0:
         return f"{held}pass {network.passes[owner].name}"
-    return f"{held}degree {prior.degree}, sigma {span(prior.sigmas[0, :3])} m, {span(prior.sigmas[0, 3:] / MRAD)} mrad"
+    return f"{held}degree {prior.degree}, sigma {_stated(prior.sigmas[0])}"
+
+
+def _stated(sigmas: Array) -> str:
+    """Sigmas (6,) of positions in m and rotations in rad, in words."""
+    return f"{span(sigmas[:3])} m, {span(sigmas[3:] / ARCSEC)} arcsec"
 
 
 def _points(network: Network, prediction: Prediction) -> Section:

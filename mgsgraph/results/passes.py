@@ -16,7 +16,7 @@ from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.section import Section, table_of
-from mgsgraph.units import MGON
+from mgsgraph.units import ARCSEC
 
 _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
@@ -37,18 +37,18 @@ def passes_table(solution: Solution) -> Table:
 
 
 def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
-    unit, scale = ("mgon", MGON) if component in AXES[3:] else ("m", 1.0)
+    unit, scale = ("arcsec", ARCSEC) if component in AXES[3:] else ("m", 1.0)
     return {"part": part, "component": component, f"value_{unit}": value / scale, f"sigma_{unit}": sigma / scale}
 
 
 def nodes_table(solution: Solution) -> Table:
-    """One row per node within a pass: its time, and corrections with sigmas in m, mgon and arcsec."""
+    """One row per node within a pass: its time, and corrections with sigmas in m and arcsec."""
     found = [(one.name, one.corrections) for one in pass_reports(solution)]
     times = np.concatenate([series.times for _, series in found])
 
     def amounts(part: str) -> dict[str, Array]:
         of = np.concatenate([getattr(series, "values" if part == "correction" else "sigmas") for _, series in found])
-        return {f"{part}_{{}} m": of[:, :3], f"{part}_{{}} mgon": of[:, 3:], f"{part}_{{}} arcsec": of[:, 3:]}
+        return {f"{part}_{{}} m": of[:, :3],  f"{part}_{{}} arcsec": of[:, 3:]}
 
     return table_of("nodes", {
         "pass": [name for name, series in found for _ in range(series.times.size)],

@@ -288,7 +288,7 @@ def case_of(folder: str | Path) -> Path:
     Raises
     ------
     InputError
-        A folder that is no result, or doesn't know its case.
+        A folder that holds no results, or doesn't name its case.
     """
     path = Path(folder) / RECORD
     record = read_record(path) if path.exists() else {}

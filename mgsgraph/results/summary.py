@@ -1,4 +1,4 @@
-"""An adjustment in at most fifteen lines: the verdict first, then how good the points are, and what was not tested."""
+"""An adjustment in at most fifteen lines: the verdict, sigmas of the points, the fit, and what was not tested."""
 
 import math
 from collections.abc import Iterator
@@ -20,6 +20,8 @@ _FLAT = 5.0 * DEG
 """Convergence of rays below which heights are poorly known."""
 _UNKNOWN = 1.0 * KM
 """Median sigma of heights from which on no height is known: a body's relief is hardly larger."""
+_WORST = 2
+"""Possible errors that are named; --details names all."""
 _CAUTIOUS, _MANY = 0.5, 20
 """sigma0 below which, and degrees of freedom from which on, stated sigmas are too large."""
 _MOST_POINTS = 20_000
@@ -29,13 +31,13 @@ _MOST_POINTS = 20_000
 def summary(solution: Solution) -> list[str]:
     """Lines for the terminal."""
     found = verdict(solution)
-    said = [*reason_sentences(found.reasons), *_figures(solution), *_points(solution), *left_out(solution)]
+    said = [*reason_sentences(found.reasons), *_points(solution), *_figures(solution), *left_out(solution)]
     if solution.linearity is not None and not solution.linearity.linear:
         said += linearity_section(solution.linearity).sentences
     if solution.minima is not None and solution.minima.several:
-        said.append(f"SEVERAL MINIMA ({len(solution.minima.each)}): sigmas are those of their mixture.")
+        said.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
     said += laser_section(solution).sentences
-    said += tested_sentences(found, solution)
+    said += tested_sentences(found, solution, _WORST)
     steps = many(solution.iterations, "iteration")
     return [f"{short(solution.name, 60)}: {state_of(solution)} ({steps})", *(f"- {one}" for one in said)]
 
@@ -44,33 +46,32 @@ def _figures(solution: Solution) -> Iterator[str]:
     """Cost and sigma0; how many observations, and how they fit."""
     network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
-    remark = ""
-    if fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY:
-        remark = f" (residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are cautious)"
+    small = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
+    remark = f"; residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are conservative" if small else ""
     yield (
-        f"Cost {solution.cost_initial:.4g} -> {solution.cost_final:.4g}, {sigma0} with "
-        f"{many(fit.degrees_of_freedom, 'degree')} of freedom{remark}."
+        f"Fit: {sigma0} with {many(fit.degrees_of_freedom, 'degree')} of freedom, cost {solution.cost_initial:.4g} -> "
+        f"{solution.cost_final:.4g}{remark}."
     )
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
-    said = f"{many(len(network.images), 'image')}, {many(network.rays.point.size, 'image measurement')} "
-    said += f"(residuals {two(line)} lines, {two(sample)} samples rms)"
+    said = f"Residuals (rms): image points {two(line)} lines, {two(sample)} samples ({network.rays.point.size} in "
+    said += f"{many(len(network.images), 'image')})"
     if ranges.count:
-        said += f", {many(ranges.count, 'range')} (rms {two(ranges.rms_before)} -> {two(ranges.rms)} m)"
+        said += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
     yield f"{said}."
 
 
 def _points(solution: Solution) -> Iterator[str]:
-    """Median sigmas of each class of points, horizontally and in height, and how far it moved."""
+    """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
     for one, mine in solution.network.of_class():
         there = mine[solution.determined[mine]]
         if not there.size:
             continue
         sigmas = np.median(local_sigmas(solution.covariances[there], solution.places[there]), axis=0)
-        moved = root_mean_square(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1))
+        moved = float(np.median(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1)))
         level = float(np.hypot(*sigmas[:2]))
-        said = f"{one.name.capitalize()} points ({there.size}): median sigma {length(level)} horizontally, "
-        said += f"{length(float(sigmas[2]))} in height; moved by {length(moved)} rms."
+        said = f"{one.name.capitalize()} points ({there.size}): median sigma {length(level)} horizontal, "
+        said += f"{length(float(sigmas[2]))} vertical; median move {length(moved)}."
         yield said + (_geometry(solution.network, there, float(sigmas[2])) if one is PointClass.TIE else "")
 
 
@@ -81,4 +82,4 @@ def _geometry(network: Network, ties: Index, height_sigma: float) -> str:
     if not angles.size or float(np.median(angles)) >= _FLAT:
         return ""
     span = f"rays converge by {two(angles.min() / DEG)} to {two(angles.max() / DEG)} deg"
-    return f" NO HEIGHT IS KNOWN: {span}." if height_sigma > _UNKNOWN else f" Heights are weak: {span}."
+    return f" Heights are {'undetermined' if height_sigma > _UNKNOWN else 'poorly determined'}: {span}."

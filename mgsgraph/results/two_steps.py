@@ -20,7 +20,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
 from mgsgraph.text import many, short, some_of
-from mgsgraph.units import DEG, MGON
+from mgsgraph.units import ARCSEC, DEG
 
 
 def write_two_steps(
@@ -101,7 +101,7 @@ def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
     else:
         found.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
     if whole.points and not np.all(np.isfinite(whole.mean[:2])):
-        found.append("Nothing is known beforehand of some orientation: there is no a-priori sigma.")
+        found.append("Some orientation has no prior: there is no a-priori sigma.")
     if heights.count:
         found.append(
             f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them."
@@ -124,7 +124,7 @@ def _rejected(statistics: TwoStepStatistics) -> int:
 
 
 def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
-    """Everything but the single points, SI units but for mgon."""
+    """Everything but the single points, SI units but for arcsec."""
     steps = statistics.steps
     return {
         "name": steps.fitted.name,
@@ -171,7 +171,7 @@ def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
     found = [(f"point_sigma_mean_{axis}", "m", group.mean[:, k]) for k, axis in enumerate(POINT_AXES)]
     found += [(f"point_sigma_median_{axis}", "m", group.median[:, k]) for k, axis in enumerate(POINT_AXES)]
     for k, axis in enumerate(POSE_AXES):
-        unit, scale = ("m", 1.0) if k < 3 else ("mgon", MGON)
+        unit, scale = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
         found.append((f"pose_sigma_{axis}", unit, group.poses[:, k] / scale))
     return [*found, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
 

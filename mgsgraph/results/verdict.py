@@ -56,7 +56,7 @@ def verdict_section(solution: Solution) -> Section:
     """Reasons, what was not tested, and what could still hide."""
     found = verdict(solution)
     table = group_tests_table(found)
-    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution)]
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, None)]
     return Section("verdict", sentences=said, tables=[table], numbers={
         **record_of("verdict", found),
         "level": LEVEL,
@@ -88,7 +88,7 @@ def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
         of_cause.setdefault(one.cause, []).append(one)
     said = []
     for every in of_cause.values():
-        more = f" ({len(every) - 1} more like it.)" if len(every) > 1 else ""
+        more = f" ({len(every) - 1} more of this kind.)" if len(every) > 1 else ""
         said.append(_reason(every[0]) + more)
     return said
 
@@ -121,8 +121,8 @@ def _reason(one: Reason) -> str:
     }[one.cause]  # fmt: skip
 
 
-def tested_sentences(found: Verdict, solution: Solution) -> list[str]:
-    """What was tested, what was not, and what errors of inputs could hide."""
+def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> list[str]:
+    """What was tested, what was not, and what errors of inputs could hide, `most` of either kind."""
     if not found.groups:
         freedom = solution.fit.degrees_of_freedom
         return [f"Nothing was tested ({many(freedom, 'degree')} of freedom): sigmas rest on the stated ones alone."]
@@ -133,9 +133,9 @@ def tested_sentences(found: Verdict, solution: Solution) -> list[str]:
     factors = {one.name: one.hidden_factor(level, POWER) for one in found.groups if one.tested}
     hidden = [f"{name} ({two(factor)} times)" for name, factor in factors.items() if factor > _LOOSE]
     if hidden:
-        untested += f" Stated sigmas that may be too small unnoticed: {some(hidden, len(hidden))}."
-    said = f"{found.tests:,} tests{sample} (false alarms: {LEVEL:.1%} of good solutions).{untested}"
-    return [said, *hidden_sentences(found.undetected)]
+        untested += f" Stated sigmas that could be too small without detection: {some(hidden, len(hidden))}."
+    said = f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"
+    return [said, *hidden_sentences(found.undetected, most)]
 
 
 _OF_KIND = {
@@ -153,7 +153,7 @@ _LARGE = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
 """Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
 
 
-def hidden_sentences(found: Sequence[Undetected]) -> list[str]:
+def hidden_sentences(found: Sequence[Undetected], most: int | None) -> list[str]:
     """The errors of inputs that could move points most without being found; those that nothing tests."""
     worst, bare = list[Undetected](), list[Undetected]()
     for names in _OF_KIND.values():
@@ -163,17 +163,18 @@ def hidden_sentences(found: Sequence[Undetected]) -> list[str]:
             worst.append(max(tested, key=lambda one: one.effect_in_sigmas))
         harmful = [one for one in mine if not one.tested and one.in_sigmas * _LARGE[one.unit] > 1.0]
         bare += sorted(harmful, key=lambda one: -one.in_sigmas)[:1]
+    worst.sort(key=lambda one: -one.effect_in_sigmas)
     could = [
-        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} (moves points by {length(one.effect)}, "
-        f"{two(one.effect_in_sigmas)} sigmas)" for one in worst
+        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} ({length(one.effect)}, "
+        f"{two(one.effect_in_sigmas)} sigmas)" for one in worst[:most]
     ]  # fmt: skip
-    said = [f"Could still be wrong unnoticed: {'; '.join(could)}."] if could else []
-    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare]
-    said += [f"Nothing tests an error of {'; '.join(nothing)}."] if nothing else []
+    said = [f"Largest errors that could remain undetected (shift of the points): {'; '.join(could)}."] if could else []
+    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare[:most]]
+    said += [f"No test detects an error of: {'; '.join(nothing)}."] if nothing else []
     loose = max(found, key=lambda one: np.nan_to_num(one.effect_without_terrain, posinf=1e99, nan=-1.0))
     if loose.size_without_terrain > 0.0:
         said.append(
-            "Should the terrain's relief fit at a wrong place, larger errors could be unnoticed: "
+            "If the terrain's relief fits at a wrong position, larger errors could remain undetected: "
             f"{loose.what} of {loose.of} by {_amount(loose.size_without_terrain, loose.unit)} "
             f"({length(loose.effect_without_terrain)})."
         )
@@ -189,9 +190,9 @@ def _amount(size: float, unit: str) -> str:
 
 
 def _per_unit(one: Undetected) -> str:
-    """How far an error of one unit moves points."""
+    """By how much an error of one unit moves points."""
     factor, unit = {"rad": (ARCSEC, "arcsec"), "": (0.01, "%")}.get(one.unit, (1.0, one.unit))
-    return f"moves points by {two(one.moves * factor)} m per {unit}"
+    return f"{two(one.moves * factor)} m per {unit}"
 
 
 def linearity_section(found: Linearity | None) -> Section:
@@ -200,8 +201,8 @@ def linearity_section(found: Linearity | None) -> Section:
         return Section("linearity")
     drawn = f"(cost ratio {found.ratio:.3g} over {found.draws} samples of {found.unknowns} unknowns)"
     said = f"Linearity check passed {drawn}." if found.linear else (
-        f"NOT LINEAR {drawn}. Single sigmas may hold; joint statements on orientation and shifts by their covariance "
-        "don't. Use likelihood ratios and profiles: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
+        f"Linearity check failed {drawn}: single sigmas may hold, joint covariances of orientation and shifts don't. "
+        "Use likelihood intervals: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
     )
     return Section("linearity", sentences=[said], numbers=record_of("linearity", found))  # fmt: skip
 

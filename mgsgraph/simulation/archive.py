@@ -3,7 +3,7 @@
 Images lie side by side in a block or about the whole globe, with overlaps along and across the track; or in clusters
 about places that were looked at again and again. Every image is taken on an orbit of its own, a circle, with a
 correction of its own drawn from the prior. True orientation = nominal (+) correction, and measures are true image
-places plus noise, so that an adjustment with the stated sigmas has honest statistics.
+places plus noise, so that an adjustment with the stated sigmas has consistent statistics.
 """
 
 from dataclasses import dataclass, replace

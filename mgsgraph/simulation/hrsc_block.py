@@ -6,8 +6,9 @@ points matched automatically in three to five lines (and, where strips overlap, 
 trajectory (+) nodes drawn from the prior that the network states (bias, drift, Gauss-Markov departures), plus jitter,
 where asked for, of which the network knows nothing. Image rays are true ones plus noise of the stated sigma.
 
-With the truth on the adjustment's own nodes and without jitter and blunders an adjustment with these sigmas has honest
-statistics: neighbouring points share posts of the terrain model and so their error, which their sigmas count with.
+With the truth on the adjustment's own nodes and without jitter and blunders an adjustment with these sigmas has
+consistent statistics: neighbouring points share posts of the terrain model and so their error, which
+their sigmas count with.
 """
 
 from dataclasses import dataclass, field

@@ -3,7 +3,7 @@
 The orbit is a circle at MGS's mapping altitude, the camera is like MOC-NA without distortion. The nadir image turns
 with the orbit, the off-nadir one is held in inertial space, as MGS did it. The TRUE orientation is the nominal
 trajectory (+) a correction drawn from the stated prior; every observation is the true value plus noise drawn from the
-stated sigma, so that an adjustment with these sigmas has honest statistics.
+stated sigma, so that an adjustment with these sigmas has consistent statistics.
 """
 
 from dataclasses import dataclass, field, replace

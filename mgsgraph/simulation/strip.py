@@ -3,7 +3,7 @@
 Pair after pair lies further along the track, nadir image first, then one that looks aside from another orbit: image 0
 is nadir, 1 looks aside, 2 is nadir again. Two images of one track overlap, so every one is taken on another repeat of
 the orbit, sols apart, with tables and a correction of its own. TRUE orientation = nominal (+) a correction drawn from
-the prior; observations are true values plus noise of the stated sigmas, so an adjustment has honest statistics.
+the prior; observations are true values plus noise of the stated sigmas, so an adjustment has consistent statistics.
 
 Step k adds image k to images 0 .. k - 1. It brings new tie points, at random on ground that image k shares with
 any earlier one, with their measures in all of these; measures in image k of points known before; and from a nadir image

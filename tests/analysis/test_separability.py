@@ -19,9 +19,10 @@ from mgsgraph.analysis.separability import Inseparable, Verdict, column_names, i
 from mgsgraph.network import NodePrior, SharedKind
 from mgsgraph.results.passes import shared_section
 from mgsgraph.results.results import statements, write_results
+from mgsgraph.units import ARCSEC
 
-ALTITUDE = 380.0
-"""m on the ground per mrad."""
+ALTITUDE = 380e3 * ARCSEC
+"""m on the ground per arcsec."""
 
 
 def found(solution: Solution) -> dict[tuple[str, ...], Inseparable]:
@@ -38,7 +39,7 @@ def test_position_and_attitude_are_one_over_so_short_an_arc() -> None:
         assert one.coefficients[0] == 1.0
         assert one.coefficients[1] == pytest.approx(ALTITUDE, rel=0.01)
         assert one.sigma < 0.05 * one.quantities[0].sigma
-        assert one.quantities[1].unit == "mrad"
+        assert one.quantities[1].unit == "arcsec"
         by_parts = [part.sigma for part in one.quantities] * one.coefficients
         variance = by_parts @ np.array([[1.0, one.correlation], [one.correlation, 1.0]]) @ by_parts
         assert one.sigma == pytest.approx(np.sqrt(variance), rel=1e-6)  # of the mixture, by error propagation
@@ -172,8 +173,8 @@ def test_files_have_a_row_for_each_component(tmp_path: Path) -> None:
     assert [row["kind"] for row in rows] == [str(kind) for kind in SharedKind for _ in range(kind.width)]
     assert [row["axis"] for row in rows[2:5]] == ["x", "y", "z"]
     assert float(rows[0]["value"]) == solution.shared[0][0]
-    assert float(rows[3]["value"]) == pytest.approx(solution.shared[2][1] * 1e3, rel=1e-12)
-    assert float(rows[3]["prior_sigma"]) == pytest.approx(0.1)
+    assert float(rows[3]["value"]) == pytest.approx(solution.shared[2][1] / ARCSEC, rel=1e-12)
+    assert float(rows[3]["prior_sigma"]) * ARCSEC == pytest.approx(1e-4)
     record = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))
-    assert record["shared"][3]["value_mrad"] == pytest.approx(float(rows[3]["value"]))
+    assert record["shared"][3]["value_arcsec"] == pytest.approx(float(rows[3]["value"]))
     assert record["shared"][-1]["ground_m_per_m"] is None

@@ -137,7 +137,7 @@ def test_ratio_is_the_sigma_of_the_direction() -> None:
         assert direction.ratio == pytest.approx(np.sqrt(variance), rel=1e-9)
         assert np.linalg.norm(direction.direction) == pytest.approx(1.0)
         assert 0.9 < sum(part.share for part in direction.parts) < 1.0 + 1e-9
-        assert re.search(r": one sigma is [\d.e-]+ (m|mrad)", direction.sentence)
+        assert re.search(r": one sigma is [\d.e-]+ (m|arcsec)", direction.sentence)
 
 
 def test_weakest_comes_first_and_equals_are_as_weak_to_one_percent() -> None:

@@ -120,7 +120,7 @@ def test_height_and_tilt_may_be_unknown_and_are_said(case_file: Path) -> None:
     np.testing.assert_allclose(place, middle_of(path).mean(axis=0), atol=1e-3)
     text = inventory(mgsgraph.read_case(path))
     assert re.search(r"upward shift +terrain model +30 m", text)
-    assert re.search(r"tilt about north +terrain model +0.1 mrad", text)
+    assert re.search(r"tilt about north +terrain model +20.6 arcsec", text)
     assert "leaves out" not in text
 
 

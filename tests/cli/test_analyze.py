@@ -45,7 +45,7 @@ def test_the_summary_says_what_is_wrong_and_what_is_weak(result: Path, tmp_path:
     assert len(said_by("analyze", result).splitlines()) <= 10
     assert "Stated sigmas against residuals" in said_by("analyze", result, "--details")
     record = json.loads((tmp_path / "analysis" / "analysis.json").read_text(encoding="utf-8"))
-    assert {"unexplained", "honesty", "reliability", "weak"} <= set(record)
+    assert {"unexplained", "consistency", "reliability", "weak"} <= set(record)
     tested = (tmp_path / "analysis" / "unexplained.csv").read_text(encoding="utf-8").splitlines()
     assert len(tested) == 1 + len(record["unexplained"][0]["effects"]) > 1
     redundancy = record["reliability"][0]["redundancy"]

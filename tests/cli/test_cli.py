@@ -93,7 +93,7 @@ def test_check_tells_what_is_there(case_file: Path, tmp_path: Path) -> None:
     assert len(run("check", case_file, cwd=tmp_path).stdout.splitlines()) <= 15
     done = run("check", case_file, "--details", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Weak spots"):
+    for said in ("SIM/A", "SIM/B", "8 laser ranges", "Connections", "Warnings"):
         assert said in done.stdout
     assert re.findall(r"^  (tie|laser) +(\d+)", done.stdout, re.MULTILINE) == [("tie", "20"), ("laser", "8")]
     assert sorted(path.name for path in case_file.parent.iterdir()) == before
@@ -130,12 +130,12 @@ def test_a_datum_that_nothing_holds_is_named(case_file: Path, tmp_path: Path) ->
     )
     case_file.write_text(text, encoding="utf-8")
     done = run("adjust", case_file, "--out", tmp_path / "result", "--no-laser")
-    refused(done, "too weak")
+    refused(done, "underdetermined")
     assert "SIM/" in done.stderr
     assert not (tmp_path / "result").exists()
     done = run("check", case_file, "--no-laser")
     assert done.returncode == 0, done.stderr
-    assert "too weak to solve" in done.stdout
+    assert "underdetermined" in done.stdout
 
 
 @pytest.mark.program("bash")

@@ -192,7 +192,7 @@ def test_images_of_two_missions_have_their_own_sigmas(case_file: Path, tmp_path:
         np.testing.assert_allclose(prior.sigmas[0], documented(mission), rtol=1e-12)
     said = run("check", out).stdout
     assert "orbit 63 m" in said
-    assert "pointing 0.44 mrad" in said
+    assert "pointing 90.8 arcsec" in said
 
 
 SLOW = pytest.mark.slow

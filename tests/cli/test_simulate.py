@@ -124,14 +124,6 @@ def test_results_can_be_registered_and_replaced(
     assert not list(out.glob("*.png"))
 
 
-@pytest.mark.slow
-def test_the_pair(tmp_path: Path) -> None:
-    done = run("demo", "pair", "--out", tmp_path / "demo", "--no-figures", "--seed", "2")
-    assert done.returncode == 0, done.stderr
-    assert "Truth, orientation: NEES" in done.stdout
-    assert (tmp_path / "demo" / "inputs" / "lidar.json").is_file()
-
-
 def test_simulate_gives_the_same_bytes_for_the_same_seed(tmp_path: Path) -> None:
     for name, seed in (("one", 4), ("two", 4), ("three", 5)):
         done = run("simulate", "pair", "--out", tmp_path / name, "--seed", str(seed), "--no-pictures")

@@ -12,7 +12,7 @@ from mgsgraph.files.output.table import NONE, Column, Table, fixed, quoted
 from mgsgraph.files.place_table import PlaceTable, Sort, read_places
 from mgsgraph.geometry.body import geodetic, planetocentric
 from mgsgraph.simulation.orbit import MARS
-from mgsgraph.units import DEG, MGON
+from mgsgraph.units import ARCSEC, DEG
 
 # --- tables of places, read
 
@@ -133,7 +133,7 @@ def test_columns_and_rows_are_picked() -> None:
 
 
 def test_units_leave_si_at_this_edge() -> None:
-    assert Column("turn", np.array([2.0 * MGON]), "mgon").scaled[0] == 2.0
+    assert Column("turn", np.array([2.0 * ARCSEC]), "arcsec").scaled[0] == 2.0
     assert Column("turn", np.array([2.0]), "deg", scale=1.0).scaled[0] == 2.0
 
 

@@ -115,10 +115,8 @@ def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None
         assert float(row["time_et_s"]) == nodes.times[k] + nodes.epoch
         size = np.linalg.norm([float(row[f"correction_{name}_m"]) for name in ("along", "across", "radial")])
         assert size == pytest.approx(np.linalg.norm(solution.nodes[0][k, :3]))
-        turn = np.linalg.norm([float(row[f"correction_{name}_mgon"]) for name in ("roll", "pitch", "yaw")])
-        assert turn * MGON == pytest.approx(np.linalg.norm(solution.nodes[0][k, 3:]))
-        for part in ("correction", "sigma"):
-            assert float(row[f"{part}_yaw_arcsec"]) * ARCSEC == pytest.approx(float(row[f"{part}_yaw_mgon"]) * MGON)
+        turn = np.linalg.norm([float(row[f"correction_{name}_arcsec"]) for name in ("roll", "pitch", "yaw")])
+        assert turn * ARCSEC == pytest.approx(np.linalg.norm(solution.nodes[0][k, 3:]))
         assert min(float(row[name]) for name in row if name.startswith("sigma")) > 0.0
 
 
@@ -166,14 +164,14 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     assert call("adjust", path, "--out", tmp_path / "out", "--details") == 0
     said = capsys.readouterr().out
     assert re.search(rf"^  HRSC/01 +{nodes} ", said, re.MULTILINE)
-    assert " are 50 m in position and 0.442 mrad in rotation" in said  # 28 and 3 mgon together
+    assert "(50 m, 91.2 arcsec)" in said  # 28 and 3 mgon together
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"passes.csv", "passes.png"} <= names
     assert not any(name.startswith("orientation") and name.endswith("png") for name in names)
     strip = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))["passes"][0]
     assert (strip["images"][0], strip["trend"][3]["component"]) == ("HRSC/00/S1", "rotation x")
     trend = read_solution(tmp_path / "out").trends[0]
-    assert strip["trend"][3]["value_mgon"] * MGON == pytest.approx(trend[3])
+    assert strip["trend"][3]["value_arcsec"] * ARCSEC == pytest.approx(trend[3])
 
 
 # --- figures of merit of two steps
@@ -336,7 +334,7 @@ def test_files(which: str, tmp_path: Path) -> None:
         row for row in rows_of(out / "two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
     )
     assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
-    assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / MGON)
+    assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / ARCSEC)
     used = np.array([float(row["height_step_2_m"]) for row in rows_of(out / "heights.csv") if row["used"] == "true"])
     assert np.sqrt(np.mean(used**2)) == pytest.approx(found.whole.heights.rms[2])
     write_two_steps(found, out, figures=False)  # an earlier result is replaced, by an adjustment in one step, too

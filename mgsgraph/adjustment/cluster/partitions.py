@@ -1,7 +1,7 @@
 """One adjustment over a cluster: its points lie in partitions on the workers, which do every sweep.
 
 A partition goes to its worker once; after that only what changes: which rows take part, and the constants of rows that
-are laid out anew. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
+are rebuilt. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
 found of the partition comes back. A worker that goes ends the adjustment, which takes minutes: it is begun again. Sums
 are made in the order of the partitions, so that a cost is repeatable.
 """

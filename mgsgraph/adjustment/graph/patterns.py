@@ -246,8 +246,8 @@ def counted(number, count):
 def sort_points(
     network: Network, terms: Terms, stereo: StereoRows | None
 ) -> tuple[Patterns, NDArray[np.int32]]:
-    """Find the patterns of a network's points, told apart by 64-bit signatures of what they see; and (k,) the index of
-    each ray among its point's observations.
+    """Find the patterns of a network's points, distinguished by 64-bit signatures of what they see; and (k,) the index
+    of each ray among its point's observations.
     """
     rays, ranges, n = network.rays, network.ranges, len(network.points)
     of_rays = by_point(rays.point, rays.image, terms.of_rays, n)

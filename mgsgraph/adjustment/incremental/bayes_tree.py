@@ -93,7 +93,7 @@ def _solvable(what: str) -> Iterator[None]:
 
 
 TOGETHER = ("node", "trend")
-"""Kinds of unknowns that are known beforehand together: those of passes."""
+"""Kinds of unknowns with joint priors: those of passes."""
 
 
 class PriorRows:
@@ -138,7 +138,7 @@ class Tree:
         rows: Iterable[PriorRows] | None = None,
     ) -> None:
         """Put unknowns (with a-priori sigmas (d,)) and systems in, take others out; a system whose members are there
-        replaces the one that was. `rows` are all that is known beforehand of the unknowns of passes, whose sigmas are
+        replaces the one that was. `rows` are all priors of the unknowns of passes, whose sigmas are
         mere units; None leaves them as they are.
 
         Raises SolverError when the sum can't be eliminated; the tree is of no use after that.

@@ -245,7 +245,7 @@ class Engine:
 
     def _relinearize(self) -> tuple[int, set[Members], bool]:
         """Make systems anew until all unknowns lie within their slack: how often the tree was changed, which systems
-        were made, and whether it came to rest.
+        were made, and whether it converged.
         """
         others = set[Members]()
         for updates in range(1, _MOST_UPDATES + 1):
@@ -357,7 +357,7 @@ class Engine:
         self._changing = {}
 
     def _laid_out(self, members: Members) -> Sweep:
-        """The sweep of a bundle; laid out anew when it isn't at hand any longer."""
+        """The sweep of a bundle; rebuilt when it isn't at hand any longer."""
         if members in self._changing:
             return self._changing[members]
         if (sweep := self._sweeps.get(members)) is None:

@@ -130,9 +130,7 @@ class Impact(Record):
         if self.lost:
             which = " that no other image saw" if self.subjects else ""
             said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
-        if not self.converged:
-            said.append("It did not come to rest; solve the project anew.")
-        return said
+        return [*said, *([] if self.converged else ["It did not converge; solve the project."])]
 
     def _of_images(self) -> list[str]:
         images, old = self.images, ~self.images.new
@@ -177,7 +175,7 @@ class Impact(Record):
             Column("image", images.names, page="s", text=f"<{_NAME}"),
             Column("moved", moved, "sigmas", page="s", text=">8", gap=2),
             column("position", np.linalg.norm(images.moves[:, :3], axis=1), "m"),
-            column("pointing", np.linalg.norm(images.moves[:, 3:], axis=1), "mrad"),
+            column("pointing", np.linalg.norm(images.moves[:, 3:], axis=1), "arcsec"),
             column("ground", images.on_ground, "m"),
             column("sigma before", np.where(images.new, np.nan, images.ground_before), "m", 13),
             column("after", images.ground_after, "m"),
@@ -231,7 +229,7 @@ def impact(
     verb, subjects
         What was done with which images.
     settled : Settled
-        How the change came to rest, and where the points are now.
+        How the change converged, and where the points are now.
     old : mapping
         The bundles changed and reached, as they were.
     before, after : mapping

@@ -52,7 +52,7 @@ from mgsgraph.network.parts import (
     with_images,
 )
 from mgsgraph.record import Record, card
-from mgsgraph.units import MRAD
+from mgsgraph.units import ARCSEC
 from mgsgraph.workers import no_progress
 
 if TYPE_CHECKING:
@@ -97,13 +97,13 @@ class IncrementalAdjustment(Record):
 
     def _repr_html_(self) -> str:
         """For notebooks: each image with the sigmas of its constant term."""
-        rows = [("image", "position", "pointing"), ("", "m", "mrad")]
+        rows = [("image", "position", "pointing"), ("", "m", "arcsec")]
         for name in self.images:
             if (one := self._engine.shared.get(Unknown("image", name))) is None:
                 rows.append((name, "held", "held"))
                 continue
             position, pointing = (float(np.linalg.norm(part)) for part in np.split(one.sigmas[:6], 2))
-            rows.append((name, f"{position:.3g}", f"{pointing / MRAD:.3g}"))
+            rows.append((name, f"{position:.3g}", f"{pointing / ARCSEC:.3g}"))
         return card(repr(self), ["Sigmas of the images' position and pointing, as they were last looked at."], rows, 2)
 
     # --- what may be asked

@@ -81,8 +81,8 @@ def slack(network: Network, settings: SolverSettings, motion: Array, spread: Arr
 
 
 def about(network: Network) -> Network:
-    """A network with the orientation images alone that its rays and ranges are about, and one more on either side, of
-    which nothing is known beforehand: what is eliminated of its points knows nothing of that.
+    """A network with the orientation images alone that its rays and ranges are about, and one more on either side,
+    without priors: the eliminated system of its points holds none.
     """
     if not network.passes:
         return network

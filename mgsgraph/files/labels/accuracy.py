@@ -8,6 +8,8 @@ it. References: docs/case_file.md.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from mgsgraph.units import ARCSEC, MRAD
+
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
@@ -43,8 +45,9 @@ class Accuracy:
 
 
 def sigmas_in_words(orbit: Sequence[float], pointing: Sequence[float], after: tuple[str, str] = ("", "")) -> str:
-    """Sigmas in m and mrad, each with a word after it."""
-    return f"orbit {numbers(orbit)} m{after[0]}, pointing {numbers(pointing)} mrad{after[1]}"
+    """Sigmas in m and mrad, the latter as arcsec, each with a word after it."""
+    arcsec = [float(f"{angle * MRAD / ARCSEC:.3g}") for angle in pointing]
+    return f"orbit {numbers(orbit)} m{after[0]}, pointing {numbers(arcsec)} arcsec{after[1]}"
 
 
 def numbers(values: Sequence[float]) -> str:

@@ -12,7 +12,7 @@ Source: StereoPipeline, docs, "Plain text match files".
 
 Matches of pairs are joined to points of many images as VisionWorkbench does it (src/vw/BundleAdjustment:
 ControlNetworkLoader.cc, build_control_network; CameraRelation.cc, write_controlnetwork): places of an image are one
-where column and row are equal to the last bit; what hangs together by matches is one point; a point that comes by an
+where column and row are equal to the last bit; what matches connect is one point; a point that comes by an
 image twice, at two places, is dropped.
 
 Files are called PREFIX-IMAGE1__IMAGE2.match; images go by their files' names without folder and ending. Sources:
@@ -159,7 +159,7 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
     Raises
     ------
     InputError
-        If there is no such point, or images can't be told apart by their files' names.
+        If there is no such point, or two images have files of one name.
     """
     measures = measures_of(network, {PointType.FREE}, least=2)
     if not measures.points:
@@ -356,7 +356,7 @@ def _heads(head: str, prefix: str | None, known: bool) -> list[str]:
 
 
 def require_distinct(images: Collection[str]) -> None:
-    """Raise InputError where images can't be told apart by their names in match files."""
+    """Raise InputError where two images have one name in match files."""
     stems = dict[str, str]()
     for image in images:
         name = stem(image)

@@ -25,7 +25,7 @@ from mgsgraph.files.writing import record_text
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.text import cell, many, short
-from mgsgraph.units import ARCSEC, DEG, KM, MGON, MRAD
+from mgsgraph.units import ARCSEC, DEG, KM
 
 _CHUNK = 2_000
 """Rows written at a time: so few that they stay in the cache."""
@@ -117,10 +117,10 @@ def quoted(text: str) -> str:
 
 NONE = "–"
 """What stands on the page for a number that is not known."""
-_UNITS = {"deg": DEG, "arcsec": ARCSEC, "mgon": MGON, "mrad": MRAD, "km": KM, "km2": KM**2, "percent": 0.01}
+_UNITS = {"deg": DEG, "arcsec": ARCSEC, "km": KM, "km2": KM**2, "percent": 0.01}
 """SI units in one of each; of any other unit it is one."""
 _SIGNS = {"percent": "%"}
-"""What stands in headings for a unit that files spell out."""
+"""Headings' sign of a unit that files spell out."""
 _WIDEST = 64
 """Characters of a word in aligned text that are never cut."""
 _LAYOUT = re.compile(r"([<>])([+]?)(\d*)(\.\d+[a-z]|d|g)?")

@@ -52,7 +52,7 @@ def ortho_tiles(
 ) -> Iterator[tuple[int, int, NDArray[np.uint8]]]:
     """A picture, with its adjusted orientation, on the pixels of a map, tile after tile.
 
-    `ground` is that known beforehand, of the same body, and `grid` of the same projection as the model's map. Yields
+    `ground` is the a-priori one, of the same body, and `grid` of the same projection as the model's map. Yields
     the first row and column of a tile and its grey values (rows, columns): 1 .. 255 between the picture's levels, 0
     where the model has no height or the picture no pixel.
     """

@@ -45,7 +45,7 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
         panel.set_axis_off()
     sheet.legend([
         Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalised residuals"),
-        Line2D([], [], color=INK, lw=1.0, label="honest sigmas, normal errors"),
+        Line2D([], [], color=INK, lw=1.0, label="consistent sigmas, normal errors"),
         Patch(color=SOFT, alpha=0.3, lw=0.0, label="pointwise 95% band"),
     ])  # fmt: skip
     return sheet

@@ -15,7 +15,7 @@ from mgsgraph.analysis.statistics import node_times, strip_corrections
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
 from mgsgraph.text import many
-from mgsgraph.units import ARCSEC, MGON
+from mgsgraph.units import ARCSEC
 
 _PLACES, _FEWEST, _PER_INTERVAL = 800, 3, 6
 """Places along all curves together; of each at least, and between two nodes."""
@@ -24,7 +24,7 @@ _NAMED = 12
 _MARK = 3.0
 """pt of a node's mark."""
 _IMAGES = ("X (m)", "Y (m)", "Z (m)", "about x\n(arcsec)", "about y\n(arcsec)", "about z\n(arcsec)")
-_PASSES = ("along (m)", "across (m)", "radial (m)", "roll (mgon)", "pitch (mgon)", "yaw (mgon)")
+_PASSES = ("along (m)", "across (m)", "radial (m)", "roll (arcsec)", "pitch (arcsec)", "yaw (arcsec)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,12 +79,12 @@ def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
 
 
 def pass_curve(solution: Solution, strip: int, curves: int = 1) -> Curve:
-    """Corrections along, across and radially in m, of roll, pitch and yaw in mgon."""
+    """Corrections along, across and radially in m, of roll, pitch and yaw in arcsec."""
     one, nodes = solution.network.passes[strip], node_times(solution, strip)
     start, stop = np.array(one.nodes.coverage) + one.nodes.epoch
     times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
     along, at_nodes = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
-    units, middle = np.repeat([1.0, MGON], 3), int(solution.network.first_of_passes[strip]) + len(one.nodes) // 2
+    units, middle = np.repeat([1.0, ARCSEC], 3), int(solution.network.first_of_passes[strip]) + len(one.nodes) // 2
     return Curve(
         one.name, (times - start) / (stop - start), along.values / units, along.sigmas / units,
         largest_correlation(solution.joint_covariance.block(middle, middle)),
@@ -122,7 +122,7 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
     heights = np.concatenate([one.node_values for one in curves])
     sheet = new_sheet(
         name, 11.0 if count > 4 or dots.size else 7.2, 8.4, "Corrections of the exterior orientation",
-        _caption(head, curves, rows),
+        _caption(head, curves),
     )  # fmt: skip
     grid = sheet.panels(6, 1, sharex="col")[:, 0]
     for n, panel in enumerate(grid):
@@ -151,15 +151,14 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
     return sheet
 
 
-def _caption(head: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
+def _caption(head: str, curves: Sequence[Curve]) -> str:
     """What one sees, with figures."""
     (shift, turn), (spread, twist) = (
         np.max([np.abs(getattr(one, part)).max(axis=0).reshape(2, 3).max(axis=1) for one in curves], axis=0).tolist()
         for part in ("values", "sigmas")
     )
-    unit = "mgon" if rows is _PASSES else "arcsec"
     return (
-        f"{head}: positions moved by up to {number(shift)} m, attitudes turned by up to {number(turn)} {unit}; sigmas "
-        f"reach {number(spread)} m and {number(twist)} {unit}. Position and rotation correlate by up to "
+        f"{head}: positions moved by up to {number(shift)} m, attitudes rotated by up to {number(turn)} arcsec; sigmas "
+        f"reach {number(spread)} m and {number(twist)} arcsec. Position and rotation correlate by up to "
         f"{max(one.coupling for one in curves):.3f}."
     )

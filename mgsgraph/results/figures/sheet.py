@@ -42,7 +42,7 @@ LIGHT = "#56B4E9"
 """In place of AFTER on images, where that dark blue can't be seen."""
 CLASS_COLOUR = {PointClass.TIE: "#0072B2", PointClass.LASER: "#D55E00", PointClass.CONTROL: "#009E73",
                 PointClass.POST: "#CC79A7"}  # fmt: skip
-"""Okabe & Ito's palette, which colour-blind readers can tell apart; each class has a marker of its own as well."""
+"""Okabe & Ito's palette, which color-blind readers distinguish; each class has a marker of its own as well."""
 CLASS_MARKER = {PointClass.TIE: "o", PointClass.LASER: "^", PointClass.CONTROL: "s", PointClass.POST: "D"}
 CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", PointClass.CONTROL: "control points",
               PointClass.POST: "posts of terrain models"}  # fmt: skip

@@ -33,7 +33,7 @@ from mgsgraph.simulation.pair import SimulatedPair, simulate_pair
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site, simulate_three_sites
 from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.simulation.strip import StripSettings, simulate_strip
-from mgsgraph.text import root_mean_square
+from mgsgraph.text import length, listed, root_mean_square, two
 from mgsgraph.workers import Progress, Stages, no_progress
 
 
@@ -49,8 +49,10 @@ class PointErrors(NamedTuple):
     """m, of the a-priori positions."""
     rms_after: float
     """m, of the adjusted ones."""
+    predicted: float
+    """m, the same by the stated sigmas."""
     nees: float
-    """Mean normalised estimation error squared per degree of freedom; 1 where the stated sigmas are honest."""
+    """Mean normalised estimation error squared per degree of freedom; 1 where the stated sigmas are consistent."""
 
 
 def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: PointClass) -> PointErrors | None:
@@ -60,34 +62,30 @@ def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: Po
         return None
     true = np.array([truth[solution.network.points.ids[i]] for i in members])
     before, after = solution.places_before[members] - true, solution.places[members] - true
-    mean = float(nees(after, solution.covariances[members]).mean() / 3.0)
-    return PointErrors(rms_length(before), rms_length(after), mean)
+    covariances = solution.covariances[members]
+    predicted = float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean()))
+    return PointErrors(rms_length(before), rms_length(after), predicted, float(nees(after, covariances).mean() / 3.0))
 
 
 def point_statements(solution: Solution, truth: Mapping[str, Array]) -> list[str]:
-    """A sentence with the errors of tie points, and one with those of laser points."""
+    """A sentence with the errors of tie points and laser points, and one with their stated sigmas against these."""
     classes = (PointClass.TIE, PointClass.LASER)
     found = [(one.name.lower(), errors) for one in classes if (errors := point_errors(solution, truth, one))]
+    sizes = [f"{name} points {length(one.rms_before)} before, {length(one.rms_after)} after (predicted "
+             f"{two(one.predicted)})" for name, one in found]  # fmt: skip
+    ratios = [f"{one.nees:.2f} of {name} points" for name, one in found]
     return [
-        f"Truth, {name} points: error {errors.rms_before:.1f} m rms before, {errors.rms_after:.1f} m after; mean NEES "
-        f"per degree of freedom {errors.nees:.2f} (1 if the stated sigmas are honest; all points share one "
-        "orientation, so one draw scatters)."
-        for name, errors in found
+        f"Absolute error: {'; '.join(sizes)}.",
+        f"Stated sigmas: NEES per degree of freedom {listed(ratios)} (1: consistent; one draw scatters).",
     ]
 
 
 def pair_statements(solution: Solution, pair: SimulatedPair) -> list[str]:
-    """Sentences with the true errors of points and orientation before and after the adjustment."""
+    """Sentences with the true errors of points before and after the adjustment."""
     truth = dict(zip(pair.ties.ids, pair.true_ties, strict=True)) | dict(
         zip(pair.laser.ids, pair.true_footprints, strict=True)
     )
-    estimates = zip(solution.coefficients, pair.true_corrections, strict=True)
-    errors = np.concatenate([(estimate - true.coefficients).ravel() for estimate, true in estimates])
-    whitened = nees(errors[None], solution.joint_covariance.of(range(len(solution.coefficients)))[None])[0]
-    return [
-        *point_statements(solution, truth),
-        f"Truth, orientation: NEES {whitened:.1f} for {errors.size} coefficients (expected {errors.size}).",
-    ]
+    return point_statements(solution, truth)
 
 
 def rms_length(errors: Array) -> float:
@@ -131,7 +129,7 @@ class Disagreement:
     @property
     def rms(self) -> float:
         """m, of the distances on the ground."""
-        return root_mean_square(np.linalg.norm(self.found.metres, axis=1))
+        return rms_length(self.found.metres)
 
 
 def disagreements(
@@ -193,7 +191,7 @@ def overall(found: Sequence[Disagreement], state: str) -> tuple[float, float]:
     metres = np.concatenate([one.found.metres for one in mine])
     counts = np.array([one.found.shots.size for one in mine])
     squares = np.array([np.sum(one.sigmas**2) for one in mine])
-    return root_mean_square(np.linalg.norm(metres, axis=1)), float(np.sqrt(np.average(squares, weights=counts)))
+    return rms_length(metres), float(np.sqrt(np.average(squares, weights=counts)))
 
 
 def disagreement_table(found: Sequence[Disagreement]) -> Table:

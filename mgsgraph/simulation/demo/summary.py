@@ -1,8 +1,6 @@
-"""What a demo has shown: one sentence, tables, and more sentences; the same as summary.json. Sigmas are predicted ones,
-for sigma0 = 1.
-"""
+"""What a demo has shown: sentences and tables; the same as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,18 +34,22 @@ from mgsgraph.simulation.demo.demonstration import (
     pair_statements,
     point_errors,
     point_statements,
+    rms_length,
     true_points,
 )
 from mgsgraph.simulation.ground import grid_shift
 from mgsgraph.simulation.mgs_files import grid_file
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions
-from mgsgraph.units import ARCMIN, ARCSEC
+from mgsgraph.text import two
+from mgsgraph.units import ARCSEC
 from mgsgraph.workers import Stages
 
 SUMMARY = "summary.json"
 """File of the demo's figures."""
 FORMAT = 2
 """Version of its layout."""
+_ERRORS = "rms_before_m", "rms_after_m", "predicted_m", "nees_per_freedom"
+"""Members of `PointErrors` there."""
 
 
 def write_demo(
@@ -59,9 +61,9 @@ def write_demo(
     stages: Stages,
     figures: bool = True,
     relief: bool = True,
-) -> tuple[Solution, list[str]]:
+) -> tuple[Solution, list[str], list[str]]:
     """Run the demo of a study site, or of the pair, with all products in a folder that exists: inputs in a folder of
-    their own, tables, figures and summary.json. Returns the solution and the closing lines.
+    their own, tables, figures and summary.json. Returns the solution, the tables' lines and the sentences.
     """
     inputs = folder / INPUTS
     if site == PAIR:
@@ -69,7 +71,7 @@ def write_demo(
         with stages.stage(DRAWING):
             write_into(solution, folder, figures)
         _write_record(folder)
-        return solution, _as_list(pair_statements(solution, pair))
+        return solution, [], pair_statements(solution, pair)
     demo = demonstrate(site, inputs, seed, options, adjusting, stages, relief)
     with stages.stage(DRAWING):
         if isinstance(demo.relief, ReliefRegistration):
@@ -80,7 +82,8 @@ def write_demo(
         disagreement_table(demo.disagreements).write_csv(folder / "disagreement.csv")
     write_json(folder / SUMMARY, summary_json(demo))
     _write_record(folder)
-    return demo.solution, closing_lines(demo)
+    lines = [line for table in tables(demo) for line in (table.title, *table.text(indent=2), "")]
+    return demo.solution, lines, demo_statements(demo)
 
 
 def _write_record(folder: Path) -> None:
@@ -89,36 +92,24 @@ def _write_record(folder: Path) -> None:
     write_json(folder / DEMO, {"program": PROGRAM, "format": FORMAT, "files": files})
 
 
-def closing_lines(demo: Demonstration) -> list[str]:
-    """What is printed: the sentence that says it all, tables, and sentences."""
-    lines = [headline(demo), ""]
-    for table in tables(demo):
-        lines += [table.title, *table.text(indent=2), ""]
-    return lines + _as_list(demo_statements(demo)[1:])
-
-
-def _as_list(sentences: Sequence[str]) -> list[str]:
-    return [f"- {sentence}" for sentence in sentences]
-
-
 # --- tables
 
 
 def tables(demo: Demonstration) -> tuple[Table, ...]:
-    """What was put in; disagreements of MOLA and MOC; and of all shifts, true and found."""
-    return put_in_table(demo.simulated), disagreement_table(demo.disagreements), shifts_table(demo)
+    """Injected errors; disagreements of MOLA and MOC; and of all shifts, true and found."""
+    return injected_table(demo.simulated), disagreement_table(demo.disagreements), shifts_table(demo)
 
 
-def put_in_table(simulated: SimulatedSite) -> Table:
+def injected_table(simulated: SimulatedSite) -> Table:
     """The errors of the kernels of each image (in its middle), and of the profile along with it."""
     images = simulated.images
     errors = [image.errors for image in images]
-    return Table("put_in", "Put in: errors of the kernels in the middle of each image, and of its profile", (
+    return Table("injected", "Injected: errors of the kernels in the middle of each image, and of its profile", (
         Column("image", [image.true.name for image in images], text="<10"),
         Column("position_{}", np.array([one.position[0] for one in errors]), "m", "of the SPK",
                ("radial", "along", "across"), label="position (m)", text=">+7.1f"),
-        Column("{}", np.array([one.rotation[0] / ARCMIN for one in errors]), "arcmin", "of the CK",
-               ("roll", "pitch", "yaw"), label="attitude (arcmin)", text=">+6.2f", gap=2),
+        Column("{}", np.array([one.rotation[0] / ARCSEC for one in errors]), "arcsec", "of the CK",
+               ("roll", "pitch", "yaw"), label="attitude (arcsec)", text=">+7.1f", gap=2),
         Column("attitude_time_bias", np.array([one.attitude_time_bias for one in errors]), "s", "of the CK",
                label="CK (s)", text=">6.2f", gap=2),
         Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
@@ -147,22 +138,27 @@ def shifts_table(demo: Demonstration) -> Table:
 
 
 def headline(demo: Demonstration) -> str:
-    """By how much MOLA and MOC disagreed, and do now."""
+    """By how much MOLA and MOC disagree before and after, with the predictions."""
     apart = demo.disagreements
     (before, _), (ties, of_ties) = overall(apart, KERNELS), overall(apart, TIES)
     text = (
-        f"MOLA and MOC disagreed by {before:.0f} m with the orientation of the kernels, and by {ties:.0f} m (predicted "
-        f"{of_ties:.0f}) after an adjustment of tie points and ranges"
+        f"MOLA against MOC: {before:.0f} m by the kernels, {ties:.0f} m (predicted {of_ties:.0f}) with tie points and "
+        "ranges"
     )
     if isinstance(demo.relief, str):
-        return f"{text}. Registration by relief, which would remove it, was left out: {demo.relief}."
+        return f"{text}; registration by relief, which would remove it, was left out: {demo.relief}."
     now, predicted = overall(apart, BY_RELIEF)
-    return f"{text}; after registration by relief they disagree by {now:.1f} m (predicted {predicted:.1f})."
+    return f"{text}, {now:.1f} m (predicted {predicted:.1f}) with registration by relief."
 
 
 def demo_statements(demo: Demonstration) -> list[str]:
-    """Sentences with figures and units: what was wrong before, and what is right now."""
-    return [headline(demo), *point_statements(demo.solution, true_points(demo))]
+    """Four sentences: MOLA against MOC, image against image, absolute errors, and stated sigmas against these."""
+    before, after = (
+        rms_length(np.concatenate([one.metres for profile in profiles for one in profile.discrepancies]))
+        for _, profiles in demo.registration.states()
+    )
+    between = f"Image against image at the laser footprints: {two(before)} m by the kernels, {two(after)} m adjusted."
+    return [headline(demo), between, *point_statements(demo.solution, true_points(demo))]
 
 
 # --- summary.json
@@ -189,7 +185,7 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
         **{one.name: one.records() for one in tables(demo)},
         "points": {
-            one.name.lower(): dict(zip(("rms_before_m", "rms_after_m", "nees_per_freedom"), errors, strict=True))
+            one.name.lower(): dict(zip(_ERRORS, errors, strict=True))
             for one in (PointClass.TIE, PointClass.LASER)
             if (errors := point_errors(solution, true_points(demo), one))
         },

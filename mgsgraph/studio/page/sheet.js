@@ -280,7 +280,7 @@ export class Sheet {
       body.append(make('tr', {}, make('td', {}, link), make('td', {className: 'number', textContent: short(away[name])}), ...correlation.map(one => make('td', {className: 'number', textContent: one.toFixed(3)}))));
     }
     return this.along.replaceChildren(make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)),
-      make('p', {className: 'caption', textContent: `Of ${count} points that its images show, those whose coordinates are most correlated with its own: 1 means that they are wrong together.`}));
+      make('p', {className: 'caption', textContent: `Of ${count} points that its images show, those whose coordinates are most correlated with its own: 1 = fully correlated errors.`}));
   }
 }
 
