@@ -55,8 +55,8 @@ def hrsc(length: float, begin: float, seed: int) -> Planted:
     settings = BlockSettings(strips=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
     made = simulate_hrsc_block(settings, seed)
     sigmas = ERRORS.position_wander, ERRORS.attitude_wander
-    parts = [(Process("gauss-markov", np.full(3, begin * one), 30.0, estimated=True),) for one in sigmas]
-    prior = ProcessPrior(*parts, ERRORS.prior.bias, ERRORS.prior.drift)
+    one, other = (Process("gauss-markov", np.full(3, begin * sigma), 30.0, estimated=True) for sigma in sigmas)
+    prior = ProcessPrior((one,), (other,), ERRORS.prior.bias, ERRORS.prior.drift)
     network = replace(made.network, passes=(replace(made.network.passes[0], prior=prior),))
     return Planted(network, (made.true_nodes(0),), made.true_points, np.repeat(sigmas, 3))
 
