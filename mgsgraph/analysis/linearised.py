@@ -39,6 +39,7 @@ def at_solution(solution: Solution) -> Linearised:
     rays = solution.rays_used | out[network.rays.point]
     rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
     mixed = solution.minima is not None and solution.minima.several
+    mixed = mixed or any(one.asks_for_strengths for one in network.passes)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 

@@ -136,7 +136,9 @@ class SimulatedCtxPair:
     """True ground."""
 
 
-def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> SimulatedCtxPair:
+def simulate_ctx_pair(
+    settings: CtxSettings | None = None, seed: int = 1, truth: Sequence[TrueJitter] | None = None
+) -> SimulatedCtxPair:
     """Simulate a pair; the same settings and seed give the same pair.
 
     Parameters
@@ -145,6 +147,8 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
         The default pair when absent.
     seed : int
         zero or positive; jitter, ties and terrain model are drawn from streams of their own.
+    truth : sequence of 2, optional
+        What the attitudes of both images do; drawn as `settings.jitter` has it when absent.
 
     Raises
     ------
@@ -155,9 +159,8 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     of_jitter, of_ties, of_terrain = np.random.default_rng([seed, 17]).spawn(3)
     terrain = make_terrain("gusev", 1)
     images = _ctx_images(settings.look, terrain)
-    truth = tuple(
-        _drawn_jitter(settings.jitter, image, rng) for image, rng in zip(images, of_jitter.spawn(2), strict=True)
-    )
+    drawn = zip(images, of_jitter.spawn(2), strict=True)
+    truth = tuple(truth or (_drawn_jitter(settings.jitter, image, rng) for image, rng in drawn))
     points, pixels = _drawn_ties(settings.ties, images, [one.correction for one in truth], terrain, of_ties)
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
     measures = exact + _NOISE * of_ties.standard_normal(exact.shape)
