@@ -205,7 +205,7 @@ def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
     """Pairs of images, by their numbers, that are the same image under two names.
 
     Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
-    told apart by that: the ground on the ellipsoid under a grid of pixels is compared.
+    distinguished by that: the ground on the ellipsoid under a grid of pixels is compared.
     """
     near = begun_together([ImageTimes.of(image) for image in images])
     flown = {j: images[j].pose(images[j].middle[0]).position[0] for j in {j for pair in near for j in pair}}
