@@ -48,7 +48,7 @@ from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
-from mgsgraph.network.shared import SharedKind
+from mgsgraph.network.shared import SharedKind, SharedUnknown
 
 MARGIN = 100.0
 """Lines by which a measured line and the predicted one may be apart for a ray to find its orientation images."""
@@ -457,6 +457,23 @@ class _Weights(NamedTuple):
         return found[0], found[1]
 
 
+class _Vibration(NamedTuple):
+    """What a vibration does to an image of its pass."""
+
+    keys: tuple[int]
+    shared: SharedUnknown
+    image: PushbroomImage
+
+    @property
+    def widths(self) -> tuple[int]:
+        return (self.shared.kind.width,)
+
+    def at(self, line: float) -> tuple[Array, Array]:
+        value, rate = self.shared.waves(self.image.moments(np.array([line])))
+        none = np.zeros((self.shared.kind.width, STATE - 6))
+        return np.hstack([value[0], none]).T, np.hstack([rate[0], none]).T
+
+
 class _Moves:
     """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
 
@@ -469,7 +486,9 @@ class _Moves:
         mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
         self._pose = {k: self._of_pose(k) for k in mine}
 
-    def _of_pose(self, k: int) -> PolynomialEffect:
+    def _of_pose(self, k: int) -> Effect:
+        if self._network.shared[k].sine is not None:
+            return _Vibration((self._keys.shared(k),), self._network.shared[k], self._image)
         effect = self._shared.of_instrument[self._j, self._network.shared[k].kind]
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
         found[:, :6] = effect.transpose(1, 2, 0)

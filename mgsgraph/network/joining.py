@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages, Sine
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
@@ -348,6 +348,8 @@ class NamedShared:
     """(kind.width,) a-priori, in the kind's unit."""
     considered: bool = False
     """Whether it is held at zero, while its a-priori covariance is carried."""
+    sine: Sine | None = None
+    """Of a vibration."""
 
     def of(self, names: Iterable[str]) -> "NamedShared | None":
         """The same with some images alone; None without any."""
@@ -392,7 +394,9 @@ def definitions(network: Network) -> Definitions:
         for one in network.passes
     }
     shared = {
-        one.name: NamedShared(one.name, one.kind, named(one.images), one.sigmas, one.name in network.considered)
+        one.name: NamedShared(
+            one.name, one.kind, named(one.images), one.sigmas, one.name in network.considered, one.sine
+        )
         for one in network.shared
     }
     return Definitions(passes, shared)
@@ -410,7 +414,9 @@ def with_definitions(network: Network, known: Definitions) -> Network:
         network,
         passes=tuple(one.numbered(number) for one in mine.passes.values()),
         shared=tuple(
-            SharedUnknown(one.name, one.kind, np.array([number[name] for name in one.images]), one.sigmas)
+            SharedUnknown(
+                one.name, one.kind, np.array([number[name] for name in one.images]), one.sigmas, sine=one.sine
+            )
             for one in mine.shared.values()
         ),
         considered=tuple(considered),
