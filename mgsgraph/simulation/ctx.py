@@ -46,8 +46,8 @@ _NOISE = 0.2
 """px, line and sample of a measure."""
 _SPACING = 8.0
 """s between the network's nodes, at most: the four of a polynomial of degree 3."""
-_FREQUENCY, _NODES_PER_WAVE = 2.0, 24
-"""Hz of the vibrations; true nodes in a period: Lagrange's polynomials then follow a sine to 0.02 % of its size."""
+_NODES_PER_WAVE = 24
+"""True nodes in a period: Lagrange's polynomials then follow a sine to 0.02 % of its size."""
 _EPOCHS = (300_000_000.0, 302_400_000.0)
 """s TDB past J2000 of the images' middles; whole numbers, so that table times are exact in files."""
 _MARS = CentralBody(MARS, GRAVITY, body_matrix)
@@ -63,6 +63,10 @@ class JitterSettings:
     """px, amplitude of the vibration about the camera's y: along lines."""
     roll: float = 0.5
     """px, amplitude of the vibration about the camera's x: along samples."""
+    frequency: float = 2.0
+    """Hz, of both."""
+    alike: bool = False
+    """Whether both images vibrate with the same phases, counted from their middles."""
     drift: float = 3.0
     """px, amplitude of the slow drift of pitch and of roll."""
     angle: float = 1e-4
@@ -88,12 +92,16 @@ class TrueJitter:
     """(2, 2) rad, of pitch and of roll the vibration's cosine and sine amounts, t from the nodes' epoch."""
 
 
-def _drawn_jitter(settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator) -> TrueJitter:
-    """The truth of one image; `rng` draws phases and constant errors."""
+def _drawn_jitter(
+    settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator, common: np.random.Generator
+) -> TrueJitter:
+    """The truth of one image; `rng` draws phases and constant errors, `common` the phases of images that move alike."""
     coverage = image_times(image)
-    nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * _FREQUENCY))
+    nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
-    wave = 2.0 * np.pi * _FREQUENCY * nodes.times
+    if settings.alike:
+        phases = common.uniform(0.0, 2.0 * np.pi, 2)
+    wave = 2.0 * np.pi * settings.frequency * nodes.times
     along = np.pi * (nodes.times - coverage[0]) / (coverage[1] - coverage[0])
     values = np.zeros((len(nodes), 6))
     values[:, :3] = settings.position * rng.standard_normal(3)
@@ -156,7 +164,8 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     terrain = make_terrain("gusev", 1)
     images = _ctx_images(settings.look, terrain)
     truth = tuple(
-        _drawn_jitter(settings.jitter, image, rng) for image, rng in zip(images, of_jitter.spawn(2), strict=True)
+        _drawn_jitter(settings.jitter, image, rng, np.random.default_rng([seed, 18]))
+        for image, rng in zip(images, of_jitter.spawn(2), strict=True)
     )
     points, pixels = _drawn_ties(settings.ties, images, [one.correction for one in truth], terrain, of_ties)
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
