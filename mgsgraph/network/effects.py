@@ -39,11 +39,11 @@ class SharedEffects:
         }
         self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
         self.of_instrument = {
-            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles))
-            for of_images in self._kinds.values()
-            for j, kinds in enumerate(of_images)
-            for kind in kinds
-            if kind.moves_instrument and kind is not SharedKind.VIBRATION
+            (j, one.kind): _in_axes(network.axes_of(j), image_effect(network.images[j], one.kind, angles))
+            for of_images in self.acting.values()
+            for j, mine in enumerate(of_images)
+            for one in (network.shared[k] for k in mine)
+            if one.kind.moves_instrument and one.sine is None
         }
         """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
@@ -68,8 +68,7 @@ class SharedEffects:
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
         pass.
         """
-        mine = self.acting["rays"][image]
-        kinds = [self._network.shared[k].kind for k in mine]
+        mine, kinds = self.acting["rays"][image], self._kinds["rays"][image]
         width = 9 if any(kind.is_interior for kind in kinds) else 6
         found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
