@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import ImageRays, Network, NodePrior, Pass
+from mgsgraph.network import ImageRays, Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.hrsc_flight import strip_correction
@@ -44,8 +44,10 @@ _ALTITUDE, _ANGLE = 300e3, 22.0 * DEG
 """m, of the orbit above the site; rad, by how much the second image looks aside or ahead, at the spacecraft."""
 _NOISE = 0.2
 """px, line and sample of a measure."""
-_SPACING = 8.0
-"""s between the network's nodes, at most: the four of a polynomial of degree 3."""
+_SPACING = 2.0
+"""s between the network's nodes, at most: through nine Lagrange's polynomials follow half a cosine to a thousandth."""
+_SMOOTH = float(np.sqrt(5.0 / 3.0) / np.pi)
+"""Of the images' duration, the correlation time of a Matern process that begins as the cosine's covariance does."""
 _NODES_PER_WAVE = 24
 """True nodes in a period: Lagrange's polynomials then follow a sine to 0.02 % of its size."""
 _EPOCHS = (300_000_000.0, 302_400_000.0)
@@ -74,12 +76,13 @@ class JitterSettings:
     position: float = 10.0
     """m, sigma of the constant error of the position, along X, Y, Z."""
 
-    @property
-    def prior(self) -> NodePrior:
-        """What is known of the slow part alone: sigmas of the constant errors, and the drift as linear and more."""
-        attitude = [max(self.drift * PIXEL, 1e-9)] * 2 + [1e-7]
-        slow = np.array([1e-3] * 3 + attitude)
-        return NodePrior(slow, np.array([self.position] * 3 + [self.angle] * 3), slow)
+    def prior(self, duration: float) -> ProcessPrior:
+        """What is known of the slow part alone, over a duration in s: sigmas of the constant errors, and a process as
+        strong and, at short times, as smooth as the drift, half a cosine of any phase.
+        """
+        slow = np.array([max(self.drift * PIXEL / np.sqrt(2.0), 1e-9)] * 2 + [1e-8])
+        process = Process("matern-5/2", slow, _SMOOTH * duration)
+        return ProcessPrior((), (process,), np.array([self.position] * 3 + [self.angle] * 3), np.zeros(6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +177,7 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     surface, shifts = terrain_model(settings.control, terrain, points, of_terrain)
     passes = [
         Pass(one.name, np.array([k]), evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), _SPACING),
-             settings.jitter.prior)
+             settings.jitter.prior(float(np.ptp(image_times(one)))))
         for k, one in enumerate(images)
     ]  # fmt: skip
     network = tie_network(images, passes, rays, len(points), surface)
