@@ -7,7 +7,7 @@ bundle form that `adjust` takes: it shares no line with the compiled kernel and 
     case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -48,7 +48,7 @@ from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
-from mgsgraph.network.shared import SharedKind, SharedUnknown
+from mgsgraph.network.shared import SharedKind
 
 MARGIN = 100.0
 """Lines by which a measured line and the predicted one may be apart for a ray to find its orientation images."""
@@ -461,17 +461,8 @@ class _Vibration(NamedTuple):
     """What a vibration does to an image of its pass."""
 
     keys: tuple[int]
-    shared: SharedUnknown
-    image: PushbroomImage
-
-    @property
-    def widths(self) -> tuple[int]:
-        return (self.shared.kind.width,)
-
-    def at(self, line: float) -> tuple[Array, Array]:
-        value, rate = self.shared.waves(self.image.moments(np.array([line])))
-        none = np.zeros((self.shared.kind.width, STATE - 6))
-        return np.hstack([value[0], none]).T, np.hstack([rate[0], none]).T
+    widths: tuple[int]
+    at: Callable[[float], tuple[Array, Array]]
 
 
 class _Moves:
@@ -487,9 +478,15 @@ class _Moves:
         self._pose = {k: self._of_pose(k) for k in mine}
 
     def _of_pose(self, k: int) -> Effect:
-        if self._network.shared[k].sine is not None:
-            return _Vibration((self._keys.shared(k),), self._network.shared[k], self._image)
-        effect = self._shared.of_instrument[self._j, self._network.shared[k].kind]
+        one = self._network.shared[k]
+        if one.sine is not None:
+
+            def at(line: float) -> tuple[Array, Array]:
+                value, rate = one.waves(self._image.moments(np.array([line])))
+                return np.eye(STATE, 6) @ value[0].T, np.eye(STATE, 6) @ rate[0].T
+
+            return _Vibration((self._keys.shared(k),), (one.kind.width,), at)
+        effect = self._shared.of_instrument[self._j, one.kind]
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
         found[:, :6] = effect.transpose(1, 2, 0)
         return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))

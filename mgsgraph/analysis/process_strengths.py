@@ -3,7 +3,7 @@
 found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts again, until nothing changes
 print(found)
 
-Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
+Processes of the same part (position, attitude) and kind have one strength, common to all passes: a pair of
 images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood,
 whose maximum is sought in log s.
 
@@ -204,8 +204,6 @@ class Strength(Record):
     """position or attitude."""
     kind: str
     """Of process."""
-    frequency: float
-    """Hz, of jitter; of others 0."""
     members: tuple[tuple[int, int], ...]
     """Passes and the number of the process within the part of each."""
     sigma: float = 0.0
@@ -227,9 +225,8 @@ class Strength(Record):
     @property
     def name(self) -> str:
         """Part of the pose, kind of process and passes, for reports."""
-        kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
-        return f"{self.part}, {kind}, {of}"
+        return f"{self.part}, {self.kind}, {of}"
 
     @property
     def sentence(self) -> str:
@@ -341,16 +338,15 @@ def estimated_strengths(
 
 
 def _sought(network: Network) -> list[Strength]:
-    """What is to be found: processes alike in part, kind and frequency are one, of all passes."""
-    found = dict[tuple[str, str, float, int], list[tuple[int, int]]]()
+    """What is to be found: processes alike in part and kind are one, of all passes."""
+    found = dict[tuple[str, str, int], list[tuple[int, int]]]()
     for k, one in enumerate(network.passes):
         for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            alike = list[tuple[str, float]]()
+            alike = list[str]()
             for number, process in enumerate(_processes(network, k, part)):
-                kind = process.kind, process.frequency
                 if process.estimated:
-                    found.setdefault((part, *kind, alike.count(kind)), []).append((k, number))
-                alike.append(kind)
+                    found.setdefault((part, process.kind, alike.count(process.kind)), []).append((k, number))
+                alike.append(process.kind)
         if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
@@ -358,9 +354,9 @@ def _sought(network: Network) -> list[Strength]:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     return [
         Strength(
-            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, frequency, tuple(members)
+            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, tuple(members)
         )
-        for (part, kind, frequency, _), members in found.items()
+        for (part, kind, _), members in found.items()
     ]
 
 

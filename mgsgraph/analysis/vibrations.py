@@ -24,14 +24,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.cluster.connection import Connection
 from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.analysis.residual_spectrum import residual_vibrations
-from mgsgraph.geometry.orientation import Sine
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedUnknown
-from mgsgraph.network.joining import seconds
+from mgsgraph.network.joining import seconds, sine_over
 from mgsgraph.record import Record
 from mgsgraph.units import DEG, MRAD
 from mgsgraph.workers import no_progress
@@ -151,12 +152,14 @@ def estimated_vibrations(
     name: str = "adjustment",
     progress: Callable[[Iteration], None] = no_progress,
     adjust: Callable[..., Solution] = adjust_network,
+    passes: Sequence[str] = (),
 ) -> EstimatedVibrations:
     """Find the vibrations that rays show, and adjust with them.
 
     Parameters
     ----------
     network : Network
+        Its passes vibrate, and images without one.
     settings : SolverSettings
     name : str
         What to call the adjustment in reports.
@@ -164,27 +167,40 @@ def estimated_vibrations(
         Called with every iteration of every adjustment.
     adjust : callable
         That adjusts a network, of the same four arguments: `adjust_network`, or one that finds strengths, too.
+    passes : sequence of str
+        Names of the passes that vibrate; all, and images without one, when empty.
 
     Raises
     ------
     InputError
         Where no image has rays enough; and what `adjust_network` raises.
     """
-    lines, at_rest = list[Line](), True
+    lines, at_rest, owners = list[Line](), True, _owners(network, passes)
     solution = adjust(network, settings, name, progress)
-    while new := _new_lines(solution, lines):
+    while new := _new_lines(solution, lines, owners):
         if len(lines) >= _MOST_LINES:
             return EstimatedVibrations(solution.network, solution, tuple(lines), False)
-        lines, rested = _refined(network, [*lines, *new], settings, name, progress)
+        lines, rested = _refined(network, owners, [*lines, *new], settings, name, progress)
         at_rest &= rested
-        solution = adjust(with_lines(network, lines), settings, name, progress)
+        solution = adjust(with_lines(network, owners, lines), settings, name, progress)
     return EstimatedVibrations(solution.network, solution, tuple(lines), at_rest)
 
 
-def _new_lines(solution: Solution, lines: Sequence[Line]) -> list[Line]:
+Owners = Sequence[tuple[str, Index]]
+"""Names of passes, or of images without one, and their images."""
+
+
+def _owners(network: Network, passes: Sequence[str]) -> Owners:
+    """Those that vibrate."""
+    alone = [(network.images[j].name, np.array([j])) for j in np.flatnonzero(network.pass_of < 0).tolist()]
+    found = [(one.name, one.images) for one in network.passes if one.name in passes or not passes]
+    return found if passes else [*found, *alone]
+
+
+def _new_lines(solution: Solution, lines: Sequence[Line], owners: Owners) -> list[Line]:
     """Lines that residuals show, the clearest of those that the passes' times do not resolve."""
     network, found = solution.network, list[Line]()
-    apart = 1.0 / min((stop - start for _, _, start, stop in _owners(network)), default=np.inf)
+    apart = max(1.0 / np.ptp([seconds(network.images[j]) for j in images.tolist()]) for _, images in owners)
     known = [*lines, *(Line(one.sine.frequency, 0.0, 0.0) for one in network.shared if one.sine is not None)]
     for one in residual_vibrations(solution, FALSE_ALARMS).vibrations:
         if all(abs(one.frequency - other.frequency) > apart for other in (*known, *found)):
@@ -192,20 +208,12 @@ def _new_lines(solution: Solution, lines: Sequence[Line]) -> list[Line]:
     return found
 
 
-def _owners(network: Network) -> Iterator[tuple[str, Index, float, float]]:
-    """Passes, then images without one: name, images, first and last time (s TDB past J2000) of their lines."""
-    alone = [(network.images[j].name, np.array([j])) for j in np.flatnonzero(network.pass_of < 0).tolist()]
-    for name, images in [*((one.name, one.images) for one in network.passes), *alone]:
-        times = np.array([seconds(network.images[j]) for j in images.tolist()])
-        yield name, images, float(times.min()), float(times.max())
-
-
-def with_lines(network: Network, lines: Sequence[Line]) -> Network:
+def with_lines(network: Network, owners: Owners, lines: Sequence[Line]) -> Network:
     """With an unknown of each line and pass."""
     more = list[SharedUnknown]()
     for one in lines:
-        for name, images, start, stop in _owners(network):
-            sine = Sine(one.frequency, 0.5 * (start + stop), 0.5 * (stop - start))
+        for name, images in owners:
+            sine = sine_over([network.images[j] for j in images.tolist()], one.frequency)
             sigma = max(_AMPLITUDES * one.size, _SMALLEST) * network.images[int(images[0])].pixel_angle
             called = f"vibration of {one.frequency:.4f} Hz, {name}"
             more.append(SharedUnknown.of_vibration(called, images, sine, np.full(3, sigma), one.drift))
@@ -213,13 +221,14 @@ def with_lines(network: Network, lines: Sequence[Line]) -> Network:
 
 
 def _refined(
-    network: Network, lines: list[Line], settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
+    network: Network, owners: Owners, lines: list[Line], settings: SolverSettings, name: str,
+    progress: Callable[[Iteration], None],
 ) -> tuple[list[Line], bool]:
     """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
     lines = [replace(one, drift=_DRIFT) for one in lines]
     for _ in range(_MOST_ROUNDS):
-        solution = adjust_network(with_lines(network, lines), rough, name, progress)
+        solution = adjust_network(with_lines(network, owners, lines), rough, name, progress)
         own = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
         drifts = [_drifts(solution, mine) for mine in own.tolist()]
         lines = [
@@ -266,6 +275,30 @@ def _chosen(one: Line, at: _Drifts, drifts: bool) -> Line:
     """A line that drifts, or one with no other drift than that of its frequency's sigma."""
     left = 2.0 * np.pi * at.half * one.sigma * one.size / max(_AMPLITUDES * one.size, _SMALLEST)
     return replace(one, drift=_DRIFT if drifts else min(left, _DRIFT), drifts=drifts)
+
+
+def adjusted(
+    network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None],
+    vibrating: Sequence[str] = (), workers: Connection | None = None,
+) -> tuple[Solution, list[str]]:
+    """An adjustment with all that is to be found on the way, strengths of processes and vibrations of passes, and what
+    was found of these in sentences.
+    """
+    said = list[str]()
+
+    def once(
+        network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
+    ) -> Solution:
+        if not any(one.asks_for_strengths for one in network.passes):
+            return adjust_network(network, settings, name, progress, workers)
+        found = estimated_strengths(network, settings, name=name, progress=progress)
+        said[:] = found.sentences
+        return found.solution
+
+    if not vibrating:
+        return once(network, settings, name, progress), said
+    every = estimated_vibrations(network, settings, name, progress, once, vibrating)
+    return every.solution, [*said, *every.sentences]
 
 
 def amplitudes(solution: Solution) -> tuple[Amplitude, ...]:

@@ -48,6 +48,13 @@ def seconds(image: PushbroomImage) -> tuple[float, float]:
     return float(start), float(stop)
 
 
+def sine_over(images: Sequence[PushbroomImage], frequency: float) -> Sine:
+    """A vibration of a frequency in Hz over the time of some images."""
+    times = np.array([seconds(image) for image in images])
+    start, stop = float(times.min()), float(times.max())
+    return Sine(frequency, 0.5 * (start + stop), 0.5 * (stop - start))
+
+
 def straightest(images: Sequence[PushbroomImage]) -> int:
     """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
     off = []
