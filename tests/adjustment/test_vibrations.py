@@ -35,16 +35,16 @@ def planted(mine: SimulatedCtxPair) -> Array:
 
 
 def test_both_forms_have_the_same_optimum_of_a_fast_vibration() -> None:
-    """1 px at 5 Hz turns the camera by a sixteenth of a line per line more or less."""
-    jitter = JitterSettings(pitch=1.0, roll=1.0, frequency=5.0)
-    net = vibrating(simulate_ctx_pair(CtxSettings(ties=170, jitter=jitter), 5).network, 5.0, 2.0, 0.5)
+    """1 px at 3 Hz turns the camera by a twenty-eighth of a line per line more or less."""
+    jitter = JitterSettings(pitch=1.0, roll=1.0, frequency=3.0)
+    net = vibrating(simulate_ctx_pair(CtxSettings(ties=100, jitter=jitter), 5).network, 3.0, 2.0, 0.5)
     one = adjust_network(net, PLAIN)
     graph, values, keys = factor_graph(one)
     assert one.converged
     assert graph.error(values) == pytest.approx(one.cost_final, rel=1e-10)
     slope = graph.linearize(values).gradientAtZero()
     for k, each in enumerate(net.shared):
-        assert np.abs(slope.at(keys.shared(each.name)) * np.sqrt(np.diag(one.shared_covariance(k)))).max() < 1e-4
+        assert np.abs(slope.at(keys.shared(each.name)) * np.sqrt(np.diag(one.shared_covariance(k)))).max() < 1e-3
     for j in range(2):
         mine = net.rays.image == j
         seen, _ = net.images[j].ground_to_image(
