@@ -50,7 +50,9 @@ _DRIFT = 0.3
 """Of the amplitude's a-priori sigma, that of its drift."""
 _AMPLITUDES, _SMALLEST = 2.0, 1.0
 """That sigma, in amplitudes that residuals show; and in pixels, at least."""
-_MOST_LINES, _MOST_ROUNDS = 8, 6
+_MOST_LINES, _MOST_ROUNDS = 8, 10
+_RATIO = 0.8
+"""Of a step of a frequency to the last one, that counts at most."""
 _AT_REST = 0.1
 """Sigmas of a frequency by which it may still change."""
 _ROUGH = 1e-2
@@ -226,14 +228,17 @@ def _refined(
 ) -> tuple[list[Line], bool]:
     """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
-    lines = [replace(one, drift=_DRIFT) for one in lines]
+    lines, begin, before = [replace(one, drift=_DRIFT) for one in lines], None, np.full(len(lines), np.inf)
     for _ in range(_MOST_ROUNDS):
-        solution = adjust_network(with_lines(network, owners, lines), rough, name, progress)
+        solution = adjust_network(with_lines(network, owners, lines), rough, name, progress, begin=begin)
         own = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
-        drifts = [_drifts(solution, mine) for mine in own.tolist()]
+        begin, drifts = solution.values, [_drifts(solution, mine) for mine in own.tolist()]
+        steps = np.array([one.step for one in drifts])
+        # what is hardly above noise follows at an even ratio, whose sum is taken
+        steps, before = steps / (1.0 - np.clip(steps / before, 0.0, _RATIO)), steps
         lines = [
-            replace(one, frequency=one.frequency + at.step, sigma=at.sigma)
-            for one, at in zip(lines, drifts, strict=True)
+            replace(one, frequency=one.frequency + step, sigma=at.sigma)
+            for one, at, step in zip(lines, drifts, steps.tolist(), strict=True)
         ]
         if rested := all(abs(one.step) < _AT_REST * one.sigma for one in drifts):
             break

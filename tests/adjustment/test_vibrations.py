@@ -67,7 +67,7 @@ def test_the_truth_is_found_as_well_as_said() -> None:
 
 @pytest.mark.parametrize(
     ("frequencies", "said"),
-    [((300.0,), "300 Hz, of lines 0.001877 s"), ((4.0,), "and 30 rays in"), ((0.5, 0.55), r"0.05 Hz from .*0.0626782 Hz")],
+    [((300.0,), "300 Hz, of lines 0.00"), ((4.0,), "and 30 rays in"), ((0.5, 0.55), "0.05 Hz from .*0.0626782 Hz")],
 )
 def test_what_neither_lines_nor_rays_resolve_is_refused(frequencies: tuple[float, ...], said: str) -> None:
     net = simulate_ctx_pair(CtxSettings(ties=30), 5).network
