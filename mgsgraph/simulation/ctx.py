@@ -38,8 +38,6 @@ _FOCAL_LENGTH, _PITCH, _PERIOD = 352.9271664 * MM, 7e-6, 1.877e-3
 """m, m, and s per line (mro_ctx_v11.ti)."""
 PIXEL = _PITCH / _FOCAL_LENGTH
 """rad, of a pixel: 19.8 microradian."""
-_LINES, _SAMPLES = 8500, 1200
-"""Of each image: 16 s, and a part of CTX's 5000 samples."""
 _ALTITUDE, _ANGLE = 300e3, 22.0 * DEG
 """m, of the orbit above the site; rad, by how much the second image looks aside or ahead, at the spacecraft."""
 _NOISE = 0.2
@@ -125,6 +123,10 @@ class CtxSettings:
     """Where the second image looks."""
     ties: int = 2500
     """Number of tie points."""
+    lines: int = 8500
+    """Of each image: 16 s."""
+    samples: int = 1200
+    """Of each image: a part of CTX's 5000."""
     jitter: JitterSettings = field(default_factory=JitterSettings)
     """What the tables lack."""
     control: TerrainErrors | None = CONTROL
@@ -165,12 +167,12 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     settings = settings or CtxSettings()
     of_jitter, of_ties, of_terrain = np.random.default_rng([seed, 17]).spawn(3)
     terrain = make_terrain("gusev", 1)
-    images = _ctx_images(settings.look, terrain)
+    images = _ctx_images(settings, terrain)
     truth = tuple(
         _drawn_jitter(settings.jitter, image, rng, np.random.default_rng([seed, 18]))
         for image, rng in zip(images, of_jitter.spawn(2), strict=True)
     )
-    points, pixels = _drawn_ties(settings.ties, images, [one.correction for one in truth], terrain, of_ties)
+    points, pixels = _drawn_ties(settings, images, [one.correction for one in truth], terrain, of_ties)
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
     measures = exact + _NOISE * of_ties.standard_normal(exact.shape)
     rays = ImageRays(np.repeat(np.arange(len(points)), 2), image, measures, np.full(exact.shape, _NOISE))
@@ -190,27 +192,28 @@ def image_times(image: PushbroomImage) -> tuple[float, float]:
     return float(first), float(last)
 
 
-def _ctx_images(look: Look, terrain: SiteTerrain) -> tuple[PushbroomImage, ...]:
+def _ctx_images(settings: CtxSettings, terrain: SiteTerrain) -> tuple[PushbroomImage, ...]:
     """The nominal images, nadir one first; the middles of both see the middle of the site."""
     site = terrain.on_ground(np.array([terrain.centre_lon]), np.array([terrain.centre_lat]))[0]
-    camera = MountedCamera("CTX", interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * _SAMPLES), _SAMPLES, np.eye(3))
+    interior = interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * settings.samples)
+    camera = MountedCamera("CTX", interior, settings.samples, np.eye(3))
     return tuple(
         camera.image(
-            name, CircularPass(epoch, site, HEADING, _ALTITUDE, angle, _MARS, look == "along", turning=True), _LINES,
-            _PERIOD,
+            name, CircularPass(epoch, site, HEADING, _ALTITUDE, angle, _MARS, settings.look == "along", turning=True),
+            settings.lines, _PERIOD,
         )
         for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], _ANGLE))
     )  # fmt: skip
 
 
 def _drawn_ties(
-    wanted: int, images: Sequence[PushbroomImage], true: Sequence[OrientationCorrection], terrain: SiteTerrain,
-    rng: np.random.Generator,
+    settings: CtxSettings, images: Sequence[PushbroomImage], true: Sequence[OrientationCorrection],
+    terrain: SiteTerrain, rng: np.random.Generator,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Points (n, 3) in m of the ground that both images show, and their true pixels (n, 2, 2)."""
-    found, places, count = list[Array](), list[Array](), 0
+    found, places, count, wanted = list[Array](), list[Array](), 0, settings.ties
     for _ in range(_ROUNDS):
-        drawn = rng.uniform(MARGIN, np.array([_LINES, _SAMPLES]) - MARGIN, (wanted, 2))
+        drawn = rng.uniform(MARGIN, np.array([settings.lines, settings.samples]) - MARGIN, (wanted, 2))
         points = terrain.intersect(*images[0].sightlines(drawn[:, 0], drawn[:, 1], true[0]))
         pixels, seen = project(images, true, points)
         found.append(points[seen])
