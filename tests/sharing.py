@@ -35,7 +35,7 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.VIBRATION: 1e-5,
 }
 """s, rad, m and 1."""
-SINE = Sine(2.0, -11_000_000.0, 4.0)
+SINE = Sine(0.5, -11_000_000.0, 4.0)
 """Of a vibration of the first image of `pair`, whose time it is."""
 
 

@@ -458,8 +458,6 @@ class _Weights(NamedTuple):
 
 
 class _Vibration(NamedTuple):
-    """What a vibration does to an image of its pass."""
-
     keys: tuple[int]
     widths: tuple[int]
     at: Callable[[float], tuple[Array, Array]]
