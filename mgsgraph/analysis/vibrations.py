@@ -51,8 +51,8 @@ _DRIFT = 0.3
 _AMPLITUDES, _SMALLEST = 2.0, 1.0
 """That sigma, in amplitudes that residuals show; and in pixels, at least."""
 _MOST_LINES, _MOST_ROUNDS = 8, 10
-_RATIO = 0.8
-"""Of a step of a frequency to the last one, that counts at most."""
+_RATES = 0.2, 3.0
+"""By how much less a frequency's step may become as the frequency moves by it; 1 were all linear."""
 _AT_REST = 0.1
 """Sigmas of a frequency by which it may still change."""
 _ROUGH = 1e-2
@@ -228,17 +228,18 @@ def _refined(
 ) -> tuple[list[Line], bool]:
     """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
-    lines, begin, before = [replace(one, drift=_DRIFT) for one in lines], None, np.full(len(lines), np.inf)
-    for _ in range(_MOST_ROUNDS):
+    lines, begin = [replace(one, drift=_DRIFT) for one in lines], None
+    before = moved = np.ones(len(lines))
+    for done in range(_MOST_ROUNDS):
         solution = adjust_network(with_lines(network, owners, lines), rough, name, progress, begin=begin)
         own = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
         begin, drifts = solution.values, [_drifts(solution, mine) for mine in own.tolist()]
         steps = np.array([one.step for one in drifts])
-        # what is hardly above noise follows at an even ratio, whose sum is taken
-        steps, before = steps / (1.0 - np.clip(steps / before, 0.0, _RATIO)), steps
+        # by secants: where amplitudes are hardly above noise, steps are too short or too long
+        before, moved = steps, steps / (np.clip((before - steps) / moved, *_RATES) if done else 1.0)
         lines = [
             replace(one, frequency=one.frequency + step, sigma=at.sigma)
-            for one, at, step in zip(lines, drifts, steps.tolist(), strict=True)
+            for one, at, step in zip(lines, drifts, moved.tolist(), strict=True)
         ]
         if rested := all(abs(one.step) < _AT_REST * one.sigma for one in drifts):
             break
@@ -262,18 +263,18 @@ class _Drifts(NamedTuple):
 def _drifts(solution: Solution, members: list[int]) -> _Drifts:
     """Of the shared unknowns of a line."""
     every = [solution.network.shared[k] for k in members]
-    own = np.flatnonzero(np.arange(12 * len(members)) % 4 > 1)
-    joint = solution.joint_covariance.of([solution.shared_variable(k) for k in members])[np.ix_(own, own)]
-    amounts = np.concatenate([solution.shared[k] for k in members]).reshape(-1, 4)
-    values, prior = amounts[:, 2:].ravel(), np.concatenate([one.sigmas for one in every])[own] ** -2.0
-    information = np.linalg.inv(joint)
+    drift = np.arange(12 * len(members)) % 4 > 1
+    whole = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
+    values, joint = np.concatenate([solution.shared[k] for k in members]), whole[np.ix_(drift, drift)]
+    prior, information = np.concatenate([one.sigmas for one in every])[drift] ** -2.0, np.linalg.inv(joint)
+    pushed, shown = information @ values[drift], max(float(np.sum(1.0 - np.diag(joint) * prior)), 1.0)
+    # those that there are without a drift: beside one they are less certain, and noise in them would count as known
+    amounts = (values[~drift] - whole[np.ix_(~drift, drift)] @ pushed).reshape(-1, 2)
     halves = np.repeat([one.sine.half for one in every if one.sine is not None], 3)
-    slope = (2.0 * np.pi * halves[:, None] * amounts[:, 1::-1] * [1.0, -1.0]).ravel()
+    slope = (2.0 * np.pi * halves[:, None] * amounts[:, ::-1] * [1.0, -1.0]).ravel()
     known = max(float(slope @ (information - np.diag(prior)) @ slope), 1e-12)
-    pushed, shown = information @ values, max(float(np.sum(1.0 - np.diag(joint) * prior)), 1.0)
-    return _Drifts(
-        float(slope @ pushed) / known, known**-0.5, float(values @ pushed) / shown, float(halves.max())
-    )
+    gain = float(values[drift] @ pushed) / shown
+    return _Drifts(float(slope @ pushed) / known, known**-0.5, gain, float(halves.max()))
 
 
 def _chosen(one: Line, at: _Drifts, drifts: bool) -> Line:
