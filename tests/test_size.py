@@ -24,8 +24,8 @@ CEILINGS = {
     "registration": (1683, 25687, 12),
     "planning": (886, 13924, 6),
     "case": (2134, 31692, 11),
-    "analysis": (4992, 80259, 28),
-    "adjustment": (7406, 112656, 43),
+    "analysis": (4992, 80299, 28),
+    "adjustment": (7406, 112654, 43),
     "matching": (2094, 34449, 13),
     "network": (2975, 47765, 15),
     "files": (8830, 123028, 53),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
     "scripts": (6580, 104338, 47),
-    "tests": (35816, 539648, 197),
+    "tests": (35827, 539809, 197),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

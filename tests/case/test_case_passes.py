@@ -13,6 +13,7 @@ from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.analysis.vibrations import adjusted
 from mgsgraph.case.motion import NodePriorInput
 from mgsgraph.case.passes import MountingInput, mounted_images, mounting_unknowns
 from mgsgraph.case.reading import adjust
@@ -27,8 +28,10 @@ from mgsgraph.network import NodePrior, Pass, ProcessPrior, SharedKind, SharedUn
 from mgsgraph.network.joining import alike, found_passes, mountings, seconds, straightest
 from mgsgraph.network.passes import normalised
 from mgsgraph.network.shared import image_effect
+from mgsgraph.project.addition import images_of_case
 from mgsgraph.project.project import open_project
 from mgsgraph.units import MGON, MRAD
+from mgsgraph.workers import no_progress
 
 
 def pass_of(folder: Path, table: str = "") -> Pass:
@@ -231,6 +234,20 @@ def test_nodes_closer_than_the_rays_support_are_named(tmp_path: Path) -> None:
     since = tdb_of_utc([said[2]], "")[0] - nodes.epoch - nodes.coverage[0]
     assert since == pytest.approx(float(said[3]), abs=2e-3)
     assert mgsgraph.adjust(case).converged
+
+
+def test_vibrations_to_be_found_are_those_of_the_passes_that_ask(tmp_path: Path) -> None:
+    """Nothing vibrates here: the same result, and it is said."""
+    path = write_rig(tmp_path, PASS + 'vibrations = "estimated"\n')
+    (tmp_path / "calm").mkdir()
+    case, calm = mgsgraph.read_case(path), mgsgraph.read_case(write_rig(tmp_path / "calm", PASS))
+    assert case.vibrating == ("one",)
+    assert not calm.vibrating
+    solution, said = adjusted(case.network, case.settings, case.name, no_progress, case.vibrating)
+    assert solution.cost_final == pytest.approx(mgsgraph.adjust(calm).cost_final, rel=1e-9)
+    assert len(said) == 1
+    with pytest.raises(InputError, match="to be estimated"):
+        images_of_case(path)
 
 
 def test_estimated_strengths_leave_the_sigmas_of_ties(tmp_path: Path) -> None:
