@@ -7,7 +7,7 @@ bundle form that `adjust` takes: it shares no line with the compiled kernel and 
     case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -436,6 +436,12 @@ class _Weights(NamedTuple):
         return found[0], found[1]
 
 
+class _Vibration(NamedTuple):
+    keys: tuple[int]
+    widths: tuple[int]
+    at: Callable[[float], tuple[Array, Array]]
+
+
 class _Moves:
     """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
 
@@ -448,8 +454,16 @@ class _Moves:
         mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
         self._pose = {k: self._of_pose(k) for k in mine}
 
-    def _of_pose(self, k: int) -> PolynomialEffect:
-        effect = self._shared.of_instrument[self._j, self._network.shared[k].kind]
+    def _of_pose(self, k: int) -> Effect:
+        one = self._network.shared[k]
+        if one.sine is not None:
+
+            def at(line: float) -> tuple[Array, Array]:
+                value, rate = one.waves(self._image.moments(np.array([line])))
+                return np.eye(STATE, 6) @ value[0].T, np.eye(STATE, 6) @ rate[0].T
+
+            return _Vibration((self._keys.shared(k),), (one.kind.width,), at)
+        effect = self._shared.of_instrument[self._j, one.kind]
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
         found[:, :6] = effect.transpose(1, 2, 0)
         return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))

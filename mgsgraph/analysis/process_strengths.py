@@ -4,10 +4,10 @@ uncertainty carried into the posterior.
 found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts again, until nothing changes
 print(found)
 
-Processes of the same part (position, attitude), kind and frequency have a strength s along each axis, common to all
-passes: a pair of images shows the difference of two passes alone, and whose a vibration is can't be told. Axes are seen
-very differently; so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about
-the sigma that the search begins with, with a deviation of `_COMMON` common to the axes and `_OWN` of each.
+Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
+of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
+so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
+search begins with, with a deviation of `_COMMON` common to the axes and `_OWN` of each.
 
 Rays that scatter more than stated would be taken for a process: their sigmas count as right.
 
@@ -273,8 +273,6 @@ class Strength(Record):
     """position or attitude."""
     kind: str
     """Of process."""
-    frequency: float
-    """Hz, of jitter; of others 0."""
     axis: int
     """0 .. 2: X, Y, Z of the position, x, y, z of the attitude."""
     members: tuple[tuple[int, int], ...]
@@ -304,9 +302,8 @@ class Strength(Record):
     @property
     def name(self) -> str:
         """Part of the pose, axis, kind of process and passes, for reports."""
-        kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
-        return f"{self.part} {'XYZxyz'[self.component]}, {kind}, {of}"
+        return f"{self.part} {'XYZxyz'[self.component]}, {self.kind}, {of}"
 
     @property
     def sentence(self) -> str:
@@ -458,16 +455,15 @@ def _with_spread(solution: Solution, evidence: Evidence, spread: Array) -> Solut
 
 
 def _sought(network: Network) -> list[Strength]:
-    """What is to be found: processes alike in part, kind and frequency are one, of all passes, with three axes."""
-    found = dict[tuple[str, str, float, int], list[tuple[int, int]]]()
+    """What is to be found: processes alike in part and kind are one, of all passes, with three axes."""
+    found = dict[tuple[str, str, int], list[tuple[int, int]]]()
     for k, one in enumerate(network.passes):
         for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            alike = list[tuple[str, float]]()
+            alike = list[str]()
             for number, process in enumerate(_processes(network, k, part)):
-                kind = process.kind, process.frequency
                 if process.estimated:
-                    found.setdefault((part, *kind, alike.count(kind)), []).append((k, number))
-                alike.append(kind)
+                    found.setdefault((part, process.kind, alike.count(process.kind)), []).append((k, number))
+                alike.append(process.kind)
         if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
@@ -475,12 +471,11 @@ def _sought(network: Network) -> list[Strength]:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     return [
         Strength(
-            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, frequency, axis,
-            tuple(members),
+            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, axis, tuple(members)
         )
-        for (part, kind, frequency, _), members in found.items()
+        for (part, kind, _), members in found.items()
         for axis in range(3)
-    ]  # fmt: skip
+    ]
 
 
 def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:

@@ -16,7 +16,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
-from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of
+from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, vibration_unknowns
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
@@ -87,6 +87,8 @@ class Case(Record):
     """Files of the tie points."""
     notes: tuple[str, ...] = ()
     """What of these files was left out, in sentences."""
+    vibrating: tuple[str, ...] = ()
+    """Passes whose vibrations are to be found."""
 
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
@@ -171,8 +173,15 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     files = tuple(folder / entry.network for entry in wanted.tie_groups)
     return Case(
         wanted.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
-        tuple(notes),
+        tuple(notes), _vibrating(wanted, of_passes, passes),
     )  # fmt: skip
+
+
+def _vibrating(wanted: CaseInput, of_passes: Sequence[Sequence[int]], passes: Sequence[Pass]) -> tuple[str, ...]:
+    """Names of passes whose vibrations are to be found."""
+    asking = [one.vibrations == "estimated" for one in wanted.passes]
+    images = {j for asks, mine in zip(asking, of_passes, strict=True) for j in mine if asks}
+    return tuple(one.name for one in passes if int(one.images[0]) in images)
 
 
 def _unread_keys(wanted: CaseInput, folder: Path) -> list[str]:
@@ -260,8 +269,6 @@ def _with_shared(
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
-    if not (wanted.shared or of_profiles or wanted.mountings):
-        return network
     names = [image.name for image in network.images]
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
     of_mountings = mounted(wanted.mountings, instruments(wanted, path), names, str(path))
@@ -271,6 +278,9 @@ def _with_shared(
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
     shared += tuple(of_profiles)
+    shared += vibration_unknowns(wanted.passes, members(wanted.passes, names, str(path)), network, str(path))
+    if not shared:
+        return network
     with errors_from(str(path)):
         network = replace(network, shared=shared)
         network.require_observed()
@@ -299,8 +309,8 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
 
 
 def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) -> "Solution":
-    """Adjust a case, strengths of processes that it wants estimated found on the way; see
-    `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
+    """Adjust a case, strengths of processes and vibrations that it wants estimated found on the way; see
+    `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.vibrations.adjusted`.
 
     Examples
     --------
@@ -309,12 +319,9 @@ def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) ->
     Solution('simulated pair', converged after 5 iterations, cost 449.199 -> 44.8741, sigma0 1.223, 60 degrees of
     freedom; Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges))
     """
-    from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.analysis.process_strengths import estimated_strengths
+    from mgsgraph.analysis.vibrations import adjusted
 
-    if any(one.asks_for_strengths for one in case.network.passes):
-        return estimated_strengths(case.network, case.settings, name=case.name, progress=progress).solution
-    return adjust_network(case.network, case.settings, case.name, progress)
+    return adjusted(case.network, case.settings, case.name, progress, case.vibrating)[0]
 
 
 def picture_of(entry: ImageInput, folder: Path) -> Path | None:

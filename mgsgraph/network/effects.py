@@ -39,11 +39,11 @@ class SharedEffects:
         }
         self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
         self.of_instrument = {
-            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles))
-            for of_images in self._kinds.values()
-            for j, kinds in enumerate(of_images)
-            for kind in kinds
-            if kind.moves_instrument
+            (j, one.kind): _in_axes(network.axes_of(j), image_effect(network.images[j], one.kind, angles))
+            for of_images in self.acting.values()
+            for j, mine in enumerate(of_images)
+            for one in (network.shared[k] for k in mine)
+            if one.kind.moves_instrument and one.sine is None
         }
         """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
@@ -68,19 +68,32 @@ class SharedEffects:
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
         pass.
         """
-        mine = self.acting["rays"][image]
-        kinds = [self._network.shared[k].kind for k in mine]
+        mine, kinds = self.acting["rays"][image], self._kinds["rays"][image]
         width = 9 if any(kind.is_interior for kind in kinds) else 6
         found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for k, kind in zip(mine, kinds, strict=True):
             columns = slice(column, column + kind.width)
-            if kind.moves_instrument:
+            if kind is SharedKind.VIBRATION:
+                found[:, columns, :6] = self._waves(image, k, u)[0]
+            elif kind.moves_instrument:
                 found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
             else:
                 found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
         return found
+
+    def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
+        picture = self._network.images[image]
+        return self._network.shared[shared].waves(picture.moments(0.5 * (u + 1.0) * picture.lines))
+
+    def turning(self, image: int, u: Array, values: Sequence[Array]) -> Array:
+        """(n, 3) rad per line, by which vibrations turn an image's camera where all variables have `values`."""
+        found = np.zeros((u.size, 6))
+        for k in self.acting["rays"][image]:
+            if self._network.shared[k].kind is SharedKind.VIBRATION:
+                found += np.einsum("nca,c->na", self._waves(image, k, u)[1], values[self._network.first_shared + k])
+        return found[:, 3:]
 
     def acts_on_rays(self, image: int) -> bool:
         """Whether shared unknowns act on an image's rays."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.orientation import OrientationPrior, Sine
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
@@ -238,9 +238,13 @@ class Network(Record):
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
 
     def require_observed(self) -> None:
-        """Raise InputError unless some rows depend on each shared unknown; called before an adjustment."""
+        """Raise InputError unless some rows depend on each shared unknown, and tell it from vibrations like it; called
+        before an adjustment.
+        """
         for one in self.shared:
             where = f"shared unknown {one.name!r}"
+            if one.sine is not None:
+                self._require_resolved(one, one.sine, where)
             if one.kind.moves_footprints:
                 rows = "shot" if one.profile else "laser footprint with a range"
                 observed = self.footprints_moved(one).size > 0
@@ -250,6 +254,22 @@ class Network(Record):
                 observed |= one.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
             if not observed:
                 raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
+
+    def _require_resolved(self, one: SharedUnknown, sine: Sine, where: str) -> None:
+        """Raise InputError for a vibration that lines or rays don't sample, or nearer to another one than its time
+        resolves.
+        """
+        times = [self.images[j].timing.periods.max() for j in one.images.tolist()]
+        most, rays = 0.5 / max(times), int(np.isin(self.rays.image, one.images).sum())
+        if sine.frequency > min(most, rays / (4.0 * sine.half)):
+            found = f"{sine.frequency:g} Hz, of lines {max(times):g} s apart and {rays} rays in {2.0 * sine.half:g} s"
+            raise InputError(where, found, "two lines and two rays a period, at least", "a lower frequency")
+        for other in self.shared:
+            if other is not one and other.sine is not None and np.isin(other.images, one.images).any():
+                apart = abs(other.sine.frequency - sine.frequency)
+                if apart * 2.0 * sine.half < 1.0:
+                    found = f"{apart:g} Hz from {other.name!r}"
+                    raise InputError(where, found, f"{0.5 / sine.half:g} Hz, which its time resolves", "one of the two")
 
     def footprints_moved(self, shared: SharedUnknown) -> Index:
         """Constrained points, ascending, whose a-priori position a shared unknown moves."""

@@ -217,8 +217,8 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
     """Images of a case file, and the case; `ties` are taken in place of its own."""
     case = read_case(path, ties=ties)
-    if any(one.asks_for_strengths for one in case.network.passes):
-        found, remedy = "strengths of processes to be estimated", "state the numbers that `mgsgraph adjust` finds"
+    if case.vibrating or any(one.asks_for_strengths for one in case.network.passes):
+        found, remedy = "strengths or vibrations to be estimated", "state the numbers that `mgsgraph adjust` finds"
         raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
     known = known_images(case.network)
     return [NewImage(one, case.pictures[j] if case.pictures else None) for j, one in enumerate(known)], case

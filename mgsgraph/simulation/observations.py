@@ -14,7 +14,17 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
+from mgsgraph.network import (
+    GroundPoints,
+    ImageRays,
+    Network,
+    NodePrior,
+    Pass,
+    PointClass,
+    ProcessPrior,
+    Ranges,
+    Surface,
+)
 from mgsgraph.record import Record
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, rays_to_sines
 
@@ -131,7 +141,7 @@ def tie_network(
 ) -> Network:
     """Images whose orientation is that of their passes, `count` free tie points, their rays, and a terrain model."""
     prior = passes[0].prior
-    assert isinstance(prior, NodePrior)
+    assert isinstance(prior, NodePrior | ProcessPrior)
     own, none = OrientationPrior(prior.node_sigmas(np.zeros(1))), np.zeros(0)  # of no effect: passes have their own
     return Network(
         images=tuple(images),

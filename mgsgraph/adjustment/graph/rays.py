@@ -207,6 +207,8 @@ class RayConstants:
         lines, samples = terms.lines[k], rays.places[k, 1]
         pose, nothing = image.pose(lines).in_axes(axes), np.empty((mine.size, 0))
         angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
+        if predicted:
+            angular_rate = angular_rate + self.effects.turning(j, image.normalised(lines), values)
         slope, scale = nothing, nothing
         if self.effects.bends(j):
             slope = self.effects.slopes(j, samples, values)
