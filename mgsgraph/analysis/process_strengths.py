@@ -292,7 +292,7 @@ class Strength(Record):
     @property
     def process(self) -> tuple[object, ...]:
         """What its axes have in common."""
-        return self.part, self.kind, self.frequency, self.members
+        return self.part, self.kind, self.members
 
     @property
     def seen(self) -> bool:
