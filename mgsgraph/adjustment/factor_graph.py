@@ -42,10 +42,10 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
-from mgsgraph.network.effects import SharedEffects, crossover_rows, footprint_motion
+from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import SharedKind
@@ -291,7 +291,12 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
         for factor in of_pass.prior.factors(of_pass.nodes):
             members = [keys.variable(first + k) for k in factor.unknowns]
             yield linear_prior(members, factor.blocks, np.zeros(factor.blocks[0].shape[0]))
-    for row in (*network.linear, *crossover_rows(network)):
+    links = list(network.common_links)
+    linked = {row.variables[-1] for row in links}
+    for v in range(int(network.first_of_passes[-1]), len(network.widths)):
+        if v not in linked:
+            yield orientation_prior(keys.variable(v), np.ones(network.widths[v]))
+    for row in (*links, *network.linear, *crossover_rows(network)):
         yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
 
 
@@ -316,11 +321,13 @@ def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam
     if surface is None:
         return
     spline = surface.grid.spline()
+    lifts = _in_common(network, keys, 1, common_lifts(network, selected.nominal))
     for i in np.flatnonzero(selected.points & np.isfinite(surface.sigmas)).tolist():
         moved = []
         if network.terrain_moves:
             motion = surface.directions(selected.nominal[[i]])[0]
             moved = [constant(keys.variable(network.first_shared - 1), POSITION, motion.T)]
+        moved += [constant(key, POSITION, lift.T) for key, lift in lifts.get(i, [])]
         yield terrain_height(_point(network, keys, i), spline, float(surface.sigmas[i]), moved)
 
 
@@ -352,6 +359,19 @@ def _stereo_heights(
             )
 
 
+def _in_common(
+    network: Network, keys: Keys, of_row: int, effects: list[tuple[Index, Array]]
+) -> dict[int, list[tuple[int, Array]]]:
+    """Of each ray, or point, that has errors in common with others the key of their factors, and what these do."""
+    found = dict[int, list[tuple[int, Array]]]()
+    for common, kind, first in network.common:
+        keys_of = dict(zip(common.members.tolist(), (first + common.group).tolist(), strict=True))
+        for member, effect in [pair for several in effects for pair in zip(*several, strict=True)]:
+            if kind == of_row:
+                found.setdefault(int(member), []).append((keys.variable(keys_of[int(member)]), effect))
+    return found
+
+
 def _point(network: Network, keys: Keys, i: int) -> int | Array:
     """Key of a point, or its position where that is known."""
     return network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i)
@@ -366,7 +386,7 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 def _rays(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    rays = network.rays
+    rays, looks = network.rays, _in_common(network, keys, 2, common_looks(network))
     for j in range(len(network.images)):
         mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
@@ -374,8 +394,10 @@ def _rays(
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
+            shared = moves[j].of_ray(*place)
+            shared += [constant(key, slice(6, 8), look) for key, look in looks.get(k, [])]
             yield pushbroom_projection(
-                None, _point(network, keys, i), image, place, rays.sigmas[k], shared=moves[j].of_ray(*place),
+                None, _point(network, keys, i), image, place, rays.sigmas[k], shared=shared,
                 line=settings.line, angles=settings.angles, near=selected.nominal[i], robust=_robust(settings),
                 label=label,
             )  # fmt: skip

@@ -139,9 +139,9 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     passes = _read_passes(wanted, of_passes, images, path)
     parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
     names = [image.name for image in images]
-    tie_points, notes = _read_ties(wanted, parts, folder)
+    tie_points, windows, notes = _read_ties(wanted, parts, folder)
     if tie_points:
-        parts.add_points(tie_points, PointClass.TIE, 1.0)
+        parts.add_points(tie_points, PointClass.TIE, 1.0, windows)
     notes += _unread_keys(wanted, folder)
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
@@ -329,24 +329,25 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     return folder / entry.label
 
 
-def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, list[str]]:
-    """Tie points of all control networks, and what was left out; each file is checked by itself, so that errors name
-    it.
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, Array, list[str]]:
+    """Tie points of all control networks, the windows (k, 2) of their measures as `Parts.add_points` takes them, and
+    what was left out; each file is checked by itself, so that errors name it.
     """
     of_images = {
         image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
     }
-    groups, notes = [], []
+    groups, windows, notes = [], [np.zeros((0, 2))], []
     for entry in wanted.tie_groups:
         path = folder / entry.network
         window = window_beside(path) if entry.window_px is None else entry.window_px
         points = read_tie_points(path, parts.images[0].body)
         points, left_out = in_images(points, [image.name for image in parts.images])
-        group = with_sigmas(points, entry.sigma_px, of_images, window, entry.sigma_factor)
+        group = with_sigmas(points, entry.sigma_px, of_images, entry.sigma_factor)
+        windows.append(np.tile([window, entry.common_share], (group.measure_point.size, 1)))
         parts.require_measures(group)
         groups.append(group)
         notes += [left_out] if left_out else []
-    return merged(groups) if groups else None, notes
+    return merged(groups) if groups else None, np.concatenate(windows), notes
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:

@@ -7,7 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from mgsgraph.factors.algebra import transform
+from mgsgraph.factors.collinearity import image_motion, ray_motion
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.corrections import interior_effect, radius_of
@@ -63,15 +66,16 @@ class SharedEffects:
             column += kind.width
         return found
 
-    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+    def of_rays(self, image: int, u: Array, samples: Array, common: Array | None = None) -> Array:
         """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
-        pass.
+        pass. Last come the looks (n, 2, f) by factors of errors in `common` (`common_looks`).
         """
         mine = self.acting["rays"][image]
         kinds = [self._network.shared[k].kind for k in mine]
-        width = 9 if any(kind.is_interior for kind in kinds) else 6
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        more = 0 if common is None else common.shape[2]
+        width = 9 if more or any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds) + more, width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for k, kind in zip(mine, kinds, strict=True):
             columns = slice(column, column + kind.width)
@@ -80,6 +84,8 @@ class SharedEffects:
             else:
                 found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
+        if common is not None and more:
+            found[:, column:, 6:8] = np.swapaxes(common, 1, 2)
         return found
 
     def acts_on_rays(self, image: int) -> bool:
@@ -119,6 +125,55 @@ class SharedEffects:
             return directions, slopes
         scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
         return directions @ axes * scale, slopes @ axes * scale
+
+
+def common_looks(network: Network) -> list[tuple[Index, Array]]:
+    """Rays (k,) that have errors in common with others, those of as many factors together, and by how much a unit of
+    each has their pixels measured too far on, as m in the focal plane (k, 2, factors of line and sample).
+    """
+    found, rays, common = list[tuple[Index, Array]](), network.rays, network.common_rays
+    if common is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        pixel = np.empty((mine.size, 2, 2))
+        for j in np.unique(rays.image[members]).tolist():
+            own = np.flatnonzero(rays.image[members] == j)
+            pixel[own] = _pixels(network, j, *rays.places[members[own]].T)
+        pixel *= rays.sigmas[members][:, None]
+        found.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (mine.size, 2, -1))))
+    return found
+
+
+def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
+    """The same of points (k,) whose heights above the terrain model, near `places` (n, 3) in m, have errors in common:
+    how far a unit of each factor lifts the model, m (k, factors, 3).
+    """
+    found, common, surface = list[tuple[Index, Array]](), network.common_heights, network.surface
+    if common is None or surface is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
+        found.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
+    return found
+
+
+def _pixels(network: Network, image: int, lines: Array, samples: Array) -> Array:
+    """(n, 2, 2) m in the focal plane by which the ground's image moves from a line to the next, and from a sample to
+    the one before, where an image shows the ellipsoid, or comes closest to it; in the axes of its pass.
+    """
+    picture, axes = network.images[image], network.axes_of(image)
+    ground = picture.image_to_ground(lines, samples)[0]
+    origins, looks = picture.sightlines(lines, samples)
+    closest = origins - looks * np.einsum("nc,nc->n", origins, looks)[:, None]
+    ground = np.where(np.isfinite(ground), ground, closest)
+    pose, focal = picture.pose(lines).in_axes(axes), picture.interior.focal_length
+    attitude = tuple(np.moveaxis(pose.matrix, 0, -1))
+    ray = transform(attitude, tuple((ground - pose.position).T))
+    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), tuple(pose.angular_rate.T)), focal)
+    slope = Detector(*picture.interior.focal_plane(samples)).in_axes(axes, focal).slope
+    return np.stack([np.stack(motion, axis=1), -slope], axis=2)
 
 
 def bends(network: Network, shared: int, image: int) -> bool:
