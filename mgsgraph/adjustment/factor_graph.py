@@ -42,7 +42,7 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
 from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, footprint_motion
@@ -321,13 +321,15 @@ def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam
     if surface is None:
         return
     spline = surface.grid.spline()
-    lifts = _in_common(network, keys, 1, common_lifts(network, selected.nominal))
+    lifts = {int(i): lift for each in common_lifts(network, selected.nominal) for i, lift in zip(*each, strict=True)}
+    shared = network.common_variables[1].tolist()
     for i in np.flatnonzero(selected.points & np.isfinite(surface.sigmas)).tolist():
         moved = []
         if network.terrain_moves:
             motion = surface.directions(selected.nominal[[i]])[0]
             moved = [constant(keys.variable(network.first_shared - 1), POSITION, motion.T)]
-        moved += [constant(key, POSITION, lift.T) for key, lift in lifts.get(i, [])]
+        if i in lifts:
+            moved.append(constant(keys.variable(shared[i]), POSITION, lifts[i].T))
         yield terrain_height(_point(network, keys, i), spline, float(surface.sigmas[i]), moved)
 
 
@@ -359,19 +361,6 @@ def _stereo_heights(
             )
 
 
-def _in_common(
-    network: Network, keys: Keys, of_row: int, effects: list[tuple[Index, Array]]
-) -> dict[int, list[tuple[int, Array]]]:
-    """Of each ray, or point, that has errors in common with others the key of their factors, and what these do."""
-    found = dict[int, list[tuple[int, Array]]]()
-    for common, kind, first in network.common:
-        keys_of = dict(zip(common.members.tolist(), (first + common.group).tolist(), strict=True))
-        for member, effect in [pair for several in effects for pair in zip(*several, strict=True)]:
-            if kind == of_row:
-                found.setdefault(int(member), []).append((keys.variable(keys_of[int(member)]), effect))
-    return found
-
-
 def _point(network: Network, keys: Keys, i: int) -> int | Array:
     """Key of a point, or its position where that is known."""
     return network.points.places[i] if network.points.kinds[i] == PointKind.FIXED else keys.point(i)
@@ -386,7 +375,8 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 def _rays(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    rays, looks = network.rays, _in_common(network, keys, 2, common_looks(network))
+    rays, common = network.rays, network.common_variables[0].tolist()
+    looks = {int(k): look for each in common_looks(network) for k, look in zip(*each, strict=True)}
     for j in range(len(network.images)):
         mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
@@ -395,7 +385,8 @@ def _rays(
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
             shared = moves[j].of_ray(*place)
-            shared += [constant(key, slice(6, 8), look) for key, look in looks.get(k, [])]
+            if k in looks:
+                shared.append(constant(keys.variable(common[k]), slice(6, 8), looks[k]))
             yield pushbroom_projection(
                 None, _point(network, keys, i), image, place, rays.sigmas[k], shared=shared,
                 line=settings.line, angles=settings.angles, near=selected.nominal[i], robust=_robust(settings),

@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.files.opening import understood
-from mgsgraph.files.output.folders import MATCH
-from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
     AltimetryCloud,
@@ -414,17 +411,6 @@ def with_sigmas(
     default = np.array([*(of_images.get(name, sigma) for name in images.distinct), sigma])[images.numbers]
     sigmas = np.where(np.isnan(points.measure_sigmas), default[:, None], points.measure_sigmas)
     return replace(points, measure_sigmas=factor * sigmas)
-
-
-def window_beside(network: Path) -> float:
-    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
-    network that lies beside none.
-    """
-    record = network.with_name(MATCH)
-    if not record.is_file():
-        return 0.0
-    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
-        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def in_images(

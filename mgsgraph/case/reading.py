@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
+from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
 from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of
@@ -26,8 +26,10 @@ from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, Key, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.files.opening import read_text
+from mgsgraph.files.opening import read_text, understood
+from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.pvl import flat_label, instrument_of
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
@@ -348,6 +350,17 @@ def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints
         groups.append(group)
         notes += [left_out] if left_out else []
     return merged(groups) if groups else None, np.concatenate(windows), notes
+
+
+def window_beside(network: Path) -> float:
+    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
+    network that lies beside none.
+    """
+    record = network.with_name(MATCH)
+    if not record.is_file():
+        return 0.0
+    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
+        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:

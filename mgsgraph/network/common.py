@@ -23,6 +23,8 @@ _LEAST = 0.05
 """Share of its variance that a row keeps as its own, and of a factor's that those of other groups leave it."""
 SPHERE = float(np.sqrt(5.0))
 """Range of the spherical model, in radii of the circle that counts as much within a plane."""
+_SLIGHT = 0.01
+"""Correlation up to which two rows have nothing in common."""
 _SEEN = 0.2
 """What a factor must add to the group's variances, in that of one row."""
 
@@ -212,7 +214,7 @@ def _pairs(places: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Index, 
     if farthest <= 0.0:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     one, other = cKDTree(places).query_pairs(farthest, p=np.inf, output_type="ndarray").T
-    near = correlation(places, parts, one, other) > 0.0
+    near = correlation(places, parts, one, other) > _SLIGHT
     return one[near], other[near]
 
 
@@ -268,9 +270,8 @@ def _links(
     before = dict[int, list[int]]()
     for earlier, later in np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0).tolist():
         before.setdefault(later, []).append(earlier)
-    scores = [np.linalg.pinv(one) for one in loads]
-
-    found = list[LinearRows]()
+    linked = {g for later, known in before.items() for g in (later, *known)}
+    scores, found = {g: np.linalg.pinv(loads[g]) for g in linked}, list[LinearRows]()
     for later, known in before.items():
         every = [*known, later]
         edges = np.cumsum([0, *(scores[g].shape[0] for g in every)])

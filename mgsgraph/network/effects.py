@@ -7,10 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from mgsgraph.factors.algebra import transform
-from mgsgraph.factors.collinearity import image_motion, ray_motion
 from mgsgraph.geometry.body import east_north
-from mgsgraph.geometry.camera import Detector
+from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.corrections import interior_effect, radius_of
@@ -139,7 +137,8 @@ def common_looks(network: Network) -> list[tuple[Index, Array]]:
         pixel = np.empty((mine.size, 2, 2))
         for j in np.unique(rays.image[members]).tolist():
             own = np.flatnonzero(rays.image[members] == j)
-            pixel[own] = _pixels(network, j, *rays.places[members[own]].T)
+            lines, samples = rays.places[members[own]].T
+            pixel[own] = image_steps(network.images[j], lines, samples, network.axes_of(j))
         pixel *= rays.sigmas[members][:, None]
         found.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (mine.size, 2, -1))))
     return found
@@ -157,23 +156,6 @@ def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
         up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
         found.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
     return found
-
-
-def _pixels(network: Network, image: int, lines: Array, samples: Array) -> Array:
-    """(n, 2, 2) m in the focal plane by which the ground's image moves from a line to the next, and from a sample to
-    the one before, where an image shows the ellipsoid, or comes closest to it; in the axes of its pass.
-    """
-    picture, axes = network.images[image], network.axes_of(image)
-    ground = picture.image_to_ground(lines, samples)[0]
-    origins, looks = picture.sightlines(lines, samples)
-    closest = origins - looks * np.einsum("nc,nc->n", origins, looks)[:, None]
-    ground = np.where(np.isfinite(ground), ground, closest)
-    pose, focal = picture.pose(lines).in_axes(axes), picture.interior.focal_length
-    attitude = tuple(np.moveaxis(pose.matrix, 0, -1))
-    ray = transform(attitude, tuple((ground - pose.position).T))
-    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), tuple(pose.angular_rate.T)), focal)
-    slope = Detector(*picture.interior.focal_plane(samples)).in_axes(axes, focal).slope
-    return np.stack([np.stack(motion, axis=1), -slope], axis=2)
 
 
 def bends(network: Network, shared: int, image: int) -> bool:

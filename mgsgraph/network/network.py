@@ -137,6 +137,9 @@ class Network(Record):
         self._require_passes()
         self._require_stereo()
         self._require_considered()
+        if self.common_heights is not None and self.surface is not None:
+            number = np.where(np.isfinite(self.surface.sigmas), np.arange(n), -1)
+            assign(self, common_heights=self.common_heights.renumbered(number))
         for common, of_row, _ in self.common:
             frozen_index(common.members, "common errors, rows", common.members.size, k if of_row == 2 else n)
         if self.crossovers is not None:
@@ -374,6 +377,16 @@ class Network(Record):
             if one is not None:
                 found.append((one, of_row, first))
                 first += one.widths.size
+        return found
+
+    @property
+    def common_variables(self) -> tuple[Index, Index]:
+        """(k,) variable of the errors that each ray has in common with others, (n,) the same of each point's height
+        above the terrain model; -1 for none.
+        """
+        found = np.full(self.rays.point.size, -1), np.full(len(self.points), -1)
+        for one, of_row, first in self.common:
+            found[of_row == 1][one.members] = first + one.group
         return found
 
     def common_of(self, rays: Index, points: Index) -> tuple[CommonErrors | None, CommonErrors | None]:

@@ -60,7 +60,8 @@ def test_groups_have_the_covariance_that_they_stand_for(count: int, neighbors: f
     assert np.bincount(common.group).max() <= MOST
     found = implied(common, own)
     np.testing.assert_allclose(common.total * own[common.members], 1.0)
-    np.testing.assert_allclose((common.independent * own[common.members]) ** 2, exact.sum(axis=1)[common.members])
+    alone = (common.independent * own[common.members]) ** 2  # without correlations of a hundredth
+    np.testing.assert_allclose(alone, exact.sum(axis=1)[common.members], rtol=0.05)
     assert np.abs(np.diag(found) - 1.0).max() < 0.25
     assert np.mean(np.diag(found)) == pytest.approx(1.0, abs=0.02)
     assert found.sum() == pytest.approx(exact.sum(), rel=0.06)

@@ -260,7 +260,7 @@ def sort_points(
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
     on_stereo, sides = _on_stereo(n, stereo)
-    common = _common(network)
+    common = network.common_variables
     for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, _ in footprints)):
         mix_values(signature, values)
     if network.common:
@@ -316,16 +316,6 @@ def _moved(network: Network) -> Index:
         return np.full(len(network.points), -1, dtype=np.int64)
     profile = network.shifts.profile
     return np.where(profile >= 0, len(network.images) + profile, -1)
-
-
-def _common(network: Network) -> tuple[Index, Index]:
-    """(k,) variable of the errors that each ray has in common with others, (n,) the same of each point's height above
-    the terrain model; -1 for none.
-    """
-    found = np.full(network.rays.point.size, -1), np.full(len(network.points), -1)
-    for one, of_row, first in network.common:
-        found[of_row == 1][one.members] = first + one.group
-    return found
 
 
 def _footprints(network: Network) -> list[tuple[Index, int]]:
