@@ -36,7 +36,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 
 CASES = tuple(f"{name}, {drawn}" for name in (*SITE_NAMES, "HRSC strip") for drawn in ("model", "exact"))
 STATED = ("ties", "heights", "means of 30", "squares")
-FORMS = ("groups", "larger sigmas")
+FORMS = ("groups", "independent")
 """How a network states what neighbors have in common: by groups; by larger sigmas of independent rows."""
 _GAP = 20.0
 """m, sigma of the heights between two tracks."""
