@@ -56,14 +56,15 @@ class Correlated(NamedTuple):
     heights: tuple[Index, Array]
     """The same of points with heights above the terrain model, m."""
 
-    def exact(self, network: Network, rng: np.random.Generator) -> tuple[Array, Array]:
+    def exact(self, network: Network, rng: np.random.Generator, wanted: int) -> Array:
         """Errors of moving averages over windows, and of heights by the exact covariance (`redraw.Noise`)."""
-        rays, heights = common_noise(replace(network, common_rays=None, common_heights=None), rng)
-        for mine, root in self.rays:
-            rays[mine] = root @ rng.standard_normal((mine.size, 2)) * network.ray_sigmas[mine]
-        mine, root = self.heights
-        heights[mine] = root @ rng.standard_normal(mine.size)
-        return rays, heights
+        found = common_noise(replace(network, common_rays=None, common_heights=None), rng, wanted)
+        for mine, root in self.rays if wanted == 2 else ():
+            found[mine] = root @ rng.standard_normal((mine.size, 2)) * network.ray_sigmas[mine]
+        if wanted == 1:
+            mine, root = self.heights
+            found[mine, 0] = root @ rng.standard_normal(mine.size)
+        return found
 
 
 @lru_cache(maxsize=len(CASES))

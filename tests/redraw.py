@@ -60,25 +60,29 @@ Change = Callable[[int, OrientationCorrection], OrientationCorrection]
 """Of an image, by its number: its true correction, as drawn, with an error of its nominal orientation in it."""
 
 
-Noise = Callable[[Network, np.random.Generator], tuple[Array, Array]]
-"""Errors (k, 2) of rays, px, and (n,) of heights above the terrain model, m."""
+Noise = Callable[[Network, np.random.Generator, int], Array]
+"""Errors (k, 2) of rays, px, where 2 is asked for, and (n, 1) of heights above the terrain model, m, by 1."""
 
 
-def common_noise(network: Network, rng: np.random.Generator) -> tuple[Array, Array]:
+def common_noise(network: Network, rng: np.random.Generator, wanted: int) -> Array:
     """Errors as the network states them, its groups of neighbors among them."""
-    found = [rng.standard_normal(network.rays.places.shape), rng.standard_normal((len(network.points), 1))]
+    sigmas = network.rays.sigmas
+    if wanted == 1:
+        assert network.surface is not None
+        sigmas = np.where(np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0)[:, None]
+    found = rng.standard_normal(sigmas.shape)
     for one, of_row, _ in network.common:
         before = {row.variables[-1]: row for row in one.links}
         values = list[Array]()
-        for group, width in enumerate(one.widths.tolist()):
+        for group, width in enumerate(one.widths.tolist() if of_row == wanted else ()):
             values.append(rng.standard_normal((width, of_row)))
             if group in before:
                 *known, own = before[group].blocks
                 pairs = zip(known, before[group].variables, strict=False)
                 values[-1] = np.linalg.solve(own, values[-1] - sum(block @ values[v] for block, v in pairs))
-        found[2 - of_row][one.members] += one.errors(values)
-    sigmas = np.zeros(len(network.points)) if network.surface is None else network.surface.sigmas
-    return found[0] * network.rays.sigmas, found[1][:, 0] * np.where(np.isfinite(sigmas), sigmas, 0.0)
+        if values:
+            found[one.members] += one.errors(values)
+    return np.asarray(found * sigmas)
 
 
 def redraw(
@@ -110,13 +114,13 @@ def redraw(
         own = tuple(change(j, one) for j, one in enumerate(own))
     shared = tuple(rng.standard_normal(one.sigmas.size) * one.sigmas for one in network.shared)
     corrections = _with_shared(network, own, shared, angles)
-    terrain, (of_rays, of_heights) = _drawn_terrain(network.surface, rng), noise(network, rng)
-    truth = _on_stereo(network, _true_places(network, terrain, of_heights), corrections, rng)
+    terrain = _drawn_terrain(network.surface, rng)
+    truth = _on_stereo(network, _true_places(network, terrain, noise, rng), corrections, rng)
     shifts, points = _drawn_points(network, truth, shared, rng)
     level = 2 if network.surface is not None and network.surface.shift_sigma else 0
     if network.terrain_moves:
         shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
-    rays = _drawn_rays(network, truth, points, corrections, shared, of_rays)
+    rays = _drawn_rays(network, truth, points, corrections, shared, noise(network, rng, 2))
     ranges = _drawn_ranges(network, truth, corrections, shared, rng)
     drawn = replace(network, points=points, rays=rays, ranges=ranges)
     return Draw(drawn, corrections, shifts, truth, terrain[level:], shared, own)
@@ -185,8 +189,8 @@ def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -
     return OrientationCorrection(rng.standard_normal(sigmas.shape) * sigmas, angles)
 
 
-def _true_places(network: Network, terrain: Array, heights: Array) -> Array:
-    """(n, 3) m: a-priori places, or where the nominal rays meet; on the terrain model, but for drawn heights (n,)."""
+def _true_places(network: Network, terrain: Array, noise: Noise, rng: np.random.Generator) -> Array:
+    """(n, 3) m: a-priori places, or where the nominal rays meet; on the terrain model, but for a drawn height."""
     rays = network.rays
     origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
     for j, image in enumerate(network.images):
@@ -199,6 +203,7 @@ def _true_places(network: Network, terrain: Array, heights: Array) -> Array:
         raise InputError(f"point {network.points.ids[i]}", "nothing that places it", "two rays, or an a-priori place")
     if network.surface is None:
         return places
+    heights = noise(network, rng, 1)[:, 0]
     for _ in range(_HEIGHT_STEPS):
         above, normal = network.surface.grid.height_above(places - network.surface.moved(places, terrain))
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)

@@ -27,14 +27,14 @@ CEILINGS = {
     "analysis": (4801, 77000, 27),
     "adjustment": (7472, 113828, 43),
     "matching": (2094, 34449, 13),
-    "network": (3179, 51459, 16),
+    "network": (3179, 51497, 16),
     "files": (8830, 123028, 53),
     "kernel": (2653, 45675, 15),
     "geometry": (2609, 42558, 16),
     "factors": (855, 13596, 18),
     "single files": (824, 9593, 10),
-    "scripts": (6471, 102479, 46),
-    "tests": (35786, 539417, 196),
+    "scripts": (6472, 102485, 46),
+    "tests": (35791, 539397, 196),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

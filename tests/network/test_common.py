@@ -95,7 +95,7 @@ def test_draws_have_the_stated_correlations() -> None:
     net, rng = with_neighbors(with_shift_and_surface(network(pair(20)))), np.random.default_rng(5)
     common = net.common_rays
     assert common is not None
-    drawn = np.array([common_noise(net, rng)[0] for _ in range(400)]) / net.ray_sigmas
+    drawn = np.array([common_noise(net, rng, 2) for _ in range(400)]) / net.ray_sigmas
     mine = common.members[common.group == 0]
     seen = np.mean(drawn[:, mine].sum(axis=1) ** 2)
     own = net.rays.sigmas[:, 0] / net.ray_sigmas[:, 0]
