@@ -56,8 +56,9 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.network.connectivity", "mgsgraph.network.duplicates", "mgsgraph.registration.dem",
-        "mgsgraph.results.catalog", "mgsgraph.simulation.archive_ties", "mgsgraph.studio.linked",
+        "mgsgraph.network.common", "mgsgraph.network.connectivity", "mgsgraph.network.duplicates",
+        "mgsgraph.registration.dem", "mgsgraph.results.catalog", "mgsgraph.simulation.archive_ties",
+        "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),

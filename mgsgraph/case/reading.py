@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
+from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
 from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, vibration_unknowns
@@ -27,8 +27,10 @@ from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, Key, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.files.opening import read_text
+from mgsgraph.files.opening import read_text, understood
+from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.pvl import flat_label, instrument_of
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
@@ -142,9 +144,9 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     passes = _read_passes(wanted, of_passes, images, path)
     parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
     names = [image.name for image in images]
-    tie_points, notes = _read_ties(wanted, parts, folder)
+    tie_points, windows, notes = _read_ties(wanted, parts, folder)
     if tie_points:
-        parts.add_points(tie_points, PointClass.TIE, 1.0)
+        parts.add_points(tie_points, PointClass.TIE, 1.0, windows)
     notes += _unread_keys(wanted, folder)
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
@@ -337,24 +339,36 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     return folder / entry.label
 
 
-def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, list[str]]:
-    """Tie points of all control networks, and what was left out; each file is checked by itself, so that errors name
-    it.
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, Array, list[str]]:
+    """Tie points of all control networks, the windows (k, 2) of their measures as `Parts.add_points` takes them, and
+    what was left out; each file is checked by itself, so that errors name it.
     """
     of_images = {
         image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
     }
-    groups, notes = [], []
+    groups, windows, notes = [], [np.zeros((0, 2))], []
     for entry in wanted.tie_groups:
         path = folder / entry.network
         window = window_beside(path) if entry.window_px is None else entry.window_px
         points = read_tie_points(path, parts.images[0].body)
         points, left_out = in_images(points, [image.name for image in parts.images])
-        group = with_sigmas(points, entry.sigma_px, of_images, window, entry.sigma_factor)
+        group = with_sigmas(points, entry.sigma_px, of_images, entry.sigma_factor)
+        windows.append(np.tile([window, entry.common_share], (group.measure_point.size, 1)))
         parts.require_measures(group)
         groups.append(group)
         notes += [left_out] if left_out else []
-    return merged(groups) if groups else None, notes
+    return merged(groups) if groups else None, np.concatenate(windows), notes
+
+
+def window_beside(network: Path) -> float:
+    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
+    network that lies beside none.
+    """
+    record = network.with_name(MATCH)
+    if not record.is_file():
+        return 0.0
+    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
+        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:

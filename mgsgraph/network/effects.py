@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.corrections import interior_effect, radius_of
@@ -63,14 +64,15 @@ class SharedEffects:
             column += kind.width
         return found
 
-    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+    def of_rays(self, image: int, u: Array, samples: Array, common: Array | None = None) -> Array:
         """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
-        pass.
+        pass. Last come the looks (n, 2, f) by factors of errors in `common` (`common_looks`).
         """
         mine, kinds = self.acting["rays"][image], self._kinds["rays"][image]
-        width = 9 if any(kind.is_interior for kind in kinds) else 6
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        more = 0 if common is None else common.shape[2]
+        width = 9 if more or any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds) + more, width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for k, kind in zip(mine, kinds, strict=True):
             columns = slice(column, column + kind.width)
@@ -81,6 +83,8 @@ class SharedEffects:
             else:
                 found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
+        if common is not None and more:
+            found[:, column:, 6:8] = np.swapaxes(common, 1, 2)
         return found
 
     def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
@@ -132,6 +136,39 @@ class SharedEffects:
             return directions, slopes
         scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
         return directions @ axes * scale, slopes @ axes * scale
+
+
+def common_looks(network: Network) -> list[tuple[Index, Array]]:
+    """Rays (k,) that have errors in common with others, those of as many factors together, and by how much a unit of
+    each has their pixels measured too far on, as m in the focal plane (k, 2, factors of line and sample).
+    """
+    found, rays, common = list[tuple[Index, Array]](), network.rays, network.common_rays
+    if common is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        pixel = np.empty((mine.size, 2, 2))
+        for j in np.unique(rays.image[members]).tolist():
+            own = np.flatnonzero(rays.image[members] == j)
+            lines, samples = rays.places[members[own]].T
+            pixel[own] = image_steps(network.images[j], lines, samples, network.axes_of(j))
+        pixel *= rays.sigmas[members][:, None]
+        found.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (mine.size, 2, -1))))
+    return found
+
+
+def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
+    """The same of points (k,) whose heights above the terrain model, near `places` (n, 3) in m, have errors in common:
+    how far a unit of each factor lifts the model, m (k, factors, 3).
+    """
+    found, common, surface = list[tuple[Index, Array]](), network.common_heights, network.surface
+    if common is None or surface is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
+        found.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
+    return found
 
 
 def bends(network: Network, shared: int, image: int) -> bool:

@@ -12,7 +12,7 @@ do the two images contradict each other. And there they show the difference of t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -181,13 +181,14 @@ def simulate_ctx_pair(
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
     measures = exact + _NOISE * of_ties.standard_normal(exact.shape)
     rays = ImageRays(np.repeat(np.arange(len(points)), 2), image, measures, np.full(exact.shape, _NOISE))
-    surface, shifts = terrain_model(settings.control, terrain, points, of_terrain)
+    surface, common, shifts = terrain_model(settings.control, terrain, points, of_terrain)
     passes = [
         Pass(one.name, np.array([k]), evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), _SPACING),
              settings.jitter.prior(float(np.ptp(image_times(one)))))
         for k, one in enumerate(images)
     ]  # fmt: skip
     network = tie_network(images, passes, rays, len(points), surface)
+    network = replace(network, common_heights=common)
     return SimulatedCtxPair(network, truth, shifts, points, terrain)
 
 

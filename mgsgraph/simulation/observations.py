@@ -25,6 +25,7 @@ from mgsgraph.network import (
     Ranges,
     Surface,
 )
+from mgsgraph.network.common import CommonErrors, common_heights
 from mgsgraph.record import Record
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, rays_to_sines
 
@@ -177,16 +178,17 @@ class TerrainErrors(Record):
 
 def terrain_model(
     errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
-) -> tuple[Surface | None, Array]:
-    """Terrain model as control of points (n, 3) in m, and what it lacks of the truth, (1, 2) m east and north; no rows
-    where posts miss, no shift (0, 2) without a model or where it has none.
+) -> tuple[Surface | None, CommonErrors | None, Array]:
+    """Terrain model as control of points (n, 3) in m, what their heights have in common, and what it lacks of the
+    truth, (1, 2) m east and north; no rows where posts miss, no shift (0, 2) without a model or where it has none.
     """
     if errors is None:
-        return None, np.zeros((0, 2))
+        return None, None, np.zeros((0, 2))
     shift = errors.planimetric * rng.standard_normal(2)
     grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
-    return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
+    sigmas = np.nan_to_num(grid.height_sigmas(points), nan=np.inf)
+    surface, common = common_heights(Surface(grid, sigmas, errors.planimetric), points)
+    return surface, common, shift[None][: 1 if errors.planimetric else 0]
 
 
 def project(
