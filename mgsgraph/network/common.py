@@ -25,8 +25,9 @@ SPHERE = float(np.sqrt(5.0))
 """Range of the spherical model, in radii of the circle that counts as much within a plane."""
 _SLIGHT = 0.01
 """Correlation up to which two rows have nothing in common."""
-_SEEN = 0.2
-"""What a factor must add to the group's variances, in that of one row."""
+_SEEN, _AMID = 0.2, 0.45
+"""What a factor must add to the group's variances, in that of one row; or by what share of the largest, where that is
+less: not by half, where the middle eigenvalue of three rows in a chain lies whatever their correlations are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +253,7 @@ def _factors(correlations: Array) -> tuple[Array, Array]:
     """Loads (n, q) of a group with such correlations, in whole sigmas, and the own sigma (n,) of each row."""
     values, vectors = np.linalg.eigh(correlations)
     least = max(float(values[0]), _LEAST)
-    kept = values - least > min(_SEEN, 0.5 * (values[-1] - least))
+    kept = values - least > min(_SEEN, _AMID * (values[-1] - least))
     loads = vectors[:, kept] * np.sqrt(values[kept] - least)
     own = np.maximum(1.0 - np.sum(loads**2, axis=1), _LEAST)
     return loads * np.sqrt((1.0 - own) / np.maximum(np.sum(loads**2, axis=1), 1e-300))[:, None], np.sqrt(own)

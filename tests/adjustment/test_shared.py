@@ -66,7 +66,7 @@ def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool])
     np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-5, atol=1e-6)
     for value, again, prior in zip(one.shared, other.shared, one.network.shared, strict=True):
         np.testing.assert_allclose(value, again, atol=1e-5 * prior.sigmas.min())
-    np.testing.assert_allclose(one.shifts, other.shifts, atol=1e-3)
+    np.testing.assert_allclose(one.shifts, other.shifts, atol=2e-3)  # of 100 m
     assert one.fit.unknowns == one.joint_covariance.columns + 3 * 18
     assert one.fit.squares == pytest.approx(2.0 * one.cost_final, rel=1e-6)
 
