@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (856, 13602, 18),
     "single files": (824, 9593, 10),
     "scripts": (6885, 110415, 50),
-    "tests": (36353, 550446, 200),
+    "tests": (36355, 550443, 200),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -152,7 +152,7 @@ class SharedUnknown(Record):
     >>> clock = SharedUnknown("clock", SharedKind.ATTITUDE_TIME, np.array([0, 1]), np.array([0.1]))
     >>> print(clock)
     SharedUnknown(name='clock', kind=<SharedKind.ATTITUDE_TIME: 'attitude-time bias'>, images=[0, 1], sigmas=[0.1],
-    profile='')
+    profile='', sine=None)
     """
 
     name: str

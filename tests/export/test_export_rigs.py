@@ -65,7 +65,7 @@ def segments(folder: Path) -> dict[int, list[tuple[float, float]]]:
 def sine_of(kind: SharedKind) -> Sine | None:
     """5 Hz, over the time of R."""
     start, stop = seconds(rig().images[1])
-    return Sine(5.0, 0.5 * (start + stop), 0.5 * (stop - start)) if kind is SharedKind.VIBRATION else None
+    return Sine(4.0, 0.5 * (start + stop), 0.5 * (stop - start)) if kind is SharedKind.VIBRATION else None
 
 
 @cache
@@ -119,7 +119,7 @@ def by_hand(image: PushbroomImage, kind: SharedKind) -> PushbroomImage:
         times, axes = np.linspace(start - 0.1, stop + 0.1, 6000), rig().axes_of(1)
         assert axes is not None
         middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
-        wave = np.exp(-10j * np.pi * (times - middle))[:, None]
+        wave = np.exp(-8j * np.pi * (times - middle))[:, None]
         amounts, drift = (values[k::4] + 1j * values[k + 1 :: 4] for k in (0, 2))
         turn = np.real(wave * (amounts + (times - middle)[:, None] / half * drift)) @ axes.T
         matrices = rotation.exponential(-turn) @ camera.at(times)[0]
