@@ -234,7 +234,7 @@ def _altimetry() -> Iterator[Reader]:
 
 def _kept() -> Iterator[Reader]:
     """What has checksums: a flipped bit is refused, or nobody reads it."""
-    from mgsgraph.case.assembly import window_beside
+    from mgsgraph.case.reading import window_beside
     from mgsgraph.errors import require
     from mgsgraph.export.network_content import source_networks
     from mgsgraph.fetch.store import LOCK, Lock, LockedFile

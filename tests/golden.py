@@ -72,7 +72,7 @@ def of_solution(solution: mgsgraph.Solution) -> Result:
     classes = network.points.classes[network.rays.point]
     for kind in np.unique(classes).tolist():
         mine = (classes == kind) & solution.rays_used
-        found[f"rms of rays of class {int(kind)}"] = _rms((solution.residuals / network.rays.sigmas)[mine])
+        found[f"rms of rays of class {int(kind)}"] = _rms((solution.residuals / network.ray_sigmas)[mine])
     if solution.ranges_used.any():
         found["rms of ranges"] = _rms((solution.range_residuals / network.ranges.sigmas)[solution.ranges_used])
     return found
@@ -83,13 +83,14 @@ def _of_unknowns(solution: mgsgraph.Solution) -> Result:
     network, joint = solution.network, solution.joint_covariance
     images = [image.name for image in network.images]
     names = [*images, *network.shift_names, *(one.name for one in network.shared)]
-    names += [f"unknown {k} of passes" for k in range(len(solution.values) - len(names))]
+    # factors of errors in common are left out: they turn as eigenvectors may
+    names += [f"unknown {k} of passes" for k in range(int(network.first_of_passes[-1]) - len(names))]
     variances = [np.diagonal(joint.block(k, k)) for k in range(len(names))]
     free = {name: k for k, name in enumerate(names) if variances[k].any()}
     sample = [*_spread(sorted(set(images) & set(free)), IMAGES), *_spread(sorted(set(free) - set(images)), IMAGES)]
     found: Result = {
         name: ["estimate", _long(value), _short(np.sqrt(variance))]
-        for name, value, variance in zip(names, solution.values, variances, strict=True)
+        for name, value, variance in zip(names, solution.values, variances, strict=False)
     }
     return found | {f"covariance of {', '.join(sample)}": _covariance(joint.of([free[name] for name in sample]))}
 

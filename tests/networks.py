@@ -5,11 +5,12 @@ from functools import cache
 
 import numpy as np
 
+from mgsgraph.adjustment.factor_graph import nominal_selection
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.geometry.terrain import TerrainGrid
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.network import (
     GroundPoints,
     ImageRays,
@@ -22,6 +23,7 @@ from mgsgraph.network import (
     Ranges,
     Surface,
 )
+from mgsgraph.network.common import common_heights, common_matches
 from mgsgraph.simulation.ground import sine_height
 from mgsgraph.simulation.observations import NoiseSettings
 from mgsgraph.simulation.orbit import MARS
@@ -48,6 +50,20 @@ def with_tilting_surface(net: Network) -> Network:
     assert net.surface is not None
     middle = np.nanmean(net.points.places, axis=0)
     return replace(net, surface=replace(net.surface, height_sigma=40.0, tilt_sigma=2e-4, middle=middle))
+
+
+def with_neighbors(net: Network, side: float = 400.0, reach: float = 3000.0) -> Network:
+    """The same with errors that ties within windows of some pixels, and points on its terrain model within a gap of
+    some m, have in common.
+    """
+    ties = net.points.classes[net.rays.point] == PointClass.TIE
+    rays, of_rays = common_matches(net.rays, np.where(ties, side, 0.0), np.full(ties.size, 0.9))
+    net, surface, of_heights = replace(net, rays=rays, common_rays=of_rays), net.surface, None
+    if surface is not None:
+        gaps = (np.full(surface.grid.radii.shape, size) for size in (20.0, reach))
+        surface = replace(surface, grid=replace(surface.grid, vertical_sigma=10.0, gaps=Gaps(*gaps)))
+        surface, of_heights = common_heights(surface, nominal_selection(net).places)
+    return replace(net, surface=surface, common_heights=of_heights)
 
 
 def terrain(net: Network) -> TerrainGrid:

@@ -60,9 +60,35 @@ Change = Callable[[int, OrientationCorrection], OrientationCorrection]
 """Of an image, by its number: its true correction, as drawn, with an error of its nominal orientation in it."""
 
 
+Noise = Callable[[Network, np.random.Generator, int], Array]
+"""Errors (k, 2) of rays, px, where 2 is asked for, and (n, 1) of heights above the terrain model, m, by 1."""
+
+
+def common_noise(network: Network, rng: np.random.Generator, wanted: int) -> Array:
+    """Errors as the network states them, its groups of neighbors among them."""
+    sigmas = network.rays.sigmas
+    if wanted == 1:
+        assert network.surface is not None
+        sigmas = np.where(np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0)[:, None]
+    found = rng.standard_normal(sigmas.shape)
+    for one, of_row, _ in network.common:
+        before = {row.variables[-1]: row for row in one.links}
+        values = list[Array]()
+        for group, width in enumerate(one.widths.tolist() if of_row == wanted else ()):
+            values.append(rng.standard_normal((width, of_row)))
+            if group in before:
+                *known, own = before[group].blocks
+                pairs = zip(known, before[group].variables, strict=False)
+                values[-1] = np.linalg.solve(own, values[-1] - sum(block @ values[v] for block, v in pairs))
+        if values:
+            found[one.members] += one.errors(values)
+    return np.asarray(found * sigmas)
+
+
 def redraw(
-    network: Network, rng: np.random.Generator, angles: Angles = "camera", change: Change | None = None
-) -> Draw:
+    network: Network, rng: np.random.Generator, angles: Angles = "camera", change: Change | None = None,
+    noise: Noise = common_noise,
+) -> Draw:  # fmt: skip
     """Draw a network anew.
 
     Parameters
@@ -75,6 +101,8 @@ def redraw(
         What the rotation part of the coefficients is.
     change : callable, optional
         What is wrong with nominal orientations beyond their priors.
+    noise : callable
+        Gives the errors of rays and of heights.
 
     Raises
     ------
@@ -87,12 +115,12 @@ def redraw(
     shared = tuple(rng.standard_normal(one.sigmas.size) * one.sigmas for one in network.shared)
     corrections = _with_shared(network, own, shared, angles)
     terrain = _drawn_terrain(network.surface, rng)
-    truth = _on_stereo(network, _true_places(network, terrain, rng), corrections, rng)
+    truth = _on_stereo(network, _true_places(network, terrain, noise, rng), corrections, rng)
     shifts, points = _drawn_points(network, truth, shared, rng)
     level = 2 if network.surface is not None and network.surface.shift_sigma else 0
     if network.terrain_moves:
         shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
-    rays = _drawn_rays(network, truth, points, corrections, shared, rng)
+    rays = _drawn_rays(network, truth, points, corrections, shared, noise(network, rng, 2))
     ranges = _drawn_ranges(network, truth, corrections, shared, rng)
     drawn = replace(network, points=points, rays=rays, ranges=ranges)
     return Draw(drawn, corrections, shifts, truth, terrain[level:], shared, own)
@@ -161,7 +189,7 @@ def _drawn_correction(sigmas: Array, rng: np.random.Generator, angles: Angles) -
     return OrientationCorrection(rng.standard_normal(sigmas.shape) * sigmas, angles)
 
 
-def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> Array:
+def _true_places(network: Network, terrain: Array, noise: Noise, rng: np.random.Generator) -> Array:
     """(n, 3) m: a-priori places, or where the nominal rays meet; on the terrain model, but for a drawn height."""
     rays = network.rays
     origins, directions = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
@@ -175,9 +203,7 @@ def _true_places(network: Network, terrain: Array, rng: np.random.Generator) -> 
         raise InputError(f"point {network.points.ids[i]}", "nothing that places it", "two rays, or an a-priori place")
     if network.surface is None:
         return places
-    heights = rng.standard_normal(len(network.points)) * np.where(
-        np.isfinite(network.surface.sigmas), network.surface.sigmas, 0.0
-    )
+    heights = noise(network, rng, 1)[:, 0]
     for _ in range(_HEIGHT_STEPS):
         above, normal = network.surface.grid.height_above(places - network.surface.moved(places, terrain))
         move = np.where(np.isfinite(network.surface.sigmas) & np.isfinite(above), heights - above, 0.0)
@@ -235,10 +261,9 @@ def _drawn_rays(
     points: GroundPoints,
     corrections: tuple[OrientationCorrection, ...],
     shared: tuple[Array, ...],
-    rng: np.random.Generator,
+    noise: Array,
 ) -> ImageRays:
     rays = network.rays
-    noise = rng.standard_normal(rays.places.shape) * rays.sigmas
     places = np.empty_like(rays.places)
     repeated = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=bool)
     values = [np.zeros(0)] * network.first_shared + list(shared)

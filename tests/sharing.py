@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from mgsgraph.geometry.orientation import Sine
 from mgsgraph.network import Network, PointClass, ProfileShifts, SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors
 from mgsgraph.simulation.observations import NoiseSettings
@@ -31,16 +32,20 @@ SIGMAS: Mapping[SharedKind, float] = {
     SharedKind.ALTIMETER_LEVER_ARM: 5.0,
     SharedKind.PROFILE_HEIGHT: 10.0,
     SharedKind.PROFILE_DRIFT: 20.0,
+    SharedKind.VIBRATION: 1e-5,
 }
 """s, rad, m and 1."""
+SINE = Sine(0.5, -11_000_000.0, 4.0)
+"""Of a vibration of the first image of `pair`, whose time it is."""
 
 
 def shared(kind: SharedKind, images: Sequence[int], sigma: float | None = None) -> SharedUnknown:
     """An unknown called by its kind; a profile's height is that of `with_all_kinds`."""
     of_profile = kind.of_profile
-    members = np.zeros(0, dtype=int) if of_profile else np.array(images)
+    vibrates = kind is SharedKind.VIBRATION
+    members = np.array([] if of_profile else images[:1] if vibrates else images, dtype=int)
     sigmas = np.full(kind.width, sigma or SIGMAS[kind])
-    return SharedUnknown(str(kind), kind, members, sigmas, "profile" if of_profile else "")
+    return SharedUnknown(str(kind), kind, members, sigmas, "profile" if of_profile else "", SINE if vibrates else None)
 
 
 def with_all_kinds(net: Network) -> Network:

@@ -56,8 +56,9 @@ ONLY_IN = {
     "tqdm": ("mgsgraph.cli",),
     "scipy": (
         "mgsgraph.analysis", "mgsgraph.adjustment", "mgsgraph.files.networks", "mgsgraph.geometry", "mgsgraph.matching",
-        "mgsgraph.network.connectivity", "mgsgraph.network.duplicates", "mgsgraph.registration.dem",
-        "mgsgraph.results.catalog", "mgsgraph.simulation.archive_ties", "mgsgraph.studio.linked",
+        "mgsgraph.network.common", "mgsgraph.network.connectivity", "mgsgraph.network.duplicates",
+        "mgsgraph.registration.dem", "mgsgraph.results.catalog", "mgsgraph.simulation.archive_ties",
+        "mgsgraph.studio.linked",
     ),
     "shapely": ("mgsgraph.geometry", "mgsgraph.export"),
     "pyogrio": ("mgsgraph.export",),
@@ -295,7 +296,7 @@ def test_the_factor_graph_shares_no_line_with_the_kernel() -> None:
     assert not [name for name in files if name.startswith(("mgsgraph.kernel", "mgsgraph.adjustment.graph"))]
 
 
-REACH = 180
+REACH = 184
 """Files that adjusting a case may reach; whoever reads how an adjustment works has to know no others."""
 
 

@@ -219,8 +219,9 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
     shifts, lift = shift_values(network, variables, orientation)
     nodes, trends = pass_values(network, variables, orientation)
     shared = shared_values(network, variables, orientation)
+    common = tuple(variables.split(orientation)[int(network.first_of_passes[-1]) :])
     return {"coefficients": coefficients, "shifts": shifts, "lift": lift, "shared": shared, "nodes": nodes,
-            "trends": trends}  # fmt: skip
+            "trends": trends, "common": common}  # fmt: skip
 
 
 # --- residuals, and what drives an adjustment that failed the sanity checks
@@ -241,6 +242,9 @@ def _misfit(
         clock.stop("drivers")
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
+    rays = layout.network.common_rays
+    if rays is not None:
+        found.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]
     never = solved.selection.out[layout.network.rays.point]
     found.image[never] = nominal.residuals.image[never] = np.nan
     clock.stop("residuals")

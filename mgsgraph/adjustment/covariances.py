@@ -368,6 +368,8 @@ class Linearised:
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
         none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface
+        none_of = (np.full(size, -1) for size in (network.rays.point.size, len(network.points)))
+        of_rays, of_heights = network.common_of(*none_of)
         bare = replace(
             network,
             points=points,
@@ -377,6 +379,8 @@ class Linearised:
             surface=None if surface is None else replace(surface, sigmas=np.full(m, np.inf)),
             stereo=None,
             crossovers=None,
+            common_rays=of_rays,
+            common_heights=of_heights,
         )
         # the papers' form has no derivatives of a place, only of a misfit at a measured line
         return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)

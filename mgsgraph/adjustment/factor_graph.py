@@ -7,7 +7,7 @@ bundle form that `adjust` takes: it shares no line with the compiled kernel and 
     case, network, solution ──> factor_graph ──> graph, values, keys ──> any GTSAM optimizer ──> solution_of
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -46,7 +46,7 @@ from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
-from mgsgraph.network.effects import SharedEffects, crossover_rows, footprint_motion
+from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, footprint_motion
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import SharedKind
@@ -270,7 +270,12 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
         for factor in of_pass.prior.factors(of_pass.nodes):
             members = [keys.variable(first + k) for k in factor.unknowns]
             yield linear_prior(members, factor.blocks, np.zeros(factor.blocks[0].shape[0]))
-    for row in (*network.linear, *crossover_rows(network)):
+    links = list(network.common_links)
+    linked = {row.variables[-1] for row in links}
+    for v in range(int(network.first_of_passes[-1]), len(network.widths)):
+        if v not in linked:
+            yield orientation_prior(keys.variable(v), np.ones(network.widths[v]))
+    for row in (*links, *network.linear, *crossover_rows(network)):
         yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
 
 
@@ -295,11 +300,15 @@ def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam
     if surface is None:
         return
     spline = surface.grid.spline()
+    lifts = {int(i): lift for each in common_lifts(network, selected.nominal) for i, lift in zip(*each, strict=True)}
+    shared = network.common_variables[1].tolist()
     for i in np.flatnonzero(selected.points & np.isfinite(surface.sigmas)).tolist():
         moved = []
         if network.terrain_moves:
             motion = surface.directions(selected.nominal[[i]])[0]
             moved = [constant(keys.variable(network.first_shared - 1), POSITION, motion.T)]
+        if i in lifts:
+            moved.append(constant(keys.variable(shared[i]), POSITION, lifts[i].T))
         yield terrain_height(_point(network, keys, i), spline, float(surface.sigmas[i]), moved)
 
 
@@ -345,7 +354,8 @@ def _robust(settings: SolverSettings) -> tuple[str, float] | None:
 def _rays(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
-    rays = network.rays
+    rays, common = network.rays, network.common_variables[0].tolist()
+    looks = {int(k): look for each in common_looks(network) for k, look in zip(*each, strict=True)}
     for j in range(len(network.images)):
         mine = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
@@ -353,8 +363,11 @@ def _rays(
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
+            shared = moves[j].of_ray(*place)
+            if k in looks:
+                shared.append(constant(keys.variable(common[k]), slice(6, 8), looks[k]))
             yield pushbroom_projection(
-                None, _point(network, keys, i), image, place, rays.sigmas[k], shared=moves[j].of_ray(*place),
+                None, _point(network, keys, i), image, place, rays.sigmas[k], shared=shared,
                 line=settings.line, angles=settings.angles, near=selected.nominal[i], robust=_robust(settings),
                 label=label,
             )  # fmt: skip
@@ -436,6 +449,12 @@ class _Weights(NamedTuple):
         return found[0], found[1]
 
 
+class _Vibration(NamedTuple):
+    keys: tuple[int]
+    widths: tuple[int]
+    at: Callable[[float], tuple[Array, Array]]
+
+
 class _Moves:
     """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
 
@@ -448,8 +467,16 @@ class _Moves:
         mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
         self._pose = {k: self._of_pose(k) for k in mine}
 
-    def _of_pose(self, k: int) -> PolynomialEffect:
-        effect = self._shared.of_instrument[self._j, self._network.shared[k].kind]
+    def _of_pose(self, k: int) -> Effect:
+        one = self._network.shared[k]
+        if one.sine is not None:
+
+            def at(line: float) -> tuple[Array, Array]:
+                value, rate = one.waves(self._image.moments(np.array([line])))
+                return np.eye(STATE, 6) @ value[0].T, np.eye(STATE, 6) @ rate[0].T
+
+            return _Vibration((self._keys.shared(k),), (one.kind.width,), at)
+        effect = self._shared.of_instrument[self._j, one.kind]
         found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
         found[:, :6] = effect.transpose(1, 2, 0)
         return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))

@@ -247,6 +247,8 @@ class Frames:
         if shift < len(network.shift_names):
             term = network.shift_terms[shift][inside]
             return Axis(variable, network.shift_names[shift], term.name, 0, term.unit, False)
+        if variable >= network.first_of_passes[-1]:
+            return Axis(variable, "errors in common", "factor", 0, "", False)
         if variable >= network.first_of_passes[0]:
             return self._of_pass(variable, inside)
         shared = network.shared[shift - len(network.shift_names)]

@@ -13,6 +13,9 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network
 from mgsgraph.record import card
 
+_KINDS = "osunc"
+"""Letters of images, shifts, shared unknowns, orientation images and groups of errors in common."""
+
 
 class Keys:
     """GTSAM keys of a network's unknowns, asked for by name.
@@ -64,11 +67,17 @@ class Keys:
         return self.variable(int(self._network.first_of_passes[number]) + node)
 
     def variable(self, number: int) -> int:
-        """Of one of the network's variables: images, shifts, shared unknowns, orientation images, in this order."""
+        """Of one of the network's variables: images, shifts, shared unknowns, orientation images, factors of errors in
+        common, in this order.
+        """
+        kind = int(np.searchsorted(self._firsts, number, side="right")) - 1
+        return int(gtsam.symbol(_KINDS[kind], number - self._firsts[kind]))
+
+    @property
+    def _firsts(self) -> tuple[int, ...]:
+        """First variable of each kind."""
         network = self._network
-        ends = (0, len(network.images), network.first_shared, int(network.first_of_passes[0]))
-        kind = int(np.searchsorted(ends, number, side="right")) - 1
-        return int(gtsam.symbol("osun"[kind], number - ends[kind]))
+        return (0, len(network.images), network.first_shared, *network.first_of_passes[[0, -1]].tolist())
 
     def width(self, key: int) -> int:
         """How many numbers a variable has: 3 of a point."""
@@ -89,11 +98,9 @@ class Keys:
         return number
 
     def _number(self, key: int) -> int:
-        symbol, network = gtsam.Symbol(key), self._network
-        firsts = {"o": 0, "s": len(network.images), "u": network.first_shared, "n": int(network.first_of_passes[0])}
-        kind = chr(symbol.chr())
-        number = firsts[kind] + symbol.index() if kind in firsts else -1
-        if not 0 <= number < network.first_of_passes[-1] or self.variable(number) != key:
+        symbol, kind = gtsam.Symbol(key), _KINDS.find(chr(gtsam.Symbol(key).chr()))
+        number = self._firsts[kind] + symbol.index() if kind >= 0 else -1
+        if not 0 <= number < len(self._network.widths) or self.variable(number) != key:
             found = f"key {gtsam.DefaultKeyFormatter(key)}"
             raise InputError("factor graph", found, "a key of the network, and of no point")
         return number
@@ -108,6 +115,8 @@ class Keys:
         if kind == "n":
             one, node = network.of_passes(int(network.first_of_passes[0]) + k)
             return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
+        if kind == "c":
+            return f"errors in common of group {k}"
         if kind == "o":
             return f"image {network.images[k].name}"
         if kind == "s":

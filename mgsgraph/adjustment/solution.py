@@ -81,7 +81,8 @@ class Solution(Record):
     ranges_used: Mask
     """(r,) the same of ranges."""
     residuals: Array
-    """(k, 2) pixels, line and sample, measured minus predicted, of all rays; NaN for undetermined points."""
+    """(k, 2) pixels, line and sample, measured minus predicted, of all rays, with what they have in common with others;
+    NaN for undetermined points."""
     residuals_before: Array
     """(k, 2) pixels, the same with the nominal orientation and `places_before`."""
     range_residuals: Array
@@ -120,6 +121,8 @@ class Solution(Record):
     lift: Array | None = None
     """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
     (`Surface.terms` after the horizontal shift); None where none is."""
+    common: tuple[Array, ...] = ()
+    """(w,) factors of each group of errors in common (`Network.common`), of unit variance beforehand."""
     linearity: Linearity | None = None
     """Whether the joint covariance may be used for statements about the shared unknowns together; None where nobody has
     looked (large networks, robust losses, no optimum; `linearity_of` looks), or an older version didn't say."""
@@ -163,11 +166,12 @@ class Solution(Record):
     @cached_property
     def values(self) -> tuple[Array, ...]:
         """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
-        nodes and the trend of each strip.
+        nodes and the trend of each strip, then the factors of errors in common.
         """
         strips = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
         own = [one.ravel() for one in self.coefficients]
-        return (*own, *self.shift_values, *self.shared, *(one for strip in strips for one in strip if one.size))
+        passes = [one for strip in strips for one in strip if one.size]
+        return (*own, *self.shift_values, *self.shared, *passes, *self.common)
 
     # images, points, shifts and shared unknowns are asked for by their names or their numbers in the network
 

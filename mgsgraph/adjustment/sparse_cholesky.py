@@ -23,6 +23,8 @@ _RELAXED = 0.2
 fronts take less time than many."""
 _POORLY = 2.0**-24
 """Share of a diagonal that elimination must leave of it, or its variable counts as hardly determined (as in GTSAM)."""
+_BROAD = 48
+"""Columns up to which small cliques of one separator become one, where there are more of these than that."""
 _MANY = 1e11
 """Operations from which on another order is tried."""
 
@@ -263,6 +265,7 @@ def _cliques(ordering: gtsam.Ordering, pairs: Index, width: Index) -> _Cliques:
             if more <= _RELAXED * both * (0.5 * both + separator[k]):
                 frontals[k] = frontals.pop(child) + frontals[k]
                 wide[k], zeros[k] = both, more
+    _join_twins(frontals, wide, later, children)
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
     owner = {k: number[end] for end in last for k in frontals[end]}
@@ -271,6 +274,28 @@ def _cliques(ordering: gtsam.Ordering, pairs: Index, width: Index) -> _Cliques:
     ]
     operations = sum(float(wide[end]) * (wide[end] + separator[end]) ** 2 for end in last)
     return _Cliques(order, cliques, [owner[min(later[end])] if later[end] else -1 for end in last], operations)
+
+
+def _join_twins(
+    frontals: dict[int, list[int]], wide: list[int], later: list[set[int]], children: list[list[int]]
+) -> None:
+    """Make a few cliques of very many small ones that have no children and the same separator, as groups of errors in
+    common have: zeros between them take less time than another front.
+    """
+    twins = dict[frozenset[int], list[int]]()
+    for end in sorted(frontals):
+        own = frontals[end]
+        if wide[end] < _BROAD and all(child in own for k in own for child in children[k]):
+            twins.setdefault(frozenset(later[end]), []).append(end)
+    for several in twins.values():
+        into = several[0]
+        for end in several[1:] if len(several) > _BROAD else ():
+            if wide[into] + wide[end] > _BROAD:
+                into = end
+                continue
+            low, high = sorted((into, end))
+            frontals[high] += frontals.pop(low)
+            wide[high], into = wide[into] + wide[end], high
 
 
 @cached_kernel

@@ -49,7 +49,8 @@ class Grouping:
     stereo: Index
     """(n,) of each point's height above a stereo surface; of no meaning where it has none."""
     unknowns: tuple[Index, ...]
-    """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips."""
+    """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips,
+    then factors of errors in common."""
     crossovers: int = 0
     """Of crossovers; of no meaning without any."""
 
@@ -101,6 +102,7 @@ def group_rows(network: Network) -> Grouping:
     parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
     parts += [part for strip in network.passes for part in _of_strip(strip)]
+    parts += _of_common(network, of_ray)
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
     stereo = np.full(0 if network.stereo is None else n, STEREO_HEIGHTS)
@@ -128,6 +130,16 @@ def group_rows(network: Network) -> Grouping:
         tuple(numbered(part.tolist()) for part in parts),
         number.get(CROSSOVERS, 0),
     )
+
+
+def _of_common(network: Network, of_ray: NDArray[np.object_]) -> list[NDArray[np.object_]]:
+    """Labels of the factors of errors in common: those of the rows, for they are parts of the same errors."""
+    found = list[NDArray[np.object_]]()
+    for one, of_row, _ in network.common:
+        first = np.unique(one.group, return_index=True)[1]
+        labels = of_ray[one.members[first]] if of_row == 2 else np.full(first.size, HEIGHTS, dtype=object)
+        found += [np.full(width * of_row, label) for width, label in zip(one.widths.tolist(), labels, strict=True)]
+    return found
 
 
 def _of_strip(strip: Pass) -> list[NDArray[np.str_]]:

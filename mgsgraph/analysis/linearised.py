@@ -39,6 +39,7 @@ def at_solution(solution: Solution) -> Linearised:
     rays = solution.rays_used | out[network.rays.point]
     rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
     mixed = solution.minima is not None and solution.minima.several
+    mixed = mixed or any(one.asks_for_strengths for one in network.passes)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 
@@ -139,6 +140,8 @@ def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str
         power, component = divmod(inside, len(COMPONENTS))
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
         return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
+    if variable >= network.first_of_passes[-1]:
+        return "factor of errors in common", ""
     if variable >= network.first_of_passes[0]:
         one, node = network.of_passes(variable)
         what, component = one.part(node, inside)

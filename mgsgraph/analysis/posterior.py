@@ -320,13 +320,13 @@ class Posterior(Record):
 
 def stands_alone(network: Network) -> bool:
     """Whether some of its points, with the covariance of their unknowns, say of themselves what the whole says: not
-    where rows of other points reach them (passes, stereo surfaces, crossovers, a raised terrain model) or tests need
-    the estimator's own covariance (considered unknowns).
+    where rows of other points reach them (passes, stereo surfaces, crossovers, a raised terrain model, errors in
+    common) or tests need the estimator's own covariance (considered unknowns).
     """
     raised = network.surface is not None and network.surface.raised
     profiles = any(one.kind.of_profile for one in network.shared)
     return not (network.passes or network.stereo is not None or network.crossovers is not None or network.considered
-                or raised or profiles)  # fmt: skip
+                or network.common or raised or profiles)  # fmt: skip
 
 
 def posterior_of(

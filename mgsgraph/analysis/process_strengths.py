@@ -1,14 +1,13 @@
-"""Strengths of the processes of passes, estimated from the measures by restricted maximum likelihood.
+"""Strengths of the processes of passes, estimated from the measures by restricted maximum likelihood, and their
+uncertainty carried into the posterior.
 
 found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts again, until nothing changes
 print(found)
 
-Processes of the same part (position, attitude), kind and frequency have one strength, common to all passes: a pair of
-images shows the difference of two passes alone, and whose a vibration is can't be told. All passes are one likelihood,
-whose maximum is sought in log s.
-
-A strength that measures hardly see is not searched for, for it would run away: where the search begins, the expected
-standard deviation of its logarithm has to be less than 1. Its departures are held at nothing, which is said.
+Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
+of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
+so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
+search begins with, with a deviation of `_COMMON` common to the axes and `_OWN` of each.
 
 Rays that scatter more than stated would be taken for a process: their sigmas count as right.
 
@@ -25,6 +24,17 @@ and P_0 = K_0^-1; then with D = K - K_0
 (Patterson & Thompson 1971; Rasmussen & Williams 2006, eq. 5.9). Components know nothing of each other beforehand, and D
 is zero but for those whose strengths are sought: all else falls out of these equations exactly, and isn't formed.
 Passes are taken together: where one is seen against another alone, S has it.
+
+The posterior is the mixture over strengths (Rue, Martino & Chopin 2009), by importance sampling about the largest
+density. No strengths need an adjustment of their own: with other ones all unknowns have
+
+    S(s) = S + A D (1 + W_0 D)^-1 A',   x(s) = x + A D u,   A = S P_0,
+
+and what is stated is the mean square about x, as of several minima (`adjustment.multistart`): S + A Q A'.
+
+Passes may move alike. Their difference then shows nothing, and strengths that follow from it would vanish. So there are
+two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see of a
+process has a strength of its own, exp(`_LESS`) of that of what they don't see.
 """
 
 import math
@@ -35,6 +45,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.marginals import dense_covariance as mixture_covariance
 from mgsgraph.adjustment.optimize import Iteration
 from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.settings import SolverSettings
@@ -42,161 +53,219 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
-from mgsgraph.network.conditioning import dense_covariance
+from mgsgraph.network.conditioning import NUGGET, dense_covariance
 from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
 
-Block = tuple[slice, Array]
-"""Rows of a pass's component among all that are sought, and a covariance (k, k) of its nodes, m^2 or rad^2."""
+Block = tuple[Index, Array]
+"""Rows (k,) of components of passes among all that are sought, and a covariance (k, k) of them, m^2 or rad^2."""
+
+_COMMON, _OWN = 1.0, 0.6
+"""Standard deviation beforehand of log strengths: what a process's axes have in common, and of each."""
+_ALIKE = 0.2
+"""Probability beforehand that passes move alike."""
+_NARROW = 0.4
+"""What `_COMMON` then is of what measures don't see: these alone would let it run away."""
+_LESS, _LESS_BY = -3.0, 1.0
+"""Mean and deviation, common to axes, of the log strength of what they see then, less that of what they don't."""
+_STARTS, _STEP = np.linspace(-6.0, 6.0, 9), 3.0
+"""Changes of all log strengths of a process of which the best is where their maximum is sought, and how far from it."""
+_WIDER, _DRAWS = 1.2, 7
+"""Times the normal approximation's deviation that draws have; logarithm (2) of their number."""
+_HARDLY = 0.5
+"""Deviation of a log strength from which on its upper limit alone is stated."""
+_LIMIT = 0.95
+"""Probability of being below the upper end of an interval, and above its lower one."""
+_NOTHING = 1e-5
+"""Weight up to which a draw is left out of sums."""
+_MOST = 600
+"""Nodes of a pass: dense matrices of its components."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What an adjustment says of strengths: n components of nodes, p strengths."""
+    """What an adjustment, and what is known beforehand, say of strengths: n components of nodes, p strengths."""
 
     start: Array
     """W_0 (n, n)."""
     push: Array
     """u_0 (n,)."""
+    before: Array
+    """P_0 (q, n), of all unknowns of these passes."""
+    variables: tuple[int, ...]
+    """Which these are."""
     parts: tuple[tuple[Block, ...], ...]
     """Of each strength the covariances that it scales, as they are in the adjustment."""
+    mean: Array
+    """(p,) mean beforehand of log strengths, less those of the adjustment."""
+    spread: Array
+    """(p, p) their covariance beforehand."""
 
     @classmethod
-    def of(cls, solution: Solution, wanted: "Sequence[Strength]") -> "Evidence":
-        """Of strengths (p), one at least."""
-        network = solution.network
-        pairs = sorted({(k, c) for one in wanted for k, _ in one.members for c in one.components})
-        ends = np.cumsum([0, *(len(network.passes[k].nodes) for k, _ in pairs)]).tolist()
-        rows = {pair: slice(ends[i], ends[i + 1]) for i, pair in enumerate(pairs)}
-        known = _known(solution, rows)
-        found, push = known.prior - known.prior @ known.posterior @ known.prior, known.prior @ known.values
+    def of(cls, solution: Solution, wanted: "Sequence[Strength]", begin: Array) -> "Evidence":
+        """Of strengths (p), which are `begin` (p,) beforehand, more or less."""
+        from scipy.linalg import block_diag  # slow to import
 
-        def scaled(k: int, number: int, c: int, part: str) -> Block:
-            process, nodes = _processes(network, k, part)[number], network.passes[k].nodes
-            return rows[k, c], dense_covariance((process,), c % 3, nodes)
+        network, variables, blocks, own = solution.network, list[int](), list[Array](), list[Array]()
+        rows, at = dict[tuple[int, int], Index](), 0
+        for k in sorted({k for one in wanted for k, _ in one.members}):
+            first, count = int(network.first_of_passes[k]), len(network.passes[k].nodes)
+            components = sorted({one.component for one in wanted if k in dict(one.members)})
+            taken = np.concatenate([np.arange(c, 6 * count, 6) for c in components])
+            rows |= {(k, c): at + i * count + np.arange(count) for i, c in enumerate(components)}
+            variables += range(first, first + network.passes[k].widths.size)
+            blocks.append(_information(network.passes[k])[:, taken])
+            own.append(blocks[-1][taken])
+            at += taken.size
+        before, joint = block_diag(*blocks), at_solution(solution).of_estimator().joint
+        prior = block_diag(*own)
+        found = prior - before.T @ joint.of(variables) @ before
+        push = before.T @ np.concatenate([solution.values[v] for v in variables])
 
-        parts = (tuple(scaled(*of, c, one.part) for of in one.members for c in one.components) for one in wanted)
-        return cls(0.5 * (found + found.T), push, tuple(parts))
+        def scaled(one: "Strength", k: int, number: int) -> Block:
+            every, nodes, mine = _processes(network, k, one.part), network.passes[k].nodes, rows[k, one.component]
+            whole = dense_covariance(every, one.axis, nodes)
+            whole += NUGGET**2 * np.diag(np.diagonal(whole))
+            # the rows between neighbors have a covariance of their own, a little off the processes': that one scales
+            own = np.linalg.cholesky(np.linalg.inv(prior[np.ix_(mine, mine)]))
+            turned = own @ np.linalg.inv(np.linalg.cholesky(whole))
+            return mine, turned @ dense_covariance(every[number : number + 1], one.axis, nodes) @ turned.T
 
-    def maximum(self, most: float) -> Array:
-        """(p,) change of the log strengths to the largest likelihood; `most` upward at most."""
-        from scipy.optimize import minimize  # slow to import
+        parts = tuple(tuple(scaled(one, *of) for of in one.members) for one in wanted)
+        same = np.array([[one.process == other.process for other in wanted] for one in wanted])
+        mean = np.log(begin / _sigmas(network, wanted))
+        return cls(0.5 * (found + found.T), push, before, tuple(variables), parts, mean, _spread(same, _COMMON))
 
-        def downward(steps: Array) -> tuple[float, Array]:
-            found = self.likelihood(steps)
-            return -found.logarithm, -found.score
+    def alike(self) -> "Evidence":
+        """With strengths (2 p) of what is seen of each process, and of what is not, with those of the mean beforehand:
+        directions of which measures take more than half of the variance away, and the others.
+        """
+        from scipy.linalg import block_diag  # slow to import
 
-        begin = np.zeros(len(self.parts))
-        found = minimize(
-            downward, begin, jac=True, bounds=[(-3.0 * most, most)] * begin.size, options={"ftol": 1e-12, "gtol": 1e-6}
-        )
-        return np.asarray(found.x)
+        whole = np.linalg.solve(self._mixed(self.change(self.mean)), self.start)
+        seen, rest = list[tuple[Block, ...]](), list[tuple[Block, ...]]()
+        for part, mean in zip(self.parts, self.mean.tolist(), strict=True):
+            mine, every = np.concatenate([rows for rows, _ in part]), block_diag(*(matrix for _, matrix in part))
+            variances, axes = np.linalg.eigh(every)
+            root = axes * np.sqrt(np.maximum(variances, 0.0))
+            shares, turn = np.linalg.eigh(math.exp(2.0 * mean) * root.T @ whole[np.ix_(mine, mine)] @ root)
+            for parts, some in ((seen, root @ turn[:, shares > 0.5]), (rest, root @ turn[:, shares <= 0.5])):
+                parts.append(((mine, some @ some.T),))
+        unseen, less = _spread(self.spread > 0.0, _NARROW), _spread(self.spread > 0.0, _LESS_BY)
+        mean = np.append(self.mean + _LESS, self.mean)
+        return replace(self, parts=(*seen, *rest), mean=mean, spread=block_diag(less, unseen))
 
-    def likelihood(self, steps: Array) -> "Likelihood":
+    def change(self, steps: Array) -> Array:
+        """D (n, n), where log strengths change by `steps` (p,)."""
+        change = np.zeros_like(self.start)
+        for growth, part in zip(np.expm1(2.0 * steps), self.parts, strict=True):
+            for mine, matrix in part:
+                change[np.ix_(mine, mine)] += growth * matrix
+        return change
+
+    def _mixed(self, change: Array) -> Array:
+        """1 + W_0 D (n, n)."""
+        return np.asarray(np.eye(self.push.size) + self.start @ change)
+
+    def density(self, steps: Array) -> "Density":
         """Where log strengths change by `steps` (p,)."""
         from scipy.linalg import lu_factor, lu_solve  # slow to import
 
-        grown, change = np.exp(2.0 * steps), np.zeros_like(self.start)
-        for growth, part in zip(grown, self.parts, strict=True):
-            for mine, matrix in part:
-                change[mine, mine] += (growth - 1.0) * matrix
-        factored = lu_factor(np.eye(self.push.size) + self.start @ change)
+        factored = lu_factor(self._mixed(self.change(steps)))
         within, pushed = lu_solve(factored, self.start), lu_solve(factored, self.push)
-        logarithm = 0.5 * float(self.push @ change @ pushed - np.sum(np.log(np.abs(np.diagonal(factored[0])))))
-        through = [
-            [(mine, within[:, mine] @ (growth * matrix)) for mine, matrix in part]
-            for growth, part in zip(grown, self.parts, strict=True)
+        grown = [
+            [(mine, growth * matrix) for mine, matrix in part]
+            for growth, part in zip(np.exp(2.0 * steps), self.parts, strict=True)
         ]
+        through = [[(mine, within[:, mine] @ matrix) for mine, matrix in part] for part in grown]
         traces = np.array([sum(np.trace(product[mine]) for mine, product in part) for part in through])
-        squares = np.array([
-            growth * sum(pushed[mine] @ matrix @ pushed[mine] for mine, matrix in part)
-            for growth, part in zip(grown, self.parts, strict=True)
-        ])  # fmt: skip
+        squares = np.array([sum(pushed[mine] @ matrix @ pushed[mine] for mine, matrix in part) for part in grown])
         information = np.array([
             [2.0 * sum(np.sum(a[d] * b[c].T) for c, a in left for d, b in right) for right in through]
             for left in through
         ])  # fmt: skip
-        freedom = np.array([sum(np.trace(c) ** 2 / np.sum(c**2) for _, c in part) for part in self.parts])
-        return Likelihood(logarithm, squares - traces, information, np.minimum(traces / freedom, 1.0))
+        score = squares - traces - np.linalg.solve(self.spread, steps - self.mean)
+        return Density(score, information + np.linalg.inv(self.spread))
+
+    def logarithm(self, steps: Array) -> float:
+        """Of the density there, with a constant that all hypotheses have."""
+        change, off = self.change(steps), steps - self.mean
+        mixed = self._mixed(change)
+        pushed = self.push @ change @ np.linalg.solve(mixed, self.push)
+        prior = off @ np.linalg.solve(self.spread, off) + np.linalg.slogdet(self.spread)[1]
+        return 0.5 * float(pushed - np.linalg.slogdet(mixed)[1] - prior)
+
+    def maximum(self) -> Array:
+        """(p,) change of the log strengths to the largest density; there may be another one where they begin."""
+        from scipy.optimize import minimize  # slow to import
+
+        begin = np.zeros(self.mean.size)
+        for of_process in np.unique(self.spread > 0.0, axis=0):
+            starts = begin + _STARTS[:, None] * of_process
+            begin = starts[np.argmax([self.logarithm(start) for start in starts])]
+        found = minimize(
+            lambda at: -self.logarithm(at), begin, jac=lambda at: -self.density(at).score,
+            bounds=np.stack([begin - _STEP, begin + _STEP], axis=1), options={"ftol": 1e-12, "gtol": 1e-6},
+        )  # fmt: skip
+        return np.asarray(found.x)
+
+    def drawn(self) -> tuple[Array, Array]:
+        """(m, p) changes of log strengths that stand for their density, and (m,) logarithms of weights, whose mean is
+        the probability of the data.
+        """
+        from scipy.stats import norm, qmc  # slow to import
+
+        mode = self.maximum()
+        root = _WIDER * np.linalg.cholesky(np.linalg.inv(self.density(mode).information))
+        normal = norm.ppf(qmc.Sobol(mode.size, seed=1).random_base2(_DRAWS))
+        steps = mode + normal @ root.T
+        logs = np.array([self.logarithm(step) for step in steps]) + 0.5 * np.sum(normal**2, axis=1)
+        return steps, logs + np.sum(np.log(np.diagonal(root)))
+
+    def moved(self, steps: Array) -> Array:
+        """What other strengths add to the covariance of the nodes and to squares of their values: A (...) A'."""
+        change = self.change(steps)
+        mixed = self._mixed(change)
+        off = change @ np.linalg.solve(mixed, self.push)
+        return np.asarray(np.linalg.solve(mixed.T, change).T + np.outer(off, off))
+
+    def sizes(self, steps: Array, count: int) -> Array:
+        """(count,) changes of the logarithms of root mean squares of whole processes."""
+        own = np.array([sum(np.trace(matrix) for _, matrix in part) for part in self.parts])
+        grown = (own * np.exp(2.0 * steps)).reshape(-1, count).sum(axis=0)
+        return np.asarray(0.5 * np.log(grown / own.reshape(-1, count).sum(axis=0)))
 
 
-class Known(NamedTuple):
-    """n components of nodes before and after an adjustment."""
-
-    prior: Array
-    """P_0 (n, n)."""
-    posterior: Array
-    """S (n, n)."""
-    values: Array
-    """x (n,)."""
-
-
-class Likelihood(NamedTuple):
+class Density(NamedTuple):
     """Of log strengths."""
 
-    logarithm: float
-    """Of the likelihood, over that of the strengths that the adjustment had."""
     score: Array
-    """(p,) its derivatives."""
+    """(p,) derivatives of its logarithm."""
     information: Array
     """(p, p) that is expected."""
-    shares: Array
-    """(p,) of the a-priori variance, that measures take away: tr(W C) over the directions that C has, about
-    (tr C)^2 / tr(C^2)."""
 
 
-def _known(solution: Solution, rows: dict[tuple[int, int], slice]) -> Known:
-    """Of components of passes, (number, component) by the rows they have."""
-    network = solution.network
-    variables, columns, at = list[int](), list[Index](), 0
-    count = max(block.stop for block in rows.values())
-    prior, values = np.zeros((count, count)), np.zeros(count)
-    for k in sorted({k for k, _ in rows}):
-        one, marginal = network.passes[k], _marginal(network.passes[k])
-        first, nodes = int(network.first_of_passes[k]), len(one.nodes)
-        variables += range(first, first + nodes)
-        for c in [c for of, c in rows if of == k]:
-            mine = rows[k, c]
-            columns.append(at + 6 * np.arange(nodes) + c)
-            prior[mine, mine], values[mine] = marginal[c::6, c::6], solution.nodes[k][:, c]
-        at += 6 * nodes
-    order = np.concatenate(columns)
-    joint = at_solution(solution).of_estimator().joint.of(variables)
-    return Known(prior, joint[np.ix_(order, order)], values)
+def _spread(same: Mask, common: float) -> Array:
+    """(p, p) covariance beforehand of log strengths, by which are of the `same` process."""
+    return np.asarray(common**2 * same + _OWN**2 * np.eye(len(same)))
 
 
-def _marginal(one: Pass) -> Array:
-    """(6 k, 6 k) P_0: information of the prior's rows on the nodes, the trend eliminated."""
-    from scipy.linalg import cho_factor, cho_solve  # slow to import
-
+def _information(one: Pass) -> Array:
+    """(q, q) P_0: information of the prior's rows on the nodes and the trend of a pass."""
     edges = np.concatenate([[0], np.cumsum(one.widths)])
     whole = np.zeros((edges[-1], edges[-1]))
     for unknowns, blocks, _ in one.prior.factors(one.nodes):
         for v, left in zip(unknowns, blocks, strict=True):
             for w, right in zip(unknowns, blocks, strict=True):
                 whole[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += left.T @ right
-    size = 6 * len(one.nodes)
-    across = whole[:size, size:]
-    if not across.shape[1]:
-        return whole
-    return np.asarray(whole[:size, :size] - across @ cho_solve(cho_factor(whole[size:, size:]), across.T))
-
-
-_MOST = 600
-"""Nodes of a pass: dense matrices of its components."""
-_STEP = math.log(5.0)
-"""Largest change of a log strength in one round."""
-_FLOOR = 1e-3
-"""Of where the search began: a strength there can't be told from zero."""
-_SEEN = 1.0
-"""Information on a log strength, where the search begins, for it to be searched for."""
+    return whole
 
 
 @dataclass(frozen=True, slots=True)
 class Strength(Record):
-    """Of one process, common to passes, as found."""
+    """Of one axis of a process, common to passes, as found."""
 
     passes: tuple[str, ...]
     """Their names."""
@@ -204,44 +273,47 @@ class Strength(Record):
     """position or attitude."""
     kind: str
     """Of process."""
-    frequency: float
-    """Hz, of jitter; of others 0."""
+    axis: int
+    """0 .. 2: X, Y, Z of the position, x, y, z of the attitude."""
     members: tuple[tuple[int, int], ...]
     """Passes and the number of the process within the part of each."""
     sigma: float = 0.0
-    """m or rad (per s^1.5 of an integrated Wiener process): of its first axis."""
+    """m or rad (per s^1.5 of an integrated Wiener process): median of the posterior."""
     error: float = 0.0
-    """Standard deviation of `sigma`, of the likelihood's information; 0 where it was not searched for."""
-    zero: bool = False
-    """Whether it went to zero: held at a thousandth of where the search began."""
-    seen: float = 0.0
-    """Share of the departures' a-priori variance that measures take away; 0: not observable."""
-    searched: bool = True
-    """Whether it was searched for; else hardly seen."""
+    """Standard deviation of its logarithm."""
+    interval: tuple[float, float] = (0.0, 0.0)
+    """5 % and 95 % points, in the unit of `sigma`."""
 
     @property
-    def components(self) -> tuple[int, int, int]:
-        """X, Y, Z or x, y, z, of 0 .. 5."""
-        return (0, 1, 2) if self.part == "position" else (3, 4, 5)
+    def component(self) -> int:
+        """Of the pose, 0 .. 5."""
+        return self.axis + 3 * (self.part == "attitude")
+
+    @property
+    def process(self) -> tuple[object, ...]:
+        """What its axes have in common."""
+        return self.part, self.kind, self.members
+
+    @property
+    def seen(self) -> bool:
+        """Whether measures tell it, and not its upper limit alone."""
+        return self.error < _HARDLY
 
     @property
     def name(self) -> str:
-        """Part of the pose, kind of process and passes, for reports."""
-        kind = f"{self.kind} of {self.frequency:.4g} Hz" if self.frequency else self.kind
+        """Part of the pose, axis, kind of process and passes, for reports."""
         of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
-        return f"{self.part}, {kind}, {of}"
+        return f"{self.part} {'XYZxyz'[self.component]}, {self.kind}, {of}"
 
     @property
     def sentence(self) -> str:
-        """The strength with its standard deviation, or why there is none, as one line of a report."""
+        """The strength with its interval, or the upper limit alone, as one line of a report."""
         unit = "m" if self.part == "position" else "rad"
         unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
-        if not self.searched:
-            hardly = f"hardly seen ({self.seen:.1g} of its variance)"
-            return f"{self.name}: {hardly}, held at nothing ({self.sigma:.2g} {unit})"
-        if self.zero:
-            return f"{self.name}: not to be seen (strength below {self.sigma:.2g} {unit})"
-        return f"{self.name}: {self.sigma:.4g} +- {self.error:.2g} {unit}"
+        low, high = self.interval
+        if not self.seen:
+            return f"{self.name}: hardly seen, below {high:.2g} {unit} (95 %)"
+        return f"{self.name}: {self.sigma:.3g} {unit} ({low:.2g} .. {high:.2g}, 90 %)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,13 +321,15 @@ class EstimatedStrengths(Record):
     """Strengths, and the adjustment with them."""
 
     network: Network
-    """With what was found."""
+    """With the strengths of largest density."""
     solution: Solution
-    """Of it."""
+    """Of it, with the covariance of the mixture over strengths."""
     strengths: tuple[Strength, ...]
     """p of them."""
     covariance: Array
     """(p, p) of their natural logarithms."""
+    alike: float
+    """Probability that passes move alike, so that their difference doesn't show the strengths."""
     converged: bool
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
@@ -264,7 +338,7 @@ class EstimatedStrengths(Record):
     @property
     def correlation(self) -> Array:
         """(p, p) of the strengths."""
-        scale = np.sqrt(np.maximum(np.diagonal(self.covariance), 1e-300))
+        scale = np.sqrt(np.diagonal(self.covariance))
         return np.asarray(self.covariance / scale[:, None] / scale)
 
     @property
@@ -275,6 +349,8 @@ class EstimatedStrengths(Record):
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
             lines.append(f"{names}: not separable (correlation {self.correlation[i, k]:.3f} of their strengths)")
+        if self.alike > 0.5:
+            lines.append(f"Passes move alike (probability {self.alike:.2f}): their difference hides the strengths.")
         end = "at rest" if self.converged else "NOT at rest"
         return [*lines, f"Strengths {end} after {self.rounds} adjustments."]
 
@@ -287,12 +363,14 @@ def estimated_strengths(
     name: str = "adjustment",
     progress: Callable[[Iteration], None] = no_progress,
 ) -> EstimatedStrengths:
-    """Find the strengths of all processes that are marked as `estimated`.
+    """Find the strengths of all processes that are marked as `estimated`, and carry what is not known of them into the
+    covariance of all unknowns and points.
 
     Parameters
     ----------
     network : Network
-        Of passes with `ProcessPrior`; the search begins with the sigmas of the first pass that has a process.
+        Of passes with `ProcessPrior`; the search begins with the sigmas of the first pass that has a process, about
+        which strengths are beforehand.
     settings : SolverSettings
     most : int
         Adjustments.
@@ -309,48 +387,83 @@ def estimated_strengths(
     InputError
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
-    sought, begin = _sought(network), network
-    network = _with_changes(network, sought, np.zeros(len(sought)))
+    sought = _sought(network)
+    begin = _sigmas(network, sought)
+    network = _with_sigmas(network, sought, begin)
     left_in = unmarked(network) if settings.reject == 0.0 else None
-    searched, shares = np.zeros(0, dtype=np.int64), np.zeros(0)
-    for done in range(most):
+    for done in range(1, most + 1):
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
-        if done == 0:
-            start = Evidence.of(solution, sought).likelihood(np.zeros(len(sought)))
-            searched, shares = np.flatnonzero(np.diagonal(start.information) > _SEEN), start.shares
-        steps, covariance = np.zeros(0), np.zeros((0, 0))
-        if searched.size:
-            evidence = Evidence.of(solution, [sought[i] for i in searched.tolist()])
-            steps, covariance = evidence.maximum(_STEP), _covariance(evidence)
-        change, zero = _changes(searched, steps, _sigmas(network, sought), _FLOOR * _sigmas(begin, sought))
+        evidence = Evidence.of(solution, sought, begin)
+        steps = evidence.maximum()
         # a strength that is known to a tenth only need not be at rest to a hundredth
-        sizes = tolerance * np.maximum(1.0, 10.0 * np.minimum(np.sqrt(np.diagonal(covariance)), 1.0))
-        converged = bool(np.all(np.abs(change[searched]) <= sizes)) and (done > 0 or searched.size == len(sought))
-        if converged or done == most - 1:
+        errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
+        converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
+        if converged or done == most:
             break
-        network = _with_changes(network, sought, change)
-    now, logs = _sigmas(network, sought), np.zeros((len(sought), len(sought)))
-    logs[np.ix_(searched, searched)] = covariance
-    errors = now * np.sqrt(np.diagonal(logs))
+        network = _with_sigmas(network, sought, _sigmas(network, sought) * np.exp(steps))
+    several = any(len(one.passes) > 1 for one in sought)
+    hypotheses = [(1.0 - _ALIKE, evidence), (_ALIKE, evidence.alike())] if several else [(1.0, evidence)]
+    drawn, weights, spread = _mixture(hypotheses)
+    off = drawn - weights @ drawn
+    covariance = off.T @ (weights[:, None] * off)
+    points = _sigmas(network, sought) * np.exp([_quantiles(some, weights) for some in drawn.T]).T
     strengths = tuple(
-        replace(one, sigma=float(now[i]), error=float(errors[i]), zero=bool(zero[i]), seen=float(shares[i]),
-                searched=i in searched)
-        for i, one in enumerate(sought)
+        replace(one, sigma=middle, error=error, interval=(low, high))
+        for one, low, middle, high, error in zip(
+            sought, *points.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True
+        )
+    )
+    alike = float(weights[2**_DRAWS :].sum())
+    solution = _with_spread(solution, evidence, spread)
+    return EstimatedStrengths(network, solution, strengths, covariance, alike, converged, done)
+
+
+def _mixture(hypotheses: Sequence[tuple[float, Evidence]]) -> tuple[Array, Array, Array]:
+    """Changes of log strengths (m, p) that stand for the posterior, their weights (m,), and Q."""
+    each, logs = list[tuple[Evidence, Array]](), list[Array]()
+    for known, one in hypotheses:
+        steps, some = one.drawn()
+        each += [(one, step) for step in steps]
+        logs.append(some + math.log(known))
+    weights = np.exp(np.concatenate(logs) - max(some.max() for some in logs))
+    weights /= weights.sum()
+    count = hypotheses[0][1].mean.size
+    parts = (w * one.moved(step) for w, (one, step) in zip(weights.tolist(), each, strict=True) if w > _NOTHING)
+    return np.array([one.sizes(step, count) for one, step in each]), weights, np.asarray(sum(parts))
+
+
+def _quantiles(values: Array, weights: Array) -> Array:
+    """(3,) 5, 50 and 95 % points of weighted values (m,)."""
+    order = np.argsort(values)
+    passed = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.interp((1.0 - _LIMIT, 0.5, _LIMIT), passed, values[order])
+
+
+def _with_spread(solution: Solution, evidence: Evidence, spread: Array) -> Solution:
+    """With A Q A' added to the covariance of the shared unknowns, from which that of the points follows."""
+    at, joint = at_solution(solution), solution.joint_covariance
+    root, width = joint.square_root, solution.network.widths
+    columns = np.concatenate([root.first[v] + np.arange(width[v]) for v in evidence.variables])
+    gain = at.of_estimator().joint.dense()[:, columns] @ evidence.before
+    whole = joint.dense() + gain @ spread @ gain.T
+    mixed = mixture_covariance(root.first, root.width, 0.5 * (whole + whole.T))
+    points = replace(at, joint=mixed).point_covariances()
+    return replace(
+        solution, joint_covariance=mixed, covariances=points, sigmas_without_laser=None,
+        median_sigmas_without_laser=None,
     )  # fmt: skip
-    return EstimatedStrengths(network, solution, strengths, logs, converged, done + 1)
 
 
 def _sought(network: Network) -> list[Strength]:
-    """What is to be found: processes alike in part, kind and frequency are one, of all passes."""
-    found = dict[tuple[str, str, float, int], list[tuple[int, int]]]()
+    """What is to be found: processes alike in part and kind are one, of all passes, with three axes."""
+    found = dict[tuple[str, str, int], list[tuple[int, int]]]()
     for k, one in enumerate(network.passes):
         for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            alike = list[tuple[str, float]]()
+            alike = list[str]()
             for number, process in enumerate(_processes(network, k, part)):
-                kind = process.kind, process.frequency
                 if process.estimated:
-                    found.setdefault((part, *kind, alike.count(kind)), []).append((k, number))
-                alike.append(kind)
+                    found.setdefault((part, process.kind, alike.count(process.kind)), []).append((k, number))
+                alike.append(process.kind)
         if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
             raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
@@ -358,9 +471,10 @@ def _sought(network: Network) -> list[Strength]:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     return [
         Strength(
-            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, frequency, tuple(members)
+            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, axis, tuple(members)
         )
-        for (part, kind, frequency, _), members in found.items()
+        for (part, kind, _), members in found.items()
+        for axis in range(3)
     ]
 
 
@@ -371,43 +485,22 @@ def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:
     return prior.position if part == "position" else prior.attitude
 
 
-def _first(network: Network, one: Strength) -> Array:
-    """(3,) sigmas of the first pass that has a strength."""
-    of_pass, number = one.members[0]
-    return _processes(network, of_pass, one.part)[number].sigmas
-
-
 def _sigmas(network: Network, sought: Sequence[Strength]) -> Array:
-    """(p,) of the first axis of each."""
-    return np.array([_first(network, one)[0] for one in sought])
+    """(p,) of the first pass that has each."""
+    first = [(one, *one.members[0]) for one in sought]
+    return np.array([_processes(network, k, one.part)[number].sigmas[one.axis] for one, k, number in first])
 
 
-def _covariance(evidence: Evidence) -> Array:
-    """(s, s) of the log strengths that are searched for, by the information that is expected."""
-    information = evidence.likelihood(np.zeros(len(evidence.parts))).information
-    return np.asarray(np.linalg.inv(information + np.diag(1e-6 + 1e-9 * np.diagonal(information))))
-
-
-def _changes(searched: Index, steps: Array, now: Array, floor: Array) -> tuple[Array, Index]:
-    """(p,) change of log strengths, and whether each is at its floor."""
-    change = np.log(floor / now)  # of what nothing is seen
-    change[searched] = np.maximum(np.clip(steps, -_STEP, _STEP), change[searched])
-    zero = np.zeros(now.size, dtype=bool)
-    zero[searched] = now[searched] * np.exp(steps) <= floor[searched]
-    change[zero] = np.log(floor / now)[zero]
-    return change, zero
-
-
-def _with_changes(network: Network, sought: Sequence[Strength], change: Array) -> Network:
-    """With log strengths (p,) changed; those of all passes then are that of the first."""
+def _with_sigmas(network: Network, sought: Sequence[Strength], sigmas: Array) -> Network:
+    """With strengths (p,), of all passes."""
     passes = list(network.passes)
-    for one, growth in zip(sought, np.exp(change).tolist(), strict=True):
-        sigmas = growth * _first(network, one)
+    for one, sigma in zip(sought, sigmas.tolist(), strict=True):
         for of_pass, number in one.members:
             prior = passes[of_pass].prior
             assert isinstance(prior, ProcessPrior)
             part = list(prior.position if one.part == "position" else prior.attitude)
-            part[number] = replace(part[number], sigmas=sigmas)
+            mine = np.where(np.arange(3) == one.axis, sigma, part[number].sigmas)
+            part[number] = replace(part[number], sigmas=mine)
             if one.part == "position":
                 prior = replace(prior, position=tuple(part))
             else:

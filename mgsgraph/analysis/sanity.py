@@ -121,7 +121,7 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
     ground = np.hypot(_position_sigmas(network)[point], _shift_sigmas(network)[point])
     size, noise, control = (
         medians(values, image, images)
-        for values in (np.linalg.norm(residuals[rows], axis=1), np.linalg.norm(rays.sigmas[rows], axis=1), ground)
+        for values in (*(np.linalg.norm(each[rows], axis=1) for each in (residuals, network.ray_sigmas)), ground)
     )
     sigma = np.sqrt(whole**2 + noise**2 + (control / scale[:, 0]) ** 2)
     beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))

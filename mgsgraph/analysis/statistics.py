@@ -292,7 +292,7 @@ def median_residuals(solution: Solution) -> Array:
     """
     rays = solution.network.rays
     mine = np.flatnonzero(used_rays(solution))
-    size = np.max(np.abs(solution.residuals[mine]) / rays.sigmas[mine], axis=1)
+    size = np.max(np.abs(solution.residuals[mine]) / solution.network.ray_sigmas[mine], axis=1)
     return medians(size, rays.image[mine], len(solution.network.images))
 
 

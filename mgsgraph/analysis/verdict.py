@@ -443,8 +443,8 @@ def _outlying_rays(solution: Solution) -> Iterator[Reason]:
     """
     from scipy.special import ndtr  # slow to import
 
-    rays, used = solution.network.rays, solution.rays_used
-    size = np.where(used, np.nan_to_num(np.abs(solution.residuals / rays.sigmas).max(axis=1)), 0.0)
+    rays, used, sigmas = solution.network.rays, solution.rays_used, solution.network.ray_sigmas
+    size = np.where(used, np.nan_to_num(np.abs(solution.residuals / sigmas).max(axis=1)), 0.0)
     over = np.flatnonzero(size > _critical(_level("observations", solution.residuals.size)))
     if over.size:
         worst = int(over[np.argmax(size[over])])

@@ -116,7 +116,12 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
         )  # fmt: skip
     frames, found = Frames(layout), list[WeakDirection]()
     prior = layout.prior.whitening(layout.scales)
-    values, vectors = spectrum(joint, layout.scales, min(count, layout.columns), prior)
+    factors = sum(layout.network.widths[layout.network.first_of_passes[-1] :])
+    scales = layout.scales  # of errors in common nothing is said: nobody asks for them
+    scales[layout.columns - factors :] = np.inf
+    if factors and prior is not None:
+        prior = prior[np.unique(prior[:, : layout.columns - factors].nonzero()[0])]
+    values, vectors = spectrum(joint, scales, min(count, layout.columns), prior)
     runs = _runs(values, vectors)
     if values.size < layout.columns:
         runs = chain(_single_images(frames, joint, float(values[0]), count), runs)

@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 from mgsgraph.case.schema import AltimetryInput, LaserInput, ShotsInput, TerrainInput
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
-from mgsgraph.files.opening import understood
-from mgsgraph.files.output.folders import MATCH
-from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import (
     AltimeterShots,
     AltimetryCloud,
@@ -27,7 +24,7 @@ from mgsgraph.geometry.altimetry import (
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask, chosen_rows, concatenated
-from mgsgraph.geometry.terrain import TerrainGrid, overlap_variances
+from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
 from mgsgraph.network import (
     GroundPoints,
@@ -40,6 +37,7 @@ from mgsgraph.network import (
     SharedUnknown,
     Surface,
 )
+from mgsgraph.network.common import CommonErrors, common_heights, common_matches
 from mgsgraph.network.footprints import Registration, footprints_in_images, points_in_images
 from mgsgraph.network.observations import (
     Members,
@@ -120,6 +118,7 @@ class Parts:
         self._rays: list[tuple[NDArray[Any], ...]] = []
         self._ranges: list[tuple[NDArray[Any], ...]] = []
         self._back_projected: list[Mask] = []
+        self._windows: list[Array] = []
         self._shifts: list[tuple[str, float, Index]] = []
         self.shared: list[SharedUnknown] = []
         """Unknown heights and drifts of profiles, unknown pointing of their beams."""
@@ -133,12 +132,19 @@ class Parts:
         """Raise InputError unless all measures of a control network lie on images of the case."""
         self._located(points.ids, points.measure_point, points.measure_image, points.measures, points.source)
 
-    def add_points(self, points: TiePoints, point_class: PointClass, sigma: float) -> None:
-        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none."""
+    def add_points(
+        self, points: TiePoints, point_class: PointClass, sigma: float, windows: Array | None = None
+    ) -> None:
+        """Points and measures of a control network or ground control file; `sigma` (px) where the file has none.
+        `windows` (k, 2): side of each measure's window in px, 0 for none, and the share of the variance that windows
+        have in common.
+        """
         first, n = self._claim(points.ids, points.source), len(points.ids)
         self._points.append((np.full(n, int(point_class)), points.kinds, points.places, points.covariances))
         sigmas = np.where(np.isnan(points.measure_sigmas), sigma, points.measure_sigmas)
-        self._add_rays(first, points.measure_point, points.measure_image, points.measures, sigmas, points.source)
+        self._add_rays(
+            first, points.measure_point, points.measure_image, points.measures, sigmas, points.source, windows
+        )
 
     def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
@@ -270,6 +276,7 @@ class Parts:
         image, shot = np.nonzero(inside)
         self._rays.append((shot + first, image, places[image, shot], np.full((image.size, 2), sigma)))
         self._back_projected.append(np.ones(image.size, dtype=bool))
+        self._windows.append(np.zeros((image.size, 2)))
 
     def network(
         self,
@@ -285,7 +292,9 @@ class Parts:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
         back_projected = np.concatenate(self._back_projected)
         point, image, places, sigmas = (concatenated(part) for part in zip(*self._rays, strict=True))
-        rays = ImageRays(point, image, places, sigmas, back_projected)
+        rays, common = common_matches(
+            ImageRays(point, image, places, sigmas, back_projected), *np.concatenate(self._windows).T
+        )
         empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
         ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
         shifts = self._profile_shifts() if self._shifts else None
@@ -294,9 +303,14 @@ class Parts:
             ground = terrain_ground(self.images, rays, terrain)
         elif areoid:
             ground = nominal_ground(self.images, rays)
-        surface = self._surface(points, rays, terrain, ground, wanted or TerrainInput()) if terrain else None
+        surface, heights = None, None
+        if terrain:
+            surface, heights = self._surface(points, rays, terrain, ground, wanted or TerrainInput())
         areoid = areoid.around(ground) if areoid else None
-        return Network(self.images, priors, held, points, rays, ranges, shifts, surface, areoid)
+        return Network(
+            self.images, priors, held, points, rays, ranges, shifts, surface, areoid, common_rays=common,
+            common_heights=heights,
+        )
 
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
@@ -307,9 +321,9 @@ class Parts:
 
     def _surface(
         self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid, ground: Array, wanted: TerrainInput
-    ) -> Surface:
-        """Tie points on the terrain model, whose place may be an unknown for all of them; `ground` (k, 3) in m is where
-        the rays meet it.
+    ) -> tuple[Surface, CommonErrors | None]:
+        """Tie points on the terrain model, whose place may be an unknown for all of them, and what their heights have
+        in common; `ground` (k, 3) in m is where the rays meet it.
         """
         members, first = np.unique(rays.point, return_index=True)
         ties = points.classes[members] == PointClass.TIE
@@ -323,13 +337,13 @@ class Parts:
                 "a model of the images' ground",
             )  # fmt: skip
         terrain = terrain.around(ground)
-        sigmas = np.full(len(points), np.inf)
-        sigmas[members] = np.nan_to_num(terrain.control_sigmas(places), nan=np.inf)
-        return Surface(
+        sigmas, at = np.full(len(points), np.inf), np.zeros((len(points), 3))
+        sigmas[members], at[members] = np.nan_to_num(terrain.height_sigmas(places), nan=np.inf), places
+        return common_heights(Surface(
             terrain, sigmas, terrain.planimetric_sigma or 0.0, wanted.height_sigma_m or 0.0,
             (wanted.tilt_sigma_mrad or 0.0) * MRAD,
             places[np.isfinite(sigmas[members])].mean(axis=0) if wanted.tilt_sigma_mrad else None,
-        )  # fmt: skip
+        ), at)  # fmt: skip
 
     def _claim(self, ids: Names, source: str) -> int:
         """Take the ids in; the index of the first."""
@@ -366,9 +380,11 @@ class Parts:
         return image
 
     def _add_rays(
-        self, first: int, point: Index, names: RepeatedNames, places: Array, sigmas: Array, source: str
-    ) -> None:
+        self, first: int, point: Index, names: RepeatedNames, places: Array, sigmas: Array, source: str,
+        windows: Array | None = None,
+    ) -> None:  # fmt: skip
         image = self._located(self._names[-1][1], point, names, places, source)
+        self._windows.append(np.zeros((image.size, 2)) if windows is None else windows)
         self._rays.append((point + first, image, places, sigmas))
         self._back_projected.append(np.zeros(image.size, dtype=bool))
 
@@ -386,31 +402,15 @@ _SAME_PLACE = 1e-3
 
 
 def with_sigmas(
-    points: TiePoints, sigma: float, of_images: Mapping[str, float], window: float = 0.0, factor: float = 1.0
+    points: TiePoints, sigma: float, of_images: Mapping[str, float], factor: float = 1.0
 ) -> TiePoints:
-    """The same points with a sigma for every measure: the file's own, or else its image's, or else the group's (px).
-    Measures of an image within one window (px, its side) have errors in common, by which their sigmas grow. All of them
-    are multiplied by the `factor`.
+    """The same points with a sigma for every measure: the file's own, or else its image's, or else the group's (px),
+    all of them multiplied by the `factor`.
     """
     images = points.measure_image
     default = np.array([*(of_images.get(name, sigma) for name in images.distinct), sigma])[images.numbers]
     sigmas = np.where(np.isnan(points.measure_sigmas), default[:, None], points.measure_sigmas)
-    if window > 0.0:
-        for number in np.unique(images.numbers).tolist():
-            mine = images.numbers == number
-            sigmas[mine] = np.sqrt(overlap_variances(points.measures[mine], sigmas[mine], window))
     return replace(points, measure_sigmas=factor * sigmas)
-
-
-def window_beside(network: Path) -> float:
-    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
-    network that lies beside none.
-    """
-    record = network.with_name(MATCH)
-    if not record.is_file():
-        return 0.0
-    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
-        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def in_images(

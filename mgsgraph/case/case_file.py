@@ -37,6 +37,7 @@ _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
 _PROJECT = "project.sqlite"
 """File that makes a folder a project (`mgsgraph.project`, which imports this room)."""
 _FORMER = {
+    "model = jitter": ("[[passes.vibrations]]", "frequency_hz and sigma_mrad of a sine, or vibrations = 'estimated'"),
     "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
     "mola": ("[[shots]]", "its key pedr is file"),
     "pedr": ("file", ""),
@@ -97,7 +98,7 @@ def _refuse_former(value: Any, where: str) -> None:
     """Raise InputError for a table or key of an earlier version, and name the word of today."""
     for one in value if isinstance(value, list) else [value]:
         for key, inner in one.items() if isinstance(one, dict) else ():
-            expected, remedy = _FORMER.get(key, ("", ""))
+            expected, remedy = _FORMER.get(key) or _FORMER.get(f"{key} = {inner}", ("", ""))
             if key.endswith("_mgon"):
                 expected, remedy = f"{key.removesuffix('mgon')}mrad", "1 mgon is 0.015708 mrad"
             if expected:

@@ -125,9 +125,9 @@ class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return NodePrior(parts[""], parts["bias_"], parts["drift_"], self.correlation_time_s)
 
 
-Kind = Literal["gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
+Kind = Literal["gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "white"]
 """Gaussian processes (`network.conditioning`)."""
-Model = Literal["polynomial", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "jitter", "white"]
+Model = Literal["polynomial", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener", "white"]
 """What a correction is in time."""
 Strength = float | list[float] | Literal["estimated"]
 """The same, or found from the measures."""
@@ -135,8 +135,6 @@ HIGHEST = 3
 """Degree of polynomials through four orientation images."""
 _BEGIN = {"m": 1.0, "mrad": 0.01}
 """In each unit, where the search for an estimated strength begins."""
-_BANDWIDTH = 0.1
-"""Of the frequency, of jitter whose bandwidth is not said."""
 _NEGLIGIBLE = 1e-4
 """Of the constant's sigma, departures of what is a line in time beside the process of the other part."""
 _FOLLOWING = 0.01
@@ -148,10 +146,18 @@ class _Times(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
 
     correlation_time_s: float | None = None
     """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
-    frequency_hz: float | None = None
-    """Of jitter."""
-    bandwidth_hz: float | None = None
-    """Of jitter: full width of its spectral peak at half its height; a tenth of the frequency when absent."""
+
+
+class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A vibration of a pass's attitude: a sine about each axis, with unknown amounts."""
+
+    frequency_hz: float
+    """Known, from one cycle over the pass to a half per line."""
+    sigma_mrad: Sigmas
+    """A-priori sigma of the amounts of its cosine and of its sine, one number for all axes or three."""
+    drift: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.0
+    """Of that sigma, how much these may change from the middle of the pass to its end, and by which a frequency is
+    absorbed that is a little off; 0: not."""
 
 
 class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -170,7 +176,7 @@ class _Motion(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
 
     model: Model = "polynomial"
     """A polynomial of time; or bias and drift with departures about them that are a Gaussian process: stationary with
-    a correlation time (the rougher first), an integrated Wiener process, or a vibration of one frequency (jitter)."""
+    a correlation time (the rougher first), or an integrated Wiener process."""
     degree: int | None = None
     """Of the polynomial, 0 to 3; as many as there are sigmas, or else that of [orientation]."""
     plus: tuple[ProcessInput, ...] = ()
@@ -263,9 +269,9 @@ def processes(motion: Motion, where: str) -> tuple[Process, ...]:
     Raises
     ------
     InputError
-        No strength; no correlation time, or no frequency, where the kind has one; keys of another model.
+        No strength; no correlation time where the kind has one; keys of another model.
     """
-    _require_keys(motion, (*_OF_PROCESSES, "correlation_time_s", "frequency_hz", "bandwidth_hz", "plus"), where)
+    _require_keys(motion, (*_OF_PROCESSES, "correlation_time_s", "plus"), where)
     others = [_process(one, motion, f"{where}.plus[{k}]") for k, one in enumerate(motion.plus)]
     return (_process(motion, motion, where), *others)
 
@@ -280,30 +286,24 @@ def _process(one: Motion | ProcessInput, motion: Motion, where: str) -> Process:
     value = getattr(one, key)
     if value is None:
         raise InputError(where, f"{one.model} without a sigma", f'{key}: a number, three, or "estimated"')
-    _require_times(one, where)
+    _require_time(one, where)
     estimated = value == "estimated"
     sigmas = np.full(3, _BEGIN[motion.unit]) if estimated else three(value, f"{where}, {key}")
-    width = one.bandwidth_hz if one.bandwidth_hz is not None else _BANDWIDTH * (one.frequency_hz or 0.0)
-    sigmas, time, frequency = sigmas * motion.scale, one.correlation_time_s or 0.0, one.frequency_hz or 0.0
     with errors_from(where):
-        return Process(one.model, sigmas, time, frequency, width, estimated)
+        return Process(one.model, sigmas * motion.scale, one.correlation_time_s or 0.0, estimated)
 
 
-def _require_times(one: Motion | ProcessInput, where: str) -> None:
-    """Raise InputError unless a process has the times that its kind has, and no others."""
-    timed = one.model in ("gauss-markov", "matern-3/2", "matern-5/2")
-    for key, value, wanted, meaning in (
-        ("correlation_time_s", one.correlation_time_s, timed, "seconds in which departures forget themselves, above 0"),
-        ("frequency_hz", one.frequency_hz, one.model == "jitter", "cycles per second, above 0"),
-    ):
-        if wanted and (value is None or not 0.0 < value <= 1e9):
-            found = f"{one.model} without it" if value is None else f"{value:g}"
-            remedy = "nodes that know nothing of each other are a process model = \"white\"" if timed else ""
-            raise InputError(f"{where}, {key}", found, meaning, remedy)
-        if not wanted and value is not None:
-            raise InputError(where, f'{key} beside model = "{one.model}"', "keys of that model alone", "take it out")
-    if one.bandwidth_hz is not None and one.model != "jitter":
-        raise InputError(where, f'bandwidth_hz beside model = "{one.model}"', "keys of that model alone", "take it out")
+def _require_time(one: Motion | ProcessInput, where: str) -> None:
+    """Raise InputError unless a process has a correlation time where its kind has one."""
+    time, timed = one.correlation_time_s, one.model in ("gauss-markov", "matern-3/2", "matern-5/2")
+    if timed and (time is None or not 0.0 < time <= 1e9):
+        found = f"{one.model} without it" if time is None else f"{time:g}"
+        expected = "seconds in which departures forget themselves, above 0"
+        remedy = 'nodes that know nothing of each other are a process model = "white"'
+        raise InputError(f"{where}, correlation_time_s", found, expected, remedy)
+    if not timed and time is not None:
+        found = f'correlation_time_s beside model = "{one.model}"'
+        raise InputError(where, found, "keys of that model alone", "take it out")
 
 
 def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Array]:

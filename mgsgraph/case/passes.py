@@ -22,6 +22,7 @@ from mgsgraph.case.motion import (
     PositionInput,
     ProcessInput,
     Sigmas,
+    VibrationInput,
     negligible_departures,
     polynomial_sigmas,
     processes,
@@ -45,11 +46,9 @@ from mgsgraph.network import (
     SharedKind,
     SharedUnknown,
 )
-from mgsgraph.network.joining import found_passes, mountings, seconds
+from mgsgraph.network.joining import found_passes, mountings, seconds, sine_over
 from mgsgraph.units import DEG, MRAD
 
-_PER_CYCLE = 2.5
-"""Nodes a cycle of a vibration, at least: by fewer than two it is seen as another, slower one."""
 _CORRELATION_TIMES = 2.0
 """Between nodes, at most: after them 14 % of a departure is left, and nodes are all but white noise."""
 
@@ -67,11 +66,13 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     all are of one."""
     nodes: NodesInput | None = None
     """Its orientation images; for polynomials four over the pass, and nothing to say. Of processes one every half
-    correlation time or eighth of a cycle when absent."""
+    correlation time when absent."""
     position: PositionInput = PositionInput()
     """What is known of its positions beforehand."""
     attitude: AttitudeInput = AttitudeInput()
     """What is known of its attitude beforehand."""
+    vibrations: tuple[VibrationInput, ...] | Literal["estimated"] = ()
+    """Vibrations of its attitude, of known frequencies; "estimated": those that rays show are found."""
     prior: NodePriorInput | None = None
     """In place of `position` and `attitude`, of images of one camera (HRSC): bias, drift and departures of both."""
 
@@ -109,20 +110,17 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         return [one for motion in (self.position, self.attitude) for one in (motion, *motion.plus)]
 
     def _spacing(self) -> float:
-        """S between nodes that describe the fastest process: half its correlation time, an eighth of a cycle."""
-        every = self._processes
-        times = [one.correlation_time_s / 2.0 for one in every if one.correlation_time_s]
-        return min([*times, *(1.0 / (8.0 * one.frequency_hz) for one in every if one.frequency_hz)], default=SPACING)
+        """S between nodes that describe the fastest process: half its correlation time."""
+        times = [one.correlation_time_s / 2.0 for one in self._processes if one.correlation_time_s]
+        return min(times, default=SPACING)
 
     def _require_close(self, nodes: OrientationImages, where: str) -> None:
         """Raise InputError for nodes so far apart that they would stand for a slower process than the stated one."""
         limits = [
-            (1.0 / (_PER_CYCLE * one.frequency_hz), f"a vibration of {one.frequency_hz:g} Hz")
-            for one in self._processes if one.frequency_hz
-        ] + [
             (time * _CORRELATION_TIMES, f"{one.model} of correlation time {time:g} s")
-            for one in self._processes if (time := one.correlation_time_s)
-        ]  # fmt: skip
+            for one in self._processes
+            if (time := one.correlation_time_s)
+        ]
         apart = float(np.diff(nodes.times).max())
         for most, what in sorted(limits)[:1]:
             if apart > most * (1.0 + 1e-9):
@@ -237,6 +235,25 @@ def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int
                 "[[mountings]] the angles between their cameras (docs/rigs.md)"
             ]
     return []
+
+
+def vibration_unknowns(
+    entries: Sequence[PassInput], of_entries: Sequence[Sequence[int]], network: Network, path: str
+) -> tuple[SharedUnknown, ...]:
+    """Stated vibrations of passes; arguments as of `mounting_unknowns`."""
+    found = list[SharedUnknown]()
+    for number, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
+        for k, one in enumerate(() if entry.vibrations == "estimated" else entry.vibrations):
+            where = f"{path}, passes[{number}].vibrations[{k}]"
+            assert isinstance(one, VibrationInput)
+            sigmas = three(one.sigma_mrad, f"{where}, sigma_mrad") * MRAD
+            for owner in sorted({int(network.pass_of[j]) for j in mine}):
+                of = network.passes[owner]
+                with errors_from(where):
+                    sine = sine_over([network.images[j] for j in of.images.tolist()], one.frequency_hz)
+                    name = f"vibration of {one.frequency_hz:g} Hz, {of.name}"
+                    found.append(SharedUnknown.of_vibration(name, of.images, sine, sigmas, one.drift))
+    return tuple(found)
 
 
 def pass_name(images: Sequence[PushbroomImage]) -> str:

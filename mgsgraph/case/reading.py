@@ -13,10 +13,10 @@ import numpy as np
 from msgspec import structs
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.case.assembly import Parts, in_images, merged, window_beside, with_sigmas
+from mgsgraph.case.assembly import Parts, in_images, merged, with_sigmas
 from mgsgraph.case.case_file import decode, instruments, read_images
 from mgsgraph.case.case_file import read_image as read_image
-from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, rig_notes
+from mgsgraph.case.passes import members, mounted, mounting_unknowns, passes_of, rig_notes, vibration_unknowns
 from mgsgraph.case.schema import AltimetryInput, CaseInput, ImageInput, ShotsInput, TerrainInput, TiesInput
 from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, Unmeasured, errors_from
@@ -27,8 +27,10 @@ from mgsgraph.files.geometric_keys import GRID_LABEL, SHOT_LABEL, Key, unread
 from mgsgraph.files.networks.asp_text import read_ground_control, stated_datum
 from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import TiePoints
-from mgsgraph.files.opening import read_text
+from mgsgraph.files.opening import read_text, understood
+from mgsgraph.files.output.folders import MATCH
 from mgsgraph.files.pvl import flat_label, instrument_of
+from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, AltimetryCloud
 from mgsgraph.geometry.body import Ellipsoid, surface_radii
 from mgsgraph.geometry.image import PushbroomImage
@@ -87,6 +89,8 @@ class Case(Record):
     """Files of the tie points."""
     notes: tuple[str, ...] = ()
     """What of these files was left out, in sentences."""
+    vibrating: tuple[str, ...] = ()
+    """Passes whose vibrations are to be found."""
 
     def __repr__(self) -> str:
         return f"Case({self.name!r}: {self.network!r})"
@@ -140,9 +144,9 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     passes = _read_passes(wanted, of_passes, images, path)
     parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
     names = [image.name for image in images]
-    tie_points, notes = _read_ties(wanted, parts, folder)
+    tie_points, windows, notes = _read_ties(wanted, parts, folder)
     if tie_points:
-        parts.add_points(tie_points, PointClass.TIE, 1.0)
+        parts.add_points(tie_points, PointClass.TIE, 1.0, windows)
     notes += [*_unread_keys(wanted, folder), *rig_notes(images, of_passes)]
     if wanted.ground_control:
         file = folder / wanted.ground_control.file
@@ -172,8 +176,15 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     files = tuple(folder / entry.network for entry in wanted.tie_groups)
     return Case(
         wanted.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
-        tuple(notes),
+        tuple(notes), _vibrating(wanted, of_passes, passes),
     )  # fmt: skip
+
+
+def _vibrating(wanted: CaseInput, of_passes: Sequence[Sequence[int]], passes: Sequence[Pass]) -> tuple[str, ...]:
+    """Names of passes whose vibrations are to be found."""
+    asking = [one.vibrations == "estimated" for one in wanted.passes]
+    images = {j for asks, mine in zip(asking, of_passes, strict=True) for j in mine if asks}
+    return tuple(one.name for one in passes if int(one.images[0]) in images)
 
 
 def _unread_keys(wanted: CaseInput, folder: Path) -> list[str]:
@@ -261,8 +272,6 @@ def _with_shared(
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
-    if not (wanted.shared or of_profiles or wanted.mountings):
-        return network
     names = [image.name for image in network.images]
     shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
     of_mountings = mounted(wanted.mountings, instruments(wanted, path), names, str(path))
@@ -272,6 +281,9 @@ def _with_shared(
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
     shared += tuple(of_profiles)
+    shared += vibration_unknowns(wanted.passes, members(wanted.passes, names, str(path)), network, str(path))
+    if not shared:
+        return network
     with errors_from(str(path)):
         network = replace(network, shared=shared)
         network.require_observed()
@@ -300,8 +312,8 @@ def _require_seeing_images(network: Network, notes: Sequence[str]) -> None:
 
 
 def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) -> "Solution":
-    """Adjust a case, strengths of processes that it wants estimated found on the way; see
-    `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.process_strengths.estimated_strengths`.
+    """Adjust a case, strengths of processes and vibrations that it wants estimated found on the way; see
+    `mgsgraph.adjustment.adjust.adjust_network`, `mgsgraph.analysis.vibrations.adjusted`.
 
     Examples
     --------
@@ -310,12 +322,9 @@ def adjust(case: Case, progress: "Callable[[Iteration], None]" = no_progress) ->
     Solution('simulated pair', converged after 5 iterations, cost 449.199 -> 44.8741, sigma0 1.223, 60 degrees of
     freedom; Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges))
     """
-    from mgsgraph.adjustment.adjust import adjust_network
-    from mgsgraph.analysis.process_strengths import estimated_strengths
+    from mgsgraph.analysis.vibrations import adjusted
 
-    if any(one.asks_for_strengths for one in case.network.passes):
-        return estimated_strengths(case.network, case.settings, name=case.name, progress=progress).solution
-    return adjust_network(case.network, case.settings, case.name, progress)
+    return adjusted(case.network, case.settings, case.name, progress, case.vibrating)[0]
 
 
 def picture_of(entry: ImageInput, folder: Path) -> Path | None:
@@ -331,24 +340,36 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     return folder / entry.label
 
 
-def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, list[str]]:
-    """Tie points of all control networks, and what was left out; each file is checked by itself, so that errors name
-    it.
+def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, Array, list[str]]:
+    """Tie points of all control networks, the windows (k, 2) of their measures as `Parts.add_points` takes them, and
+    what was left out; each file is checked by itself, so that errors name it.
     """
     of_images = {
         image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
     }
-    groups, notes = [], []
+    groups, windows, notes = [], [np.zeros((0, 2))], []
     for entry in wanted.tie_groups:
         path = folder / entry.network
         window = window_beside(path) if entry.window_px is None else entry.window_px
         points = read_tie_points(path, parts.images[0].body)
         points, left_out = in_images(points, [image.name for image in parts.images])
-        group = with_sigmas(points, entry.sigma_px, of_images, window, entry.sigma_factor)
+        group = with_sigmas(points, entry.sigma_px, of_images, entry.sigma_factor)
+        windows.append(np.tile([window, entry.common_share], (group.measure_point.size, 1)))
         parts.require_measures(group)
         groups.append(group)
         notes += [left_out] if left_out else []
-    return merged(groups) if groups else None, notes
+    return merged(groups) if groups else None, np.concatenate(windows), notes
+
+
+def window_beside(network: Path) -> float:
+    """Pixels, side of the windows in which `mgsgraph match` compared what a network beside its record holds; 0 for a
+    network that lies beside none.
+    """
+    record = network.with_name(MATCH)
+    if not record.is_file():
+        return 0.0
+    with understood(f"{record}, settings.half_window", "what mgsgraph match writes", "state window_px in [ties]"):
+        return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
 def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:

@@ -207,8 +207,11 @@ class TiesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_factor: Factor = 1.0
     """Multiplies the sigmas of all measures of the group, those that the network itself states among them."""
     window_px: Annotated[float, msgspec.Meta(ge=0.0, le=1e6)] | None = None
-    """Side of the windows that were matched: measures of an image whose windows overlap have errors in common, by which
-    their sigmas grow; that of the match.json beside the network when absent, else 0: none."""
+    """Side of the windows that were matched: measures of an image whose windows overlap have errors in common, as far
+    as they overlap; that of the match.json beside the network when absent, else 0: none."""
+    common_share: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 1.0
+    """Share of the variance that such measures have in common where their windows coincide: 1 for errors of pixels,
+    less where most errors are each measure's own."""
 
 
 class ControlInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -293,7 +296,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     def unknown(self, names: Sequence[str], where: str) -> SharedUnknown:
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
-        scale, unit = (MRAD, "mrad") if kind.turns else kind.reported
+        scale, unit = (MRAD, "mrad") if kind.unit == "rad" else kind.reported
         wanted = f"sigma_{unit}"
         given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
         if set(given) != {wanted}:

@@ -82,11 +82,10 @@ def adjust(
     INVALID. Exit status: 0 valid or suspect; 1 invalid: not converged, most of a kind of observations left out, an
     absurd sigma0, orientations beyond 100 prior sigmas (results are written); 2 bad input.
     """
-    from mgsgraph.adjustment.adjust import adjust_network
     from mgsgraph.adjustment.cluster.connection import open_cluster
     from mgsgraph.adjustment.cluster.workers import parse_cluster
-    from mgsgraph.analysis.process_strengths import estimated_strengths
     from mgsgraph.analysis.verdict import is_valid
+    from mgsgraph.analysis.vibrations import adjusted
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import iteration_bar
     from mgsgraph.files.output.folders import require_replaceable
@@ -102,19 +101,15 @@ def adjust(
     reading = {"reading": elapsed() - begin}
     print_sentences(read.notes)
     settings = overrides.over(read.settings)
-    estimating = any(one.asks_for_strengths for one in read.network.passes)
+    estimating = read.vibrating or any(one.asks_for_strengths for one in read.network.passes)
     if estimating and (two_steps or cluster is not None):
-        raise click.UsageError("estimated strengths of processes go with neither --two-steps nor --cluster")
+        raise click.UsageError("estimated strengths and vibrations go with neither --two-steps nor --cluster")
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
         ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, details) else 1)
     with connection as workers, iteration_bar(details, settings.max_iterations) as bar:
-        if estimating:
-            found = estimated_strengths(read.network, settings, name=read.name, progress=bar)
-            solution, said = found.solution, found.sentences
-        else:
-            solution, said = adjust_network(read.network, settings, read.name, bar, workers), []
+        solution, said = adjusted(read.network, settings, read.name, bar, read.vibrating, workers)
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution, details)

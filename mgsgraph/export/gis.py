@@ -357,7 +357,7 @@ def _residuals(solution: Solution) -> Vectors:
         "used": solution.rays_used[kept],
         **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS_OFFSET),
         **columns(["residual_line_px", "residual_sample_px"], solution.residuals[kept]),
-        **columns(["normalised_line", "normalised_sample"], solution.residuals[kept] / rays.sigmas[kept]),
+        **columns(["normalised_line", "normalised_sample"], (solution.residuals / solution.network.ray_sigmas)[kept]),
     }
     return Vectors(starts[kept], steps[kept], solution.rays_used[kept], fields)
 

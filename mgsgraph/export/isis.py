@@ -176,7 +176,8 @@ def _measures(solution: Solution) -> list[list[ControlMeasure]]:
     rays, images = solution.network.rays, [image.name for image in solution.network.images]
     found = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
-    numbers, marks = (rays.places + ISIS_OFFSET, solution.residuals, rays.sigmas), (rejected_rays(solution), guessed)
+    numbers = (rays.places + ISIS_OFFSET, solution.residuals, solution.network.ray_sigmas)
+    marks = (rejected_rays(solution), guessed)
     columns = [column.tolist() for column in (rays.point, rays.image, *numbers, *marks)]
     for i, j, place, residual, sigma, rejected, guess in zip(*columns, strict=True):
         known = math.isfinite(residual[0]) and math.isfinite(residual[1])

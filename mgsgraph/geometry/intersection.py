@@ -14,12 +14,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mgsgraph.factors.algebra import dot, scale, subtract
+from mgsgraph.factors.algebra import dot, scale, subtract, transform
+from mgsgraph.factors.collinearity import image_motion, ray_motion
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.camera import Detector
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
+
+
+def image_steps(image: PushbroomImage, lines: Array, samples: Array, axes: Array | None = None) -> Array:
+    """(n, 2, 2) m in the focal plane by which the ground's image moves from a line to the next, and from a sample to
+    the one before, where an image shows the ellipsoid, or comes closest to it; in the `axes` of its pass.
+    """
+    ground = image.image_to_ground(lines, samples)[0]
+    origins, looks = image.sightlines(lines, samples)
+    closest = origins - looks * np.einsum("nc,nc->n", origins, looks)[:, None]
+    ground = np.where(np.isfinite(ground), ground, closest)
+    pose, focal = image.pose(lines).in_axes(axes), image.interior.focal_length
+    attitude = tuple(np.moveaxis(pose.matrix, 0, -1))
+    ray = transform(attitude, tuple((ground - pose.position).T))
+    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), tuple(pose.angular_rate.T)), focal)
+    slope = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal).slope
+    return np.stack([np.stack(motion, axis=1), -slope], axis=2)
 
 
 def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, points: int) -> tuple[Array, Array, Array]:

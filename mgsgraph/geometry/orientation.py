@@ -201,6 +201,39 @@ class Moments(NamedTuple):
         return cls(nowhere, 0.0, times, nowhere, epoch)
 
 
+@dataclass(frozen=True, slots=True)
+class Sine(Record):
+    """A vibration of one frequency: cosine and sine amounts, each with a linear drift over the time of a pass (which a
+    small error of the frequency is, too).
+
+    Examples
+    --------
+    >>> from mgsgraph.geometry.orientation import Sine
+    >>> Sine(2.0, 0.0, 8.0).at(np.array([4.0]), 0.0)[0].round(12)
+    array([[ 1. , -0. ,  0.5, -0. ]])
+    """
+
+    frequency: float
+    """Hz."""
+    middle: float
+    """s TDB past J2000, where phases begin and the drift is zero."""
+    half: float
+    """s, from there to s = 1."""
+
+    def __post_init__(self) -> None:
+        cycles = 2.0 * self.half * self.frequency
+        if not (np.isfinite(self.middle) and self.half > 0.0 and 1.0 <= cycles < np.inf):
+            found, expected = f"{self.frequency:g} Hz over {2.0 * self.half:g} s", "one cycle or more"
+            raise InputError("vibration, frequency", found, expected, "what is slower is a drift: a process follows it")
+
+    def at(self, times: Array, epoch: float) -> tuple[Array, Array]:
+        """Values (n, 4) of cos, sin, s cos, s sin at times (n,) in s past `epoch`, and their derivatives per second."""
+        since, turn = times + (epoch - self.middle), 2.0 * np.pi * self.frequency
+        wave = np.stack([np.cos(turn * since), np.sin(turn * since)], axis=1)
+        rate, s = turn * np.stack([-wave[:, 1], wave[:, 0]], axis=1), since[:, None] / self.half
+        return np.hstack([wave, s * wave]), np.hstack([rate, s * rate + wave / self.half])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationPrior(Record):
     """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient.
@@ -246,12 +279,14 @@ class OrientationCorrection(Record):
     """
 
     coefficients: Array
-    """(d, 6) m and rad: of a polynomial of the normalised line, constant term first, and then of the orientation images
-    of its strip."""
+    """(d, 6) m and rad: of a polynomial of the normalised line, constant term first, then of the orientation images of
+    its strip, then four of each sine."""
     angles: Angles = "camera"
     """What the rotation part is."""
     nodes: OrientationImages | None = None
     """Orientation images of its strip; None for a polynomial alone."""
+    sines: tuple[Sine, ...] = ()
+    """Vibrations."""
 
     def __post_init__(self) -> None:
         if self.angles not in get_args(Angles):
@@ -266,14 +301,14 @@ class OrientationCorrection(Record):
     @property
     def polynomial_terms(self) -> int:
         """Rows that belong to the polynomial."""
-        return int(self.coefficients.shape[0]) - (0 if self.nodes is None else len(self.nodes))
+        return int(self.coefficients.shape[0]) - (0 if self.nodes is None else len(self.nodes)) - 4 * len(self.sines)
 
     def basis(self, moments: Moments) -> Array:
         """(n, d) what each row of coefficients counts at n lines; dense, for few of them."""
-        values, _ = polynomial(moments.u, self.polynomial_terms - 1)
-        if self.nodes is None:
-            return values
-        return np.hstack([values, self.nodes.dense(moments.times, moments.epoch)[0]])
+        parts = [polynomial(moments.u, self.polynomial_terms - 1)[0]]
+        if self.nodes is not None:
+            parts.append(self.nodes.dense(moments.times, moments.epoch)[0])
+        return np.hstack([*parts, *(one.at(moments.times, moments.epoch)[0] for one in self.sines)])
 
     def at(self, moments: Moments) -> tuple[Array, Array]:
         """Correction (n, 6) in m and rad at n lines, and its derivative per line (n, 6)."""
@@ -285,6 +320,11 @@ class OrientationCorrection(Record):
             near = self.coefficients[self.polynomial_terms + first[:, None] + np.arange(SUPPORT)]
             correction += np.einsum("nk,nkc->nc", values, near)
             slope += np.einsum("nk,nkc->nc", rates * moments.periods[:, None], near)
+        for k, one in enumerate(reversed(self.sines), start=1):
+            values, rates = one.at(moments.times, moments.epoch)
+            own = self.coefficients[len(self.coefficients) - 4 * k :][:4]
+            correction += values @ own
+            slope += rates * moments.periods[:, None] @ own
         return correction, slope
 
     def apply(self, nominal: Pose, moments: Moments) -> Pose:

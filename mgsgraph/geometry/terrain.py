@@ -5,12 +5,6 @@ above the cubic B-spline of the posts (`factors.surface.cubic`), along its norma
 distance F / |grad F|, which is exact to first order in the height (its error is the square of the height times the
 curvature, and it vanishes with the residual).
 
-Errors that neighbours have in common, as rows that count as independent.
-
-Where errors with the covariance C, none of it negative, are given the variances D_i = sum_j C_ij and count as
-independent, no stated sigma of what is estimated from them is too small: D - C is diagonally dominant, and so
-D >= C. The sigma of their mean is right where all have as many neighbours; one without neighbours keeps its own.
-
 Bilinear interpolation between the nodes of a regular grid.
 """
 
@@ -52,12 +46,6 @@ def refined(nodes: NDArray[Any], step: int) -> NDArray[Any]:
     return np.concatenate([down.reshape(-1, full.shape[1]), full[-1:]])
 
 
-# --- errors of neighbors
-
-_CHUNK = 1024
-"""Places whose neighbours are looked for at once."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaps(Record):
     """What a terrain model's interpolation between tracks adds to the errors of its posts."""
@@ -70,40 +58,6 @@ class Gaps(Record):
     def __iter__(self) -> Iterator[Array]:
         """Sigmas, then reaches."""
         yield from (self.sigmas, self.reaches)
-
-
-def common_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
-    """Variances (n,) with which errors count as independent that places (n, d) have in common where both of two are
-    within the other's reach (n,), with sigmas (n,): each is its sigma times the sum of its own and its neighbours'.
-    """
-    from scipy.spatial import cKDTree  # slow to import
-
-    found = sigmas**2
-    some = np.flatnonzero((sigmas > 0.0) & (reaches > 0.0))
-    if not some.size:
-        return np.asarray(found)
-    tree, farthest = cKDTree(places[some]), float(reaches[some].max())
-    for first in range(0, some.size, _CHUNK):
-        mine = some[first : first + _CHUNK]
-        pairs = cKDTree(places[mine]).sparse_distance_matrix(tree, farthest, output_type="ndarray")
-        one, other = mine[pairs["i"]], some[pairs["j"]]
-        near = (pairs["v"] <= np.minimum(reaches[one], reaches[other])) & (one != other)
-        found += sigmas * np.bincount(one[near], sigmas[other[near]], sigmas.size)
-    return np.asarray(found)
-
-
-def overlap_variances(places: Array, sigmas: Array, side: float) -> Array:
-    """Variances (n, c) with which errors of sigmas (n, c) count as independent at places (n, 2) that are the middles of
-    square windows, whose overlap is how far two of them are correlated.
-    """
-    from scipy.spatial import cKDTree  # slow to import
-
-    first, second = cKDTree(places).query_pairs(side, p=np.inf, output_type="ndarray").T
-    shares = np.prod(1.0 - np.abs(places[first] - places[second]) / side, axis=1)
-    found = sigmas**2
-    for one, other in ((first, second), (second, first)):
-        np.add.at(found, one, sigmas[one] * sigmas[other] * shares[:, None])
-    return np.asarray(found)
 
 
 # --- terrain models
@@ -357,18 +311,13 @@ class TerrainGrid(Record):
         )
         return sigmas, reaches
 
-    def control_sigmas(self, points: Array) -> Array:
-        """Sigma (n,) in m with which points (n, 3) in m are to lie on the model: those within a circle as large as a
-        cell share its posts' errors, and those within half the distance between two tracks that of the interpolation
-        (`common_variances`). NaN and infinite as of `height_sigmas`.
+    def parts_of_sigmas(self, points: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Sigmas (n,), in m, of the heights at points (n, 3) in m by the posts' own errors and by interpolation between
+        tracks, and how far each is common, in m: a circle as large as a cell, half the distance between the tracks.
         """
-        sigmas = self.height_sigmas(points)
-        there = np.flatnonzero(np.isfinite(sigmas))
-        longitudes, latitudes, radii = planetocentric(points[there]).T
+        longitudes, latitudes, radii = planetocentric(points).T
         circle = np.sqrt(self.latitude_step * self.longitude_step * np.cos(latitudes) / np.pi) * radii
-        posts = common_variances(points[there], np.full(there.size, self.vertical_sigma or 0.0), circle)
-        sigmas[there] = np.sqrt(posts + common_variances(points[there], *self._gaps(longitudes, latitudes)))
-        return sigmas
+        return (np.full(len(points), self.vertical_sigma or 0.0), circle), self._gaps(longitudes, latitudes)
 
     @property
     def box(self) -> Array:

@@ -136,18 +136,29 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
     dict
         Of each variable (images, then shifts, then shared unknowns, then strips' nodes) a matrix (6 d, width), m and
         rad per unit. Of the d rows the first are those of the polynomial of the larger degree of those that add up;
-        then come the nodes of the image's strip. (Of k nodes that makes k matrices of 6 k rows: `designs` needs none.)
+        then come the nodes of the image's strip, and four of each vibration. (Of k nodes that makes k matrices of 6 k
+        rows: `designs` needs none.)
     """
     polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
-    if strip < 0:
+    vibrations, turn = _vibrations(network, image), _to_camera(network, image)
+    if strip < 0 and not vibrations:
         return polynomials
-    rows = _polynomial_rows(polynomials)
-    nodes, first = 6 * len(network.passes[strip].nodes), int(network.first_of_passes[strip])
-    own, turn = dict[int, Array](), _to_camera(network, image)
-    for k in range(nodes // 6):
-        own[first + k] = np.zeros((rows + nodes, 6))
-        own[first + k][rows + 6 * k : rows + 6 * k + 6] = turn
-    return {v: np.pad(part, ((0, nodes), (0, 0))) for v, part in polynomials.items()} | own
+    rows, first = _polynomial_rows(polynomials), int(network.first_of_passes[strip])
+    more = {first + k: turn for k in range(0 if strip < 0 else len(network.passes[strip].nodes))}
+    # of axis a and part k the column is 4 a + k, and the row 6 k + c of component c
+    more |= {v: np.einsum("ca,kl->kcal", turn[:, 3:], np.eye(4)).reshape(24, 12) for v in vibrations}
+    size, at = rows + sum(len(part) for part in more.values()), rows
+    found = {v: np.pad(part, ((0, size - len(part)), (0, 0))) for v, part in polynomials.items()}
+    for v, part in more.items():
+        found[v] = np.pad(part, ((at, size - at - len(part)), (0, 0)))
+        at += len(part)
+    return found
+
+
+def _vibrations(network: Network, image: int) -> dict[int, SharedUnknown]:
+    """Of an image, by variable."""
+    every = enumerate(network.shared, network.first_shared)
+    return {v: one for v, one in every if one.sine is not None and one.of(image)}
 
 
 def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Array]:
@@ -156,7 +167,7 @@ def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Ar
     parts = {
         first + k: np.moveaxis(image_effect(picture, shared.kind, angles), 0, -1).reshape(-1, shared.kind.width)
         for k, shared in enumerate(network.shared)
-        if shared.kind.moves_pose and shared.of(image)
+        if shared.kind.moves_pose and shared.sine is None and shared.of(image)
     }
     own = 0 if network.pass_of[image] >= 0 else network.priors[image].sigmas.size
     rows = max([own, *(int(part.shape[0]) for part in parts.values())])
@@ -199,13 +210,15 @@ def design(network: Network, image: int, angles: Angles, moments: Moments) -> li
     """
     polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
     basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
-    variables = tuple(polynomials)
-    parts = tuple(
-        np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for part in polynomials.values()
+    vibrations, turn = _vibrations(network, image), _to_camera(network, image)
+    variables = (*polynomials, *vibrations)
+    parts = (
+        *(np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for part in polynomials.values()),
+        *(turn @ np.swapaxes(one.waves(moments)[0], 1, 2) for one in vibrations.values()),
     )
     if strip < 0:
         return [Design(slice(0, moments.u.size), variables, parts)]
-    start, turn = int(network.first_of_passes[strip]), _to_camera(network, image)
+    start = int(network.first_of_passes[strip])
     first, values, _ = network.passes[strip].nodes.at(moments.times, moments.epoch)
     edges = [0, *(np.flatnonzero(np.diff(first)) + 1).tolist(), first.size]
     return [
@@ -240,12 +253,15 @@ def whole_correction(network: Network, image: int, values: Sequence[Array], angl
     """The whole correction of one image, `values` being those of all variables."""
     polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
     whole = sum((part @ values[v] for v, part in polynomials.items()), np.zeros(_polynomial_rows(polynomials)))
-    coefficients, nodes = np.reshape(whole, (-1, 6)), None
+    coefficients, nodes, turn = np.reshape(whole, (-1, 6)), None, _to_camera(network, image)
     if strip >= 0:
         nodes, first = network.passes[strip].nodes, int(network.first_of_passes[strip])
-        own = np.array(values[first : first + len(nodes)]) @ _to_camera(network, image).T
+        own = np.array(values[first : first + len(nodes)]) @ turn.T
         coefficients = np.vstack([coefficients, own])
-    return OrientationCorrection(coefficients, angles, nodes)
+    vibrations = _vibrations(network, image)
+    amounts = [np.reshape(values[v], (3, 4)).T @ turn[:, 3:].T for v in vibrations]
+    sines = tuple(one.sine for one in vibrations.values() if one.sine is not None)
+    return OrientationCorrection(np.vstack([coefficients, *amounts]), angles, nodes, sines)
 
 
 def adjusted_image(network: Network, image: int, values: Sequence[Array]) -> PushbroomImage:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from mgsgraph.geometry.body import east_north
+from mgsgraph.geometry.intersection import image_steps
 from mgsgraph.geometry.orientation import Angles, polynomial
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.corrections import interior_effect, radius_of
@@ -39,11 +40,11 @@ class SharedEffects:
         }
         self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
         self.of_instrument = {
-            (j, kind): _in_axes(network.axes_of(j), image_effect(network.images[j], kind, angles))
-            for of_images in self._kinds.values()
-            for j, kinds in enumerate(of_images)
-            for kind in kinds
-            if kind.moves_instrument
+            (j, one.kind): _in_axes(network.axes_of(j), image_effect(network.images[j], one.kind, angles))
+            for of_images in self.acting.values()
+            for j, mine in enumerate(of_images)
+            for one in (network.shared[k] for k in mine)
+            if one.kind.moves_instrument and one.sine is None
         }
         """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
@@ -63,24 +64,40 @@ class SharedEffects:
             column += kind.width
         return found
 
-    def of_rays(self, image: int, u: Array, samples: Array) -> Array:
+    def of_rays(self, image: int, u: Array, samples: Array, common: Array | None = None) -> Array:
         """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
-        pass.
+        pass. Last come the looks (n, 2, f) by factors of errors in `common` (`common_looks`).
         """
-        mine = self.acting["rays"][image]
-        kinds = [self._network.shared[k].kind for k in mine]
-        width = 9 if any(kind.is_interior for kind in kinds) else 6
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), width))
+        mine, kinds = self.acting["rays"][image], self._kinds["rays"][image]
+        more = 0 if common is None else common.shape[2]
+        width = 9 if more or any(kind.is_interior for kind in kinds) else 6
+        found = np.zeros((u.size, sum(kind.width for kind in kinds) + more, width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for k, kind in zip(mine, kinds, strict=True):
             columns = slice(column, column + kind.width)
-            if kind.moves_instrument:
+            if kind is SharedKind.VIBRATION:
+                found[:, columns, :6] = self._waves(image, k, u)[0]
+            elif kind.moves_instrument:
                 found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
             else:
                 found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
+        if common is not None and more:
+            found[:, column:, 6:8] = np.swapaxes(common, 1, 2)
         return found
+
+    def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
+        picture = self._network.images[image]
+        return self._network.shared[shared].waves(picture.moments(0.5 * (u + 1.0) * picture.lines))
+
+    def turning(self, image: int, u: Array, values: Sequence[Array]) -> Array:
+        """(n, 3) rad per line, by which vibrations turn an image's camera where all variables have `values`."""
+        found = np.zeros((u.size, 6))
+        for k in self.acting["rays"][image]:
+            if self._network.shared[k].kind is SharedKind.VIBRATION:
+                found += np.einsum("nca,c->na", self._waves(image, k, u)[1], values[self._network.first_shared + k])
+        return found[:, 3:]
 
     def acts_on_rays(self, image: int) -> bool:
         """Whether shared unknowns act on an image's rays."""
@@ -119,6 +136,39 @@ class SharedEffects:
             return directions, slopes
         scale = interior.focal_length / (interior.looks(samples)[0] @ axes)[:, 2:]
         return directions @ axes * scale, slopes @ axes * scale
+
+
+def common_looks(network: Network) -> list[tuple[Index, Array]]:
+    """Rays (k,) that have errors in common with others, those of as many factors together, and by how much a unit of
+    each has their pixels measured too far on, as m in the focal plane (k, 2, factors of line and sample).
+    """
+    found, rays, common = list[tuple[Index, Array]](), network.rays, network.common_rays
+    if common is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        pixel = np.empty((mine.size, 2, 2))
+        for j in np.unique(rays.image[members]).tolist():
+            own = np.flatnonzero(rays.image[members] == j)
+            lines, samples = rays.places[members[own]].T
+            pixel[own] = image_steps(network.images[j], lines, samples, network.axes_of(j))
+        pixel *= rays.sigmas[members][:, None]
+        found.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (mine.size, 2, -1))))
+    return found
+
+
+def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
+    """The same of points (k,) whose heights above the terrain model, near `places` (n, 3) in m, have errors in common:
+    how far a unit of each factor lifts the model, m (k, factors, 3).
+    """
+    found, common, surface = list[tuple[Index, Array]](), network.common_heights, network.surface
+    if common is None or surface is None:
+        return found
+    for mine, loads in common.by_width():
+        members = common.members[mine]
+        up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
+        found.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
+    return found
 
 
 def bends(network: Network, shared: int, image: int) -> bool:

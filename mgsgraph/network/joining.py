@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationImages
+from mgsgraph.geometry.orientation import OrientationImages, Sine
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
@@ -46,6 +46,13 @@ def seconds(image: PushbroomImage) -> tuple[float, float]:
     """First and last time of an image's lines, s TDB past J2000."""
     start, stop = image.span
     return float(start), float(stop)
+
+
+def sine_over(images: Sequence[PushbroomImage], frequency: float) -> Sine:
+    """A vibration of a frequency in Hz over the time of some images."""
+    times = np.array([seconds(image) for image in images])
+    start, stop = float(times.min()), float(times.max())
+    return Sine(frequency, 0.5 * (start + stop), 0.5 * (stop - start))
 
 
 def straightest(images: Sequence[PushbroomImage]) -> int:
@@ -348,6 +355,8 @@ class NamedShared:
     """(kind.width,) a-priori, in the kind's unit."""
     considered: bool = False
     """Whether it is held at zero, while its a-priori covariance is carried."""
+    sine: Sine | None = None
+    """Of a vibration."""
 
     def of(self, names: Iterable[str]) -> "NamedShared | None":
         """The same with some images alone; None without any."""
@@ -392,7 +401,9 @@ def definitions(network: Network) -> Definitions:
         for one in network.passes
     }
     shared = {
-        one.name: NamedShared(one.name, one.kind, named(one.images), one.sigmas, one.name in network.considered)
+        one.name: NamedShared(
+            one.name, one.kind, named(one.images), one.sigmas, one.name in network.considered, one.sine
+        )
         for one in network.shared
     }
     return Definitions(passes, shared)
@@ -410,7 +421,9 @@ def with_definitions(network: Network, known: Definitions) -> Network:
         network,
         passes=tuple(one.numbered(number) for one in mine.passes.values()),
         shared=tuple(
-            SharedUnknown(one.name, one.kind, np.array([number[name] for name in one.images]), one.sigmas)
+            SharedUnknown(
+                one.name, one.kind, np.array([number[name] for name in one.images]), one.sigmas, sine=one.sine
+            )
             for one in mine.shared.values()
         ),
         considered=tuple(considered),

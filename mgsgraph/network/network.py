@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import OrientationPrior
+from mgsgraph.geometry.orientation import OrientationPrior, Sine
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
+from mgsgraph.network.common import CommonErrors
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
@@ -87,6 +88,10 @@ class Network(Record):
     considered: tuple[str, ...] = ()
     """Shifts (`shift_names`) and shared unknowns that are not estimated, but held at zero: what their a-priori
     covariance does to all else is carried (Schmidt 1966)."""
+    common_rays: CommonErrors | None = None
+    """What errors of neighboring image measurements have in common; `rays.sigmas` are then of each by itself."""
+    common_heights: CommonErrors | None = None
+    """The same of heights above the terrain model, and `surface.sigmas`."""
 
     def __post_init__(self) -> None:
         n, m = len(self.points), len(self.images)
@@ -132,6 +137,11 @@ class Network(Record):
         self._require_passes()
         self._require_stereo()
         self._require_considered()
+        if self.common_heights is not None and self.surface is not None:
+            number = np.where(np.isfinite(self.surface.sigmas), np.arange(n), -1)
+            assign(self, common_heights=self.common_heights.renumbered(number))
+        for common, of_row, _ in self.common:
+            frozen_index(common.members, "common errors, rows", common.members.size, k if of_row == 2 else n)
         if self.crossovers is not None:
             profiles = np.zeros(n) if self.shifts is None else np.asarray(self.shifts.profile) + 1.0
             shots = frozen_index(self.crossovers.shots, "crossovers, shots", self.crossovers.shots.size, n)
@@ -238,9 +248,13 @@ class Network(Record):
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
 
     def require_observed(self) -> None:
-        """Raise InputError unless some rows depend on each shared unknown; called before an adjustment."""
+        """Raise InputError unless some rows depend on each shared unknown, and tell it from vibrations like it; called
+        before an adjustment.
+        """
         for one in self.shared:
             where = f"shared unknown {one.name!r}"
+            if one.sine is not None:
+                self._require_resolved(one, one.sine, where)
             if one.kind.moves_footprints:
                 rows = "shot" if one.profile else "laser footprint with a range"
                 observed = self.footprints_moved(one).size > 0
@@ -250,6 +264,22 @@ class Network(Record):
                 observed |= one.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
             if not observed:
                 raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
+
+    def _require_resolved(self, one: SharedUnknown, sine: Sine, where: str) -> None:
+        """Raise InputError for a vibration that lines or rays don't sample, or nearer to another one than its time
+        resolves.
+        """
+        times = [self.images[j].timing.periods.max() for j in one.images.tolist()]
+        most, rays = 0.5 / max(times), int(np.isin(self.rays.image, one.images).sum())
+        if sine.frequency > min(most, rays / (4.0 * sine.half)):
+            found = f"{sine.frequency:g} Hz, of lines {max(times):g} s apart and {rays} rays in {2.0 * sine.half:g} s"
+            raise InputError(where, found, "two lines and two rays a period, at least", "a lower frequency")
+        for other in self.shared:
+            if other is not one and other.sine is not None and np.isin(other.images, one.images).any():
+                apart = abs(other.sine.frequency - sine.frequency)
+                if apart * 2.0 * sine.half < 1.0:
+                    found = f"{apart:g} Hz from {other.name!r}"
+                    raise InputError(where, found, f"{0.5 / sine.half:g} Hz, which its time resolves", "one of the two")
 
     def footprints_moved(self, shared: SharedUnknown) -> Index:
         """Constrained points, ascending, whose a-priori position a shared unknown moves."""
@@ -341,18 +371,86 @@ class Network(Record):
 
     @cached_property
     def first_of_passes(self) -> Index:
-        """(strips + 1,) first variable of each strip, its first node; then the number of all variables."""
+        """(strips + 1,) first variable of each strip, its first node; then the number of variables before those of
+        common errors.
+        """
         counts = [strip.widths.size for strip in self.passes]
         before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         return _kept(self.first_shared + len(self.shared) + before)
 
     @cached_property
     def widths(self) -> tuple[int, ...]:
-        """Numbers of each variable: images, shifts, shared unknowns, orientation images."""
+        """Numbers of each variable: images, shifts, shared unknowns, orientation images, factors of common errors."""
         images = [prior.sigmas.size for prior in self.priors]
         shifts = [len(terms) for terms in self.shift_terms]
         passes = [int(width) for one in self.passes for width in one.widths]
-        return (*images, *shifts, *(one.kind.width for one in self.shared), *passes)
+        factors = [width * of_row for one, of_row, _ in self.common for width in one.widths.tolist()]
+        return (*images, *shifts, *(one.kind.width for one in self.shared), *passes, *factors)
+
+    @property
+    def common(self) -> list[tuple[CommonErrors, int, int]]:
+        """Errors in common, of rays and of heights: how often a row has each factor, of line and sample or once, and
+        the variable of the first group.
+        """
+        found, first = list[tuple[CommonErrors, int, int]](), int(self.first_of_passes[-1])
+        for one, of_row in ((self.common_rays, 2), (self.common_heights, 1)):
+            if one is not None:
+                found.append((one, of_row, first))
+                first += one.widths.size
+        return found
+
+    @property
+    def common_variables(self) -> tuple[Index, Index]:
+        """(k,) variable of the errors that each ray has in common with others, (n,) the same of each point's height
+        above the terrain model; -1 for none.
+        """
+        found = np.full(self.rays.point.size, -1), np.full(len(self.points), -1)
+        for one, of_row, first in self.common:
+            found[of_row == 1][one.members] = first + one.group
+        return found
+
+    def common_of(self, rays: Index, points: Index) -> tuple[CommonErrors | None, CommonErrors | None]:
+        """Errors in common, of rays and of heights, where rays (k,) and points (n,) have other numbers, -1 for those
+        that are left out.
+        """
+        one, other = self.common_rays, self.common_heights
+        return one and one.renumbered(rays), other and other.renumbered(points)
+
+    @property
+    def common_links(self) -> Iterator[LinearRows]:
+        """Whitened rows on factors of errors in common; the last variable has no other prior."""
+        for one, of_row, first in self.common:
+            for row in one.links:
+                blocks = tuple(np.asarray(np.kron(block, np.eye(of_row)), dtype=np.float64) for block in row.blocks)
+                variables = tuple(first + group for group in row.variables)
+                yield LinearRows(variables, blocks, np.zeros(len(blocks[0])))
+
+    @cached_property
+    def ray_sigmas(self) -> Array:
+        """(k, 2) pixels, of image measurements with what they have in common with others."""
+        if self.common_rays is None:
+            return self.rays.sigmas
+        sigmas = self.rays.sigmas.copy()
+        sigmas[self.common_rays.members] *= self.common_rays.total[:, None]
+        return _kept(sigmas)
+
+    @property
+    def independent(self) -> "Network":
+        """The same with larger sigmas in place of errors in common, for what is kept point by point
+        (`CommonErrors.independent`); itself without any.
+        """
+        if not self.common:
+            return self
+        rays, surface = self.rays, self.surface
+        if self.common_rays is not None:
+            sigmas = rays.sigmas.copy()
+            sigmas[self.common_rays.members] *= self.common_rays.independent[:, None]
+            rays = replace(rays, sigmas=sigmas)
+        if self.common_heights is not None and surface is not None:
+            heights = surface.sigmas.copy()
+            heights[self.common_heights.members] *= self.common_heights.independent
+            surface = replace(surface, sigmas=heights)
+        return replace(self, rays=rays, surface=surface, common_rays=None, common_heights=None)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:

@@ -34,8 +34,9 @@ from mgsgraph.geometry.altimetry import (
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.terrain import PostLattice, TerrainGrid, common_variances
+from mgsgraph.geometry.terrain import PostLattice, TerrainGrid
 from mgsgraph.names import Names, RepeatedNames
+from mgsgraph.network.common import gap_variances
 from mgsgraph.network.footprints import Registration
 from mgsgraph.network.joining import seconds
 from mgsgraph.network.network import Network
@@ -344,7 +345,7 @@ class Posts(NamedTuple):
 def posts_of(model: TerrainModel, least: float) -> Posts:
     """Posts of a terrain model by rows from its first one; m by n of them averaged to one where a cell would be smaller
     than `least`, m. The posts' own errors count as independent, and so a mean's sigma is theirs by the root of m n;
-    those of interpolation between tracks are common within half the distance between these (`common_variances`).
+    those of interpolation between tracks are common within half the distance between these (`gap_variances`).
 
     Raises
     ------
@@ -374,7 +375,7 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
         raise InputError(f"terrain {lattice.source}", "no sigma of its heights", "metres, above zero")
     spread, points = lattice.vertical_sigma**2 / count, lattice.located(row, column, mean(lattice.values))
     if lattice.gaps is not None:
-        spread += common_variances(np.nan_to_num(points), *(mean(one) for one in lattice.gaps))
+        spread += gap_variances(np.nan_to_num(points), *(mean(one) for one in lattice.gaps))
     names = Names.joined(*(first + 1).T).prefixed(f"{model.name}:")
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
     return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))

@@ -23,7 +23,7 @@ def parallel(network: Network, angles: Array) -> Mask:
     unsure = np.array([_pointing(network, j) for j in range(len(network.images))])[rays.image]
     pixel = np.array([image.pixel_angle for image in network.images])[rays.image]
     sigma = np.zeros(free.size)
-    np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * np.maximum(rays.sigmas[:, 0], rays.sigmas[:, 1])))
+    np.maximum.at(sigma, rays.point, np.hypot(unsure, pixel * network.ray_sigmas.max(axis=1)))
     return np.asarray(free & (angles < np.minimum(_TIMES * np.sqrt(2.0) * sigma, _MOST)))
 
 

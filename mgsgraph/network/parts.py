@@ -169,9 +169,10 @@ def thinned(network: Network, points: Index, rays: Mask, ranges: Mask) -> Networ
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
     own, shifts, surface = network.points, network.shifts, network.surface
-    seen = network.rays.chosen(np.flatnonzero((place[network.rays.point] >= 0) & rays))
+    chosen, number = np.flatnonzero((place[network.rays.point] >= 0) & rays), np.full(network.rays.point.size, -1)
+    seen, number[chosen] = network.rays.chosen(chosen), np.arange(chosen.size)
     shot = network.ranges.chosen(np.flatnonzero((place[network.ranges.point] >= 0) & ranges))
-    covariances = chosen_rows(own.covariances, points)
+    covariances, (of_rays, of_heights) = chosen_rows(own.covariances, points), network.common_of(number, place)
     return replace(
         network,
         points=GroundPoints(own.ids[points], own.classes[points], own.kinds[points], own.places[points], covariances),
@@ -182,11 +183,14 @@ def thinned(network: Network, points: Index, rays: Mask, ranges: Mask) -> Networ
         stereo=None if network.stereo is None else network.stereo.chosen(points),
         crossovers=None,
         linear=(),
+        common_rays=of_rays,
+        common_heights=of_heights,
     )
 
 
 def _part(network: Network, points: Index, rays: Index, ranges: Index, place: Index) -> Network:
     """The same, of points whose rays and ranges are known; `place` (n,) has the new number of each of these points."""
+    network = network.independent
     stereo = None if network.stereo is None else network.stereo.chosen(points)
     pairs = [] if stereo is None else [stereo.images.ravel()]
     images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges], *pairs)
@@ -242,6 +246,7 @@ def _surface_of(network: Network, points: Index) -> Surface | None:
 def bundles(network: Network) -> dict[Members, Network]:
     """A network by bundle; points that no ray, no range and no stereo surface holds are left out."""
     require_separable(network)
+    network = network.independent
     found = points_of_bundles(network)
     place, of_point = np.full((2, len(network.points)), -1)
     for number, mine in enumerate(found.values()):
@@ -339,6 +344,7 @@ def joined(networks: Sequence[Network]) -> Network:
     InputError
         When one image measures a point twice, or parts contradict each other (class, a-priori place, terrain model).
     """
+    networks = [net.independent for net in networks]
     for net in networks:
         require_separable(net)
     if len(networks) == 1:
@@ -475,7 +481,7 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
 
     Points that no ray and no range is left of go, too: the images had brought them.
     """
-    gone = np.isin([image.name for image in network.images], list(names))
+    network, gone = network.independent, np.isin([image.name for image in network.images], list(names))
     rays, ranges = ~gone[network.rays.image], ~gone[network.ranges.image]
     seen = np.zeros(len(network.points), dtype=bool)
     seen[network.rays.point[rays]] = seen[network.ranges.point[ranges]] = True

@@ -19,7 +19,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import Angles
+from mgsgraph.geometry.orientation import Angles, Moments, Sine
 from mgsgraph.geometry.records import Array, Index, assign, frozen, frozen_index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
@@ -34,6 +34,11 @@ _MISFIT = 1e-3
 """Share of its largest value that a polynomial may be off; not of angular velocities, which carry the CK's noise."""
 _NO_DRIFT = 1e-3
 """m, sigma of a profile's drift that is none."""
+_NO_CHANGE = 1e-5
+"""Of the amplitude's sigma, that of a vibration's drift that is none."""
+
+
+_SINES = " ".join(f"{axis}-{part}" for axis in "xyz" for part in ("cos", "sin", "drift-cos", "drift-sin"))
 
 
 class SharedKind(StrEnum):
@@ -79,6 +84,9 @@ class SharedKind(StrEnum):
     """m: what the shots of a laser profile are too low, in its middle, and how much more at its end (drift)."""
     PROFILE_DRIFT = "profile drift", "m", "east north", "profile footprints"
     """m: what is to be added east and north to the shots at a laser profile's end, taken off at its beginning."""
+    VIBRATION = "vibration", "rad", _SINES, "pose rays"
+    """rad: of a rotation about the axes of a pass (as its orientation images have it), the amounts of cosine and sine
+    at one frequency, and how much more these are at the end of the pass."""
 
     unit: str
     """Unit of its values; empty for a ratio."""
@@ -114,11 +122,6 @@ class SharedKind(StrEnum):
         return {"rad": (ARCSEC, "arcsec"), "" : (PPM, "ppm")}.get(self.unit, (1.0, self.unit))
 
     @property
-    def turns(self) -> bool:
-        """Whether it is a rotation about a camera's axes."""
-        return self.unit == "rad"
-
-    @property
     def radial_order(self) -> int:
         """1, 2 or 3 for k1, k2, k3 of a radial distortion; else 0."""
         return int(self[-1]) if self.startswith("radial distortion") else 0
@@ -149,7 +152,7 @@ class SharedUnknown(Record):
     >>> clock = SharedUnknown("clock", SharedKind.ATTITUDE_TIME, np.array([0, 1]), np.array([0.1]))
     >>> print(clock)
     SharedUnknown(name='clock', kind=<SharedKind.ATTITUDE_TIME: 'attitude-time bias'>, images=[0, 1], sigmas=[0.1],
-    profile='')
+    profile='', sine=None)
     """
 
     name: str
@@ -162,11 +165,15 @@ class SharedUnknown(Record):
     """(w,) a-priori, about zero, in the unit of its kind; finite."""
     profile: str = ""
     """Laser profile (`ProfileShifts.names`) whose height or drift it is."""
+    sine: Sine | None = None
+    """Of a vibration its frequency, and the time of its pass."""
 
     def __post_init__(self) -> None:
         where = f"shared unknown {self.name!r}"
         if not self.name:
             raise InputError("shared unknown", "an empty name", "what to call it")
+        if (self.sine is None) == (self.kind is SharedKind.VIBRATION):
+            raise InputError(where, f"{self.kind}, sine {self.sine}", "a sine of a vibration alone")
         images = frozen_index(self.images, f"{where}, images", np.size(self.images), 2**31)
         of_profile = self.kind.of_profile
         if bool(self.profile) != of_profile:
@@ -190,14 +197,32 @@ class SharedUnknown(Record):
         none = np.zeros(0, dtype=np.int64)
         return cls(f"drift of {profile}", SharedKind.PROFILE_DRIFT, none, np.full(2, sigma), profile)
 
+    @classmethod
+    def of_vibration(
+        cls, name: str, images: Index, sine: Sine, amplitudes: Array, drift: float = 0.0
+    ) -> "SharedUnknown":
+        """A vibration with a-priori sigmas (3,) in rad of its cosine and its sine about x, y, z; those of their change
+        up to the end of the pass are by a factor `drift` as large.
+        """
+        each = np.array([1.0, 1.0, *[max(drift, _NO_CHANGE)] * 2])
+        return cls(name, SharedKind.VIBRATION, images, np.outer(amplitudes, each).ravel(), sine=sine)
+
     def of(self, image: int) -> bool:
         """Whether an image shares it."""
         return bool(np.any(self.images == image))
 
+    def waves(self, moments: Moments) -> tuple[Array, Array]:
+        """What a unit of a vibration does to the correction of its pass: (n, width, 6) rad, and per line."""
+        assert self.sine is not None
+        values, rates = self.sine.at(moments.times, moments.epoch)
+        ways = (np.einsum("nk,ab->nakb", part, np.eye(3, 6, 3)) for part in (values, rates * moments.periods[:, None]))
+        value, rate = (part.reshape(len(values), self.kind.width, 6) for part in ways)
+        return value, rate
+
 
 def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Array:
     """What a unit of an unknown that moves an instrument does to an image's orientation correction (of the laser, to
-    the place where its ranges begin).
+    the place where its ranges begin); of a vibration, which is no polynomial, what it does at most.
 
     Parameters
     ----------
@@ -222,9 +247,9 @@ def image_effect(image: PushbroomImage, kind: SharedKind, angles: Angles) -> Arr
     lines = np.linspace(0.0, float(image.lines), _PLACES)
     pose = image.pose(lines)
     effect = np.zeros((kind.width, _PLACES, 6))
-    if kind is SharedKind.CAMERA_BORESIGHT:
-        for axis in range(3):
-            effect[axis, :, 3 + axis] = 1.0
+    if kind in (SharedKind.CAMERA_BORESIGHT, SharedKind.VIBRATION):
+        for column in range(kind.width):
+            effect[column, :, 3 + 3 * column // kind.width] = 1.0
     elif kind.is_lever_arm:
         effect[:, :, :3] = np.swapaxes(pose.matrix, 0, 1)
     elif kind is SharedKind.LINE_RATE:

@@ -116,7 +116,7 @@ def network_state(
     """
     with errors_from("plan"):
         require_separable(network)
-    kept = np.flatnonzero(np.isfinite(places[:, 0]))
+    network, kept = network.independent, np.flatnonzero(np.isfinite(places[:, 0]))
     if kept.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
     used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))

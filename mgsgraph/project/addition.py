@@ -24,6 +24,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.plausibility import ImageTimes, begun_together, require_distinct
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
+from mgsgraph.network.common import common_heights
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
@@ -217,8 +218,8 @@ def _names(new: Sequence[NewImage]) -> list[str]:
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
     """Images of a case file, and the case; `ties` are taken in place of its own."""
     case = read_case(path, ties=ties)
-    if any(one.asks_for_strengths for one in case.network.passes):
-        found, remedy = "strengths of processes to be estimated", "state the numbers that `mgsgraph adjust` finds"
+    if case.vibrating or any(one.asks_for_strengths for one in case.network.passes):
+        found, remedy = "strengths or vibrations to be estimated", "state the numbers that `mgsgraph adjust` finds"
         raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
     known = known_images(case.network)
     return [NewImage(one, case.pictures[j] if case.pictures else None) for j, one in enumerate(known)], case
@@ -432,8 +433,11 @@ def on_terrain(network: Network, store: ProjectStore) -> Network:
     members, places = over_terrain(network.images, network.rays, grid)
     mine = network.points.classes[members] == PointClass.TIE
     sigmas = np.full(len(network.points), np.inf)
-    sigmas[members[mine]] = np.nan_to_num(grid.control_sigmas(places[mine]), nan=np.inf)
+    sigmas[members[mine]] = np.nan_to_num(grid.height_sigmas(places[mine]), nan=np.inf)
     usable = np.any(np.isfinite(sigmas))
     if not usable:
         return network
-    return replace(network, surface=Surface(grid, sigmas, shift_sigma)).considering(store.considered)
+    at = np.zeros((sigmas.size, 3))
+    at[members] = places
+    surface, common = common_heights(Surface(grid, sigmas, shift_sigma), at)
+    return replace(network, surface=surface, common_heights=common).independent.considering(store.considered)

@@ -349,8 +349,8 @@ class ReliefRegistration(Record):
     --------
     >>> for profile in registration.profiles:
     ...     print(f"{profile.name}: shifted by {np.hypot(*profile.shift):.0f} m")
-    ap18933l: shifted by 180 m
-    ap19043l: shifted by 62 m
+    ap18933l: shifted by 178 m
+    ap19043l: shifted by 63 m
     >>> registration.solution.shifts.shape
     (2, 2)
     """

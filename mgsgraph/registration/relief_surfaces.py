@@ -162,7 +162,8 @@ def averaged_pair(
     """Matches of two images of a network, `spacing` m apart and made with windows of `window` m, averaged over
     footprints of `size` m, or over cells, which have to be covered as a whole.
     """
-    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 1], dtype=np.float64)
+    # noise alone: by what relief a match is off along the disparity, means over windows and footprints are not
+    variances = np.asarray(np.linalg.eigvalsh(matches.covariances)[:, 0], dtype=np.float64)
     pixel = _ground_pixel(posterior, images[0], matches.anchors.mean(axis=0))
     width = max(size / SPOT_WIDTHS, spacing)
     return AveragedPair(

@@ -338,9 +338,8 @@ def _require_shapes(solution: "Solution") -> None:
     sizes = {"n": n, "k": k, "r": r, "s": len(network.shift_names), "t": n + k + r, "2": 2, "3": 3}
     shared = [one.sigmas.size for one in network.shared]
     moves = [len(terms) for terms in network.shift_terms]
-    of_passes = [size for one in network.passes for size in one.widths.tolist()]
-    width = np.array([prior.sigmas.size for prior in network.priors] + moves + shared + of_passes)
-    adjusted = np.append(network.with_polynomial, np.ones(len(moves) + len(shared) + len(of_passes), dtype=bool))
+    width = np.array(network.widths)
+    adjusted = np.append(network.with_polynomial, np.ones(width.size - len(network.images), dtype=bool))
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     root = solution.joint_covariance.square_root
     found: list[tuple[str, str, Any, Any]] = [
@@ -355,6 +354,7 @@ def _require_shapes(solution: "Solution") -> None:
         "shared": (solution.shared, [(size,) for size in shared]),
         "nodes": (solution.nodes, [(len(one.nodes), 6) for one in network.passes]),
         "trends": (solution.trends, [one.prior.trend_sigmas.shape for one in network.passes]),
+        "common": (solution.common, [(size,) for size in width[network.first_of_passes[-1] :].tolist()]),
     }
     found += [(name, "shapes ", [value.shape for value in values], right) for name, (values, right) in parts.items()]
     for name, what, value, right in found:

@@ -311,7 +311,7 @@ def _measures(one: Network, other: Network) -> tuple[tuple[int, int], Index, Mas
             for each, of_point, of_image in zip(both, points, images, strict=True)]  # fmt: skip
     _, before, after = np.intersect1d(keys[0], keys[1], return_indices=True)
     distance = np.linalg.norm(other.rays.places[after] - one.rays.places[before], axis=1)
-    sigmas = np.abs(other.rays.sigmas[after] / one.rays.sigmas[before] - 1.0).max(axis=1, initial=0.0)
+    sigmas = np.abs(other.ray_sigmas[after] / one.ray_sigmas[before] - 1.0).max(axis=1, initial=0.0)
     alone = keys[0].size - before.size, keys[1].size - after.size
     return alone, after, distance > _SAME_PLACE, sigmas > _SAME_SIGMA
 

@@ -161,7 +161,7 @@ def _cut(table: Table) -> Table:
 def _measures(solution: Solution) -> Table:
     """Measures that fit worst, in units of their sigmas."""
     rays = solution.network.rays
-    size = np.max(np.abs(solution.residuals / rays.sigmas), axis=1) if rays.point.size else np.zeros(0)
+    size = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
     sound = np.flatnonzero(np.isfinite(size))
     chosen = sound[np.argsort(-size[sound], kind="stable")][:_MOST_MEASURES]
     table = residuals_table(solution).take(chosen)

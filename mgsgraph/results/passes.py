@@ -12,6 +12,7 @@ import numpy as np
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.separability import separations
 from mgsgraph.analysis.statistics import pass_reports
+from mgsgraph.analysis.vibrations import amplitudes
 from mgsgraph.files.output.table import Table, numbers
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.records import Array
@@ -89,9 +90,10 @@ def shared_table(solution: Solution) -> Table:
 def shared_section(solution: Solution) -> Section:
     """Verdict on each column."""
     table = shared_table(solution)
-    said = [
+    said = [one.sentence for one in amplitudes(solution)] + [
         f"{one.unknown.name[0].upper()}{one.unknown.name[1:]}{f', axis {one.axis}' if one.axis else ''}: {one.sentence}"
         for one in separations(solution)
+        if one.unknown.sine is None
     ]
     return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
                    numbers=table.drop("unit").records())  # fmt: skip

@@ -86,7 +86,8 @@ def residuals_table(solution: Solution) -> Table:
     point = np.concatenate([rays.point, ranges.point, on])
     image = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
     used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
-    before, after, sigmas, tested = solution.residuals_before, solution.residuals, rays.sigmas, solution.test_dimensions
+    before, after, sigmas = solution.residuals_before, solution.residuals, network.ray_sigmas
+    tested = solution.test_dimensions
     if tested is not None:
         of_measures, of_points = np.split(tested, [k + r])
         tested = np.concatenate([of_measures, of_points[on]])

@@ -79,7 +79,7 @@ def make_dem(
     >>> settings = mgsgraph.DemSettings(post=50.0, spacing=30.0)
     >>> dem = mgsgraph.make_dem(mgsgraph.adjust(case), "gusev/case.toml", "dem", settings, figures=False)
     >>> print(dem)
-    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.935 km^2 with heights, 0 check shots)
     """
     settings, path = settings or DemSettings(), Path(case)
     require_replaceable(out, DEM)

@@ -12,7 +12,7 @@ do the two images contradict each other. And there they show the difference of t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.geometry.records import Array
-from mgsgraph.network import ImageRays, Network, NodePrior, Pass
+from mgsgraph.network import ImageRays, Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.hrsc_flight import strip_correction
@@ -38,16 +38,16 @@ _FOCAL_LENGTH, _PITCH, _PERIOD = 352.9271664 * MM, 7e-6, 1.877e-3
 """m, m, and s per line (mro_ctx_v11.ti)."""
 PIXEL = _PITCH / _FOCAL_LENGTH
 """rad, of a pixel: 19.8 microradian."""
-_LINES, _SAMPLES = 8500, 1200
-"""Of each image: 16 s, and a part of CTX's 5000 samples."""
 _ALTITUDE, _ANGLE = 300e3, 22.0 * DEG
 """m, of the orbit above the site; rad, by how much the second image looks aside or ahead, at the spacecraft."""
 _NOISE = 0.2
 """px, line and sample of a measure."""
-_SPACING = 8.0
-"""s between the network's nodes, at most: the four of a polynomial of degree 3."""
-_FREQUENCY, _NODES_PER_WAVE = 2.0, 24
-"""Hz of the vibrations; true nodes in a period: Lagrange's polynomials then follow a sine to 0.02 % of its size."""
+_SPACING = 2.0
+"""s between the network's nodes, at most: through nine Lagrange's polynomials follow half a cosine to a thousandth."""
+_SMOOTH = float(np.sqrt(5.0 / 3.0) / np.pi)
+"""Of the images' duration, the correlation time of a Matern process that begins as the cosine's covariance does."""
+_NODES_PER_WAVE = 24
+"""True nodes in a period: Lagrange's polynomials then follow a sine to 0.02 % of its size."""
 _EPOCHS = (300_000_000.0, 302_400_000.0)
 """s TDB past J2000 of the images' middles; whole numbers, so that table times are exact in files."""
 _MARS = CentralBody(MARS, GRAVITY, body_matrix)
@@ -63,6 +63,10 @@ class JitterSettings:
     """px, amplitude of the vibration about the camera's y: along lines."""
     roll: float = 0.5
     """px, amplitude of the vibration about the camera's x: along samples."""
+    frequency: float = 2.0
+    """Hz, of both."""
+    alike: bool = False
+    """Whether both images vibrate with the same phases, counted from their middles."""
     drift: float = 3.0
     """px, amplitude of the slow drift of pitch and of roll."""
     angle: float = 1e-4
@@ -70,12 +74,13 @@ class JitterSettings:
     position: float = 10.0
     """m, sigma of the constant error of the position, along X, Y, Z."""
 
-    @property
-    def prior(self) -> NodePrior:
-        """What is known of the slow part alone: sigmas of the constant errors, and the drift as linear and more."""
-        attitude = [max(self.drift * PIXEL, 1e-9)] * 2 + [1e-7]
-        slow = np.array([1e-3] * 3 + attitude)
-        return NodePrior(slow, np.array([self.position] * 3 + [self.angle] * 3), slow)
+    def prior(self, duration: float) -> ProcessPrior:
+        """What is known of the slow part alone, over a duration in s: sigmas of the constant errors, and a process as
+        strong and, at short times, as smooth as the drift, half a cosine of any phase.
+        """
+        slow = np.array([max(self.drift * PIXEL / np.sqrt(2.0), 1e-9)] * 2 + [1e-8])
+        process = Process("matern-5/2", slow, _SMOOTH * duration)
+        return ProcessPrior((), (process,), np.array([self.position] * 3 + [self.angle] * 3), np.zeros(6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,12 +93,16 @@ class TrueJitter:
     """(2, 2) rad, of pitch and of roll the vibration's cosine and sine amounts, t from the nodes' epoch."""
 
 
-def _drawn_jitter(settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator) -> TrueJitter:
-    """The truth of one image; `rng` draws phases and constant errors."""
+def _drawn_jitter(
+    settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator, common: np.random.Generator
+) -> TrueJitter:
+    """The truth of one image; `rng` draws phases and constant errors, `common` the phases of images that move alike."""
     coverage = image_times(image)
-    nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * _FREQUENCY))
+    nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
-    wave = 2.0 * np.pi * _FREQUENCY * nodes.times
+    if settings.alike:
+        phases = common.uniform(0.0, 2.0 * np.pi, 2)
+    wave = 2.0 * np.pi * settings.frequency * nodes.times
     along = np.pi * (nodes.times - coverage[0]) / (coverage[1] - coverage[0])
     values = np.zeros((len(nodes), 6))
     values[:, :3] = settings.position * rng.standard_normal(3)
@@ -114,6 +123,10 @@ class CtxSettings:
     """Where the second image looks."""
     ties: int = 2500
     """Number of tie points."""
+    lines: int = 8500
+    """Of each image: 16 s."""
+    samples: int = 1200
+    """Of each image: a part of CTX's 5000."""
     jitter: JitterSettings = field(default_factory=JitterSettings)
     """What the tables lack."""
     control: TerrainErrors | None = CONTROL
@@ -136,7 +149,9 @@ class SimulatedCtxPair:
     """True ground."""
 
 
-def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> SimulatedCtxPair:
+def simulate_ctx_pair(
+    settings: CtxSettings | None = None, seed: int = 1, truth: Sequence[TrueJitter] | None = None
+) -> SimulatedCtxPair:
     """Simulate a pair; the same settings and seed give the same pair.
 
     Parameters
@@ -145,6 +160,8 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
         The default pair when absent.
     seed : int
         zero or positive; jitter, ties and terrain model are drawn from streams of their own.
+    truth : sequence of 2, optional
+        What the attitudes of both images do; drawn as `settings.jitter` has it when absent.
 
     Raises
     ------
@@ -154,21 +171,24 @@ def simulate_ctx_pair(settings: CtxSettings | None = None, seed: int = 1) -> Sim
     settings = settings or CtxSettings()
     of_jitter, of_ties, of_terrain = np.random.default_rng([seed, 17]).spawn(3)
     terrain = make_terrain("gusev", 1)
-    images = _ctx_images(settings.look, terrain)
+    images = _ctx_images(settings, terrain)
+    drawn = zip(images, of_jitter.spawn(2), strict=True)
     truth = tuple(
-        _drawn_jitter(settings.jitter, image, rng) for image, rng in zip(images, of_jitter.spawn(2), strict=True)
+        truth
+        or (_drawn_jitter(settings.jitter, image, rng, np.random.default_rng([seed, 18])) for image, rng in drawn)
     )
-    points, pixels = _drawn_ties(settings.ties, images, [one.correction for one in truth], terrain, of_ties)
+    points, pixels = _drawn_ties(settings, images, [one.correction for one in truth], terrain, of_ties)
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
     measures = exact + _NOISE * of_ties.standard_normal(exact.shape)
     rays = ImageRays(np.repeat(np.arange(len(points)), 2), image, measures, np.full(exact.shape, _NOISE))
-    surface, shifts = terrain_model(settings.control, terrain, points, of_terrain)
+    surface, common, shifts = terrain_model(settings.control, terrain, points, of_terrain)
     passes = [
         Pass(one.name, np.array([k]), evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), _SPACING),
-             settings.jitter.prior)
+             settings.jitter.prior(float(np.ptp(image_times(one)))))
         for k, one in enumerate(images)
     ]  # fmt: skip
     network = tie_network(images, passes, rays, len(points), surface)
+    network = replace(network, common_heights=common)
     return SimulatedCtxPair(network, truth, shifts, points, terrain)
 
 
@@ -178,27 +198,28 @@ def image_times(image: PushbroomImage) -> tuple[float, float]:
     return float(first), float(last)
 
 
-def _ctx_images(look: Look, terrain: SiteTerrain) -> tuple[PushbroomImage, ...]:
+def _ctx_images(settings: CtxSettings, terrain: SiteTerrain) -> tuple[PushbroomImage, ...]:
     """The nominal images, nadir one first; the middles of both see the middle of the site."""
     site = terrain.on_ground(np.array([terrain.centre_lon]), np.array([terrain.centre_lat]))[0]
-    camera = MountedCamera("CTX", interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * _SAMPLES), _SAMPLES, np.eye(3))
+    interior = interior_orientation(_FOCAL_LENGTH, _PITCH, 0.5 * settings.samples)
+    camera = MountedCamera("CTX", interior, settings.samples, np.eye(3))
     return tuple(
         camera.image(
-            name, CircularPass(epoch, site, HEADING, _ALTITUDE, angle, _MARS, look == "along", turning=True), _LINES,
-            _PERIOD,
+            name, CircularPass(epoch, site, HEADING, _ALTITUDE, angle, _MARS, settings.look == "along", turning=True),
+            settings.lines, _PERIOD,
         )
         for name, epoch, angle in (("CTX/A", _EPOCHS[0], 0.0), ("CTX/B", _EPOCHS[1], _ANGLE))
     )  # fmt: skip
 
 
 def _drawn_ties(
-    wanted: int, images: Sequence[PushbroomImage], true: Sequence[OrientationCorrection], terrain: SiteTerrain,
-    rng: np.random.Generator,
+    settings: CtxSettings, images: Sequence[PushbroomImage], true: Sequence[OrientationCorrection],
+    terrain: SiteTerrain, rng: np.random.Generator,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Points (n, 3) in m of the ground that both images show, and their true pixels (n, 2, 2)."""
-    found, places, count = list[Array](), list[Array](), 0
+    found, places, count, wanted = list[Array](), list[Array](), 0, settings.ties
     for _ in range(_ROUNDS):
-        drawn = rng.uniform(MARGIN, np.array([_LINES, _SAMPLES]) - MARGIN, (wanted, 2))
+        drawn = rng.uniform(MARGIN, np.array([settings.lines, settings.samples]) - MARGIN, (wanted, 2))
         points = terrain.intersect(*images[0].sightlines(drawn[:, 0], drawn[:, 1], true[0]))
         pixels, seen = project(images, true, points)
         found.append(points[seen])

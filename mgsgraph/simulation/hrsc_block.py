@@ -11,7 +11,7 @@ consistent statistics: neighbouring points share posts of the terrain model and 
 their sigmas count with.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -207,11 +207,12 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, of_points)
-    surface, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
+    surface, common, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
     trajectories = [
         Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
     ]
     network = tie_network([image for one in flown for image in one.images], trajectories, rays, len(points), surface)
+    network = replace(network, common_heights=common)
     corrections = tuple(one.true for one in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 

@@ -14,7 +14,18 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges, Surface
+from mgsgraph.network import (
+    GroundPoints,
+    ImageRays,
+    Network,
+    NodePrior,
+    Pass,
+    PointClass,
+    ProcessPrior,
+    Ranges,
+    Surface,
+)
+from mgsgraph.network.common import CommonErrors, common_heights
 from mgsgraph.record import Record
 from mgsgraph.simulation.ground import SiteTerrain, block_grid, rays_to_sines
 
@@ -131,7 +142,7 @@ def tie_network(
 ) -> Network:
     """Images whose orientation is that of their passes, `count` free tie points, their rays, and a terrain model."""
     prior = passes[0].prior
-    assert isinstance(prior, NodePrior)
+    assert isinstance(prior, NodePrior | ProcessPrior)
     own, none = OrientationPrior(prior.node_sigmas(np.zeros(1))), np.zeros(0)  # of no effect: passes have their own
     return Network(
         images=tuple(images),
@@ -167,16 +178,17 @@ class TerrainErrors(Record):
 
 def terrain_model(
     errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
-) -> tuple[Surface | None, Array]:
-    """Terrain model as control of points (n, 3) in m, and what it lacks of the truth, (1, 2) m east and north; no rows
-    where posts miss, no shift (0, 2) without a model or where it has none.
+) -> tuple[Surface | None, CommonErrors | None, Array]:
+    """Terrain model as control of points (n, 3) in m, what their heights have in common, and what it lacks of the
+    truth, (1, 2) m east and north; no rows where posts miss, no shift (0, 2) without a model or where it has none.
     """
     if errors is None:
-        return None, np.zeros((0, 2))
+        return None, None, np.zeros((0, 2))
     shift = errors.planimetric * rng.standard_normal(2)
     grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.nan_to_num(grid.control_sigmas(points), nan=np.inf)
-    return Surface(grid, sigmas, errors.planimetric), shift[None][: 1 if errors.planimetric else 0]
+    sigmas = np.nan_to_num(grid.height_sigmas(points), nan=np.inf)
+    surface, common = common_heights(Surface(grid, sigmas, errors.planimetric), points)
+    return surface, common, shift[None][: 1 if errors.planimetric else 0]
 
 
 def project(

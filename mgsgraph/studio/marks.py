@@ -39,7 +39,7 @@ def ties_of(block: Block, image: int) -> dict[str, Any]:
     return {
         "count": int(total), "names": [network.points.ids[i] for i in points.tolist()],
         "measured": measured.tolist(), "residuals": _pairs(measured - predicted),
-        "sigmas": network.rays.sigmas[kept].tolist(), "used": block.used[kept].tolist(),
+        "sigmas": network.ray_sigmas[kept].tolist(), "used": block.used[kept].tolist(),
         "kinds": [PointClass(k).name.lower() for k in network.points.classes[points].tolist()],
     }  # fmt: skip
 

@@ -104,8 +104,8 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     at = projected(block, image, block.places[point][None], rays.places[[ray], 0])[0]
     return {
         "image": block.images[image].name, "line": float(rays.places[ray, 0]), "sample": float(rays.places[ray, 1]),
-        "sigma_px": rays.sigmas[ray].tolist(), "residual_px": vector(rays.places[ray] - at), "predicted": vector(at),
-        "used": bool(block.used[ray]),
+        "sigma_px": block.network.ray_sigmas[ray].tolist(), "residual_px": vector(rays.places[ray] - at),
+        "predicted": vector(at), "used": bool(block.used[ray]),
         "picture": opened.pictures.get(block.images[image].name) is not None,
     }  # fmt: skip
 

@@ -8,7 +8,7 @@ from typing import Any
 import gtsam
 import numpy as np
 import pytest
-from networks import network, on_passes, pair, with_shift_and_surface
+from networks import network, on_passes, pair, with_neighbors, with_shift_and_surface
 from sharing import with_all_kinds
 from stereo_pair import stereo_network
 
@@ -25,6 +25,7 @@ NETWORKS: dict[str, Callable[[], Network]] = {
     "nodes": lambda: on_passes(network(pair())),
     "stereo surface": lambda: stereo_network(pair(12, 24)),
     "all shared unknowns": lambda: with_all_kinds(with_shift_and_surface(network(pair()))),
+    "neighbors": lambda: with_neighbors(with_shift_and_surface(network(pair(40)))),
 }
 
 

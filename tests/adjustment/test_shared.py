@@ -66,7 +66,7 @@ def test_bundle_is_explicit(angles: Angles, line: Line, held: tuple[bool, bool])
     np.testing.assert_allclose(one.covariances, other.covariances, rtol=1e-5, atol=1e-6)
     for value, again, prior in zip(one.shared, other.shared, one.network.shared, strict=True):
         np.testing.assert_allclose(value, again, atol=1e-5 * prior.sigmas.min())
-    np.testing.assert_allclose(one.shifts, other.shifts, atol=1e-3)
+    np.testing.assert_allclose(one.shifts, other.shifts, atol=2e-3)  # of 100 m
     assert one.fit.unknowns == one.joint_covariance.columns + 3 * 18
     assert one.fit.squares == pytest.approx(2.0 * one.cost_final, rel=1e-6)
 
@@ -253,8 +253,8 @@ def test_sigmas_of_whole_corrections() -> None:
     expected = jacobian @ dense @ jacobian.T
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected))) + 1e-300
     np.testing.assert_allclose(solution.correction_covariance(0, 1) / scale, expected / scale, atol=1e-6)
-    half = expected.shape[0] // 2
-    at_middle = np.sqrt(np.diag(expected)[half : half + 3])  # constant terms are those of the middle line, u = 0
+    first = solution.correction(0).coefficients.size
+    at_middle = np.sqrt(np.diag(expected)[first : first + 3])  # constant terms are those of the middle line, u = 0
     np.testing.assert_allclose(orientation_profile(solution, 1, 3).position_sigma[1], at_middle, rtol=1e-6)
 
 
@@ -265,9 +265,9 @@ def test_a_profile_of_a_held_image_moves_with_its_boresight() -> None:
     expected = sum(
         image_effect(solution.network.images[0], one.kind, "camera")[:, 0, 3:].T @ value
         for one, value in zip(solution.network.shared, solution.shared, strict=True)
-        if one.kind.moves_pose
+        if one.kind.moves_pose and one.sine is None
     )
-    np.testing.assert_allclose(profile.rotation[2], expected, atol=1e-9)
+    np.testing.assert_allclose(profile.rotation[2], expected + solution.shared[-1][::4], atol=1e-9)  # cosines
 
 
 # --- what is refused

@@ -376,15 +376,23 @@ def test_measures_within_one_window_have_errors_in_common(case_file: Path) -> No
     """By the window that the case states, or that of the matching whose record lies beside the network."""
     whole = case_file.read_text(encoding="utf-8")
 
-    def sigmas(more: str = "") -> np.ndarray:
+    def read(more: str = "") -> Network:
         case_file.write_text(whole.replace("[ties]\n", f"[ties]\n{more}\n"), encoding="utf-8")
-        rays = mgsgraph.read_case(case_file).network.rays
-        return rays.sigmas
+        return mgsgraph.read_case(case_file).network
 
-    plain = sigmas()
-    wide = sigmas("window_px = 1e6")
-    ties = wide[:, 0] > 1.5 * plain[:, 0]
-    assert wide[ties] == pytest.approx(plain[ties] * np.sqrt(np.count_nonzero(ties) / 2.0), rel=0.02)
+    def sigmas(more: str = "") -> np.ndarray:
+        return read(more).rays.sigmas
+
+    plain, network = sigmas(), read("window_px = 1e6")
+    assert network.common_rays is not None
+    wide, ties = network.rays.sigmas, network.common_rays.members
+    assert np.all(network.points.classes[network.rays.point[ties]] == PointClass.TIE)
+    np.testing.assert_allclose(network.ray_sigmas, plain)
+    images = np.bincount(network.rays.image[ties])
+    larger = plain[ties] * np.sqrt(images[network.rays.image[ties]])[:, None]
+    assert network.independent.rays.sigmas[ties] == pytest.approx(larger, rel=0.02)
+    shared = sigmas("window_px = 1e6\ncommon_share = 0.5")[ties] / plain[ties]
+    np.testing.assert_allclose(shared, np.sqrt(0.5), rtol=0.01)
     record = case_file.with_name("match.json")
     record.write_text('{"settings": {"half_window": 499999.5}}', encoding="utf-8")
     np.testing.assert_array_equal(sigmas(), wide)

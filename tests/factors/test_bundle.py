@@ -16,7 +16,7 @@ from explicit_form import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import network, on_passes, pair, with_shift_and_surface, with_tilting_surface
+from networks import network, on_passes, pair, with_neighbors, with_shift_and_surface, with_tilting_surface
 from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, random_network, with_fixed
 from sharing import with_all_kinds
 from stereo_pair import stereo_network
@@ -37,6 +37,7 @@ EVERYTHING: dict[str, Callable[[], Network]] = {
     "all shared unknowns": lambda: with_all_kinds(with_tilting_surface(network(pair()))),
     "nodes": lambda: on_passes(network(pair())),
     "stereo surface": lambda: stereo_network(pair(12, 24)),
+    "neighbors": lambda: with_neighbors(with_tilting_surface(network(pair(20)))),
 }
 """What no network of `NETWORKS` has."""
 

@@ -10,6 +10,8 @@ from strategies import differences
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.terrain import TerrainGrid, areoid_grid, areoid_heights
+from mgsgraph.network import Surface
+from mgsgraph.network.common import common_heights
 
 DEG = np.pi / 180.0
 STEP = DEG / 16.0
@@ -205,9 +207,18 @@ def test_the_surface_is_scipys_b_spline() -> None:
 def test_points_that_share_posts_share_their_errors() -> None:
     """One sigma for each by itself, twice that for four in a place or four for each post, wherever the posts are."""
     grid = rough(vertical_sigma=10.0)
+
+    def independent(points: np.ndarray) -> np.ndarray:
+        surface, common = common_heights(Surface(grid, grid.height_sigmas(points)), points)
+        assert common is not None
+        sigmas = surface.sigmas.copy()
+        sigmas[common.members] *= common.independent
+        return sigmas
+
     row, column = np.array([5.0, 5.0, 5.0, 5.0, 9.5, 12.0, 12.0]), np.array([7.0, 7.0, 7.0, 7.0, 7.4, 20.0, 22.5])
-    assert grid.control_sigmas(grid.points(row, column, np.full(7, RADIUS))) == pytest.approx([20.0] * 4 + [10.0] * 3)
+    assert independent(grid.points(row, column, np.full(7, RADIUS))) == pytest.approx([20.0] * 4 + [10.0] * 3)
     even = np.meshgrid(np.arange(5.0, 25.0, 0.5), np.arange(5.0, 25.0, 0.5))
     points = grid.points(*(part.ravel() for part in even), np.full(1600, RADIUS))
-    # of a lattice the circle holds four or five
-    assert np.mean(grid.control_sigmas(points) ** 2) == pytest.approx(400.0, rel=0.3)
+    # a circle as large as a cell holds four or five of a lattice
+    assert np.mean(independent(points) ** 2) == pytest.approx(400.0, rel=0.3)
+

@@ -14,8 +14,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import from_planetocentric
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.stereo_surface import StereoSurface, averaged_surface
-from mgsgraph.geometry.terrain import Gaps, TerrainGrid, common_variances, overlap_variances
+from mgsgraph.geometry.terrain import Gaps, TerrainGrid
 from mgsgraph.geometry.terrain_grids import above_areoid, mosaic, track_gaps
+from mgsgraph.network import Surface
+from mgsgraph.network.common import common_heights
 from mgsgraph.units import DEG
 
 RADIUS = 3390e3
@@ -64,8 +66,11 @@ def test_points_in_one_gap_are_worth_no_more_than_one_height() -> None:
     apart = 20.0 * STEP * np.arange(1.0, 4.0)[:, None] / 20.0 + [0.0, 1e-6]
     longitude = one.first_longitude + 10.0 * STEP + apart.ravel()
     points = from_planetocentric(np.column_stack([longitude, np.full((6, 2), [9.9 * DEG, RADIUS])]))
-    assert one.control_sigmas(points) == pytest.approx(np.full(6, 10.0 * 2**0.5))
-    assert own.control_sigmas(points) ** 2 == pytest.approx(np.full(6, 2.0 * 10.0**2 + 6.0 * 30.0**2))
+    for model, total, alone in ((one, 10.0**2, 2.0 * 10.0**2), (own, 10.0**2 + 30.0**2, 2.0 * 10.0**2 + 6.0 * 30.0**2)):
+        surface, common = common_heights(Surface(model, model.height_sigmas(points)), points)
+        assert common is not None
+        assert (common.total * surface.sigmas[common.members]) ** 2 == pytest.approx(np.full(6, total))
+        assert (common.independent * surface.sigmas[common.members]) ** 2 == pytest.approx(np.full(6, alone), rel=0.15)
 
 
 @example(row=20, column=30, order=[0, 1, 2, 3], west=-30)  # on either side of the prime meridian
@@ -194,32 +199,6 @@ def test_a_reach_is_half_the_distance_between_the_tracks() -> None:
 
 
 # --- errors in common
-
-
-@given(st.integers(1, 40), st.integers(0, 1000))
-def test_variances_bound_the_covariance_that_they_stand_for(count: int, seed: int) -> None:
-    """Whatever is estimated of rows that count as independent has no smaller sigma than by the covariance."""
-    rng = np.random.default_rng(seed)
-    places, sigmas, reaches = rng.uniform(0, 10, (count, 3)), rng.uniform(0, 5, count), rng.uniform(0, 8, count)
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    shared = (apart <= np.minimum(reaches[:, None], reaches)) | np.eye(count, dtype=bool)
-    covariance = np.outer(sigmas, sigmas) * shared
-    found = common_variances(places, sigmas, reaches)
-    np.testing.assert_allclose(found, covariance.sum(axis=1), rtol=1e-9)
-    assert np.linalg.eigvalsh(np.diag(found) - covariance).min() > -1e-9 * max(found.max(), 1.0)
-
-
-@given(st.integers(1, 30), st.integers(0, 1000))
-def test_windows_that_overlap_have_that_share_of_their_errors_in_common(count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    places, sigmas = rng.uniform(0, 60, (count, 2)), rng.uniform(0.1, 2, (count, 2))
-    shares = np.prod(np.clip(1.0 - np.abs(places[:, None] - places) / 21.0, 0.0, None), axis=2)
-    found = overlap_variances(places, sigmas, 21.0)
-    for found_one, sigma in zip(found.T, sigmas.T, strict=True):
-        covariance = np.outer(sigma, sigma) * shares
-        np.testing.assert_allclose(found_one, covariance.sum(axis=1), rtol=1e-9)
-        assert np.linalg.eigvalsh(covariance).min() > -1e-9
-        assert np.linalg.eigvalsh(np.diag(found_one) - covariance).min() > -1e-9 * count
 
 
 # --- dense matches averaged over a footprint

@@ -27,8 +27,7 @@ TREND = np.array([200.0] * 3 + [4e-4] * 3)
 
 def process(kind: ProcessKind, scale: float = 1.0) -> Process:
     timed = kind in ("gauss-markov", "matern-3/2", "matern-5/2")
-    jitter = kind == "jitter"
-    return Process(kind, SIZE * scale, 7.0 if timed else 0.0, 0.09 if jitter else 0.0, 0.02 if jitter else 0.0)
+    return Process(kind, SIZE * scale, 7.0 if timed else 0.0)
 
 
 def information(prior: PassPrior, nodes: OrientationImages) -> np.ndarray:
@@ -68,7 +67,7 @@ def test_a_gauss_markov_process_has_todays_rows(nodes: OrientationImages) -> Non
 
 
 @pytest.mark.parametrize("nodes", [EVEN, UNEVEN], ids=["even", "uneven"])
-@pytest.mark.parametrize("kind", ["white", "gauss-markov", "matern-3/2", "matern-5/2", "jitter", "integrated-wiener"])
+@pytest.mark.parametrize("kind", ["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener"])
 def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, nodes: OrientationImages) -> None:
     """The Kullback-Leibler divergence of the rows' density from the dense process, all of it, is what was promised."""
     prior = ProcessPrior((process(kind),), (process(kind, 1e-6),), TREND, TREND)
@@ -97,20 +96,14 @@ def test_covariances_are_those_of_matern(kind: ProcessKind, order: float) -> Non
     np.testing.assert_allclose(process(kind).covariance(apart, 0.0 * apart, 0.0), want, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])
+@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2"])
 def test_spectra_hold_the_variance(kind: ProcessKind) -> None:
-    """Every covariance is one: its cosine transform is nowhere negative, and a jitter's peak is where it is stated."""
+    """Every covariance is one: its cosine transform is nowhere negative."""
     one, step = process(kind), 0.05
     apart = step * np.arange(40000)
     density = np.fft.rfft(np.concatenate([(rho := one.covariance(apart, 0.0 * apart, 0.0)), rho[:0:-1]])).real
     assert rho[0] == 1.0
     assert density.min() > -1e-9 * density.max()
-    if kind == "jitter":
-        frequencies = np.fft.rfftfreq(2 * apart.size - 1, step)
-        peak = frequencies[density.argmax()]
-        above = frequencies[density > 0.5 * density.max()]
-        assert peak == pytest.approx(np.sqrt(0.09**2 - 0.5 * 0.02**2), rel=2e-3)
-        assert np.ptp(above) == pytest.approx(0.02, rel=0.03)
 
 
 def test_an_integrated_wiener_process_is_an_acceleration_of_white_noise() -> None:
@@ -142,7 +135,7 @@ def test_an_integrated_wiener_process_is_continued(beyond: tuple[float, float]) 
     np.testing.assert_allclose(found / size / size[:, None], want / size / size[:, None], atol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2", "jitter"])
+@pytest.mark.parametrize("kind", ["gauss-markov", "matern-3/2", "matern-5/2"])
 def test_nodes_much_closer_than_the_process_moves(kind: ProcessKind) -> None:
     """A thousandth of the correlation time (a hundredth for Matern 5/2) and 150 nodes: rows stay regular."""
     spacing = 0.07 if kind == "matern-5/2" else 0.007
@@ -178,7 +171,6 @@ def test_polynomials_of_each_its_degree() -> None:
         (lambda: Process("brown", SIZE), "one of white"),  # type: ignore[arg-type]
         (lambda: Process("white", [1.0, 0.0, 1.0]), "three positive"),  # type: ignore[arg-type]
         (lambda: Process("matern-3/2", SIZE), "correlation time"),
-        (lambda: Process("jitter", SIZE, 0.0, 2.0, 3.0), "bandwidth.* up to 2 Hz"),
         (lambda: ProcessPrior((process("integrated-wiener"),), (process("white"),), NONE, TREND), "without bias"),
         (lambda: NodePrior(-SIGMAS, NONE, NONE), "six positive sigmas"),
         (lambda: NodePrior(SIGMAS, np.full(6, -1.0), NONE), "bias: -1"),

@@ -238,7 +238,7 @@ def test_differences_are_those_of_the_truth_and_as_stated() -> None:
     assert len(found) > 0.9 * len(true)
     assert np.sqrt(np.mean((found.differences / found.independent) ** 2)) == pytest.approx(1.0, abs=0.25)
     assert np.all(found.sigmas > found.independent)
-    moved = checked(model, [replace(one, values=np.zeros(2))])  # the shift matters
+    moved = checked(model, [replace(one, values=-shift)])  # the shift matters
     assert np.std(moved.differences) > 1.2 * np.std(found.differences)
     wide = checked(model, [replace(one, covariance=np.eye(2) * 1e4)])
     assert np.all(wide.sigmas >= found.sigmas)

@@ -230,7 +230,9 @@ def test_the_terrain_model_is_off_by_its_shift_and_its_noise(block: SimulatedBlo
     assert block.network.surface is not None
     grid = block.network.surface.grid
     assert grid.longitude_step == grid.latitude_step == pytest.approx(DEG / 64)
-    sigmas = block.network.surface.sigmas
+    independent = block.network.independent.surface
+    assert independent is not None
+    sigmas = independent.sigmas
     assert np.median(sigmas) == 10.0 < sigmas.max(), "points that share posts have larger ones"
     assert block.network.surface.shift_sigma == 200.0
 

@@ -88,12 +88,12 @@ class Layout:
 
     @cached_property
     def bending(self) -> Index:
-        """Columns of unknowns that change the slopes of detector lines."""
+        """Columns of unknowns that change the slopes of detector lines, or the rates of attitudes as vibrations do."""
         network = self.network
         mine = [
             network.first_shared + k
             for k, one in enumerate(network.shared)
-            if any(bends(network, k, j) for j in one.images.tolist())
+            if one.sine is not None or any(bends(network, k, j) for j in one.images.tolist())
         ]
         every = np.arange(self.columns)
         return np.concatenate([every[:0], *(every[self.columns_of(v)] for v in mine)])

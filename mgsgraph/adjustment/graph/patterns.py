@@ -260,11 +260,15 @@ def sort_points(
     if network.surface is not None:
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
     on_stereo, sides = _on_stereo(n, stereo)
+    common = network.common_variables
     for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, _ in footprints)):
         mix_values(signature, values)
+    if network.common:
+        mix_rows(signature, of_rays[0], of_rays[1], common[0], terms.of_rays, 3)
+        mix_values(signature, common[1])
     example, number = distinct(signature)
     of_example = _PatternObservations(
-        network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), footprints
+        network, terms, example, of_rays, of_ranges, moved, on_surface, (on_stereo, sides), footprints, common
     )
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
@@ -333,6 +337,7 @@ class _PatternObservations:
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
         on_surface: Index, on_stereo: tuple[Index, Index], footprints: list[tuple[Index, int]],
+        common: tuple[Index, Index],
     ) -> None:  # fmt: skip
         known = network.points.kinds[example] == PointKind.CONSTRAINED
         surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
@@ -342,6 +347,7 @@ class _PatternObservations:
         begin = (np.cumsum(each.ravel()) - each.ravel()).reshape(each.shape)
         size = int(self.first[-1])
         self.kind, self.image, self.node = np.empty(size, np.int64), np.full(size, -1), np.full(size, -1)
+        self._common = np.full(size, -1)
         for column, (kind, table, node, rows) in enumerate(
             (
                 (IMAGE, network.rays.image, terms.of_rays, of_rays),
@@ -351,9 +357,12 @@ class _PatternObservations:
             source, _ = _runs(rows[0], example)
             at = np.repeat(begin[:, column], each[:, column]) + within(each[:, column])
             self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
+            if kind == IMAGE:
+                self._common[at] = common[0][rows[1][source]]
         ground, surface = begin[known, 2], begin[surfaces, 3]
         stereo = begin[of_stereo >= 0, 4]
         self.kind[ground], self.kind[surface], self.kind[stereo] = GROUND, SURFACE, STEREO
+        self._common[surface] = common[1][example[surfaces]]
         self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
         self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
         moves = [(variable[example[known]], width) for variable, width in ((moved, 2), *footprints)]
@@ -388,6 +397,12 @@ class _PatternObservations:
             _add_singles(observation, variable, inside, mine, number, shared.kind.width)
             if not shared.kind.moves_instrument:
                 self.width[mine] = np.where(self.kind[mine] == IMAGE, 9, 4)
+        mine = np.flatnonzero(self._common >= 0)
+        widths = np.array(network.widths)[self._common[mine]]
+        observation.append(np.repeat(mine, widths))
+        variable.append(np.repeat(self._common[mine], widths))
+        inside.append(within(widths))
+        self.width[mine[self.kind[mine] == IMAGE]] = 9
         for at, k in zip(self._stereo.tolist(), self._combination.tolist(), strict=True):
             observation.append(np.full(self._on_stereo[k][0].size, at))
             variable.append(self._on_stereo[k][0])

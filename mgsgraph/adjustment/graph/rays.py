@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.kernel.rows import CAMERA, IMAGE, OPK_PAPER, OPK_PEER, PREDICTED, Model
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects
+from mgsgraph.network.effects import SharedEffects, common_looks
 
 _SHARE = 1 << 16
 """Observations that a thread takes at a time."""
@@ -94,7 +94,12 @@ class RayConstants:
         piece: Index, before: Index,
     ) -> None:  # fmt: skip
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
-        self.effects = SharedEffects(network, angles_of(model))
+        self.effects, looks = SharedEffects(network, angles_of(model)), common_looks(network)
+        self._looks = [np.empty((1, 2, 0)), *(one for _, one in looks)]
+        self._of_look = np.zeros((2, network.rays.point.size), dtype=np.int64)
+        """(2, k) where each ray's looks by errors in common stand."""
+        for number, (members, _) in enumerate(looks, 1):
+            self._of_look[:, members] = np.full(members.size, number), np.arange(members.size)
         rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
         begins = np.append(piece[:, 4], int(piece[:, 2] @ np.diff(patterns.first)[piece[:, 0]]))
         piece_of = np.repeat(np.arange(piece.shape[0], dtype=np.int32), piece[:, 2])
@@ -194,26 +199,30 @@ class RayConstants:
     def _fill_poses(
         self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
     ) -> None:
-        for j, mine in share.by(share.image):
-            self._fill_image(j, mine, share, data, terms, values, units, whole)
+        several = len(self._looks)
+        for number, mine in share.by(share.image * several + self._of_look[0, share.ray]):
+            self._fill_image(*divmod(number, several), mine, share, data, terms, values, units, whole)
 
     def _fill_image(
-        self, j: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array,
-        whole: bool,
+        self, j: int, look: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array],
+        units: Array, whole: bool,
     ) -> None:  # fmt: skip
-        """Poses of the rays `mine` of an image."""
+        """Poses of the rays `mine` of an image, which have errors in common by as many factors."""
         rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
         k, predicted, focal_length = share.ray[mine], model.line == PREDICTED, image.interior.focal_length
         lines, samples = terms.lines[k], rays.places[k, 1]
         pose, nothing = image.pose(lines).in_axes(axes), np.empty((mine.size, 0))
         angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
+        if predicted:
+            angular_rate = angular_rate + self.effects.turning(j, image.normalised(lines), values)
         slope, scale = nothing, nothing
         if self.effects.bends(j):
             slope = self.effects.slopes(j, samples, values)
         if whole and model.angles == OPK_PEER and not predicted:
             detector = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
             scale = peer_scale(slope if slope.size else detector.slope)
-        effects = self.effects.of_rays(j, image.normalised(lines), samples)
+        common = self._looks[look][self._of_look[1, k]]
+        effects = self.effects.of_rays(j, image.normalised(lines), samples, common)
         tail = [*terms.basis(j, lines, terms.of_rays[k], predicted), effects.reshape(mine.size, -1)]
         put_poses(
             mine, share.at, share.stride, model.angles, predicted,

@@ -38,7 +38,7 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, footprint_motion
+from mgsgraph.network.effects import SharedEffects, common_lifts, footprint_motion
 from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
@@ -325,8 +325,10 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
     place, stride, among = store.place(mine, slots[mine])
     weight[0, among] = 1.0 / network.surface.sigmas[mine]
-    if network.terrain_moves:
-        store.put(place, stride, 0, network.surface.directions(starts[mine]))
+    moved = store.put(place, stride, 0, network.surface.directions(starts[mine]))
+    for members, motion in common_lifts(network, starts):
+        at = np.searchsorted(mine, members)
+        store.put(place[at], stride[at], moved, motion)
     return among, mine
 
 

@@ -25,11 +25,11 @@ from mgsgraph.network.effects import crossover_rows, footprint_motion
 @dataclass(frozen=True, slots=True, eq=False)
 class Variables:
     """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles, shift and tilt of
-    the terrain model, those of `Network.shared`, and orientation images of strips.
+    the terrain model, those of `Network.shared`, orientation images of strips, and factors of errors in common.
 
     Variable j is image j, variable `images` + p is profile p, after the profiles may come the terrain model, and then
-    come the shared unknowns; then, strip by strip, its nodes and its trend. An image that is held, or of a strip, has
-    no columns.
+    come the shared unknowns; then, strip by strip, its nodes and its trend; then the groups of errors in common. An
+    image that is held, or of a strip, has no columns.
     """
 
     images: int
@@ -95,6 +95,10 @@ def make_variables(network: Network) -> Variables:
         considered.append(np.array([term.horizontal and name in network.considered for term in terms]))
     considered += [np.full(shared.kind.width, shared.name in network.considered) for shared in network.shared]
     considered += [np.zeros(part.size, dtype=bool) for strip in network.passes for part in strip.sigmas]
+    factors = network.widths[len(sigmas) :]
+    sigmas += [np.ones(size) for size in factors]
+    for known in (angular, considered):
+        known += [np.zeros(size, dtype=bool) for size in factors]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
     adjusted = np.concatenate([network.with_polynomial, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
@@ -238,6 +242,10 @@ def make_prior(network: Network, variables: Variables) -> Prior:
             columns = variables.first[first + about[:, 0]] + about[:, 1]
             joined = tuple(first + k for k in unknowns)
             factors.append(PriorFactor(joined, blocks, columns, np.zeros(columns.size)))
+    for link in network.common_links:
+        about = np.arange(weights.size)[variables.columns_of(link.variables[-1])]
+        weights[about] = 0.0
+        factors.append(PriorFactor(link.variables, link.blocks, about, link.target))
     for own in network.linear:
         about = np.repeat(variables.first[own.variables[0]], own.target.size)
         factors.append(PriorFactor(own.variables, own.blocks, about, own.target))

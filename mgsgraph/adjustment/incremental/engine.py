@@ -165,7 +165,7 @@ class Engine:
         self._lay_nothing_out()
         self.shared, self.known, every = dict(shared), definitions(network), bundles(network)
         self.value = {unknown: one.value for unknown, one in shared.items()}
-        if network.passes or network.stereo is not None:
+        if network.passes or network.stereo is not None or network.common:
             return self._adopted_one_by_one(every, dict(zip(network.points.ids, solution.places, strict=True)))
         places = np.where((network.points.kinds == PointKind.FIXED)[:, None], np.nan, solution.places)
         sweep = Sweep(network, self._settings, places)

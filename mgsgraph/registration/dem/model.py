@@ -83,10 +83,10 @@ class Dem(Record):
     Examples
     --------
     >>> print(dem)
-    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.938 km^2 with heights, 0 check shots)
+    Dem('Gusev Crater': 24 x 61 posts every 50 m, 2.935 km^2 with heights, 0 check shots)
     >>> height, sigma = np.nanmedian(dem.heights), np.nanmedian(dem.model.sigmas)
     >>> print(f"{height:.0f} +- {sigma:.0f} m")
-    -3972 +- 5 m
+    -3971 +- 5 m
     >>> dem.heights.shape, dem.model.sigmas.shape
     ((24, 61), (24, 61))
     """

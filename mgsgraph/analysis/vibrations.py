@@ -1,0 +1,367 @@
+"""Vibrations as unknowns of passes: frequencies found in residuals and refined by adjustments, amplitudes as far as
+rays show them.
+
+found = estimated_vibrations(network, settings)   # adjusts, looks at residuals, adds lines, until none is left
+print(found.sentences)
+
+Whose a vibration is residuals don't tell: each is an unknown of all passes and about all axes, with an a-priori sigma
+of a pixel at least (`SharedUnknown.of_vibration`). A frequency comes in where noise alone would show as clear a line at
+any frequency once in a thousand times (`residual_spectrum`). A frequency that is off by df makes of amounts c, s of
+cosine and sine the drifts (2 pi df h) (s, -c) over a half length h of the pass: least squares on the drifts found give
+df, and a new adjustment, until it is less than a tenth of its sigma (Gauss-Newton). Then a drift stays an unknown where
+2 log likelihood rises by more than log n for each of its amounts (BIC, n image coordinates); else it is held to what
+the frequency's own sigma leaves open, so that the amplitude's sigma has that in it.
+
+The prior makes no sigma: stated are amounts of which the rays leave less than a tenth of the a-priori variance. A pair
+shows the *difference* of its passes at the same ground: of all amounts x with the covariance C and L = C^-1, the
+combination x_j + sum_k L_jj^-1 L_jk x_k is the surest with x_j in it; its covariance is L_jj^-1.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.cluster.connection import Connection
+from mgsgraph.adjustment.optimize import Iteration
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.process_strengths import estimated_strengths
+from mgsgraph.analysis.residual_spectrum import residual_vibrations
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, SharedUnknown
+from mgsgraph.network.joining import seconds, sine_over
+from mgsgraph.record import Record
+from mgsgraph.units import DEG, MRAD
+from mgsgraph.workers import no_progress
+
+FALSE_ALARMS = 1e-3
+"""Share of calm turns in which a line is added all the same."""
+SEEN = 0.1
+"""Of the a-priori variance, what rays leave at most of an amount that is stated."""
+LEAST = 3.0
+"""Sigmas of an amplitude that is stated; of a smaller one its upper limit is."""
+_LIMIT = 1.645
+"""Sigmas, to the limit that 95 % are below."""
+_AXES = ("x (roll)", "y (pitch)", "z (yaw)")
+_DRIFT = 0.3
+"""Of the amplitude's a-priori sigma, that of its drift."""
+_AMPLITUDES, _SMALLEST = 2.0, 1.0
+"""That sigma, in amplitudes that residuals show; and in pixels, at least."""
+_MOST_LINES, _MOST_ROUNDS = 8, 10
+_RATES = 0.2, 3.0
+"""By how much less a frequency's step may become as the frequency moves by it; 1 were all linear."""
+_AT_REST = 0.1
+"""Sigmas of a frequency by which it may still change."""
+_ROUGH = 1e-2
+"""Posterior sigmas, last step of adjustments on the way."""
+_SURER = 0.5
+"""Of a pass's own sigma, that of a difference that is stated beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line(Record):
+    """A frequency at which passes vibrate."""
+
+    frequency: float
+    """Hz."""
+    sigma: float
+    """Hz."""
+    size: float
+    """px, amplitude by residuals."""
+    drift: float = _DRIFT
+    """Of the amplitude's a-priori sigma, that of its drift."""
+    drifts: bool = False
+    """Whether the likelihood asks for a drift."""
+
+
+@dataclass(frozen=True, slots=True)
+class Amplitude(Record):
+    """What rays show of a vibration about one axis of passes."""
+
+    frequency: float
+    """Hz."""
+    axis: str
+    """Of the passes."""
+    unknowns: tuple[int, ...]
+    """Shared unknowns of the network: that of the pass, then those that are taken off where one is not seen alone."""
+    weights: tuple[tuple[float, float], ...]
+    """Of each of the others, how much is taken off: real and imaginary part, of amounts cos - i sin."""
+    value: float
+    """rad, without what noise adds to the length of two amounts; NaN where nothing is seen."""
+    sigma: float
+    """rad, for sigma0 = 1."""
+    phase: float
+    """rad, of A cos(2 pi f t - phase), t from the middle of the pass."""
+    pixel: float
+    """rad, of a pixel of the first pass."""
+    names: tuple[str, ...]
+    """Of the passes, or of images without one."""
+
+    @property
+    def shown(self) -> bool:
+        """Whether it is above noise; else all that is known is what it is below."""
+        return self.value > LEAST * self.sigma
+
+    @property
+    def sentence(self) -> str:
+        """In a sentence."""
+        off = [
+            f" less {abs(complex(*w)):.3g} times that of {name} (turned by {np.angle(complex(*w)) / DEG:.0f} deg)"
+            for w, name in zip(self.weights, self.names[1:], strict=True)
+        ]
+        what = f"Vibration of {self.frequency:.4f} Hz about {self.axis} of {self.names[0]}{''.join(off)}"
+        if np.isnan(self.value):
+            return f"{what}: not seen."
+        if not self.shown:
+            return f"{what}: below {(self.value + _LIMIT * self.sigma) / self.pixel:.2g} px (95 %)."
+        degrees, spread = self.phase / DEG, self.sigma / self.value / DEG
+        return (
+            f"{what}: {self.value / self.pixel:.3f} +- {self.sigma / self.pixel:.2g} px "
+            f"({self.value / MRAD:.3g} +- {self.sigma / MRAD:.2g} mrad), phase {degrees:.0f} +- {spread:.2g} deg."
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimatedVibrations(Record):
+    """Vibrations, and the adjustment with them."""
+
+    network: Network
+    """With unknowns for them."""
+    solution: Solution
+    """Of it."""
+    lines: tuple[Line, ...]
+    """Their frequencies, in the order in which they were found."""
+    converged: bool
+    """Whether frequencies came to rest, and no more lines are to be seen."""
+
+    @property
+    def sentences(self) -> list[str]:
+        """One for each frequency, then one for each amplitude."""
+        found = [
+            f"Vibration found: {one.frequency:.4f} +- {one.sigma:.2g} Hz{', drifting' if one.drifts else ''}."
+            for one in self.lines
+        ] or [f"No vibration found ({100.0 * FALSE_ALARMS:g} % false alarms)."]
+        found += [one.sentence for one in amplitudes(self.solution)]
+        return found if self.converged else [*found, "The search for vibrations did NOT converge."]
+
+
+def estimated_vibrations(
+    network: Network,
+    settings: SolverSettings,
+    name: str = "adjustment",
+    progress: Callable[[Iteration], None] = no_progress,
+    adjust: Callable[..., Solution] = adjust_network,
+    passes: Sequence[str] = (),
+) -> EstimatedVibrations:
+    """Find the vibrations that rays show, and adjust with them.
+
+    Parameters
+    ----------
+    network : Network
+        Its passes vibrate, and images without one.
+    settings : SolverSettings
+    name : str
+        What to call the adjustment in reports.
+    progress : callable
+        Called with every iteration of every adjustment.
+    adjust : callable
+        That adjusts a network, of the same four arguments: `adjust_network`, or one that finds strengths, too.
+    passes : sequence of str
+        Names of the passes that vibrate; all, and images without one, when empty.
+
+    Raises
+    ------
+    InputError
+        Where no image has rays enough; and what `adjust_network` raises.
+    """
+    lines, at_rest, owners = list[Line](), True, _owners(network, passes)
+    solution = adjust(network, settings, name, progress)
+    while new := _new_lines(solution, lines, owners):
+        if len(lines) >= _MOST_LINES:
+            return EstimatedVibrations(solution.network, solution, tuple(lines), False)
+        lines, rested = _refined(network, owners, [*lines, *new], settings, name, progress)
+        at_rest &= rested
+        solution = adjust(with_lines(network, owners, lines), settings, name, progress)
+    return EstimatedVibrations(solution.network, solution, tuple(lines), at_rest)
+
+
+Owners = Sequence[tuple[str, Index]]
+"""Names of passes, or of images without one, and their images."""
+
+
+def _owners(network: Network, passes: Sequence[str]) -> Owners:
+    """Those that vibrate."""
+    alone = [(network.images[j].name, np.array([j])) for j in np.flatnonzero(network.pass_of < 0).tolist()]
+    found = [(one.name, one.images) for one in network.passes if one.name in passes or not passes]
+    return found if passes else [*found, *alone]
+
+
+def _new_lines(solution: Solution, lines: Sequence[Line], owners: Owners) -> list[Line]:
+    """Lines that residuals show, the clearest of those that the passes' times do not resolve."""
+    network, found = solution.network, list[Line]()
+    apart = max(1.0 / np.ptp([seconds(network.images[j]) for j in images.tolist()]) for _, images in owners)
+    known = [*lines, *(Line(one.sine.frequency, 0.0, 0.0) for one in network.shared if one.sine is not None)]
+    for one in residual_vibrations(solution, FALSE_ALARMS).vibrations:
+        if all(abs(one.frequency - other.frequency) > apart for other in (*known, *found)):
+            found.append(Line(one.frequency, one.frequency_sigma, one.amplitude))
+    return found
+
+
+def with_lines(network: Network, owners: Owners, lines: Sequence[Line]) -> Network:
+    """With an unknown of each line and pass."""
+    more = list[SharedUnknown]()
+    for one in lines:
+        for name, images in owners:
+            sine = sine_over([network.images[j] for j in images.tolist()], one.frequency)
+            sigma = max(_AMPLITUDES * one.size, _SMALLEST) * network.images[int(images[0])].pixel_angle
+            called = f"vibration of {one.frequency:.4f} Hz, {name}"
+            more.append(SharedUnknown.of_vibration(called, images, sine, np.full(3, sigma), one.drift))
+    return replace(network, shared=(*network.shared, *more))
+
+
+def _refined(
+    network: Network, owners: Owners, lines: list[Line], settings: SolverSettings, name: str,
+    progress: Callable[[Iteration], None],
+) -> tuple[list[Line], bool]:
+    """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
+    rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
+    lines, begin = [replace(one, drift=_DRIFT) for one in lines], None
+    before = moved = np.ones(len(lines))
+    for done in range(_MOST_ROUNDS):
+        solution = adjust_network(with_lines(network, owners, lines), rough, name, progress, begin=begin)
+        own = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
+        begin, drifts = solution.values, [_drifts(solution, mine) for mine in own.tolist()]
+        steps = np.array([one.step for one in drifts])
+        # by secants: where amplitudes are hardly above noise, steps are too short or too long
+        before, moved = steps, steps / (np.clip((before - steps) / moved, *_RATES) if done else 1.0)
+        lines = [
+            replace(one, frequency=one.frequency + step, sigma=at.sigma)
+            for one, at, step in zip(lines, drifts, moved.tolist(), strict=True)
+        ]
+        if rested := all(abs(one.step) < _AT_REST * one.sigma for one in drifts):
+            break
+    least = np.log(2.0 * network.rays.point.size)
+    return [_chosen(one, at, at.gain > least) for one, at in zip(lines, drifts, strict=True)], rested
+
+
+class _Drifts(NamedTuple):
+    """What an adjustment says of a line's drifts."""
+
+    step: float
+    """Hz, by which the frequency is off."""
+    sigma: float
+    """Hz, of it."""
+    gain: float
+    """Of 2 log likelihood, by the drifts, for each amount of them that rays show."""
+    half: float
+    """s, half length of the longest pass."""
+
+
+def _drifts(solution: Solution, members: list[int]) -> _Drifts:
+    """Of the shared unknowns of a line."""
+    every = [solution.network.shared[k] for k in members]
+    drift = np.arange(12 * len(members)) % 4 > 1
+    whole = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
+    values, joint = np.concatenate([solution.shared[k] for k in members]), whole[np.ix_(drift, drift)]
+    prior, information = np.concatenate([one.sigmas for one in every])[drift] ** -2.0, np.linalg.inv(joint)
+    pushed, shown = information @ values[drift], max(float(np.sum(1.0 - np.diag(joint) * prior)), 1.0)
+    # those that there are without a drift: beside one they are less certain, and noise in them would count as known
+    amounts = (values[~drift] - whole[np.ix_(~drift, drift)] @ pushed).reshape(-1, 2)
+    halves = np.repeat([one.sine.half for one in every if one.sine is not None], 3)
+    slope = (2.0 * np.pi * halves[:, None] * amounts[:, ::-1] * [1.0, -1.0]).ravel()
+    known = max(float(slope @ (information - np.diag(prior)) @ slope), 1e-12)
+    gain = float(values[drift] @ pushed) / shown
+    return _Drifts(float(slope @ pushed) / known, known**-0.5, gain, float(halves.max()))
+
+
+def _chosen(one: Line, at: _Drifts, drifts: bool) -> Line:
+    """A line that drifts, or one with no other drift than that of its frequency's sigma."""
+    left = 2.0 * np.pi * at.half * one.sigma * one.size / max(_AMPLITUDES * one.size, _SMALLEST)
+    return replace(one, drift=_DRIFT if drifts else min(left, _DRIFT), drifts=drifts)
+
+
+def adjusted(
+    network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None],
+    vibrating: Sequence[str] = (), workers: Connection | None = None,
+) -> tuple[Solution, list[str]]:
+    """An adjustment with all that is to be found on the way, strengths of processes and vibrations of passes, and what
+    was found of these in sentences.
+    """
+    said = list[str]()
+
+    def once(
+        network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
+    ) -> Solution:
+        if not any(one.asks_for_strengths for one in network.passes):
+            return adjust_network(network, settings, name, progress, workers)
+        found = estimated_strengths(network, settings, name=name, progress=progress)
+        said[:] = found.sentences
+        return found.solution
+
+    if not vibrating:
+        return once(network, settings, name, progress), said
+    every = estimated_vibrations(network, settings, name, progress, once, vibrating)
+    return every.solution, [*said, *every.sentences]
+
+
+def amplitudes(solution: Solution) -> tuple[Amplitude, ...]:
+    """What rays show of all vibrations that are unknowns."""
+    of_frequency, shared = dict[float, list[int]](), solution.network.shared
+    for k, one in enumerate(shared):
+        if one.sine is not None:
+            of_frequency.setdefault(one.sine.frequency, []).append(k)
+    found = list[Amplitude]()
+    for members in of_frequency.values():
+        joint = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
+        for axis in range(3):
+            own = (12 * np.arange(len(members))[:, None] + 4 * axis + np.arange(2)).ravel()
+            found += _of_axis(solution, members, axis, joint[np.ix_(own, own)])
+    return tuple(found)
+
+
+def _of_axis(solution: Solution, members: list[int], axis: int, joint: Array) -> Iterator[Amplitude]:
+    """Amplitudes of passes that are seen by themselves, and the surest difference where it is surer; or that nothing is
+    seen. `joint` (2 m, 2 m) is the covariance of the amounts of m unknowns.
+    """
+    m, blocks = len(members), [slice(2 * j, 2 * j + 2) for j in range(len(members))]
+    amounts = np.array([solution.shared[k][4 * axis : 4 * axis + 2] for k in members])
+    prior = np.array([solution.network.shared[k].sigmas[4 * axis] ** 2 for k in members])
+    information = np.linalg.inv(joint)
+    surest = [np.linalg.inv(information[mine, mine]) for mine in blocks]
+    alone, least = (np.array([np.trace(one) / 2.0 for one in every]) for every in
+                    ([joint[mine, mine] for mine in blocks], surest))  # fmt: skip
+    best, seen = int(np.argmin(least / prior)), np.flatnonzero(alone < SEEN * prior).tolist()
+    for j in seen:
+        yield _stated(solution, [members[j]], axis, [], amounts[j], joint[blocks[j], blocks[j]])
+    if m > 1 and least[best] < min(SEEN * prior[best], _SURER**2 * alone[best]):
+        others = [k for k in range(m) if k != best]
+        taken = [-surest[best] @ information[blocks[best], blocks[k]] for k in others]
+        left = amounts[best] - sum(w @ amounts[k] for w, k in zip(taken, others, strict=True))
+        yield _stated(solution, [members[best], *(members[k] for k in others)], axis, taken, left, surest[best])
+    elif not seen:
+        yield _stated(solution, members[:1], axis, [], np.full(2, np.nan), np.eye(2))
+
+
+def _stated(
+    solution: Solution, members: list[int], axis: int, taken: list[Array], amounts: Array, covariance: Array
+) -> Amplitude:
+    """The record; `taken` (2, 2) are what is taken off of the others."""
+    network = solution.network
+    owners = [int(network.shared[k].images[0]) for k in members]
+    names = (network.images[j].name if (of := int(network.pass_of[j])) < 0 else network.passes[of].name
+             for j in owners)  # fmt: skip
+    size = max(float(np.hypot(*amounts)), 1e-300)
+    along = amounts / size
+    across = np.array([-along[1], along[0]])
+    value = np.sqrt(np.maximum(size**2 - across @ covariance @ across, 0.0))
+    sine = network.shared[members[0]].sine
+    assert sine is not None
+    # on amounts cos - i sin a matrix ((a, b), (-b, a)) is a product by a + i b
+    weights = tuple((0.5 * float(w[0, 0] + w[1, 1]), 0.5 * float(w[0, 1] - w[1, 0])) for w in taken)
+    return Amplitude(
+        sine.frequency, _AXES[axis], tuple(members), weights, float(value), float(np.sqrt(along @ covariance @ along)),
+        float(np.arctan2(amounts[1], amounts[0])), network.images[owners[0]].pixel_angle, tuple(names),
+    )  # fmt: skip
