@@ -86,7 +86,7 @@ _MOST = 600
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What an adjustment, and what is known beforehand, say of strengths: n components of nodes, p strengths."""
+    """What an adjustment, and the prior, say of strengths: n components of nodes, p strengths."""
 
     start: Array
     """W_0 (n, n)."""

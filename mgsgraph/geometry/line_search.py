@@ -28,6 +28,8 @@ EDGE = np.array([0.5, 2.0])
 polynomials of the optics mean nothing)."""
 _EVEN, _TURN, _MOST_PARTS = 65, 0.05, 256
 """Even lines of the grid at least; rad between two lines of it at most; into how many parts an interval is cut."""
+_PAST = 1e-6
+"""Lines past a knot at which the rates are surely those after it."""
 _DETECTOR = 33
 """Samples at which a detector's bend is tabulated."""
 _BLOCK = 16
@@ -102,7 +104,7 @@ def sightings(scan: Scan, points: Array) -> Sightings:
 def _grid(scan: Scan) -> tuple[Array, Pose]:
     """Lines of the grid, ascending, and their poses."""
     low, high = -EDGE[0] * scan.size[0], (1.0 + EDGE[0]) * scan.size[0]
-    lines = np.concatenate([scan.knots, scan.breaks, np.nextafter(scan.breaks, -np.inf)])
+    lines = np.concatenate([scan.knots + _PAST, scan.breaks, np.nextafter(scan.breaks, -np.inf)])
     lines = np.unique(np.concatenate([np.linspace(low, high, _EVEN), lines[(lines > low) & (lines < high)]]))
     pose, apart = scan.pose(lines), np.diff(lines)
     rate = np.linalg.norm(pose.angular_rate, axis=1)
