@@ -135,7 +135,7 @@ class EstimatedVibrations(Record):
     lines: tuple[Line, ...]
     """Their frequencies, in the order in which they were found."""
     converged: bool
-    """Whether frequencies came to rest, and no more lines are to be seen."""
+    """Whether frequencies converged, and no more lines are seen."""
 
     @property
     def sentences(self) -> list[str]:

@@ -222,7 +222,7 @@ def _pairs(places: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Index, 
 def _neighborhoods(
     places: Array, pairs: tuple[Index, Index], point: Index, image: Index
 ) -> list[Index]:
-    """Groups of rows: in each image those of points that hang together, split in the middle to `MOST` at most."""
+    """Groups of rows: in each image those of connected points, split in the middle to `MOST` at most."""
     from scipy.sparse import coo_array  # slow to import
     from scipy.sparse.csgraph import connected_components
 
