@@ -210,7 +210,7 @@ def judge(drawn: Strip) -> tuple[int, int]:
     made = np.setdiff1d(np.flatnonzero(np.isfinite(drawn.truth[:, 0])), which[excused])
     assert np.all(nearest(made, drawn.truth[made, 0], found.point, found.places[:, 0]) < 1e-2)
     # none is too many, but pairs that the oracle's scan stepped over
-    more = nearest(found.point, found.places[:, 0], which, places[:, 0]) > 1e-2
+    more = (nearest(found.point, found.places[:, 0], which, places[:, 0]) > 1e-2) & ~np.isin(found.point, which[stared])
     same = np.diff(found.point, prepend=-1, append=-1) == 0
     gap = np.diff(found.places[:, 0], prepend=-np.inf, append=np.inf)
     close = np.minimum(np.where(same[:-1], gap[:-1], np.inf), np.where(same[1:], gap[1:], np.inf))
