@@ -273,10 +273,10 @@ def _fill(base: Path) -> None:
     _plan(base / "plan")
     done(base, "adjust plan/case.toml --out plan/results --no-figures")
     done(base, "adjust pair/case.toml --out result --no-figures")
-    done(base, "init project --case pair/case.toml")
-    done(base, "solve project --no-figures")
+    done(base, "project init project --case pair/case.toml")
+    done(base, "project solve project --no-figures")
     shutil.copytree(base / "project", base / "kept")
-    done(base, "remove project SIM/B")
+    done(base, "project remove project SIM/B")
 
 
 def _plan(folder: Path) -> None:

@@ -133,8 +133,14 @@ def _with_shared(
     found = list(own)
     for one, value in zip(network.shared, shared, strict=True):
         for j in one.images.tolist() if one.kind.moves_pose else ():
-            before, effect = found[j], np.tensordot(value, image_effect(network.images[j], one.kind, angles), 1)
-            polynomial = len(before.coefficients) - len(before.nodes or ())
+            before = found[j]
+            if one.sine is not None:  # about the image's own axes
+                amounts = np.pad(value.reshape(3, 4).T, ((0, 0), (3, 0)))
+                rows, sines = np.vstack([before.coefficients, amounts]), (*before.sines, one.sine)
+                found[j] = replace(before, coefficients=rows, sines=sines)
+                continue
+            effect = np.tensordot(value, image_effect(network.images[j], one.kind, angles), 1)
+            polynomial = before.polynomial_terms
             rows = max(polynomial, len(effect))
             whole = sum(np.pad(part, ((0, rows - len(part)), (0, 0)))
                         for part in (before.coefficients[:polynomial], effect))  # fmt: skip

@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (856, 13602, 18),
     "single files": (836, 9712, 10),
     "scripts": (6889, 110444, 50),
-    "tests": (36438, 551851, 200),
+    "tests": (36445, 551960, 200),
     "docs": (293, 3775, 13),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -204,7 +204,8 @@ def judge(drawn: Strip) -> tuple[int, int]:
     clear = np.all((places > (-bounds + 1e-6) * size) & (places < (1.0 + bounds - 1e-6) * size), axis=1)
     missed = clear & (nearest(which, places[:, 0], found.point, found.places[:, 0]) > 1e-2)
     excused = _twice_at_once(which, places[:, 0], image.lines) & np.any((places < 0.0) | (places > size), axis=1)
-    excused |= stared
+    taken = image.timing.at(places[:, 0])[0]
+    excused |= stared | (taken < image.trajectory.coverage[0]) | (taken > image.trajectory.coverage[1])
     missed &= ~excused
     assert not np.any(missed), f"{image.name}: {np.flatnonzero(missed)[:5]}"
     made = np.setdiff1d(np.flatnonzero(np.isfinite(drawn.truth[:, 0])), which[excused])
