@@ -24,6 +24,7 @@ from mgsgraph.simulation.ctx import PIXEL, CtxSettings, SimulatedCtxPair, image_
 from mgsgraph.simulation.files import write_texts
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
+from mgsgraph.text import root_mean_square
 from mgsgraph.units import DEG, MRAD
 
 FREQUENCY, BAND = 2.0, 0.25
@@ -141,6 +142,8 @@ def main() -> int:
     parser.add_argument("--seed", type=at_least(0), default=201)
     parser.add_argument("--lines", type=at_least(1000), default=6000)
     parser.add_argument("--samples", type=at_least(300), default=600)
+    parser.add_argument("--cells", type=at_least(100), default=1500, help="cells for ties")
+    parser.add_argument("--spacing", type=float, default=30.0, help="m, between the terrain model's matches")
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
     parser.add_argument("--out", type=Path, default=DOCS / "jitter_dem.md")
     given = parser.parse_args()
@@ -153,15 +156,16 @@ def main() -> int:
             write_pair(mine, work)
             for name in CASES:
                 (work / f"{name}.toml").write_text(case(mine, settings, name), encoding="utf-8")
-            steps = [step("mgsgraph match before.toml --out MATCHES --cells 1500 --no-figures", [], work)]
+            steps = [step(f"mgsgraph match before.toml --out MATCHES --cells {given.cells} --no-figures", [], work)]
             for name in CASES:
                 steps.append(step(f"mgsgraph adjust {name}.toml --ties MATCHES/network.pvl --out {name}", [], work))
-                steps.append(step(f"mgsgraph dem {name} --case {name}.toml --out DEM_{name} --no-figures", [], work))
+                dense = f"--case {name}.toml --out DEM_{name} --spacing {given.spacing} --no-figures"
+                steps.append(step(f"mgsgraph dem {name} {dense}", [], work))
             for one in steps:
                 print(f"$ {one.command}    # {one.seconds:.0f} s\n{one.said}", file=sys.stderr)
             judged = {name: judge(work / f"DEM_{name}" / "dem.tif", mine) for name in CASES}
-        rows = [[CASES[name], str(one.errors.size), *(f"{value:.2f}" for value in
-                 (one.ripple, rms(one.left), rms(one.errors), rms(one.sigmas), rms(one.errors / one.sigmas)))]
+        rows = [[CASES[name], str(one.errors.size), f"{one.ripple:.2f}",
+                 *(f"{root_mean_square(of):.2f}" for of in (one.left, one.errors, one.sigmas, one.errors / one.sigmas))]
                 for name, one in judged.items()]  # fmt: skip
         head = ("orientation", "posts", "ripple at 2 Hz, m", "error without shift and cubic, m rms", "error, m rms",
                 "stated sigma, m rms", "error by sigma")  # fmt: skip
@@ -170,11 +174,6 @@ def main() -> int:
         return {"dem": [*table(head, rows), "", said]}
 
     return write_page(parser, given.out, "jitter_dem.md", made)
-
-
-def rms(values: Array) -> float:
-    """Root of the mean square."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from study import at_least, command, show, table
 
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
-from mgsgraph.project.connection import FILE
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.project.project import open_project
 from mgsgraph.simulation.case_files import image_file, json_text, support_data
 from mgsgraph.simulation.files import write_pair, write_strip, write_texts
@@ -168,7 +168,7 @@ def snapshot(work: Path) -> dict[str, str]:
         name = path.relative_to(work).as_posix()
         if path.is_symlink() or not path.is_file():
             found[name] = "folder" if path.is_dir() else "odd"
-        elif path.name == FILE and "unfinished" not in name:
+        elif path.name == PROJECT and "unfinished" not in name:
             found[name] = project_state(path.parent)
         else:
             found[name] = sha256(path.read_bytes()).hexdigest()
@@ -180,11 +180,11 @@ def project_state(project: Path) -> str:
     with tempfile.TemporaryDirectory() as aside:
         copy = Path(aside) / "project"
         copy.mkdir()
-        for path in project.glob(f"{FILE}*"):
+        for path in project.glob(f"{PROJECT}*"):
             shutil.copy(path, copy)
         with open_project(copy) as opened:
             history = [(change.verb, change.what) for change in opened.changes()]
-        with closing(sqlite3.connect(f"{(copy / FILE).as_uri()}?mode=ro", uri=True)) as file:
+        with closing(sqlite3.connect(f"{(copy / PROJECT).as_uri()}?mode=ro", uri=True)) as file:
             rows = [file.execute(f"SELECT * FROM {name}").fetchall() for name in TABLES]
             rows.append(file.execute("SELECT number, kind, folder FROM solution").fetchall())
     return sha256(repr((rows, history)).encode()).hexdigest()

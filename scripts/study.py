@@ -24,7 +24,7 @@ import numpy as np
 
 from mgsgraph.errors import InputError, MgsgraphError, SolverError
 from mgsgraph.files.writing import fresh_file
-from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.records import Array, Index
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
@@ -312,11 +312,11 @@ def machine() -> str:
 # --- 99 % bands
 
 
-def chi_square_band(degrees: float) -> tuple[float, float]:
-    """99 % band of a chi-square variable over its degrees of freedom."""
+def chi_square_band(degrees: float, outside: float = 0.01) -> tuple[float, float]:
+    """99 % band of a chi-square variable over its degrees of freedom, or that with another share outside it."""
     from scipy.stats import chi2
 
-    low, high = (chi2.ppf([0.005, 0.995], degrees) / degrees).tolist()
+    low, high = (chi2.ppf([0.5 * outside, 1.0 - 0.5 * outside], degrees) / degrees).tolist()
     return low, high
 
 
@@ -332,20 +332,14 @@ def degrees_together(covariance: Array, width: int) -> float:
     `width` components with a joint covariance (n width, n width) (Satterthwaite 1946): (n width)^2 / |R|^2, R being the
     covariance with each item's own block whitened. n width for independent items, `width` for items that err alike.
     """
+    from scipy.linalg import block_diag
+
     blocks = np.einsum("iaib->iab", covariance.reshape(-1, width, len(covariance) // width, width))
-    whitener = block_diagonal(np.linalg.inv(np.linalg.cholesky(blocks)))
+    whitener = block_diag(*np.linalg.inv(np.linalg.cholesky(blocks)))
     return float(len(covariance) ** 2 / np.sum(np.square(whitener @ covariance @ whitener.T)))
 
 
-def block_diagonal(blocks: Array) -> Array:
-    """(n d, n d) of blocks (n, d, d)."""
-    count, width, _ = blocks.shape
-    whole = np.zeros((count, width, count, width))
-    whole[np.arange(count), :, np.arange(count)] = blocks
-    return whole.reshape(count * width, count * width)
-
-
-def degrees_of_points(solution: "Solution", points: Array) -> float:
+def degrees_of_points(solution: "Solution", points: Index) -> float:
     """The same of the positions of points (n,) of a solution, which share its orientation, without forming their joint
     covariance: with point i = K_i x + N_i e_i (`PointRows.eliminated`), S the covariance of x and C_i that of the point
     |R|^2 = tr (M S M S) + 3 n - sum_i |C_i^-1 K_i S K_i'|^2, M = sum_i K_i' C_i^-1 K_i.
@@ -367,17 +361,21 @@ def degrees_of_points(solution: "Solution", points: Array) -> float:
     return float((3 * points.size) ** 2 / (np.sum(product * product.T) + 3 * points.size - own))
 
 
-def nees_band(degrees: float, draws: int) -> tuple[float, float]:
-    """99 % band of the mean over draws of normalised squares per degree of freedom, if the covariances are right, each
-    draw's having the chi-square of `degrees`: those of a joint covariance, or of items that err together
-    (`degrees_together`, `degrees_of_points`).
+def nees_band(values: Sequence[float], degrees: float | Sequence[float] = 0.0) -> tuple[float, float]:
+    """99 % band of the mean of normalised squares, one of each draw and each per degree of freedom, if the covariances
+    are right: a chi-square's for `degrees` in each draw, of a joint covariance or of items that err together
+    (`degrees_together`, `degrees_of_points`); for 0, where nobody has said these, 1 +- Student's quantile times the
+    scatter from draw to draw.
     """
-    return chi_square_band(degrees * draws)
+    if np.any(degrees):
+        return chi_square_band(float(np.mean(degrees)) * len(values))
+    half = student(0.01, len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return 1.0 - half, 1.0 + half
 
 
-def nees_cell(values: Sequence[float], degrees: float | Sequence[float]) -> str:
-    """Mean of normalised squares, one of each draw, with its band (`nees_band`); degrees of all draws, or of each."""
-    return within(float(np.mean(values)), nees_band(float(np.mean(degrees)), len(values)))
+def nees_cell(values: Sequence[float], degrees: float | Sequence[float] = 0.0) -> str:
+    """Mean of normalised squares with its band (`nees_band`)."""
+    return within(float(np.mean(values)), nees_band(values, degrees))
 
 
 def within(mean: float, band: tuple[float, float]) -> str:

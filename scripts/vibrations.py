@@ -12,12 +12,14 @@ import time
 from statistics import median
 
 import numpy as np
-from study import Blocks, Draw, cases, names_of, nees_cell, number, run, seeds_of, table, within
+from study import Blocks, Draw, cases, chi_square_band, names_of, nees_cell, number, run, seeds_of, table, within
 
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.vibrations import Amplitude, amplitudes, estimated_vibrations
 from mgsgraph.simulation.ctx import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, simulate_ctx_pair
+from mgsgraph.simulation.demo.demonstration import nees
+from mgsgraph.text import root_mean_square
 
 TIES = 800
 PLACES = 33
@@ -53,7 +55,7 @@ def one(case: str, seed: int) -> Draw:
         "seconds": seconds, "converged": found.converged and found.solution.converged, "found": bool(lines),
         "false": len(found.lines) - len(lines), "amplitude": sizes, "axes": [each.axis for each in right],
         "frequency": [(each.frequency - settings.frequency) / each.sigma for each in lines],
-        **nees(mine, found.solution),
+        **normalised(mine, found.solution),
     }  # fmt: skip
 
 
@@ -64,7 +66,7 @@ def true_size(mine: SimulatedCtxPair, stated: Amplitude) -> float:
     return abs(own[0] - sum(complex(*w) * other for w, other in zip(stated.weights, own[1:], strict=True)))
 
 
-def nees(mine: SimulatedCtxPair, solution: Solution) -> dict[str, float]:
+def normalised(mine: SimulatedCtxPair, solution: Solution) -> dict[str, float]:
     """Mean normalised squares of pitch, of roll and, by coordinate, of points."""
     squares = dict[str, list[float]](pitch=[], roll=[])
     for k, image in enumerate(mine.network.images):
@@ -75,22 +77,16 @@ def nees(mine: SimulatedCtxPair, solution: Solution) -> dict[str, float]:
             squares[name].append(float(np.mean(errors[:, axis] ** 2)))
     known = solution.determined
     off = solution.places[known] - mine.true_points[known]
-    weighted = np.linalg.solve(solution.covariances[known], off[:, :, None])[:, :, 0]
-    points = float(np.mean(np.einsum("nc,nc->n", off, weighted))) / 3.0
+    points = float(nees(off, solution.covariances[known]).mean()) / 3.0
     return {name: float(np.mean(values)) for name, values in squares.items()} | {"points": points}
-
-
-def z_band(count: int, outside: float = 1e-3) -> tuple[float, float]:
-    """Band of the rms of normal errors, of which a share lies outside."""
-    from scipy.stats import chi2
-
-    low, high = np.sqrt(chi2.ppf([outside / 2.0, 1.0 - outside / 2.0], count) / count).tolist()
-    return low, high
 
 
 def z_cell(values: list[float]) -> str:
     """Rms of normalised errors, and its 99.9 % band."""
-    return within(float(np.sqrt(np.mean(np.square(values)))), z_band(len(values))) if values else "-"
+    if not values:
+        return "-"
+    low, high = map(math.sqrt, chi_square_band(len(values), 1e-3))
+    return within(root_mean_square(np.array(values)), (low, high))
 
 
 def errors_of(draws: list[Draw]) -> list[float]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from mgs import changed
 
 from mgsgraph.geometry.rotation import exponential, from_matrix
 
@@ -70,8 +71,5 @@ def written(
             label += f"  Group = Field\n    Name = {field}\n    Type = Double\n    Size = 1\n  End_Group\n"
         label, data = label + "End_Object\n", data + part
     label += "End\n"
-    for old, new in changes:
-        assert old in label
-        label = label.replace(old, new)
-    path.write_bytes(label.encode().ljust(65536, b"\0") + data)
+    path.write_bytes(changed(label, changes).encode().ljust(65536, b"\0") + data)
     return path

@@ -1,5 +1,6 @@
 """Real MGS kernels of M04/02852 and a PDS3 label in the archive's layout."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 _SETTING = ("naif0012.tls", "pck00009.tpc", "MGS_SCLKSCET.00061.tsc")
@@ -49,6 +50,13 @@ END_OBJECT = IMAGE
 END
 """
 """Six lines summed 4 x 2 that begin at detector pixel 512 (counted from 0)."""
+
+
+def changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return text
 
 
 def image_bytes(label: str = LABEL, lines: int = 6) -> bytes:

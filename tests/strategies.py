@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from hypothesis import strategies as st
 
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import Ellipsoid
 
 MARS = Ellipsoid(3_396_190.0, 3_376_200.0)
@@ -28,6 +29,11 @@ def differences(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, st
 def along(function: Callable[[float], np.ndarray], step: float) -> np.ndarray:
     """d function / dt at t = 0, by central differences of fourth order."""
     return (8.0 * (function(step) - function(-step)) - (function(2 * step) - function(-2 * step))) / (12.0 * step)
+
+
+def turned(one: np.ndarray, other: np.ndarray) -> float:
+    """rad, largest angle between rotations (n, 3, 3)."""
+    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
 
 
 def _direction(longitude: float, sine: float) -> np.ndarray:

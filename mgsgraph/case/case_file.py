@@ -22,6 +22,7 @@ from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.decoding import CASE_FILE, read_toml, validated
 from mgsgraph.files.kinds import ImageKind, Kind, image_kind, image_name, kind_of, listed_names, refuse_foreign_kinds
 from mgsgraph.files.labels.aberration import Aberration
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.files.pvl import instrument_of
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
@@ -34,8 +35,6 @@ _OF_KINDS: dict[str, tuple[ImageKind, ...]] = {
     "position_bias_s": ("label",), "line_times": ("label",), "aberration": ("isd", "cube"), "observer": ("isd", "cube"),
 }  # fmt: skip
 """Keys that say something of files of some kinds alone."""
-_PROJECT = "project.sqlite"
-"""File that makes a folder a project (`mgsgraph.project`, which imports this room)."""
 _FORMER = {
     "model = jitter": ("[[passes.vibrations]]", "frequency_hz and sigma_mrad of a sine, or vibrations = 'estimated'"),
     "strips": ("[[passes]] with a prior", "prior = {} has the defaults of strips; [strips.prior] is [passes.prior]"),
@@ -108,7 +107,7 @@ def _refuse_former(value: Any, where: str) -> None:
 
 def _refuse_other_kinds(path: Path) -> None:
     """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
-    if (path / _PROJECT).is_file():
+    if (path / PROJECT).is_file():
         remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)
     kind = "a folder" if path.is_dir() else kind_of(path)

@@ -168,7 +168,7 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
     network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
     with errors_from(str(path)):
         network = replace(network, passes=passes)
-    network = _with_shared(network, wanted, path, laser, parts.shared)
+    network = _with_shared(network, wanted, of_passes, path, laser, parts.shared)
     network = _with_considered(network, wanted, path, laser)
     _require_same_heights(network, wanted, profiles, path)
     _require_seeing_images(network, notes)
@@ -267,8 +267,9 @@ def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: boo
 
 
 def _with_shared(
-    network: Network, wanted: CaseInput, path: Path, laser: bool, of_profiles: Sequence[SharedUnknown]
-) -> Network:
+    network: Network, wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Path, laser: bool,
+    of_profiles: Sequence[SharedUnknown],
+) -> Network:  # fmt: skip
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
@@ -281,7 +282,7 @@ def _with_shared(
     if not laser:
         shared = tuple(one for one in shared if not one.kind.of_laser)
     shared += tuple(of_profiles)
-    shared += vibration_unknowns(wanted.passes, members(wanted.passes, names, str(path)), network, str(path))
+    shared += vibration_unknowns(wanted.passes, of_passes, network, str(path))
     if not shared:
         return network
     with errors_from(str(path)):

@@ -231,7 +231,7 @@ def align(
     """
     from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.cli.progress import counting_bars
-    from mgsgraph.project.connection import FILE
+    from mgsgraph.files.output.folders import PROJECT
     from mgsgraph.project.project import open_project
     from mgsgraph.project.reading import case_with_results
     from mgsgraph.project.relief import align as align_project
@@ -240,7 +240,7 @@ def align(
 
     terrain: Literal["cells", "spline"] = "spline" if no_cells else "cells"
     settings = ReliefSettings(footprint, search, spacing, require_two(images), terrain, not no_crossovers)
-    if (case / FILE).is_file():
+    if (case / PROJECT).is_file():
         if out is not None or of_case is not None or ties is not None:
             raise click.UsageError("--out, --case and --ties are for a case: a project has its own")
         with counting_bars() as show, open_project(case, write=True) as opened:

@@ -225,14 +225,14 @@ def match(
     `mgsgraph adjust CASE --ties OUT/network.pvl`.
     """
     from mgsgraph.errors import InputError
+    from mgsgraph.files.output.folders import PROJECT
     from mgsgraph.matching.settings import MatchSettings
     from mgsgraph.project.changes import take_ties, waiting_case
-    from mgsgraph.project.connection import FILE
     from mgsgraph.project.project import open_project
 
     settings = MatchSettings(**asked)
     project: Path | None = None
-    if (case / FILE).is_file():
+    if (case / PROJECT).is_file():
         if out is not None:
             raise click.UsageError("--out is for a case: a project keeps its tie points itself")
         with open_project(project := case) as opened:

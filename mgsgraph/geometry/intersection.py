@@ -17,6 +17,7 @@ import numpy as np
 from mgsgraph.factors.algebra import dot, scale, subtract, transform
 from mgsgraph.factors.collinearity import image_motion, ray_motion
 from mgsgraph.factors.intersection import add_ray, least_eigenvalue, solve_symmetric
+from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.image import PushbroomImage
@@ -34,11 +35,11 @@ def image_steps(image: PushbroomImage, lines: Array, samples: Array, axes: Array
     closest = origins - looks * np.einsum("nc,nc->n", origins, looks)[:, None]
     ground = np.where(np.isfinite(ground), ground, closest)
     pose, focal = image.pose(lines).in_axes(axes), image.interior.focal_length
-    attitude = tuple(np.moveaxis(pose.matrix, 0, -1))
-    ray = transform(attitude, tuple((ground - pose.position).T))
-    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), tuple(pose.angular_rate.T)), focal)
+    attitude = rotation.rows(pose.matrix)
+    ray = transform(attitude, rotation.components(ground - pose.position))
+    moved = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.angular_rate))
     slope = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal).slope
-    return np.stack([np.stack(motion, axis=1), -slope], axis=2)
+    return np.stack([rotation.stacked(image_motion(ray, moved, focal)), -slope], axis=2)
 
 
 def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, points: int) -> tuple[Array, Array, Array]:

@@ -108,9 +108,7 @@ def common_matches(rays: ImageRays, sides: Array, shares: Array) -> tuple[ImageR
     places[:, 0] += rays.image[mine] * (np.ptp(places[:, 0]) + 2.0 * reach.max() if mine.size else 0.0)
     parts = [(np.sqrt(shares[mine]), reach)]
     common, own = common_errors(places, parts, mine, rays.point[mine], rays.image[mine])
-    sigmas = rays.sigmas.copy()
-    sigmas[mine] *= own[:, None]
-    return replace(rays, sigmas=sigmas), common
+    return replace(rays, sigmas=scaled(rays.sigmas, mine, own)), common
 
 
 def common_heights(surface: Surface, places: Array) -> tuple[Surface, CommonErrors | None]:
@@ -122,9 +120,7 @@ def common_heights(surface: Surface, places: Array) -> tuple[Surface, CommonErro
     whole = surface.sigmas[mine]
     parts = [(sigmas[mine] / whole, SPHERE * reaches[mine]) for sigmas, reaches in (posts, gaps)]
     common, own = common_errors(places[mine], parts, mine)
-    sigmas = surface.sigmas.copy()
-    sigmas[mine] *= own
-    return replace(surface, sigmas=sigmas), common
+    return replace(surface, sigmas=scaled(surface.sigmas, mine, own)), common
 
 
 def gap_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
@@ -133,8 +129,15 @@ def gap_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
     """
     common, own = common_errors(places, [((sigmas > 0.0).astype(np.float64), SPHERE * reaches)], np.arange(sigmas.size))
     if common is not None:
-        own[common.members] *= common.independent
+        own = scaled(own, common.members, common.independent)
     return np.asarray((own * sigmas) ** 2)
+
+
+def scaled(sigmas: Array, rows: Index, factors: Array) -> Array:
+    """Sigmas (n, ...), those of some rows (m,) times factors (m,)."""
+    found = sigmas.copy()
+    found[rows] = (found[rows].T * factors).T
+    return found
 
 
 def tent(apart: Array, sides: Array) -> Array:

@@ -15,7 +15,7 @@ from mgsgraph.geometry.orientation import OrientationPrior, Sine
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
-from mgsgraph.network.common import CommonErrors
+from mgsgraph.network.common import CommonErrors, scaled
 from mgsgraph.network.passes import Pass
 from mgsgraph.network.records import (
     TERRAIN,
@@ -430,9 +430,7 @@ class Network(Record):
         """(k, 2) pixels, of image measurements with what they have in common with others."""
         if self.common_rays is None:
             return self.rays.sigmas
-        sigmas = self.rays.sigmas.copy()
-        sigmas[self.common_rays.members] *= self.common_rays.total[:, None]
-        return _kept(sigmas)
+        return _kept(scaled(self.rays.sigmas, self.common_rays.members, self.common_rays.total))
 
     @property
     def independent(self) -> "Network":
@@ -443,13 +441,11 @@ class Network(Record):
             return self
         rays, surface = self.rays, self.surface
         if self.common_rays is not None:
-            sigmas = rays.sigmas.copy()
-            sigmas[self.common_rays.members] *= self.common_rays.independent[:, None]
-            rays = replace(rays, sigmas=sigmas)
+            one = self.common_rays
+            rays = replace(rays, sigmas=scaled(rays.sigmas, one.members, one.independent))
         if self.common_heights is not None and surface is not None:
-            heights = surface.sigmas.copy()
-            heights[self.common_heights.members] *= self.common_heights.independent
-            surface = replace(surface, sigmas=heights)
+            one = self.common_heights
+            surface = replace(surface, sigmas=scaled(surface.sigmas, one.members, one.independent))
         return replace(self, rays=rays, surface=surface, common_rays=None, common_heights=None)
 
     @property

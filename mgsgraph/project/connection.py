@@ -20,10 +20,9 @@ from urllib.parse import quote
 
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.project.schema import APPLICATION, FORMAT, TABLES
 
-FILE = "project.sqlite"
-"""Name of the file in a project's folder."""
 _READ_TIMEOUT, _COMMIT_TIMEOUT = 5_000, 60_000
 """ms that a reader waits for a commit, and a commit for readers."""
 A_PROJECT = "a project as mgsgraph writes it"
@@ -98,7 +97,7 @@ def _commit(connection: sqlite3.Connection, folder: Path) -> None:
 @contextmanager
 def made(folder: Path, shown: Path) -> Iterator[sqlite3.Connection]:
     """A new file with empty tables, inside a transaction that is committed at the end; errors name what is `shown`."""
-    with _refused(shown, sqlite3.Error), closing(sqlite3.connect(folder / FILE, isolation_level=None)) as connection:
+    with _refused(shown, sqlite3.Error), closing(sqlite3.connect(folder / PROJECT, isolation_level=None)) as connection:
         _set_up(connection, write=True)
         connection.execute(f"PRAGMA application_id = {APPLICATION}")
         connection.execute("BEGIN IMMEDIATE")
@@ -132,7 +131,7 @@ def _refusal(folder: Path, error: sqlite3.Error | UnicodeError) -> InputError:
         if name.startswith(beginnings):
             return InputError(shown, found.format(error), remedy=remedy)
     said = "words that are not UTF-8" if isinstance(error, UnicodeError) else error
-    return InputError(shown, f"{FILE} is damaged ({said})", remedy=ELSEWHERE)
+    return InputError(shown, f"{PROJECT} is damaged ({said})", remedy=ELSEWHERE)
 
 
 def guarded_readings(kind: type[_Kind]) -> type[_Kind]:
@@ -162,7 +161,7 @@ def _guarded(method: Callable[..., Any] | None) -> Callable[..., Any]:
 
 def _existing(folder: Path) -> Path:
     """The project's file, after a look at what can be seen without SQLite."""
-    path, start = folder / FILE, f"make one with: mgsgraph project init {folder}"
+    path, start = folder / PROJECT, f"make one with: mgsgraph project init {folder}"
     try:
         if not folder.exists():
             raise InputError(str(folder), "no such project", remedy=start)
@@ -173,12 +172,12 @@ def _existing(folder: Path) -> Path:
         if not path.is_file():
             other = f"begin one in a folder of its own: mgsgraph project init {folder / 'project'}"
             remedy = f"give the folder of a project, or {other}" if any(folder.iterdir()) else start
-            raise InputError(str(folder), f"is no project: there is no {FILE} in it", remedy=remedy)
+            raise InputError(str(folder), f"is no project: there is no {PROJECT} in it", remedy=remedy)
         empty = path.stat().st_size == 0
     except OSError as error:
         raise _unreadable(folder, error) from None
     if empty:
-        raise InputError(str(folder), f"{FILE} is empty", remedy=ELSEWHERE)
+        raise InputError(str(folder), f"{PROJECT} is empty", remedy=ELSEWHERE)
     return path
 
 
@@ -221,7 +220,7 @@ def _recover(path: Path, folder: Path) -> None:
 
 def _require_format(connection: sqlite3.Connection, folder: Path) -> None:
     """Raise InputError unless the file is a project of this format."""
-    where = str(folder / FILE)
+    where = str(folder / PROJECT)
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION:
         raise InputError(where, "is an SQLite file of another program", remedy="give the folder of a project")
     found = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
@@ -243,13 +242,13 @@ def _require_sound(connection: sqlite3.Connection, folder: Path) -> None:
     """Raise InputError where the file isn't as it was written; of one without a checksum, where its pages don't fit."""
     expected = noted(connection)
     if expected and checksum(connection) != expected:
-        found = f"{FILE} is damaged, or another program has changed it (its checksum is another one)"
-        own = f"sqlite3 {folder / FILE} 'PRAGMA user_version = 0'"
+        found = f"{PROJECT} is damaged, or another program has changed it (its checksum is another one)"
+        own = f"sqlite3 {folder / PROJECT} 'PRAGMA user_version = 0'"
         raise InputError(str(folder), found, remedy=f"{ELSEWHERE}; if the change was yours, have it signed: {own}")
     if not expected:
         found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if found != "ok":
-            raise InputError(str(folder), f"{FILE} is damaged ({' '.join(found.split())})", remedy=ELSEWHERE)
+            raise InputError(str(folder), f"{PROJECT} is damaged ({' '.join(found.split())})", remedy=ELSEWHERE)
 
 
 _LEFT_OUT = (slice(24, 28), slice(60, 64), slice(92, 100))

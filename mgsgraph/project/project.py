@@ -17,11 +17,12 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.atomic_write import made_beside, resolved
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.names import image_names
-from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, FILE, connected, made
+from mgsgraph.project.connection import A_PROJECT, ELSEWHERE, connected, made
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.record import Record
@@ -337,7 +338,7 @@ class Project(Record):
         try:
             return msgspec.convert(value, kind, strict=False)
         except msgspec.ValidationError as error:
-            raise InputError(str(self.folder), f"{FILE} is damaged ({error})", remedy=ELSEWHERE) from None
+            raise InputError(str(self.folder), f"{PROJECT} is damaged ({error})", remedy=ELSEWHERE) from None
 
     def record_incremental(self, converged: bool, message: str) -> int:
         """Note that the state is adjusted as far as the last change; the solution's number."""
@@ -348,9 +349,8 @@ class Project(Record):
     def keep_solution(self, solution: "Solution", write: Callable[[Path], object]) -> Path:
         """Write a batch solution's products to a folder of their own, by a function of it, and note it; that folder."""
         self._sweep()
-        (number,) = self._connection.execute(
-            "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
-        ).fetchone()
+        following = "SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'solution'"
+        (number,) = self._connection.execute(following).fetchone()
         folder = f"{SOLUTIONS}/{number:04d}"
         write(self.folder / folder)
         self.record_batch(solution, folder)
@@ -501,7 +501,7 @@ def state_of(project: Project, text: str) -> PointState:
     try:
         return msgspec.json.decode(text, type=PointState)
     except msgspec.MsgspecError as error:
-        raise InputError(str(project.folder), f"{FILE} is damaged ({error})", remedy=ELSEWHERE) from None
+        raise InputError(str(project.folder), f"{PROJECT} is damaged ({error})", remedy=ELSEWHERE) from None
 
 
 def last_state(project: Project, point: str) -> PointState | None:

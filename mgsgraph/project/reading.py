@@ -20,6 +20,7 @@ from mgsgraph.case.terrain import as_grid, read_terrain_model
 from mgsgraph.errors import InputError, errors_from, require
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.opening import understood
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.files.writing import read_record
 from mgsgraph.geometry.altimetry import AltimeterShots, joined_shots, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
@@ -31,7 +32,6 @@ from mgsgraph.network.footprints import Corrections, Registration, footprints_in
 from mgsgraph.network.parts import unknowns
 from mgsgraph.planning.state import NetworkState, network_state, state_of_solution
 from mgsgraph.project.changes import incremental, is_solved
-from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import CHANGING, Project, open_project
 from mgsgraph.results.archive import ARCHIVE, read_solution
 from mgsgraph.results.results import case_of
@@ -74,7 +74,7 @@ def results_of(path: Path) -> Results:
     InputError
         A project that has not been solved.
     """
-    if not (path / FILE).is_file():
+    if not (path / PROJECT).is_file():
         own = path / _OWN_CASE
         return Results(path, own if own.is_file() else None)
     with open_project(path) as project:
@@ -204,10 +204,10 @@ def _is_project(path: Path) -> bool:
     """Whether it is a project's folder; InputError for a folder that holds nothing of ours."""
     if not path.is_dir():
         return False
-    if not (path / FILE).exists() and not (path / ARCHIVE).exists():
-        found = f"a folder with neither {ARCHIVE} nor {FILE}"
+    if not (path / PROJECT).exists() and not (path / ARCHIVE).exists():
+        found = f"a folder with neither {ARCHIVE} nor {PROJECT}"
         raise InputError(str(path), found, "results of `mgsgraph adjust`, or a project")
-    return (path / FILE).exists()
+    return (path / PROJECT).exists()
 
 
 def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
@@ -249,7 +249,7 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     InputError
         A name that no image has, or several; what `decode` and `read_solution` refuse.
     """
-    if (path / FILE).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
+    if (path / PROJECT).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
         results = results_of(path)
         solution = read_solution(results.folder)
         chosen = _chosen([image.name for image in solution.network.images], names, path)

@@ -12,6 +12,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.state import Bundle, ReducedSystem, Shared
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
@@ -19,7 +20,7 @@ from mgsgraph.network import TERRAIN, ImageRays, Network, ProfileShifts, Ranges,
 from mgsgraph.network.joining import Definitions, NamedPass, NamedShared, with_definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown, image_columns
 from mgsgraph.project.columns import Cells, StoredGrids, StoredPoints, index_among
-from mgsgraph.project.connection import ELSEWHERE, FILE, guarded_readings
+from mgsgraph.project.connection import ELSEWHERE, guarded_readings
 from mgsgraph.results.archive import pack, unpack
 
 _REDUCED = ("unknowns", "at", "normal", "gradient", "cost", "slack")
@@ -396,7 +397,7 @@ class ProjectStore:
     def _require(self, good: bool, found: str) -> None:
         """Raise InputError unless `good`: tables contradict each other."""
         if not good:
-            raise InputError(self._where, f"{FILE} is damaged ({found})", remedy=ELSEWHERE)
+            raise InputError(self._where, f"{PROJECT} is damaged ({found})", remedy=ELSEWHERE)
 
     def _ask(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         return self._connection.execute(statement, values).fetchall()

@@ -49,7 +49,7 @@ def nodes_table(solution: Solution) -> Table:
 
     def amounts(part: str) -> dict[str, Array]:
         of = np.concatenate([getattr(series, "values" if part == "correction" else "sigmas") for _, series in found])
-        return {f"{part}_{{}} m": of[:, :3],  f"{part}_{{}} arcsec": of[:, 3:]}
+        return {f"{part}_{{}} m": of[:, :3], f"{part}_{{}} arcsec": of[:, 3:]}
 
     return table_of("nodes", {
         "pass": [name for name, series in found for _ in range(series.times.size)],

@@ -12,7 +12,7 @@ do the two images contradict each other. And there they show the difference of t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -187,8 +187,7 @@ def simulate_ctx_pair(
              settings.jitter.prior(float(np.ptp(image_times(one)))))
         for k, one in enumerate(images)
     ]  # fmt: skip
-    network = tie_network(images, passes, rays, len(points), surface)
-    network = replace(network, common_heights=common)
+    network = tie_network(images, passes, rays, len(points), surface, common)
     return SimulatedCtxPair(network, truth, shifts, points, terrain)
 
 

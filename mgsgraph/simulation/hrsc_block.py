@@ -11,7 +11,7 @@ consistent statistics: neighbouring points share posts of the terrain model and 
 their sigmas count with.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -211,8 +211,8 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     trajectories = [
         Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
     ]
-    network = tie_network([image for one in flown for image in one.images], trajectories, rays, len(points), surface)
-    network = replace(network, common_heights=common)
+    pictures = [image for one in flown for image in one.images]
+    network = tie_network(pictures, trajectories, rays, len(points), surface, common)
     corrections = tuple(one.true for one in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 

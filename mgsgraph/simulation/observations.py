@@ -138,9 +138,12 @@ def free_points(
 
 
 def tie_network(
-    images: Sequence[PushbroomImage], passes: Sequence[Pass], rays: ImageRays, count: int, surface: Surface | None
-) -> Network:
-    """Images whose orientation is that of their passes, `count` free tie points, their rays, and a terrain model."""
+    images: Sequence[PushbroomImage], passes: Sequence[Pass], rays: ImageRays, count: int, surface: Surface | None,
+    heights: CommonErrors | None,
+) -> Network:  # fmt: skip
+    """Images whose orientation is that of their passes, `count` free tie points, their rays, a terrain model, and what
+    heights above it have in common.
+    """
     prior = passes[0].prior
     assert isinstance(prior, NodePrior | ProcessPrior)
     own, none = OrientationPrior(prior.node_sigmas(np.zeros(1))), np.zeros(0)  # of no effect: passes have their own
@@ -159,6 +162,7 @@ def tie_network(
         ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
         surface=surface,
         passes=tuple(passes),
+        common_heights=heights,
     )
 
 

@@ -21,6 +21,7 @@ from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -30,7 +31,6 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
-from mgsgraph.project.connection import FILE
 from mgsgraph.project.project import KeptAdjustment, Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
@@ -367,19 +367,19 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
 def _mark(path: Path) -> tuple[int, int] | None:
     """By what a change of a project's file is seen. It is not opened: closing it gives up all locks of the process."""
     with suppress(OSError):
-        found = (path / FILE).stat()
+        found = (path / PROJECT).stat()
         return found.st_mtime_ns, found.st_size
     return None
 
 
 def _kind(path: Path) -> Kind:
-    if path.is_dir() and (path / FILE).is_file():
+    if path.is_dir() and (path / PROJECT).is_file():
         return "project"
     if (path.is_dir() and (path / ARCHIVE).is_file()) or path.suffix == ".npz":
         return "result"
     if path.is_file():
         return "case"
-    found = "no such file or folder" if not path.exists() else f"a folder with neither {ARCHIVE} nor {FILE}"
+    found = "no such file or folder" if not path.exists() else f"a folder with neither {ARCHIVE} nor {PROJECT}"
     raise InputError(str(path), found, "a project, results of `mgsgraph adjust`, or a case file")
 
 

@@ -164,9 +164,7 @@ WRONG = {
     "a cubic beside a process": (
         PASS + ROUGH.format("") + "position = { degree = 2 }", "a polynomial of degree 2 beside a"
     ),
-    "another unit": (
-        PASS + ROUGH.format(', plus = [{ model = "white", sigma_m = 1 }]'), "sigma_m, of att"
-    ),
+    "another unit": (PASS + ROUGH.format(', plus = [{ model = "white", sigma_m = 1 }]'), "sigma_m, of att"),
     "nodes coarser than a slow process's": (
         PASS + MARKOV.format(", correlation_time_s = 0.01") + "nodes = { spacing_s = 0.5 }",
         r"s apart for gauss-markov of correlation time 0\.01 s; expected at most 0\.02 s",

@@ -12,7 +12,7 @@ import numpy as np
 import profiles
 import pytest
 import rasterio
-from commands import call, refusal, run
+from commands import call, refusal, rows_of, run
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import Case
@@ -193,11 +193,6 @@ def test_a_page_of_a_result(case_file: Path, tmp_path: Path) -> None:
 SIM = "SIM/A"
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 # above two seconds: three commands one after another
 def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None:
     given, ground, back = (case_file.with_name(name) for name in ("given.csv", "ground.csv", "back.csv"))
@@ -205,12 +200,12 @@ def test_a_table_there_and_back_and_nothing_is_left_out(case_file: Path) -> None
     assert "--ellipsoid" in refusal("locate", case_file, SIM, "--points", given, "--out", ground)
     done = run("locate", case_file, SIM, "--points", given, "--ellipsoid", "--out", ground)
     assert done.returncode == 0, done.stderr
-    there = rows(ground)
+    there = rows_of(ground)
     assert [row["note"] for row in there] == ["a, b", "", "far"]
     assert [row["state"] for row in there] == ["seen", "seen", "far outside the image"]
     assert there[2]["x_m"] == ""
     call("locate", case_file, SIM, "--points", ground, "--into", "image", "--out", back)
-    again = rows(back)
+    again = rows_of(back)
     for name in ("isis_line", "isis_sample"):  # the header says how pixels are counted, and so does the result's
         np.testing.assert_allclose(
             [float(row[name]) for row in again[:2]], [float(row[f"given_{name}"]) for row in again[:2]], atol=1e-3

@@ -21,9 +21,7 @@ from mgsgraph.cli import progress
 from mgsgraph.cli.options import PrintableStream
 
 
-@pytest.mark.parametrize(
-    "arguments", [("--help",), ("adjust", "-h"), ("--version",)]
-)
+@pytest.mark.parametrize("arguments", [("--help",), ("adjust", "-h"), ("--version",)])
 def test_help(arguments: tuple[str, ...]) -> None:
     done = run_afresh(*arguments)
     assert done.returncode == 0
@@ -159,9 +157,7 @@ def test_not_converged_is_exit_status_one(case_file: Path, tmp_path: Path) -> No
 
 def test_a_full_standard_output() -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [*COMMAND, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
-        )
+        done = subprocess.run([*COMMAND, "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     refused(done, "standard output")
 
 

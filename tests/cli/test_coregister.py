@@ -1,6 +1,5 @@
 """`mgsgraph coregister` as a person uses it: files, sentences, exit status; one line for bad input."""
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import profiles as mola_profiles
 import pytest
 import relief_site
-from commands import call, refusal, run
+from commands import call, refusal, rows_of, run
 from sites import plain_site
 
 import mgsgraph
@@ -58,11 +57,6 @@ def registration() -> ReliefRegistration:
     return relief_site.registration()
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 # --- what is found and written
 
 
@@ -76,9 +70,7 @@ def test_images_and_profiles_agree_afterwards(registration: ReliefRegistration) 
         assert one.rms_after < 0.5 * one.rms_before
 
 
-def test_disagreements_with_the_truth_come_down_to_their_sigmas(
-    registration: ReliefRegistration,
-) -> None:
+def test_disagreements_with_the_truth_come_down_to_their_sigmas(registration: ReliefRegistration) -> None:
     """As the demo tells it."""
     site, case = plain_site(), mgsgraph.read_case(relief_site.case_path())
     steps = ((KERNELS, None), (TIES, registration.before), (BY_RELIEF, registration.solution))
@@ -210,9 +202,7 @@ def test_a_project_has_the_surfaces_from_then_on(
 
 
 @pytest.mark.slow
-def test_a_project_registered_and_solved_has_the_same_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_project_registered_and_solved_has_the_same_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     relief_site.use_matches(monkeypatch)
     project = tmp_path / "project"
     assert call("project", "init", project, "--case", relief_site.case_path()) == 0

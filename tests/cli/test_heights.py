@@ -13,7 +13,7 @@ import profiles
 import pytest
 import rasterio
 from click.testing import CliRunner
-from commands import call, refusal, refused, run
+from commands import call, refusal, refused, rows_of, run
 from rasterio.warp import transform
 
 import mgsgraph
@@ -198,9 +198,7 @@ def test_terrain_without_points_is_told_in_a_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_solution_outlives_its_merit(
-    case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_solution_outlives_its_merit(case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: object) -> None:
         raise KeyboardInterrupt
 
@@ -322,8 +320,7 @@ def test_results_and_projects_show_their_shots_as_adjusted(
 def test_noise_is_left_out_unless_it_is_asked_for(case_file: Path, tmp_path: Path) -> None:
     case, found = profiles.with_profile(case_file), tmp_path / "found.csv"
     call("footprints", case, case.with_name("profile.csv"), "--out", found)
-    with found.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(found)
     for row in rows[:7]:
         row["ground"] = "0"
     with (tmp_path / "noisy.csv").open("w", encoding="utf-8", newline="") as file:

@@ -204,9 +204,7 @@ REAL = {
 """Images that the case of a folder of real data has, and their mission."""
 
 
-@pytest.mark.parametrize(
-    "folder", [pytest.param(one, marks=() if one == "mgs_moc_wa_three" else SLOW) for one in REAL]
-)
+@pytest.mark.parametrize("folder", [pytest.param(one, marks=() if one == "mgs_moc_wa_three" else SLOW) for one in REAL])
 def test_real_data_make_a_case_that_check_accepts(shared_data: Path, tmp_path: Path, folder: str) -> None:
     out = tmp_path / "case.toml"
     made = draft_case([shared_data / folder], out)

@@ -1,12 +1,11 @@
 """`mgsgraph plan` and `nodes` as a person uses them: candidates, spacings, a table, files, one line for errors."""
 
-import csv
 import json
 import re
 from pathlib import Path
 
 import pytest
-from commands import call, refusal
+from commands import call, refusal, rows_of
 from increments import NOISE, strip
 
 from mgsgraph.geometry.body import geodetic
@@ -81,8 +80,7 @@ def test_a_plan_on_the_terminal_and_in_files(
     )
     assert record["after_all_chosen"]["sigma_m"] < record["now"]["sigma_m"]
     assert record["bits_of_all_chosen"] == pytest.approx(sum(one["bits"] for one in record["chosen"]))
-    with (out / "plan.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "plan.csv")
     assert [row["candidate"] for row in rows if row["list"] == "chosen"] == [one["name"] for one in record["chosen"]]
     assert float(rows[0]["sigma_after_m"]) == record["ranking"][0]["after"]["sigma_m"]
     assert call("plan", adjusted / "results", candidates(adjusted, text), "--out", out) == 0  # its own is replaced
@@ -206,8 +204,7 @@ def test_table_sentences_and_files(case: Path, capsys: pytest.CaptureFixture[str
     assert "rays held out" in said
     record = json.loads((out / "nodes.json").read_text(encoding="utf-8"))
     assert record["chosen_s"] in (1.85, 3.0)
-    with (out / "spacings.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "spacings.csv")
     assert (rows[0]["spacing_s"], rows[0]["standing"]) == ("0.02", "refused")
     assert call(*arguments) == 0  # an earlier study is replaced
 

@@ -108,9 +108,7 @@ def test_results_can_be_registered_and_replaced(
     """The inputs beside the results serve the other verbs; a second run takes the place of the first."""
     out = tmp_path / "demo"
     shutil.copytree(demo[0], out)
-    done = run(
-        "footprints", out, "--case", out / "inputs" / "case.toml", "--out", tmp_path / "again", "--no-figures"
-    )
+    done = run("footprints", out, "--case", out / "inputs" / "case.toml", "--out", tmp_path / "again", "--no-figures")
     assert done.returncode == 0, done.stderr
     again, first = (
         json.loads((folder / "registration.json").read_text(encoding="utf-8")) for folder in (tmp_path / "again", out)

@@ -202,9 +202,7 @@ def test_frozen_refuses(value: object, shape: tuple[int | None, ...], said: str)
 
 @pytest.mark.parametrize(
     ("value", "said"),
-    [
-        ([0, 1, 3], r"index 0 \.\. 3; expected 0 \.\. 2"), ([0.5, 1.0, 2.0], "expected whole numbers"),
-    ],
+    [([0, 1, 3], r"index 0 \.\. 3; expected 0 \.\. 2"), ([0.5, 1.0, 2.0], "expected whole numbers")],
 )  # fmt: skip
 def test_what_is_no_index_is_refused(value: list[object], said: str) -> None:
     with pytest.raises(InputError, match=said):

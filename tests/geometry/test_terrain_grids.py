@@ -99,9 +99,7 @@ def test_tiles_may_overlap_wrap_and_leave_holes() -> None:
     np.testing.assert_array_equal(together.radii[:20], whole.radii[:20])
     np.testing.assert_array_equal(together.radii[20:, :10], whole.radii[20:, :10])
     assert np.all(np.isnan(together.radii[20:, 10:]))
-    turn = [
-        TerrainGrid("turn", np.full((3, 180), RADIUS + k), k * np.pi, 0.0, np.pi / 180.0, DEG) for k in range(2)
-    ]
+    turn = [TerrainGrid("turn", np.full((3, 180), RADIUS + k), k * np.pi, 0.0, np.pi / 180.0, DEG) for k in range(2)]
     assert mosaic(turn[::-1]).wraps
     assert mosaic(turn).radii.shape == (3, 360)
 

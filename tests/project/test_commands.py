@@ -81,9 +81,7 @@ def refused(project: Path, said: str, *arguments: str | Path) -> None:
     assert state(project) == before
 
 
-def test_from_a_case_to_a_solution_and_back(
-    project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_from_a_case_to_a_solution_and_back(project: Path, case_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An image that is taken out and added again is where it was, and batch agrees."""
     folder = case_file.parent
     assert call("project", "solve", project, "--no-figures") == 0

@@ -8,9 +8,11 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import binom
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -34,7 +36,10 @@ import fair_draws  # noqa: E402
 import montecarlo as draw  # noqa: E402
 import montecarlo_judge as judge  # noqa: E402
 import nees  # noqa: E402
+import neighbors  # noqa: E402
+import process_strengths  # noqa: E402
 import study  # noqa: E402
+import vibrations  # noqa: E402
 from redraw import Draw, redraw  # noqa: E402
 from study import chi_square_band, nees_band  # noqa: E402
 
@@ -106,24 +111,47 @@ def test_bands_are_those_of_tables() -> None:
     assert abs(100.0 * high - 140.169) < 0.001
     assert abs(study.student(0.01, 9) - 3.250) < 0.001
     assert abs(study.student(0.01, 99) - 2.626) < 0.001
-    assert study.nees_band(20, 5) == study.chi_square_band(100)
+    assert study.nees_band([1.0] * 5, 20) == study.chi_square_band(100)
+    values = np.random.default_rng(1).normal(1.0, 0.1, 10).tolist()
+    half = 3.2498 * float(np.std(values, ddof=1)) / np.sqrt(10)
+    assert study.nees_band(values) == pytest.approx((1.0 - half, 1.0 + half), rel=1e-4)
 
 
 def test_items_that_err_alike_count_once() -> None:
     rng = np.random.default_rng(47)
     own = np.stack([one @ one.T for one in rng.standard_normal((6, 2, 2))])
-    assert study.degrees_together(study.block_diagonal(own), 2) == pytest.approx(12.0)
+    assert study.degrees_together(block_diag(*own), 2) == pytest.approx(12.0)
     assert study.degrees_together(np.tile(own[0], (6, 6)) + 1e-9 * np.eye(12), 2) == pytest.approx(2.0, rel=1e-6)
     # field/README.md: two profiles whose shifts are correlated by 0.97, 18 draws: 0.52 .. 1.69
     alike = np.kron([[1.0, 0.97], [0.97, 1.0]], np.eye(2))
-    assert study.nees_band(study.degrees_together(alike, 2), 18) == pytest.approx((0.52, 1.69), abs=0.02)
+    assert study.nees_band([1.0] * 18, study.degrees_together(alike, 2)) == pytest.approx((0.52, 1.69), abs=0.02)
     # the scatter of the sum of normalised squares, drawn
     root = rng.standard_normal((12, 4))
-    covariance = root @ root.T + study.block_diagonal(own)
+    covariance = root @ root.T + block_diag(*own)
     errors = rng.multivariate_normal(np.zeros(12), covariance, 40_000).reshape(-1, 6, 2)
     blocks = covariance.reshape(6, 2, 6, 2)[np.arange(6), :, np.arange(6)]
     squares = np.einsum("nia,iab,nib->n", errors, np.linalg.inv(blocks), errors)
     assert 2.0 * 12.0**2 / squares.var() == pytest.approx(study.degrees_together(covariance, 2), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("of", "case"),
+    [(neighbors, "gusev, model"), (process_strengths, "CTX pair, 1"), (vibrations, "1 px, 2 Hz, drift 3 px")],
+)
+def test_tables_are_made_of_draws(of: ModuleType, case: str) -> None:
+    rng, draws = np.random.default_rng(3), list[study.Draw]()
+    for seed in range(6):
+        some = [1.0 + 0.1 * one for one in rng.standard_normal(4)]
+        draws.append({
+            "case": case, "seed": seed, "seconds": 1.0, "groups": 3, "values": dict.fromkeys(neighbors.FORMS, some),
+            "ratios": some, "errors": some, "seen": [True] * 4, "below": [True] * 4, "nodes": some[:2],
+            "points": some[2] if of is vibrations else some[:2], "pitch": some[0], "roll": some[1], "converged": True,
+            "found": True, "false": 0, "amplitude": [[1.0, 0.1, some[3]]], "frequency": [some[0]],
+        })  # fmt: skip
+    printed = str(list(of.judge(draws).values()))
+    cells = re.findall(r"\(([\d.]+) \.\. ([\d.]+)\)", printed)
+    assert len(cells) >= 3
+    assert all(float(low) < 1.0 < float(high) for low, high in cells)
 
 
 def test_degrees_of_points_are_those_of_their_joint_covariance() -> None:
@@ -286,9 +314,7 @@ SEEDS = range(301, 307)
 
 def smooth(name: str) -> SiteTerrain:
     ground, flat = SITES[name], PeriodicSurface(1000.0, np.zeros((1, 1), dtype=np.float32))
-    return SiteTerrain(
-        name, 1, MARS, ground.longitude, ground.latitude, ground, np.zeros((0, 4)), flat, flat, flat
-    )
+    return SiteTerrain(name, 1, MARS, ground.longitude, ground.latitude, ground, np.zeros((0, 4)), flat, flat, flat)
 
 
 @pytest.mark.parametrize("name", SITE_NAMES)
@@ -330,7 +356,7 @@ def test_normalized_errors_lie_in_their_bands(case: str, absent: list[str]) -> N
     there = [k for k, name in enumerate(nees.COLUMNS) if name not in absent]
     assert [name for name, column in zip(nees.COLUMNS, values.T, strict=True) if np.isnan(column).all()] == absent
     for k in there:
-        low, high = nees_band(float(np.mean([draw["degrees"][k] for draw in every])), len(every))
+        low, high = nees_band(values[:, k].tolist(), [draw["degrees"][k] for draw in every])
         assert low < np.mean(values[:, k]) < high
     means = values[:, there].mean(axis=0)
     assert means.min() > 0.5  # bands of points scale with what they judge

@@ -7,7 +7,7 @@ from pathlib import Path
 import matched
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import call
 from PIL import Image
 from sites import plain_site
 
@@ -18,7 +18,6 @@ from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.posterior import Posterior, cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import read_case
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up, geodetic
 from mgsgraph.geometry.records import Array
@@ -264,9 +263,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[LinkedImages, dict[s
     return LinkedImages(replace(Block.of_network(network, SolverSettings()), terrain=matched.true_terrain())), files
 
 
-def test_a_click_goes_to_the_ground_of_the_reference(
-    site: tuple[LinkedImages, dict[str, Path | None]],
-) -> None:
+def test_a_click_goes_to_the_ground_of_the_reference(site: tuple[LinkedImages, dict[str, Path | None]]) -> None:
     linked, files = site
     one, two = list(files)
     rng, away, squares, sigmas = np.random.default_rng(4), list[float](), list[float](), list[float]()
@@ -314,11 +311,6 @@ def test_what_cannot_be_refined_is_said(
 
 
 # --- the sheet of a point: what it says near by, without the rest of the block, is what the whole posterio
-
-
-def command(*words: object) -> None:
-    run = CliRunner().invoke(group, [str(word) for word in words])
-    assert run.exit_code == 0, run.output
 
 
 @pytest.fixture
@@ -410,7 +402,7 @@ def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
     solved: Path, case_file: Path, tmp_path: Path
 ) -> None:
     assert posterior_near(solved, "nobody") is None
-    command("project", "init", tmp_path / "new", "--case", case_file)
+    assert call("project", "init", tmp_path / "new", "--case", case_file) == 0
     opened = Opened(tmp_path / "new")
     name = opened.block().network.points.ids[0]
     assert posterior_near(tmp_path / "new", name) is None

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import call
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
@@ -21,11 +22,6 @@ from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import read_solution
 from mgsgraph.studio.point_sheet import chip
-
-
-def command(*words: object) -> None:
-    run = CliRunner().invoke(group, [str(word) for word in words])
-    assert run.exit_code == 0, run.output
 
 
 @pytest.fixture(scope="module")
@@ -306,7 +302,7 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
             stored = state.of(rays[name]["image"])
             assert stored is not None
             assert stored.line == pytest.approx(line) or len(changes) == len(done) + 1
-    command("project", "solve", folder, "--no-figures")
+    assert call("project", "solve", folder, "--no-figures") == 0
 
 
 # --- other kinds

@@ -55,8 +55,7 @@ def numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:g}" for value in (values if len(set(values)) > 1 else values[:1]))
 
 
-_CONVENTION = "convention, no published accuracy known"
-_OTHER = Accuracy("other missions", 100.0, _CONVENTION, (0.29,), "1 arcmin, convention")
+_OTHER = Accuracy("other missions", 100.0, "convention, no published accuracy known", (0.29,), "1 arcmin, convention")
 _MISSIONS = {
     one.mission: one
     for one in (

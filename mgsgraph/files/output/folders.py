@@ -38,6 +38,8 @@ EXPORT = "export.json"
 COREGISTRATION = "coregistration.json"
 """Record of a registration by relief, beside the solution that makes the folder a result."""
 
+PROJECT = "project.sqlite"
+"""File that makes a folder a project."""
 DEMO = "demo.json"
 """File that makes a folder a demonstration by this program, results and all; it names the files of its case."""
 
@@ -51,8 +53,7 @@ TABLES = (
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
     ANALYSIS, "unexplained.csv", "vibrations.csv", "components.csv", "components_iterated.csv", "reliability.csv",
-    "outliers.csv",
-    "likelihood.csv", "sigmas.tif",
+    "outliers.csv", "likelihood.csv", "sigmas.tif",
     NODES, "spacings.csv", "course.csv", "spectra.csv",  # the last two of versions up to 0.2
     EXPORT, MATCH, "matches.csv", "network.pvl", "network.net",
     DEM, "dem.tif", "ortho.tif", "shots.csv", STAC_ITEM,

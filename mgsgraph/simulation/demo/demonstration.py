@@ -405,9 +405,7 @@ def _named_from(case: Case, folder: Path) -> Case:
     areoid = network.areoid and replace(network.areoid, source=short(network.areoid.source))
     profiles = tuple(replace(shots, source=short(shots.source)) for shots in case.profiles)
     models = tuple(replace(one, lattice=replace(one.lattice, source=short(one.lattice.source))) for one in case.terrain)
-    return replace(
-        case, network=replace(network, surface=surface, areoid=areoid), profiles=profiles, terrain=models
-    )
+    return replace(case, network=replace(network, surface=surface, areoid=areoid), profiles=profiles, terrain=models)
 
 
 def true_points(demo: Demonstration) -> dict[str, Array]:

@@ -10,6 +10,8 @@ import spiceypy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mex import CHANGES, CUBE, FOLDER, LABEL, LINES, SAMPLES, START, cube_bytes, image_bytes, kernels, times_file
+from mgs import changed
+from strategies import turned
 
 from mgsgraph.case.case_file import read_image
 from mgsgraph.case.schema import ImageInput
@@ -28,13 +30,6 @@ from mgsgraph.geometry.trajectory import Trajectory
 
 STOP = START + 19 * 0.0128
 STOP_OF_H5270 = CHANGES[2][0] + (LINES - CHANGES[2][2]) * CHANGES[2][1]
-
-
-def changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    return text
 
 
 def written(folder: Path, *changes: tuple[str, str], times: np.ndarray | None = None) -> Path:
@@ -289,11 +284,6 @@ def labels(label: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def strip(labels: Sequence[Path], shared_data: Path, times: Path) -> dict[str, PushbroomImage]:
     images = read_strip(labels, kernels(shared_data), DETECTORS, line_times=[times] * 9)
     return {image.name: image for image in images}
-
-
-def turned(one: np.ndarray, other: np.ndarray) -> float:
-    """rad, largest angle between rotations (n, 3, 3)."""
-    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
 
 
 # --- the trajectory

@@ -1,13 +1,12 @@
 """MOC images: labels of both kinds, geometry against SPICE and ISIS's formulas, pixels; faults said in one line."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 import spiceypy
-from mgs import LABEL, START, STOP, image_bytes, kernels
+from mgs import LABEL, START, STOP, changed, image_bytes, kernels
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import NaifKeywords
@@ -20,13 +19,6 @@ from mgsgraph.results.figures.registration import pixels_of
 
 PITCH, FOCAL = 0.0131240578522949e-3, 3.5
 """m, of the ISIS addendum."""
-
-
-def changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
-    for old, new in changes:
-        assert old in text
-        text = text.replace(old, new)
-    return text
 
 
 def written(folder: Path, *changes: tuple[str, str]) -> Path:

@@ -10,7 +10,7 @@ import spiceypy
 from hypothesis import given
 from hypothesis import strategies as st
 from mgs import START, STOP, kernels
-from strategies import directions
+from strategies import directions, turned
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.labels.aberration import Aberration, aberrated, geometric, without_aberration
@@ -57,11 +57,6 @@ def pointing(times: np.ndarray, bias: float) -> np.ndarray:
 
 def places(times: np.ndarray, correction: str = "NONE") -> np.ndarray:
     return np.array(spiceypy.spkezr("-94", times, "J2000", correction, "499")[0])[:, :3] * 1e3
-
-
-def turned(one: np.ndarray, other: np.ndarray) -> float:
-    """rad, largest angle between rotations (n, 3, 3)."""
-    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
 
 
 # --- parity with SPICE

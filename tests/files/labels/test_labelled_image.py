@@ -8,6 +8,7 @@ import mgs
 import numpy as np
 import pytest
 import spiceypy
+from strategies import turned
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.label import read_line_scan_label
@@ -40,11 +41,6 @@ def kernels(shared_data: Path, image: str, without: str = " ") -> list[Path]:
 def image_of(shared_data: Path, image: str, kind: str = "pds3", **more: object) -> PushbroomImage:
     label = shared_data / f"{image}_{kind}.lbl"
     return read_labelled_image(label, kernels(shared_data, image), interval=0.1, **more)  # type: ignore[arg-type]
-
-
-def turned(one: np.ndarray, other: np.ndarray) -> float:
-    """rad, largest angle between rotations (n, 3, 3)."""
-    return float(np.linalg.norm(rotation.logarithm(one @ np.swapaxes(other, 1, 2)), axis=1).max())
 
 
 def tables(image: PushbroomImage) -> Trajectory:
