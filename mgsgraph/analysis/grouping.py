@@ -133,11 +133,14 @@ def group_rows(network: Network) -> Grouping:
 
 
 def _of_common(network: Network, of_ray: NDArray[np.object_]) -> list[NDArray[np.object_]]:
-    """Labels of the factors of errors in common: those of the rows, for they are parts of the same errors."""
+    """Labels of the factors of errors in common: those of the rows, for they are parts of the same errors. A group may
+    have lost all its rows to a rejection.
+    """
     found = list[NDArray[np.object_]]()
     for one, of_row, _ in network.common:
-        first = np.unique(one.group, return_index=True)[1]
-        labels = of_ray[one.members[first]] if of_row == 2 else np.full(first.size, HEIGHTS, dtype=object)
+        labels = np.full(one.widths.size, of_ray[0] if of_row == 2 else HEIGHTS, dtype=object)
+        if of_row == 2:
+            labels[one.group] = of_ray[one.members]
         found += [np.full(width * of_row, label) for width, label in zip(one.widths.tolist(), labels, strict=True)]
     return found
 

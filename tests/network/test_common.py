@@ -11,6 +11,8 @@ from redraw import common_noise
 from scipy.spatial import cKDTree
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.analysis.grouping import group_rows
+from mgsgraph.analysis.verdict import is_valid
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
@@ -127,6 +129,17 @@ def test_what_is_kept_point_by_point_has_larger_sigmas(neighbors: Network) -> No
     assert neighbors.common_rays is not None
     np.testing.assert_allclose(part.rays.sigmas, neighbors.independent.rays.sigmas[neighbors.rays.point < 5])
     assert np.all(part.rays.sigmas >= neighbors.ray_sigmas[neighbors.rays.point < 5] - 1e-12)
+
+
+def test_a_group_may_lose_all_its_rows(neighbors: Network) -> None:
+    """As by a rejection: its factors stay, with their priors."""
+    common = neighbors.common_rays
+    assert common is not None
+    number = np.arange(neighbors.rays.point.size)
+    number[common.members[common.group == 0]] = -1
+    thinned = replace(neighbors, common_rays=common.renumbered(number))
+    assert len(group_rows(thinned).unknowns) == len(group_rows(neighbors).unknowns)
+    assert is_valid(adjust_network(thinned))
 
 
 def test_a_row_of_two_groups_is_refused() -> None:
