@@ -100,9 +100,8 @@ def laser_profile(
         require_ranges(image, taken.times[mine], taken.footprints[mine], taken.ranges[mine], taken.source, names)
     ranged = carriers[0][0].name if carriers and wanted.ranges else None
     return taken.profile(
-        wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
-        ranged=ranged is not None,
-    )  # fmt: skip
+        wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share
+    )
 
 
 class Parts:
@@ -164,7 +163,8 @@ class Parts:
             if wanted.range_sigma_m is None:
                 require_range_sigmas(profile)
             own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
-            self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
+            none = np.zeros((shot.size, 3))
+            self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot], none))
 
     def add_shots(self, shots: AltimeterShots, wanted: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
         """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image, or
@@ -199,8 +199,8 @@ class Parts:
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
         if carried.max() >= 0 and wanted.ranges:
-            mine = np.arange(first, first + n)
-            self._ranges.append((mine, carried, profile.times, profile.ranges, profile.range_sigmas))
+            mine, shares = np.arange(first, first + n), np.zeros((n, 3)) if profile.shares is None else profile.shares
+            self._ranges.append((mine, carried, profile.times, profile.ranges, profile.range_sigmas, shares))
         self._add_shifts(name, taken, wanted, first)
         self._add_beam(name, taken, wanted, carried, pointed)
         if wanted.image_rows == "back-projected":
@@ -295,8 +295,9 @@ class Parts:
         rays, common = common_matches(
             ImageRays(point, image, places, sigmas, back_projected), *np.concatenate(self._windows).T
         )
-        empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
-        ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
+        empty: list[NDArray[Any]] = [np.zeros(0, dtype=kind) for kind in (int, int, float, float, float)]
+        *columns, shares = map(np.concatenate, zip([*empty, np.zeros((0, 3))], *self._ranges, strict=True))
+        ranges = Ranges(*columns, shares=shares if np.any(shares) else None)
         shifts = self._profile_shifts() if self._shifts else None
         ground = np.zeros((0, 3))
         if terrain:

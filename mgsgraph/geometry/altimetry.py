@@ -165,6 +165,30 @@ def footprint_covariances(footprints: Array, horizontal: float, vertical: float 
     return np.asarray(horizontal**2 * np.eye(3) + more)
 
 
+def with_common_errors(sigmas: Array | float, covariances: Array, errors: Array) -> tuple[Array, Array, Array]:
+    """Ranges and footprints with one more error in common: a range that it makes too long takes the footprint as far on
+    along the beam.
+
+    Parameters
+    ----------
+    sigmas : (n,) or float
+        m, of the ranges without it.
+    covariances, errors : (n, 3, 3), (n, 3)
+        m^2, of the footprints without it, and one sigma of it in m, along the beam away from the instrument.
+
+    Returns
+    -------
+    (n,), (n, 3, 3), (n, 3)
+        Of n ranges the sigmas that remain where the footprint is known; covariances of the footprints; and what of the
+        footprint's error each range has, too, m per m.
+    """
+    whole = covariances + errors[:, :, None] * errors[:, None]
+    lengths = np.linalg.norm(errors, axis=1)
+    shares = np.linalg.solve(whole, (lengths[:, None] * errors)[:, :, None])[:, :, 0]
+    remain = lengths * (lengths - np.einsum("ni,ni->n", shares, errors))
+    return np.sqrt(np.square(sigmas) + remain), whole, shares
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserProfile(Record):
     """Laser shots, struct of arrays; the footprints' covariances are a-priori knowledge of the ground points.
@@ -202,6 +226,9 @@ class LaserProfile(Record):
     """(k) name of the image; made of any sequence of them."""
     measures: Array
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
+    shares: Array | None = None
+    """(n, 3) m per m, how much of the error of its footprint each range has, too; `range_sigmas` are then of the rest,
+    which is independent of that error."""
 
     def __post_init__(self) -> None:
         measured, along = RepeatedNames.of(self.measure_image), RepeatedNames.of(self.simultaneous_image)
@@ -225,6 +252,7 @@ class LaserProfile(Record):
             simultaneous_shot=frozen_index(self.simultaneous_shot, f"{self.source}, images", len(along), n),
             measure_shot=frozen_index(self.measure_shot, f"{self.source}, measures", k, n),
             measures=frozen(self.measures, f"{self.source}, measures", (k, 2)),
+            shares=None if self.shares is None else frozen(self.shares, f"{self.source}, shares", (n, 3)),
         )
 
     def __repr__(self) -> str:
@@ -345,7 +373,6 @@ class AltimeterShots(Record):
         name: str = "",
         height_sigma: float | None = None,
         pulse_share: float = 0.0,
-        ranged: bool = True,
     ) -> LaserProfile:
         """The shots as observations of an adjustment, without image measures.
 
@@ -363,9 +390,7 @@ class AltimeterShots(Record):
             m, of each footprint's height; `ground_sigma` when absent.
         pulse_share : float
             Sigma of a range's further error, in standard deviations of its echo. The footprint follows from the range
-            and has the same error along the beam.
-        ranged : bool
-            Both are used: then either has twice its variance (`terrain`), for together they tell no more.
+            and has the same error along the beam: what the two have in common.
 
         Raises
         ------
@@ -378,23 +403,25 @@ class AltimeterShots(Record):
             )
         n = self.times.size
         ids = self.ids
-        broad = (1.0 + ranged) * (pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)) ** 2
-        beams = np.where(np.isfinite(self.spacecraft), self.spacecraft - self.footprints, self.footprints)
+        broad = pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)
+        beams = np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
         beams /= np.linalg.norm(beams, axis=1, keepdims=True)
         covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
+        sigmas, covariances, shares = with_common_errors(range_sigma, covariances, broad[:, None] * beams)
         return LaserProfile(
             source=self.source,
             ids=ids.prefixed(f"{name}:") if name else ids,
             times=self.times,
             ranges=self.ranges,
-            range_sigmas=np.sqrt(range_sigma**2 + broad),
+            range_sigmas=sigmas,
             footprints=self.footprints,
-            covariances=covariances + broad[:, None, None] * beams[:, :, None] * beams[:, None],
+            covariances=covariances,
             simultaneous_shot=np.arange(n if simultaneous else 0),
             simultaneous_image=RepeatedNames((simultaneous or "",), np.zeros(n if simultaneous else 0, dtype=np.int64)),
             measure_shot=np.zeros(0, dtype=np.int64),
             measure_image=RepeatedNames.of(()),
             measures=np.zeros((0, 2)),
+            shares=shares if np.any(broad) else None,
         )
 
     def __repr__(self) -> str:

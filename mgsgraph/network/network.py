@@ -124,6 +124,7 @@ class Network(Record):
             frozen(self.ranges.values, "ranges, values", (r,)),
             range_sigmas,
             frozen_mask(self.ranges.rejected, "ranges: marks of rejection", r),
+            None if self.ranges.shares is None else frozen(self.ranges.shares, "range shares", (r, 3)),
         )
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
@@ -437,16 +438,27 @@ class Network(Record):
         """The same with larger sigmas in place of errors in common, for what is kept point by point
         (`CommonErrors.independent`); itself without any.
         """
-        if not self.common:
+        if not self.common and self.ranges.shares is None:
             return self
-        rays, surface = self.rays, self.surface
+        rays, surface, points, ranges = self.rays, self.surface, self.points, self.ranges
+        if ranges.shares is not None:
+            covariances = points.covariances.copy()
+            both = np.einsum("rij,rj->ri", covariances[ranges.point], ranges.shares)
+            size = np.linalg.norm(both, axis=1)
+            more = size + np.einsum("ri,ri->r", both, ranges.shares)
+            beams = both / np.where(size > 0.0, size, 1.0)[:, None]
+            np.add.at(covariances, ranges.point, both[:, :, None] * beams[:, None])
+            points = replace(points, covariances=covariances)
+            ranges = replace(ranges, sigmas=np.sqrt(ranges.sigmas**2 + more), shares=None)
         if self.common_rays is not None:
             one = self.common_rays
             rays = replace(rays, sigmas=scaled(rays.sigmas, one.members, one.independent))
         if self.common_heights is not None and surface is not None:
             one = self.common_heights
             surface = replace(surface, sigmas=scaled(surface.sigmas, one.members, one.independent))
-        return replace(self, rays=rays, surface=surface, common_rays=None, common_heights=None)
+        return replace(
+            self, points=points, rays=rays, ranges=ranges, surface=surface, common_rays=None, common_heights=None
+        )
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
@@ -35,6 +36,8 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.record import Record
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 class PointClass(IntEnum):
@@ -157,17 +160,20 @@ class Ranges(Record):
     """(r,) m, positive."""
     rejected: Mask | None = None
     """(r,) True for blunders of the last batch adjustment, as for rays."""
+    shares: Array | None = None
+    """(r, 3) m per m, how much of the error of its point's a-priori position each has, too
+    (`LaserProfile.shares`); `sigmas` are then of the rest."""
 
     def chosen(self, rows: Index | Mask) -> "Ranges":
         """Some of them."""
         return Ranges(
             self.point[rows], self.image[rows], self.times[rows], self.values[rows], self.sigmas[rows],
-            _chosen(self.rejected, rows),
+            _chosen(self.rejected, rows), _chosen(self.shares, rows),
         )  # fmt: skip
 
 
-def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
-    return None if marks is None else marks[rows]
+def _chosen(values: NDArray[_Scalar] | None, rows: Index | Mask) -> NDArray[_Scalar] | None:
+    return None if values is None else values[rows]
 
 
 HELD = 1e-4

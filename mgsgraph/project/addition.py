@@ -368,6 +368,7 @@ def unknown_alone(
     if not bundles:
         return network
     old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
+    network = network.independent
     number = {name: i for i, name in enumerate(old.points.ids)}
     there = np.array([number.get(name, -1) for name in network.points.ids])
     points, before, of = network.points, old.points, np.maximum(there, 0)
