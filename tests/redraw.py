@@ -121,7 +121,7 @@ def redraw(
     if network.terrain_moves:
         shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
     rays = _drawn_rays(network, truth, points, corrections, shared, noise(network, rng, 2))
-    ranges = _drawn_ranges(network, truth, corrections, errors, rng)
+    ranges = _drawn_ranges(network, truth, corrections, shared, errors, rng)
     drawn = replace(network, points=points, rays=rays, ranges=ranges)
     return Draw(drawn, corrections, shifts, truth, terrain[level:], shared, own)
 
@@ -289,8 +289,8 @@ def _drawn_rays(
 
 
 def _drawn_ranges(
-    network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], errors: Array,
-    rng: np.random.Generator,
+    network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], shared: tuple[Array, ...],
+    errors: Array, rng: np.random.Generator,
 ) -> Ranges:
     ranges = network.ranges
     values = rng.standard_normal(ranges.values.size) * ranges.sigmas

@@ -155,6 +155,15 @@ def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
 
 
 
+def errors_with_footprints(layout: Layout, orientation: Array, points: Array) -> Array:
+    """(r,) m: errors of ranges by those of their a-priori footprints, where points (n, 3), layout order, and shared
+    unknowns (columns,) are right.
+    """
+    network, of = layout.network, layout.network.ranges.point
+    errors = network.points.places[of] + _shifts(layout, orientation, of) - layout.network_order(points)[of]
+    return np.einsum("ri,ri->r", network.ranges.shares, np.nan_to_num(errors))
+
+
 ABSURD = 10.0
 """sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
 

@@ -266,7 +266,7 @@ def _lidar_csv(solution: Solution) -> str:
     network, ranges = solution.network, solution.network.ranges
     used = np.flatnonzero(solution.ranges_used)
     residuals = solution.range_residuals
-    numbers = np.column_stack([ranges.values, ranges.sigmas, ranges.values - residuals, residuals])[used] / KM
+    numbers = np.column_stack([ranges.values, network.range_sigmas, ranges.values - residuals, residuals])[used] / KM
     names = [quoted(image.name) for image in network.images]
     rows = [
         f"{quoted(network.points.ids[i])},{names[j]},{measured:.8f},{sigma:.8f},{adjusted:.8f},N/A,{residual:.8f}\n"

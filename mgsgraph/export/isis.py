@@ -138,7 +138,7 @@ def adjusted_network(
         raise InputError(f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
     measures, body = _measures(solution), network.images[0].body
-    prior = _triangles(network.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
+    prior = _triangles(network.independent.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
     free = network.points.kinds != PointKind.FIXED
     adjusted = _triangles(solution.covariances * factor, solution.determined & free)
     known, first, after = (_places(one) for one in (network.points.places, solution.places_before, solution.places))
@@ -230,8 +230,8 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
     jigsaw can't use. Adjusted covariances are multiplied by `factor`. Raises InputError for a point with two ranges
     that differ: the format holds one.
     """
-    network, ranges = solution.network, solution.network.ranges
-    used = np.flatnonzero(solution.ranges_used)
+    network = solution.network.independent  # as jigsaw takes them
+    ranges, used = network.ranges, np.flatnonzero(solution.ranges_used)
     points, first = np.unique(ranges.point[used], return_index=True)
     first = used[first]
     one = dict(zip(points.tolist(), first.tolist(), strict=True))

@@ -433,6 +433,15 @@ class Network(Record):
             return self.rays.sigmas
         return _kept(scaled(self.rays.sigmas, self.common_rays.members, self.common_rays.total))
 
+    @cached_property
+    def range_sigmas(self) -> Array:
+        """(r,) m, of ranges with what they have in common with their footprints."""
+        ranges = self.ranges
+        if ranges.shares is None:
+            return ranges.sigmas
+        known = np.einsum("ri,rij,rj->r", ranges.shares, self.points.covariances[ranges.point], ranges.shares)
+        return _kept(np.sqrt(ranges.sigmas**2 + known))
+
     @property
     def independent(self) -> "Network":
         """The same with larger sigmas in place of errors in common, for what is kept point by point
