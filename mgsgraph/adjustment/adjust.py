@@ -244,8 +244,7 @@ def _misfit(
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         places = places_of_all(layout, solved, sweeper)
         found = residuals(layout, orientation, places, sweeper)
-    if layout.network.ranges.shares is not None:
-        found.ranges[:] += errors_with_footprints(layout, orientation, places)
+    found.ranges[:] += errors_with_footprints(layout, orientation, places)
     rays = layout.network.common_rays
     if rays is not None:
         found.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]

@@ -159,9 +159,11 @@ def errors_with_footprints(layout: Layout, orientation: Array, points: Array) ->
     """(r,) m: errors of ranges by those of their a-priori footprints, where points (n, 3), layout order, and shared
     unknowns (columns,) are right.
     """
-    network, of = layout.network, layout.network.ranges.point
-    errors = network.points.places[of] + _shifts(layout, orientation, of) - layout.network_order(points)[of]
-    return np.einsum("ri,ri->r", network.ranges.shares, np.nan_to_num(errors))
+    places, of, shares = layout.network.points.places, layout.network.ranges.point, layout.network.ranges.shares
+    if shares is None:
+        return np.zeros(of.size)
+    errors = places[of] + _shifts(layout, orientation, of) - layout.network_order(points)[of]
+    return np.asarray(np.einsum("ri,ri->r", shares, np.nan_to_num(errors)))
 
 
 ABSURD = 10.0
