@@ -297,7 +297,7 @@ class Parts:
         )
         empty: list[NDArray[Any]] = [np.zeros(0, dtype=kind) for kind in (int, int, float, float, float)]
         *columns, shares = map(np.concatenate, zip([*empty, np.zeros((0, 3))], *self._ranges, strict=True))
-        ranges = Ranges(*columns, None, shares if np.any(shares) else None)
+        ranges = replace(Ranges(*columns), shares=shares if np.any(shares) else None)
         shifts = self._profile_shifts() if self._shifts else None
         ground = np.zeros((0, 3))
         if terrain:

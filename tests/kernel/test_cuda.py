@@ -260,7 +260,7 @@ def _stiff(net: Any) -> Any:
 
 
 def _each_kind() -> Any:
-    """A tie point and a laser point, with rays, range that has its error, stereo surface, terrain, and a shared unknown."""
+    """A tie point and a laser point, with rays, range and its echo, stereo surface, terrain, and a shared unknown."""
     net = _stiff(with_shift_and_surface(with_echoes(stereo_network(pair(1, 1), laser_rays=True))))
     return replace(net, shared=(shared(SharedKind.RANGE_BIAS, [0]),))
 
