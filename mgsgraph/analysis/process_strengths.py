@@ -317,6 +317,7 @@ def estimated_strengths(
     tolerance: float = 0.01,
     name: str = "adjustment",
     progress: Callable[[Iteration], None] = no_progress,
+    in_common: bool = False,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`, and carry what is not known of them into the
     covariance of all unknowns and points.
@@ -336,6 +337,8 @@ def estimated_strengths(
         What to call the adjustment in reports.
     progress : callable
         Called with every iteration of every adjustment.
+    in_common : bool
+        Whether passes have the same strengths even where the likelihood asks for others.
 
     Raises
     ------
@@ -345,7 +348,7 @@ def estimated_strengths(
     sought = sought_strengths(network)
     several = any(len(one.passes) > 1 for one in sought)
     network = with_strength_sigmas(network, sought, strength_sigmas(network, sought))
-    left_in, asked = unmarked(network) if settings.reject == 0.0 else None, False
+    left_in = unmarked(network) if settings.reject == 0.0 else None
     for done in range(1, most + 1):
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
         evidence = Evidence.of(solution, sought)
@@ -353,8 +356,8 @@ def estimated_strengths(
         # a strength that is known to a tenth only need not be at rest to a hundredth
         errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
-        if converged and not asked:
-            asked, (evidence, sought, steps) = True, _where_passes_differ(evidence, sought, steps)
+        if converged and not in_common:
+            in_common, (evidence, sought, steps) = True, _where_passes_differ(evidence, sought, steps)
             converged = steps.size == errors.size
         if converged or done == most:
             break
