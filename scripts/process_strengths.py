@@ -2,8 +2,8 @@
 
 HRSC: strips of five lines whose position and attitude depart by Gauss-Markov processes of 30 s. CTX: pairs whose
 attitude departs by a Matern process of a quarter of the images' time, drawn from the model for each image, or the same
-in both (`alike`). Two strips: short ones of one strength, or (`unlike`) the second of a fifth of it. The search begins
-where the case says, in planted strengths.
+in both (`alike`). Two strips: short ones whose attitude departs by Gauss-Markov processes of 10 s, of one strength, or
+(`unlike`) the second of a fifth of it. The search begins where the case says, in planted strengths.
 
     python scripts/process_strengths.py [--cases CASE ...] [--seeds 20] [--first 1] [--processes N] [--out FILE]
 
@@ -25,7 +25,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import Network, Process, ProcessPrior
+from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.ctx import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
@@ -35,7 +35,7 @@ from mgsgraph.units import KM
 CASES = ("HRSC 600 km, 3", "HRSC 300 km, 3", "CTX pair, 1", "CTX pair, 3", "CTX alike, 1", "CTX alike, 3",
          "Two strips, 1", "Two strips unlike, 1")  # fmt: skip
 """What is simulated, and where the search begins, in planted strengths."""
-ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)
+ERRORS, FASTER = TrajectoryErrors(correlation_time=30.0, position_wander=10.0), TrajectoryErrors(correlation_time=10.0)
 BIAS, DRIFT = np.array([10.0] * 3 + [1e-4] * 3), np.array([1e-3] * 3 + [3.0 * PIXEL] * 3)
 """m and rad, sigmas of CTX images."""
 
@@ -52,17 +52,30 @@ class Planted(NamedTuple):
     """(p, m) m or rad, of each axis of a process and pass."""
 
 
-def hrsc(length: float, points: int, begin: float, seed: int, wander: tuple[float, ...] = (1.0,)) -> Planted:
-    """Strips of a length in m, whose departures are times `wander`."""
-    settings = BlockSettings(strips=len(wander), length=length, points=points, spacing=5.0, terrain=None,
-                             errors=ERRORS, wander=wander)  # fmt: skip
+def hrsc(length: float, begin: float, seed: int) -> Planted:
+    """A strip of a length in m."""
+    settings = BlockSettings(strips=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
     made = simulate_hrsc_block(settings, seed)
     sigmas = ERRORS.position_wander, ERRORS.attitude_wander
     one, other = (Process("gauss-markov", np.full(3, begin * sigma), 30.0, estimated=True) for sigma in sigmas)
     prior = ProcessPrior((one,), (other,), ERRORS.prior.bias, ERRORS.prior.drift)
-    network = replace(made.network, passes=tuple(replace(one, prior=prior) for one in made.network.passes))
-    nodes = tuple(made.true_nodes(k) for k in range(len(wander)))
-    return Planted(network, nodes, made.true_points, np.outer(np.repeat(sigmas, 3), wander))
+    network = replace(made.network, passes=(replace(made.network.passes[0], prior=prior),))
+    return Planted(network, (made.true_nodes(0),), made.true_points, np.repeat(sigmas, 3)[:, None])
+
+
+def two_strips(wander: tuple[float, ...], seed: int) -> Planted:
+    """Strips whose departures are times `wander`; those of positions are known."""
+    settings = BlockSettings(strips=2, length=150.0 * KM, points=800, spacing=3.0, terrain=None, errors=FASTER,
+                             wander=wander)  # fmt: skip
+    made = simulate_hrsc_block(settings, seed)
+    moving, passes = Process("gauss-markov", np.full(3, FASTER.attitude_wander), 10.0, estimated=True), list[Pass]()
+    for one, times in zip(made.network.passes, wander, strict=True):
+        still = Process("gauss-markov", np.full(3, times * FASTER.position_wander), 10.0)
+        prior = ProcessPrior((still,), (moving,), FASTER.prior.bias, FASTER.prior.drift)
+        passes.append(replace(one, prior=prior))
+    nodes = made.true_nodes(0), made.true_nodes(1)
+    network, strengths = replace(made.network, passes=tuple(passes)), np.outer(moving.sigmas, wander)
+    return Planted(network, nodes, made.true_points, strengths)
 
 
 def ctx(alike: bool, begin: float, seed: int) -> Planted:
@@ -102,9 +115,9 @@ def planted(case: str, seed: int) -> Planted:
     """What a case is."""
     what, begin = case.split(", ")
     if what.startswith("HRSC"):
-        return hrsc(float(what.split()[1]) * KM, 1600, float(begin), seed)
+        return hrsc(float(what.split()[1]) * KM, float(begin), seed)
     if what.startswith("Two"):
-        return hrsc(150.0 * KM, 800, float(begin), seed, (1.0, 0.2 if what.endswith("unlike") else 1.0))
+        return two_strips((1.0, 0.2 if what.endswith("unlike") else 1.0), seed)
     return ctx(what.endswith("alike"), float(begin), seed)
 
 

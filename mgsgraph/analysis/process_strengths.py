@@ -7,7 +7,11 @@ print(found)
 Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
 of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
 so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
-search begins with, with a deviation of `_COMMON` common to the axes and `_OWN` of each.
+search begins with, with a deviation common to the axes (`Process.spread`) and one of each (`strengths`).
+
+Where passes differ, each has strengths of its own, which depart from those in common; one that is hardly seen follows
+these. Passes differ where all departures together raise the restricted likelihood by more than noise does: not a
+process alone, since ties show position and attitude jointly, and what one is held to the other would make up for.
 
 Rays that scatter more than stated would be taken for a process: their sigmas count as right.
 
@@ -357,7 +361,7 @@ def estimated_strengths(
         errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
         if converged and not in_common:
-            in_common, (evidence, sought, steps) = True, _where_passes_differ(evidence, sought, steps)
+            in_common, (evidence, sought, steps) = True, where_passes_differ(evidence, sought, steps)
             converged = steps.size == errors.size
         if converged or done == most:
             break
@@ -378,7 +382,7 @@ def estimated_strengths(
     return EstimatedStrengths(network, solution, strengths, covariance, alike, converged, done)
 
 
-def _where_passes_differ(
+def where_passes_differ(
     evidence: Evidence, sought: list[Strength], steps: Array
 ) -> tuple[Evidence, list[Strength], Array]:
     """With strengths of each pass where the restricted likelihood asks for them: where twice its logarithm rises by
