@@ -356,8 +356,9 @@ def evidence(ratio: float, seed: int, noise: tuple[float, float] = (0.1, 0.1)) -
 
 def test_passes_that_differ_have_strengths_of_their_own() -> None:
     """The second moves a fifth as much: each axis of each pass is found, within its stated error."""
-    one = evidence(0.2, 2)
+    one = replace(evidence(0.2, 2), mean=np.array([0.1, 0.2, 0.3]))
     wide, strengths, steps = where_passes_differ(one, STRENGTHS, one.maximum())
+    np.testing.assert_array_equal(wide.mean, [0.1, 0.1, 0.2, 0.2, 0.3, 0.3])
     assert [(each.passes, each.axis) for each in strengths] == [((of,), k) for k in range(3) for of in ("one", "other")]
     errors = np.sqrt(np.diagonal(np.linalg.inv(wide.density(steps).information)))
     assert np.all(errors < 0.4)
