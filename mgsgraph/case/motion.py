@@ -148,8 +148,8 @@ class _OfProcess(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_onl
     correlation_time_s: float | None = None
     """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
     sigma_factor: Annotated[float, msgspec.Meta(gt=1.0, le=1000.0)] | None = None
-    """Its sigma is found from the measures, and known beforehand to this factor (one deviation, common to the axes); e
-    when "estimated" alone is said."""
+    """Its strength is found from the measures; its sigma is the a-priori value, within this factor (one standard
+    deviation, common to the axes). Of "estimated" alone: e."""
 
 
 class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
