@@ -3,6 +3,7 @@ by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`:
 departures that forget themselves in time (`network.passes.NodePrior`); and the numbers that a case file may hold.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
@@ -134,18 +135,21 @@ Strength = float | list[float] | Literal["estimated"]
 HIGHEST = 3
 """Degree of polynomials through four orientation images."""
 _BEGIN = {"m": 1.0, "mrad": 0.01}
-"""In each unit, where the search for an estimated strength begins."""
+"""In each unit, a-priori value of a strength that is "estimated"."""
 _NEGLIGIBLE = 1e-4
 """Of the constant's sigma, departures of what is a line in time beside the process of the other part."""
 _FOLLOWING = 0.01
 """Of the constant term's sigma: that of powers for which neither the pass nor [orientation] says any."""
 
 
-class _Times(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The times of a process."""
+class _OfProcess(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What all processes have."""
 
     correlation_time_s: float | None = None
     """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
+    sigma_factor: Annotated[float, msgspec.Meta(gt=1.0, le=1000.0)] | None = None
+    """Its strength is found from the measures; its sigma is the a-priori value, within this factor (one standard
+    deviation, common to the axes). Of "estimated" alone: e."""
 
 
 class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -160,7 +164,7 @@ class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     absorbed that is a little off; 0: not."""
 
 
-class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
+class ProcessInput(_OfProcess, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """A further process, which adds to that of the table that it stands in."""
 
     model: Kind
@@ -171,7 +175,7 @@ class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True
     """The same of the attitude."""
 
 
-class _Motion(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
+class _Motion(_OfProcess, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """What corrections of position and of attitude both have."""
 
     model: Model = "polynomial"
@@ -287,10 +291,10 @@ def _process(one: Motion | ProcessInput, motion: Motion, where: str) -> Process:
     if value is None:
         raise InputError(where, f"{one.model} without a sigma", f'{key}: a number, three, or "estimated"')
     _require_time(one, where)
-    estimated = value == "estimated"
-    sigmas = np.full(3, _BEGIN[motion.unit]) if estimated else three(value, f"{where}, {key}")
+    begin = np.full(3, _BEGIN[motion.unit]) if value == "estimated" else three(value, f"{where}, {key}")
+    estimated, spread = value == "estimated" or one.sigma_factor is not None, math.log(one.sigma_factor or math.e)
     with errors_from(where):
-        return Process(one.model, sigmas * motion.scale, one.correlation_time_s or 0.0, estimated)
+        return Process(one.model, begin * motion.scale, one.correlation_time_s or 0.0, estimated, spread)
 
 
 def _require_time(one: Motion | ProcessInput, where: str) -> None:

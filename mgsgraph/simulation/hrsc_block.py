@@ -11,7 +11,7 @@ consistent statistics: neighbouring points share posts of the terrain model and 
 their sigmas count with.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -126,6 +126,8 @@ class BlockSettings(Record):
     """s between the nodes of the truth, at most; None for a truth on the adjustment's own."""
     errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
     """Sigmas of the errors of the trajectories."""
+    wander: tuple[float, ...] = ()
+    """Of each strip, over the errors' departures from bias and drift; these alone when empty."""
     jitter: Jitter | None = None
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
@@ -194,6 +196,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     settings = settings or BlockSettings()
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
+    priors = [replace(prior, sigmas=one * prior.sigmas) for one in settings.wander or (1.0,) * settings.strips]
     flown, nodes = list[FlownStrip](), list[OrientationImages]()
     passes = _passes(settings)
     for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
@@ -203,13 +206,13 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
         nodes.append(evenly_spaced("lagrange", orbit.epoch, coverage, settings.spacing))
-        true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
+        true = true_correction(priors[k], nodes[k], settings.true_spacing, settings.jitter, rng)
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, of_points)
     surface, common, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
     trajectories = [
-        Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
+        Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, priors[k]) for k, one in enumerate(nodes)
     ]
     pictures = [image for one in flown for image in one.images]
     network = tie_network(pictures, trajectories, rays, len(points), surface, common)
