@@ -60,9 +60,9 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
         """The nodes of a pass of these images; `where` names this table."""
-        said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
-        if len(said) > 1:
-            raise InputError(where, listed(said), "one of them")
+        keys = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
+        if len(keys) > 1:
+            raise InputError(where, listed(keys), "one of them")
         edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
         if self.times_et_s or self.times_utc:
@@ -73,8 +73,8 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             reference = pictures[straightest(pictures)]
             first, last = seconds(reference)
             spacing = self.spacing_lines * (last - first) / reference.lines
-        key = said[0] if said else "spacing_s"
-        if said and spacing > stop - start:
+        key = keys[0] if keys else "spacing_s"
+        if keys and spacing > stop - start:
             raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the pass's {stop - start:.6g} s")
         if (stop - start) / spacing > _MOST_NODES:
             found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
@@ -241,8 +241,8 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
     values, degree = getattr(motion, key), motion.degree
     if degree is None:
         degree = len(values) - 1 if values is not None else len(default) - 1
-    said = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
-    of = "[orientation]" if motion.degree is None and values is None else said
+    place = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
+    of = "[orientation]" if motion.degree is None and values is None else place
     if degree < 0:
         raise InputError(of, "no sigma" if motion.degree is None else f"{degree}", f"a degree of 0 to {HIGHEST}: one "
                          "sigma for each of its terms")  # fmt: skip
@@ -253,9 +253,9 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         )  # fmt: skip
     if values is None:
         more = [_FOLLOWING * default[0]] * max(degree + 1 - len(default), 0)
-        found = np.array([*default[: degree + 1], *more])
-        require(np.all(np.isfinite(found)), where, "infinite sigmas, of [orientation]", "finite sigmas here")
-        return found
+        sigmas = np.array([*default[: degree + 1], *more])
+        require(np.all(np.isfinite(sigmas)), where, "infinite sigmas, of [orientation]", "finite sigmas here")
+        return sigmas
     if len(values) != degree + 1:
         terms = ", ".join(("1", "s", "s^2", "s^3")[: degree + 1])
         expected = f"{degree + 1} for degree = {degree}: of {terms}"
@@ -272,37 +272,37 @@ def processes(motion: Motion, where: str) -> tuple[Process, ...]:
         No strength; no correlation time where the kind has one; keys of another model.
     """
     _require_keys(motion, (*_OF_PROCESSES, "correlation_time_s", "plus"), where)
-    others = [_process(one, motion, f"{where}.plus[{k}]") for k, one in enumerate(motion.plus)]
-    return (_process(motion, motion, where), *others)
+    added = [_process(entry, motion, f"{where}.plus[{k}]") for k, entry in enumerate(motion.plus)]
+    return (_process(motion, motion, where), *added)
 
 
-def _process(one: Motion | ProcessInput, motion: Motion, where: str) -> Process:
+def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Process:
     """One of them; `motion` is the table that it stands in."""
-    assert one.model != "polynomial"
+    assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
     for strange in ("sigma_m", "sigma_mrad"):
-        if strange != key and getattr(one, strange, None) is not None:
+        if strange != key and getattr(entry, strange, None) is not None:
             raise InputError(where, f"{strange}, of {motion.what}", key)
-    value = getattr(one, key)
+    value = getattr(entry, key)
     if value is None:
-        raise InputError(where, f"{one.model} without a sigma", f'{key}: a number, three, or "estimated"')
-    _require_time(one, where)
+        raise InputError(where, f"{entry.model} without a sigma", f'{key}: a number, three, or "estimated"')
+    _require_time(entry, where)
     estimated = value == "estimated"
     sigmas = np.full(3, _BEGIN[motion.unit]) if estimated else three(value, f"{where}, {key}")
     with errors_from(where):
-        return Process(one.model, sigmas * motion.scale, one.correlation_time_s or 0.0, estimated)
+        return Process(entry.model, sigmas * motion.scale, entry.correlation_time_s or 0.0, estimated)
 
 
-def _require_time(one: Motion | ProcessInput, where: str) -> None:
+def _require_time(entry: Motion | ProcessInput, where: str) -> None:
     """Raise InputError unless a process has a correlation time where its kind has one."""
-    time, timed = one.correlation_time_s, one.model in ("gauss-markov", "matern-3/2", "matern-5/2")
+    time, timed = entry.correlation_time_s, entry.model in ("gauss-markov", "matern-3/2", "matern-5/2")
     if timed and (time is None or not 0.0 < time <= 1e9):
-        found = f"{one.model} without it" if time is None else f"{time:g}"
+        found = f"{entry.model} without it" if time is None else f"{time:g}"
         expected = "seconds in which departures forget themselves, above 0"
         remedy = 'nodes that know nothing of each other are a process model = "white"'
         raise InputError(f"{where}, correlation_time_s", found, expected, remedy)
     if not timed and time is not None:
-        found = f'correlation_time_s beside model = "{one.model}"'
+        found = f'correlation_time_s beside model = "{entry.model}"'
         raise InputError(where, found, "keys of that model alone", "take it out")
 
 
@@ -320,8 +320,8 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
             three(getattr(motion, key) or 0.0, f"{where}, {key}", zero=True) * motion.scale for key in keys
         )
         return bias, drift
-    said = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
-    sigmas = polynomial_sigmas(motion, default if said else default[:2], where)
+    stated = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
+    sigmas = polynomial_sigmas(motion, default if stated else default[:2], where)
     if len(sigmas) > 2:
         found = f"a polynomial of degree {len(sigmas) - 1} beside a process of the other part"
         raise InputError(where, found, "degree 0 or 1", "a process here, too")

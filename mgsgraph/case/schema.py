@@ -297,18 +297,18 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
         scale, unit = (MRAD, "mrad") if kind.unit == "rad" else kind.reported
-        wanted = f"sigma_{unit}"
+        sigma_key = f"sigma_{unit}"
         given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
-        if set(given) != {wanted}:
-            raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
+        if set(given) != {sigma_key}:
+            raise InputError(where, listed(list(given)) if given else "no sigma", f"{sigma_key} for {self.kind}")
         for name in self.images:
             if name not in names:
-                found, known = f"the image {name!r}", ", ".join(list(names)[:4])
-                raise InputError(f"{where}, images", found, f"some of the case's images ({known})")
+                found, some_names = f"the image {name!r}", ", ".join(list(names)[:4])
+                raise InputError(f"{where}, images", found, f"some of the case's images ({some_names})")
             if self.images.count(name) > 1:
                 raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * scale
+        sigmas = _sigmas(given[sigma_key], kind.width, f"{where}, {sigma_key}", self.kind) * scale
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 

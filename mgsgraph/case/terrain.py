@@ -184,9 +184,9 @@ def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
 
 def _about(ground: Array) -> Array:
     """(4 n, 3) m, points beside those of the ground (n, 3) by as far as heights and orientation may be wrong."""
-    known = ground[np.all(np.isfinite(ground), axis=1)]
-    aside = _BEYOND * east_north(known)
-    return np.concatenate([known + sign * aside[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
+    finite = ground[np.all(np.isfinite(ground), axis=1)]
+    offsets = _BEYOND * east_north(finite)
+    return np.concatenate([finite + sign * offsets[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
 
 
 def _ground(images: Sequence[PushbroomImage]) -> Array:

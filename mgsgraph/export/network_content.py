@@ -14,7 +14,7 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import leading
-from mgsgraph.files.networks.editing import SAME_PLACE, apart, united, with_measures
+from mgsgraph.files.networks.editing import SAME_PLACE, separation, united, with_measures
 from mgsgraph.files.networks.pvl import MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
 from mgsgraph.files.networks.table import read_whole
@@ -155,7 +155,7 @@ def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> Con
 
 
 def _measure(original: ControlMeasure, adjusted: ControlMeasure, met: Counter[str]) -> ControlMeasure:
-    if apart(original, adjusted) > SAME_PLACE:
+    if separation(original, adjusted) > SAME_PLACE:
         met["moved"] += 1
         return adjusted
     met[MEASURE_TYPES[original.type]] += 1

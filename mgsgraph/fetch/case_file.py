@@ -90,24 +90,24 @@ def _orientation(image: ImageNeeds) -> str:
     nominal = _MOC_NOMINAL if image.camera is None else ""
     mission = "MGS" if image.camera is None else image.camera.kernels.partition("_")[0].upper()
     return "".join([
-        "[orientation]\n", nominal, _said("degree = 2", "of the corrections"), *accuracy_of(mission).lines(),
-        _said("trend = [1.0, 0.1, 0.01]", "of these, for the terms 1, u, u^2"),
+        "[orientation]\n", nominal, _commented("degree = 2", "of the corrections"), *accuracy_of(mission).lines(),
+        _commented("trend = [1.0, 0.1, 0.01]", "of these, for the terms 1, u, u^2"),
     ])
 
 
 def _image(image: ImageNeeds, focal_length: float) -> str:
     return "".join([
         "[[images]]\n",
-        _said(f'name = "{image.product.name}"', f"{image.start}, orbit {image.orbit}"),
+        _commented(f'name = "{image.product.name}"', f"{image.start}, orbit {image.orbit}"),
         f'label = "{image.image_path}"\n',
-        _said('constants = "ik"', "of NAIF's instrument kernel, but for"),
-        _said(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
+        _commented('constants = "ik"', "of NAIF's instrument kernel, but for"),
+        _commented(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
     ])
 
 
 def _other_image(image: ImageNeeds) -> str:
     return "".join([
-        "[[images]]\n", _said(f'name = "{image.product.name}"', image.start), f'label = "{image.image_path}"\n',
+        "[[images]]\n", _commented(f'name = "{image.product.name}"', image.start), f'label = "{image.image_path}"\n',
     ])
 
 
@@ -120,7 +120,7 @@ def _other_shots(image: ImageNeeds) -> str:
     )
 
 
-def _said(line: str, comment: str) -> str:
+def _commented(line: str, comment: str) -> str:
     return f"{line:39} # {comment}\n"
 
 
@@ -148,6 +148,6 @@ def _terrain(grid: Grid) -> str:
     lines = ["[terrain]\n", f"radius = {files(grid.stems)}\n"]
     if len(grid.stems) == 1:  # of several tiles a case takes the radii only
         lines.append(f"topography = {files([topography(grid.stems[0])])}\n")
-    lines.append(_said(f"vertical_sigma_m = {grid.sigma}", "between its posts (docs/fetch.md)"))
-    lines.append(_said("planimetric_sigma_m = 100.0", "MOLA's (Kirk et al. 2002)"))
+    lines.append(_commented(f"vertical_sigma_m = {grid.sigma}", "between its posts (docs/fetch.md)"))
+    lines.append(_commented("planimetric_sigma_m = 100.0", "MOLA's (Kirk et al. 2002)"))
     return "".join(lines)

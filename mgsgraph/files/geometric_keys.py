@@ -258,11 +258,11 @@ def _of(name: str, keys: Iterable[Key]) -> Key | None:
 
 def unread(names: Iterable[str], keys: Iterable[Key]) -> list[str]:
     """Names that look geometric and that a format's table does not have."""
-    known = tuple(keys)
+    table = tuple(keys)
     return [
         name for name in names
-        if _GEOMETRIC.search(name.upper()) and not _OTHERS.fullmatch(name.upper()) and _of(name, known) is None
-        and not any(re.fullmatch(one, name.upper()) for one in _NO_MATTER)
+        if _GEOMETRIC.search(name.upper()) and not _OTHERS.fullmatch(name.upper()) and _of(name, table) is None
+        and not any(re.fullmatch(pattern, name.upper()) for pattern in _NO_MATTER)
     ]  # fmt: skip
 
 
@@ -278,12 +278,12 @@ def require_once(root: Block, keys: Iterable[Key]) -> None:
     """Raise InputError where two objects of a label contradict each other about a key of the format's table, but for
     those of single columns.
     """
-    known, said = tuple(keys), dict[str, tuple[str, Block]]()
+    table, first_stated = tuple(keys), dict[str, tuple[str, Block]]()
     for block in all_blocks(root):
         for name, value in texts(block).items() if block.name != "column" else ():
             plain = value.strip("\"' ").upper()
-            before, other = said.setdefault(name, (plain, block))
-            if before != plain and _of(name, known) is not None:
+            before, other = first_stated.setdefault(name, (plain, block))
+            if before != plain and _of(name, table) is not None:
                 raise InputError(block.where(name), repr(value)[:60], f"{before}, as {other.where(name)} says")
 
 

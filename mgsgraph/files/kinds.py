@@ -106,7 +106,7 @@ def kind_of(path: Path) -> Kind | None:
 
 def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
     """What each look at a file's head finds, the surest first; None where it finds nothing."""
-    yield _MEGDR_KINDS[found[1].lower()] if (found := _MEGDR.fullmatch(path.name)) else None
+    yield _MEGDR_KINDS[match[1].lower()] if (match := _MEGDR.fullmatch(path.name)) else None
     yield _tiff(head)
     yield _kernel(head)
     text = head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n").lstrip("\ufeffï»¿ \n\t")

@@ -94,14 +94,14 @@ def _regular(path: Path, limit: int) -> int:
         descriptor = os.open(path, _FLAGS)
     except ValueError:  # a zero or a lone surrogate, out of JSON
         raise InputError(str(path), "no name of a file", "a path") from None
-    found = os.fstat(descriptor)
-    kind = next((word for is_kind, word in _NO_FILES if is_kind(found.st_mode)), "")
-    if not kind and found.st_size <= limit:
+    status = os.fstat(descriptor)
+    kind = next((word for is_kind, word in _NO_FILES if is_kind(status.st_mode)), "")
+    if not kind and status.st_size <= limit:
         return descriptor
     os.close(descriptor)
     if kind:
         raise InputError(str(path), kind, "a file")
-    raise InputError(str(path), f"{found.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
+    raise InputError(str(path), f"{status.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
 
 
 def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
@@ -237,8 +237,8 @@ def require_bearable(value: object, where: str, infinite: bool = False) -> None:
     level = [value]
     for _ in range(DEEPEST):
         inner = list[object]()
-        for one in level:
-            for item in one.values() if isinstance(one, dict) else one if isinstance(one, list) else ():
+        for outer in level:
+            for item in outer.values() if isinstance(outer, dict) else outer if isinstance(outer, list) else ():
                 kind = type(item)
                 if kind is dict or kind is list:
                     inner.append(item)

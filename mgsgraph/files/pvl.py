@@ -446,16 +446,16 @@ def data_location(path: Path, root: Block) -> tuple[Path, int]:
 
 def _beside(path: Path, name: str, root: Block) -> Path:
     """The file of this name, in any case, in the label's folder."""
-    if found := files_called(path, name):
-        return found[0]
+    if files := files_called(path, name):
+        return files[0]
     raise InputError(root.where("^IMAGE"), f"the file {name}, which is not there", "it in the label's folder")
 
 
 def files_called(path: Path, name: str) -> list[Path]:
     """Those of this name, in any case, in a file's folder; the one in just this case is the first."""
     beside = path.parent.iterdir() if path.parent.is_dir() else ()
-    found = [file for file in beside if file.name.lower() == name.lower()]
-    return sorted(found, key=lambda file: file.name != name)
+    matches = [file for file in beside if file.name.lower() == name.lower()]
+    return sorted(matches, key=lambda file: file.name != name)
 
 
 def bytes_around(image: Block) -> tuple[int, int]:
@@ -489,11 +489,11 @@ def text_value(text: str, where: str) -> str:
     if not text:
         return "Null"
     quote = "'" if '"' in text else '"'
-    found = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
+    fault = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
     if any("\ud800" <= character <= "\udfff" for character in text):
-        found = "half a character"
-    if found:
-        raise InputError(where, f"{found} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
+        fault = "half a character"
+    if fault:
+        raise InputError(where, f"{fault} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
     return f"{quote}{text}{quote}"
 
 

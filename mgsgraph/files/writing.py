@@ -37,8 +37,8 @@ class Output:
 
 def begins(what: str, pattern: str) -> Output:
     """A kind of file that is known by how its text begins, in a line of its first bytes."""
-    wanted = re.compile(pattern, re.IGNORECASE)
-    return Output(what, lambda path: wanted.match(head_of(path, _HEAD).decode("utf-8-sig", "replace")) is not None)
+    regex = re.compile(pattern, re.IGNORECASE)
+    return Output(what, lambda path: regex.match(head_of(path, _HEAD).decode("utf-8-sig", "replace")) is not None)
 
 
 # --- writing
@@ -69,10 +69,10 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "", over: Output | 
     require_free(path, over, expected, remedy)
     with writing_to(path, expected, remedy):
         require_folder_above(path, str(path), remedy)
-        with made_beside(path) as aside:
-            yield aside
+        with made_beside(path) as temporary:
+            yield temporary
             require_free(path, over, expected, remedy)
-            aside.replace(path)
+            temporary.replace(path)
 
 
 @contextmanager
@@ -102,8 +102,8 @@ def write_file(
     path: Path, content: str | bytes, expected: str = "", remedy: str = "", over: Output | None = None
 ) -> None:
     """Write a file that is there whole or not at all: bytes, or text as UTF-8; see `fresh_file`."""
-    with fresh_file(path, expected, remedy, over) as aside:
-        aside.write_bytes(content.encode() if isinstance(content, str) else content)
+    with fresh_file(path, expected, remedy, over) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def require_writable(folder: Path) -> None:
@@ -162,8 +162,8 @@ def write_page(template: str, content: Mapping[str, Any], path: Path) -> None:
         loader=jinja2.PackageLoader("mgsgraph", ""), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    with fresh_file(path, "a file that may be written", "choose another --out", page_of(template)) as aside:
-        pages.get_template(template).stream(content).dump(str(aside), encoding="utf-8")
+    with fresh_file(path, "a file that may be written", "choose another --out", page_of(template)) as temporary:
+        pages.get_template(template).stream(content).dump(str(temporary), encoding="utf-8")
 
 
 MATCH = "match.json"
@@ -200,8 +200,8 @@ def read_record(path: Path) -> dict[str, Any]:
     end = (_MARK % 0).encode()
     body, mark = content[: -len(end)], content[-len(end) :]
     sealed = mark == (_MARK % zlib.crc32(body)).encode()
-    alike = sum(one == other for k, (one, other) in enumerate(zip(mark, end, strict=False)) if end[k : k + 1] != b"0")
-    record = json_object(content, where) if sealed or alike < _ALIKE else {_KEY: ""}
+    same = sum(a == b for k, (a, b) in enumerate(zip(mark, end, strict=False)) if end[k : k + 1] != b"0")
+    record = json_object(content, where) if sealed or same < _ALIKE else {_KEY: ""}
     if not sealed and _KEY in record:
         raise InputError(where, "is damaged, or was changed (its checksum is another one)", remedy=_REMEDY)
     record.pop(_KEY, None)
@@ -216,8 +216,8 @@ def require_as_recorded(path: Path, content: bytes) -> None:
     beside = path.with_name(MATCH)
     if not beside.is_file() or path.stat().st_mtime > beside.stat().st_mtime + _AT_ONCE:
         return
-    known = read_record(beside).get(FILES)
-    digest = known.get(path.name) if isinstance(known, dict) else None
+    recorded = read_record(beside).get(FILES)
+    digest = recorded.get(path.name) if isinstance(recorded, dict) else None
     if digest is not None and digest != sha256(content).hexdigest():
         found, expected = "is damaged, or was changed since", f"the content that {MATCH} beside it has noted"
         remedy = "match again; if it was changed on purpose, touch it, or give it another name or folder"

@@ -123,16 +123,16 @@ SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
 
-def require_lengths(found: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
+def require_lengths(lengths: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
     """Raise InputError where lengths (n,) in m are more than `near` times those expected (n,) in m, or less, by the
     median ratio, which says whether metres and kilometres were exchanged.
     """
-    ratio = float(np.median(found / expected))
+    ratio = float(np.median(lengths / expected))
     if 1.0 / near < ratio < near:
         return
     remedy = exchanged_units(ratio) or "check file and images"
     raise InputError(
-        source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
+        source, f"{what} of {np.median(lengths) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
         f"about {np.median(expected) / 1e3:,.6g} km", remedy,
     )  # fmt: skip
 
@@ -329,7 +329,7 @@ class AltimeterShots(Record):
 
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
-        names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
+        names = [field.name for field in fields(self) if field.name not in ("source", "altimeter")]
         some: dict[str, Any] = {name: read_only(getattr(self, name)[which]) for name in names}
         return replace(self, **some)
 
@@ -408,13 +408,13 @@ def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
 
     Where files number other shots alike (lines of tables), frames are numbered anew.
     """
-    names = {one.altimeter.name: one.source for one in parts}
+    names = {part.altimeter.name: part.source for part in parts}
     if len(names) > 1:
         found = " and ".join(f"{source} ({name})" for name, source in names.items())
         raise InputError(found, "shots of several altimeters", "files of one", "select them one after the other")
     values = {
-        one.name: np.concatenate([getattr(part, one.name) for part in parts])
-        for one in fields(AltimeterShots) if one.name not in ("source", "altimeter")
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(AltimeterShots) if field.name not in ("source", "altimeter")
     }  # fmt: skip
     places = np.round(values["footprints"] / _SAME_PLACE).astype(np.int64)
     keys = np.column_stack([np.round(values["times"] / _SAME_TIME).astype(np.int64), places])
@@ -473,13 +473,13 @@ class AltimetryCloud(Record):
 
     def chosen(self, which: Mask) -> "AltimetryCloud":
         """The shots of a mask (n,), and of the profiles those that still have any."""
-        kept, profile = np.unique(self.profile[which], return_inverse=True)
+        profiles, profile = np.unique(self.profile[which], return_inverse=True)
         return replace(
             self,
             ids=self.ids[which],
             points=self.points[which],
             times=self.times[which],
-            profiles=tuple(self.profiles[k] for k in kept),
+            profiles=tuple(self.profiles[k] for k in profiles),
             profile=profile,
         )
 

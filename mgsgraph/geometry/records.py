@@ -33,21 +33,21 @@ def is_frozen(value: Any, kind: Any) -> bool:
 
 def of_kind(value: Any, kind: type[_Scalar]) -> NDArray[_Scalar]:
     """An array of a kind: the value itself where nobody can write to it, else a copy."""
-    found: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
-    return found
+    array: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
+    return array
 
 
-def read_only(made: NDArray[_Scalar]) -> NDArray[_Scalar]:
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
     """An array that was just made, and that nobody else knows: it becomes read-only, so that no record copies it."""
-    made.flags.writeable = False
-    return made
+    array.flags.writeable = False
+    return array
 
 
 def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Read-only array of a shape that holds one value again and again, in the memory of one."""
-    one = np.array(value, dtype=np.float64)
-    one.flags.writeable = False
-    return np.broadcast_to(one, shape)
+    element = np.array(value, dtype=np.float64)
+    element.flags.writeable = False
+    return np.broadcast_to(element, shape)
 
 
 def repeats(values: NDArray[Any]) -> bool:

@@ -152,8 +152,8 @@ def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0, version: str
 def pedr_version(path: Path, label: Block | None, version: str | None) -> str:
     """The version letter that the caller, the file's name or its label gives; InputError without one up to L."""
     names = [path.name] + ([label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if key in label] if label else [])
-    found = [match[1] for name in names if (match := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
-    letter = (version if version is not None else (found or [""])[0]).upper()
+    letters = [hit[1] for name in names if (hit := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
+    letter = (version if version is not None else (letters or [""])[0]).upper()
     if not re.fullmatch("[A-L]", letter):
         raise InputError(
             str(path), f"the product version {letter!r}" if letter else "no product version in its name or label",
@@ -264,14 +264,14 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
     """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
     software, corrections = _software(label), _crossover(frames)
     parts = [
-        _columns(frames[k : k + _FRAMES], k, software, [one[k : k + _FRAMES] for one in corrections], clock_bias)
+        _columns(frames[k : k + _FRAMES], k, software, [column[k : k + _FRAMES] for column in corrections], clock_bias)
         for k in range(0, frames.size, _FRAMES)
     ]
     if not any(part["times"].size for part in parts):
         raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
     names = tuple(parts[0])
-    every: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
-    return AltimeterShots(source=str(path), **every)
+    fields: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
+    return AltimeterShots(source=str(path), **fields)
 
 
 def _columns(
@@ -299,16 +299,16 @@ def _columns(
     spacecraft = [across(f"spacecraft_{name}", _MICRODEG) for name in ("longitude", "latitude")]
     tick = 1e7 / np.where(frames["clock"] > 0, frames["clock"], np.nan)[:, None]  # s, a tenth by the altimeter's clock
     times = field("seconds") + field("microseconds", 1e-6) + x * SHOTS * tick + clock_bias
-    kept = (raw > 0.0).ravel()
+    has_radius = (raw > 0.0).ravel()
 
     def flat(values: Array) -> Array:
-        return np.broadcast_to(values, raw.shape).ravel()[kept]
+        return np.broadcast_to(values, raw.shape).ravel()[has_radius]
 
     def placed(values: Array) -> Array:
-        return from_planetocentric(values).reshape(-1, 3)[kept]
+        return from_planetocentric(values).reshape(-1, 3)[has_radius]
 
     def whole(values: NDArray[np.integer]) -> Index:
-        return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
+        return np.broadcast_to(values, raw.shape).ravel()[has_radius].astype(np.int64)
 
     ground = frames["shot_class"] == 1
     ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
@@ -323,7 +323,7 @@ def _columns(
         "range_corrections": flat(frames["range_correction"] * _CM),
         "spacecraft": placed(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)),
         "off_nadir": flat(field("off_nadir", _MICRODEG)),
-        "ground": ground.ravel()[kept],
+        "ground": ground.ravel()[has_radius],
         "channels": whole(frames["channel"]),
         "clocks": flat(field("clock")),
         "pulses": flat(np.where(pulses > 0.0, pulses, np.nan)),
@@ -389,8 +389,8 @@ def is_lola_rdr(content: bytes) -> bool:
     """Whether a file's records are those of LOLA: the radius of the Moon's geoid is where the format has it."""
     whole = len(content) // RECORD.itemsize * RECORD.itemsize
     radii = np.frombuffer(content[:whole], RECORD)["selenoid_radius"]
-    known = radii[radii != _NONE][:64]
-    return bool(known.size and np.all((known > _SELENOID[0]) & (known < _SELENOID[1])))
+    stated = radii[radii != _NONE][:64]
+    return bool(stated.size and np.all((stated > _SELENOID[0]) & (stated < _SELENOID[1])))
 
 
 def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> AltimeterShots:

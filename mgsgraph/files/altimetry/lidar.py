@@ -216,12 +216,12 @@ def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list
     spherical = planetocentric(positions)
     # rad and m in the file: longitude comes first in our Jacobian, latitude in the file
     jacobian = planetocentric_jacobian(spherical)[:, :, [1, 0, 2]]
-    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
-    known = np.asarray(known & covariances.any(axis=(1, 2)))
-    half = np.linalg.solve(jacobian[known], covariances[known])
-    matrix = np.linalg.solve(jacobian[known], np.swapaxes(half, 1, 2))
+    stated = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
+    stated = np.asarray(stated & covariances.any(axis=(1, 2)))
+    half = np.linalg.solve(jacobian[stated], covariances[stated])
+    matrix = np.linalg.solve(jacobian[stated], np.swapaxes(half, 1, 2))
     triangles = iter(matrix[:, *np.triu_indices(3)].tolist())
-    matrices = [next(triangles) if there else None for there in known]
+    matrices = [next(triangles) if is_stated else None for is_stated in stated]
     return np.column_stack([spherical[:, 1] / DEG, spherical[:, 0] / DEG % 360.0, spherical[:, 2] / KM]), matrices
 
 

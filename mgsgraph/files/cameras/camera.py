@@ -437,7 +437,7 @@ def _require_inverse(keywords: Keywords, code: int, to_pixel: Array) -> None:
     if all(name in keywords for name in names):
         back = np.stack([keywords.numbers(name, 3)[[2, 1]] for name in names])
         if np.abs(to_pixel[:, 1:] @ back - np.eye(2)).max() > _INVERSE:
-            found = ", ".join(f"{one:.7g}" for one in to_pixel[:, 1:].ravel())
+            found = ", ".join(f"{element:.7g}" for element in to_pixel[:, 1:].ravel())
             raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "mend one")
 
 

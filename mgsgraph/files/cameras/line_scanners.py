@@ -291,7 +291,7 @@ def themis_of_line(line: float) -> ThemisIrDistortion | None:
     it is no band's.
     """
     for k, (*lines, along) in enumerate(zip(_INTEGRATED, _SINGLE, _ALONG, strict=True)):
-        if any(abs(_MIDDLE_LINE - ISIS_OFFSET - one + along - line) < 1e-3 for one in lines):
+        if any(abs(_MIDDLE_LINE - ISIS_OFFSET - detector_line + along - line) < 1e-3 for detector_line in lines):
             return ThemisIrDistortion(_K[k], _A1, _A2)
     return None
 

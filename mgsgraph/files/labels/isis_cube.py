@@ -114,7 +114,7 @@ def position_table(table: CubeTable, epoch: float) -> PositionTable:
     with errors_from(table.where):
         if table.sampled:
             return PositionTable(table.times - epoch, table.stack(_POSITION) * KM, table.velocities * KM)
-        times, values, rates = _laid_out(table, _COEFFICIENTS)
+        times, values, rates = _evaluated(table, _COEFFICIENTS)
         return PositionTable(times - epoch, values * KM, rates * KM)
 
 
@@ -123,12 +123,12 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
     with errors_from(table.where):
         if table.sampled:
             return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
-        times, angles, _ = _laid_out(table, _ANGLES)
+        times, angles, _ = _evaluated(table, _ANGLES)
         quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
         return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
 
 
-def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
+def _evaluated(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
     """Times (n,) in s TDB past J2000 over the table's coverage, values (n, 3) and rates (n, 3) of its polynomials.
 
     The last record holds base time, time scale and degree: t = (ET - base time) / time scale.
@@ -151,34 +151,34 @@ def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, A
 
 def tables_of_json(content: Mapping[str, Any], source: str) -> dict[str, CubeTable]:
     """Tables by ISIS's names."""
-    found = dict[str, CubeTable]()
+    tables = dict[str, CubeTable]()
     for name, key in _JSON_NAMES.items():
         if key in content:
-            found[name] = _of_json(content[key], f"{source}, {key}")
-    return found
+            tables[name] = _of_json(content[key], f"{source}, {key}")
+    return tables
 
 
-def _of_json(said: Any, where: str) -> CubeTable:
-    if not isinstance(said, dict):
-        raise InputError(where, repr(said)[:60], "a table")
+def _of_json(table: Any, where: str) -> CubeTable:
+    if not isinstance(table, dict):
+        raise InputError(where, repr(table)[:60], "a table")
     columns = dict[str, Array]()
     for key, names in (
         ("positions", _POSITION), ("velocities", _VELOCITY), ("quaternions", _QUATERNION),
         ("angular_velocities", _RATES),
     ):  # fmt: skip
-        if key in said:
-            values = _numbers(said[key], (None, len(names)), f"{where}, {key}")
+        if key in table:
+            values = _numbers(table[key], (None, len(names)), f"{where}, {key}")
             columns |= dict(zip(names, values.T, strict=True))
-    if "ephemeris_times" in said:
-        columns["ET"] = _numbers(said["ephemeris_times"], (None,), f"{where}, ephemeris_times")
+    if "ephemeris_times" in table:
+        columns["ET"] = _numbers(table["ephemeris_times"], (None,), f"{where}, ephemeris_times")
     lengths = {column.size for column in columns.values()}
     if len(lengths) != 1 or 0 in lengths:
         found = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
         raise InputError(where, found or "no columns", "as many of each, and some")
-    if "constant_rotation" not in said and len(said.get("constant_frames") or ()) > 1:
-        found = f"constant_frames {said['constant_frames']} without constant_rotation"
+    if "constant_rotation" not in table and len(table.get("constant_frames") or ()) > 1:
+        found = f"constant_frames {table['constant_frames']} without constant_rotation"
         raise InputError(where, found, "the rotation between them")
-    constant = _numbers(said.get("constant_rotation", np.eye(3).ravel().tolist()), (9,), f"{where}, constant_rotation")
+    constant = _numbers(table.get("constant_rotation", np.eye(3).ravel().tolist()), (9,), f"{where}, constant_rotation")
     return CubeTable(where, columns, constant.reshape(3, 3), None, None)
 
 
@@ -214,10 +214,10 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
     order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
     with opened(path, ANY_SIZE) as file:
-        there = max(os.fstat(file.fileno()).st_size - start, 0)
-        if there < size:
+        available = max(os.fstat(file.fileno()).st_size - start, 0)
+        if available < size:
             remedy = "the cube is cut short, or a label alone: name the cube, or put its tables beside it (.isd)"
-            raise InputError(where, f"{there} bytes from byte {start + 1} on", f"{size}", remedy)
+            raise InputError(where, f"{available} bytes from byte {start + 1} on", f"{size}", remedy)
         file.seek(start)
         raw = file.read(size)
     numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))

@@ -32,7 +32,7 @@ def require_uncut(path: Path, text: bytes) -> None:
         if assigned := _ASSIGNED.match(line):
             variable = f", {assigned[1].decode('latin-1')}"
         where, texts = f"{path}, line {number}{variable}", _QUOTED.findall(line) if paths else []
-        longest, length = max((len(one.replace(b"''", b"'")) for one in texts), default=0), len(line.rstrip())
+        longest, length = max((len(word.replace(b"''", b"'")) for word in texts), default=0), len(line.rstrip())
         if longest > _LONGEST_TEXT:
             raise InputError(where, f"a text of {longest} characters", remedy=_REMEDY)
         if length > _LONGEST_LINE:

@@ -128,10 +128,10 @@ def binary_content(data: bytes, source: str) -> BinaryContent:
         begin, end = (
             _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
         )
-    known = _head_of(head, version, source)
+    header = _head_of(head, version, source)
     if not end.size:
         raise InputError(source, "no control point", "an ISIS control network that has some")
-    return BinaryContent(known, data, begin, end)
+    return BinaryContent(header, data, begin, end)
 
 
 def _label_of(data: bytes, source: str) -> tuple[str, Block]:
@@ -309,9 +309,9 @@ def _decoded(content: BinaryContent) -> PointArrays:
     _require(_shown(names) & (types >= 0) & (types < _OF_OLD.size), content)
     if names.first_repeated is not None:
         number = names.first_repeated
-        earlier = names.tolist().index(names[number])
+        first_index = names.tolist().index(names[number])
         where = f"{content.where(number)} ({names[number]})"
-        raise InputError(where, f"the id twice, first at point {earlier + 1}", "each id once")
+        raise InputError(where, f"the id twice, first at point {first_index + 1}", "each id once")
     point, types = np.repeat(np.arange(n), count), _OF_OLD[types]
     sound = _shown(distinct)[image] & (kinds >= 0) & (kinds < len(MeasureType)) & ~np.any(np.isinf(measures), axis=1)
     _require(np.bincount(point[~sound], minlength=n) == 0, content)
@@ -334,12 +334,12 @@ def _names_at(content: np.ndarray, spans: Index) -> Names:
 def _shown(names: Names) -> Mask:
     """Which names (n,) can be shown (`record.require_shown`)."""
     sizes = np.diff(names.offsets)
-    found = (sizes >= 1) & (sizes <= LONGEST_NAME)
+    valid = (sizes >= 1) & (sizes <= LONGEST_NAME)
     if not names.data.tobytes().isascii() or not names.text.isprintable():
         texts = [names.data[a:b].tobytes().decode(errors="replace") for a, b in pairwise(names.offsets.tolist())]
-        found = np.array([text.isprintable() and "\ufffd" not in text and 1 <= len(text) <= LONGEST_NAME
+        valid = np.array([text.isprintable() and "\ufffd" not in text and 1 <= len(text) <= LONGEST_NAME
                           for text in texts])  # fmt: skip
-    return found
+    return valid
 
 
 def _require(sound: Mask, content: BinaryContent) -> None:
@@ -386,7 +386,7 @@ def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
     if not network.points:
         raise InputError(network.source or "network", "no control point", "some to write")
-    points, measures = points_content(network.points, network.where), sum(len(one.measures) for one in network.points)
+    points, measures = points_content(network.points, network.where), sum(len(p.measures) for p in network.points)
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))
     return b"".join((label, header, points))

@@ -183,7 +183,7 @@ def _plan(message: str) -> list[tuple[str, str, str, Callable[[Any, str], Any] |
         plain = "".join(map(str.capitalize, name.split("_")))
         key, check = _KEYS.get((message, name), (plain, _optional if kind == "number" else None))
         plan.append((name, kind.rstrip("*+"), key, check))
-    return [one for one in plan if one[1] in _KINDS]
+    return [field for field in plan if field[1] in _KINDS]
 
 
 _PLANS = {message: _plan(message) for message in ("Point", "Measure")}
@@ -191,13 +191,13 @@ _PLANS = {message: _plan(message) for message in ("Point", "Measure")}
 
 def _values(message: Any, kind: str, texts: Texts) -> dict[str, Any]:
     """Values of a message's fields, which are checked, by their names."""
-    found = {}
+    values = {}
     for name, field, key, check in _PLANS[kind]:
         value = getattr(message, name)
         if field == "text":
             value = texts[value]
-        found[name] = value if check is None else check(value, key)
-    return found
+        values[name] = value if check is None else check(value, key)
+    return values
 
 
 # --- records of messages
@@ -225,7 +225,7 @@ def read_point(message: Any, where: str, texts: Texts) -> ControlPoint:
 
 def _read_measure(message: Any, number: int, texts: Texts) -> ControlMeasure:
     try:
-        log = [(one.kind, _optional(one.value, "log data")) for one in message.log]
+        log = [(entry.kind, _optional(entry.value, "log data")) for entry in message.log]
         figures = tuple((kind, value) for kind, value in log if kind > 0 and value is not None)  # as IsValid has it
         return ControlMeasure(log=figures, **_values(message, "Measure", texts))
     except InputError as error:
@@ -248,8 +248,8 @@ def point_message(point: ControlPoint) -> Any:
     """The message of a point; None is left out, the sources are not, as in ISIS."""
     log = message_class("Log")
     measures = [
-        _message(one, "Measure", log=[log(kind=kind, value=finite(value, "log")) for kind, value in one.log])
-        for one in point.measures
+        _message(measure, "Measure", log=[log(kind=kind, value=finite(value, "log")) for kind, value in measure.log])
+        for measure in point.measures
     ]
     places = {
         f"{stage}_{axis}": value
@@ -299,15 +299,15 @@ def second_versions(network: Any, log: Any, where: str) -> Iterator[Any]:
     _require_same(len(log.points), len(network.points), f"{where}, LogData, points")
     for number, (point, figures) in enumerate(zip(network.points, log.points, strict=True), start=1):
         _require_same(len(figures.measures), len(point.measures), f"{where}, LogData, point {number}, measures")
-        made = message_class("Point")(**_set(point))
+        converted = message_class("Point")(**_set(point))
         for measure, merit in zip(point.measures, figures.measures, strict=True):
-            added = made.measures.add(**_set(measure), **_set(measure.place))
+            added = converted.measures.add(**_set(measure), **_set(measure.place))
             added.type = measure.type - 1 if measure.type != UNSET else UNSET
-            for one in merit.log:
-                added.log.add(**_set(one))
-        if made.apriori_covariance:
-            made.type = int(PointType.CONSTRAINED)
-        yield made
+            for entry in merit.log:
+                added.log.add(**_set(entry))
+        if converted.apriori_covariance:
+            converted.type = int(PointType.CONSTRAINED)
+        yield converted
 
 
 def _set(message: Any) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def read_megdr(
     """
     image, label = _files(path)
     layout = _from_label(label, image) if label is not None else _from_name(image)
-    expected = {layout.skipped + layout.lines * layout.samples * np.dtype(one).itemsize: one for one in layout.types}
+    expected = {layout.skipped + layout.lines * layout.samples * np.dtype(kind).itemsize: kind for kind in layout.types}
     with opened(image, ANY_SIZE) as file, understood(str(image), "a MEGDR grid"):
         size = os.fstat(file.fileno()).st_size
         if size not in expected:
@@ -119,10 +119,10 @@ def read_megdr(
     if near is not None:
         longitudes, latitudes, _ = planetocentric(near).T
         at = np.column_stack([first[0] - latitudes, longitudes - first[1]]) / step
-        found = window(at, counts.shape, _MARGIN, 2.0 * np.pi / step, wraps)
-        if found is None:
+        part = window(at, counts.shape, _MARGIN, 2.0 * np.pi / step, wraps)
+        if part is None:
             return None
-        rows, columns = found
+        rows, columns = part
     # counts are whole metres below 2^15: float32 holds them and the radii (to 0.25 m) in half the memory
     posts = counts[rows][:, columns].astype(np.float32) * np.float32(layout.scale) + np.float32(layout.offset)
     return TerrainGrid(
@@ -245,7 +245,7 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
     north, west = layout.latitude + 0.5 / layout.resolution, layout.longitude - 0.5 / layout.resolution
     south, east = north - layout.lines / layout.resolution, west + layout.samples / layout.resolution
     scale = label.number("A_AXIS_RADIUS") * DEG / layout.resolution if "A_AXIS_RADIUS" in label else 0.0
-    for keys, found, slack in (
+    for keys, computed, slack in (
         ("MAXIMUM_LATITUDE", north, _PART / layout.resolution), ("MINIMUM_LATITUDE", south, _PART / layout.resolution),
         ("WESTERNMOST_LONGITUDE WEST_LONGITUDE", west, _PART / layout.resolution),
         ("EASTERNMOST_LONGITUDE EAST_LONGITUDE", east, _PART / layout.resolution), ("MAP_SCALE", scale, 0.01 * scale),
@@ -254,9 +254,9 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
         for key in keys.split():
             if key not in label or (key == "MAP_SCALE" and not scale):
                 continue
-            off = abs(label.number(key) - found)
+            off = abs(label.number(key) - computed)
             if min(off, abs(off - 360.0) if "LONGITUDE" in key else off) > slack:
-                expected = f"{found:.9g}, as the label's other keys say"
+                expected = f"{computed:.9g}, as the label's other keys say"
                 raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid anew")
     if _NAME.fullmatch(image.name):
         named = _from_name(image)

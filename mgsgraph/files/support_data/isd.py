@@ -97,12 +97,12 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             "name it as image = ..., with the cube's label beside it",
         )  # fmt: skip
     require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
-    said = validated(content, SupportData, source)
+    support = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)
-    keywords, remarks = keywords_of_camera(said, source)
-    remarks += contradictions_of_times(said, keywords, source)
-    isd, repairs = repaired(said, source)
-    remarks += lopsided(isd) if isd.line_scan_rate is said.line_scan_rate else ()
+    keywords, remarks = keywords_of_camera(support, source)
+    remarks += contradictions_of_times(support, keywords, source)
+    isd, repairs = repaired(support, source)
+    remarks += lopsided(isd) if isd.line_scan_rate is support.line_scan_rate else ()
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     with errors_from(source):
@@ -123,8 +123,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
 def _unread(content: dict[str, Any]) -> list[str]:
     names = [f"{key}.{inner}" for key, value in content.items() if isinstance(value, dict) for inner in value]
     names += [key for key, value in content.items() if not isinstance(value, dict)]
-    found = unread([one for one in names if not one.startswith("naif_keywords")], SUPPORT_DATA)
-    return [f"nothing reads the key {', '.join(found)}"] if found else []
+    keys = unread([name for name in names if not name.startswith("naif_keywords")], SUPPORT_DATA)
+    return [f"nothing reads the key {', '.join(keys)}"] if keys else []
 
 
 def _timing(isd: SupportData, source: str) -> LineTiming:
@@ -196,7 +196,7 @@ def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: 
 def _record(kind: Any) -> type[msgspec.Struct] | None:
     """The record that a field holds, which may be optional."""
     choices: Sequence[Any] = (kind, *getattr(kind, "__args__", ()))
-    return next((one for one in choices if isinstance(one, type) and issubclass(one, msgspec.Struct)), None)
+    return next((choice for choice in choices if isinstance(choice, type) and issubclass(choice, msgspec.Struct)), None)
 
 
 def positions(
@@ -228,8 +228,8 @@ def positions(
     if stated.correction == "NONE":
         return apparent, list(remarks_on(stated, why))
     radius = 0.5 * (body.equatorial + body.polar)
-    found = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
-    return found, list(remarks_on(stated, why))
+    true = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
+    return true, list(remarks_on(stated, why))
 
 
 def require_j2000(table: StateTable | RotationTable, where: str) -> None:
@@ -309,11 +309,11 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
         Where something is known to be wrong, but not what would be right.
     """
     _require_units(isd, source)
-    said = list[str]()
+    remarks = list[str]()
     for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc, _ctx, _themis):
         isd, words = repair(isd, source)
-        said += words
-    return isd, said
+        remarks += words
+    return isd, remarks
 
 
 def _require_units(isd: SupportData, source: str) -> None:
@@ -344,7 +344,7 @@ def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, lis
     correction is still to be made; ALE's times hold it.
     """
     code_of = re.compile(rf"INS(-?\d{{1,9}})_{CORRECTIONS[1]}", re.ASCII)
-    codes = {int(found[1]) for key in isd.naif_keywords if (found := code_of.fullmatch(key))}
+    codes = {int(match[1]) for key in isd.naif_keywords if (match := code_of.fullmatch(key))}
     if len(isd.line_scan_rate) != 1 or len(codes) != 1:
         return isd, []
     keywords, code = NaifKeywords(source, isd.naif_keywords), codes.pop()
@@ -397,7 +397,7 @@ def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     coefficients = isd.optical_distortion.get("radial", {}).get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 3 or not any(coefficients):
         return isd, []
-    pitches = all(isinstance(one, int | float) and abs(one - PITCH) <= 1e-9 for one in coefficients[1:])
+    pitches = all(isinstance(value, int | float) and abs(value - PITCH) <= 1e-9 for value in coefficients[1:])
     if isd.name_sensor != f"{_MOC}NA" or not pitches:
         raise InputError(
             f"{source}, optical_distortion", f"a radial one of {coefficients} for {isd.name_sensor}",
@@ -467,7 +467,7 @@ def _themis(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     time is the band's.
     """
     stated, right = _THEMIS_FOCAL_LENGTH
-    plain = not any(np.any(one.get("coefficients", [1.0])) for one in isd.optical_distortion.values())
+    plain = not any(np.any(model.get("coefficients", [1.0])) for model in isd.optical_distortion.values())
     if not (_has_code(isd, _THEMIS) and plain):
         return isd, []
     distortion = themis_of_line(isd.starting_detector_line)

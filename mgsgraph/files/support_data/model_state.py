@@ -173,13 +173,13 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
         return
     height = float(np.linalg.norm(image.pose(image.middle[0]).position - ground))
     pixel = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
-    for key, said, found_here, same in (
+    for key, by_state, computed, same in (
         ("m_flyingHeight", state.m_flyingHeight, height, _SAME_HEIGHT), ("m_gsd", state.m_gsd, pixel, _SAME_SIZE)
     ):
-        if said > 0.0 and not 1.0 / _ALIKE < said / found_here < _ALIKE:
-            raise InputError(f"{source}, {key}", f"{said:.6g} m", f"about {found_here:.6g} m, as the other keys say")
-        if said > 0.0 and abs(said / found_here - 1.0) > same:
-            yield f"{key} is {said:.6g} m, and by the other keys {found_here:.6g} m"
+        if by_state > 0.0 and not 1.0 / _ALIKE < by_state / computed < _ALIKE:
+            raise InputError(f"{source}, {key}", f"{by_state:.6g} m", f"about {computed:.6g} m, as the other keys say")
+        if by_state > 0.0 and abs(by_state / computed - 1.0) > same:
+            yield f"{key} is {by_state:.6g} m, and by the other keys {computed:.6g} m"
     if len(state.m_referencePointXyz) == 3 and np.any(state.m_referencePointXyz):
         away = float(np.linalg.norm(np.array(state.m_referencePointXyz) - ground[0]))
         where = f"{away:.6g} m from where the middle pixel's ray meets the ellipsoid"
@@ -289,12 +289,12 @@ class _EvenTable:
         orders = np.minimum(2 * np.minimum(beside, 3) + 2, self.highest)
         values = np.empty((times.size, self.nodes.shape[1]))
         for order in np.unique(orders).tolist():
-            mine = np.flatnonzero(orders == order)
+            of_order = np.flatnonzero(orders == order)
             offsets = np.arange(order) - (order // 2 - 1)
-            apart = (where - index + moved)[mine, None] - offsets
-            factors = np.where(np.eye(order, dtype=bool), 1.0, apart[:, None, :])
+            distances = (where - index + moved)[of_order, None] - offsets
+            factors = np.where(np.eye(order, dtype=bool), 1.0, distances[:, None, :])
             weights = np.prod(factors, axis=2) / np.prod(offsets[:, None] - offsets + np.eye(order), axis=1)
-            values[mine] = np.einsum("no,nok->nk", weights, self.nodes[index[mine, None] + offsets])
+            values[of_order] = np.einsum("no,nok->nk", weights, self.nodes[index[of_order, None] + offsets])
         return values
 
 
@@ -308,7 +308,7 @@ def _turned(turns: _EvenTable, times: Array) -> AttitudeTable:
 
 
 def _dense(
-    samples: _EvenTable, made: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
+    samples: _EvenTable, make: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
     edges: Array, where: str,
 ) -> Table:  # fmt: skip
     """A table at the samples, and at as many times between them as its own interpolation needs to be near enough to
@@ -318,7 +318,7 @@ def _dense(
     times = samples.times(np.arange(len(samples.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
     pixels = np.zeros(0)
     for _ in range(_HALVINGS):
-        table = made(samples, times)
+        table = make(samples, times)
         inside = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
         between = times[inside, None] + np.diff(times)[inside, None] * _BETWEEN
         pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)
