@@ -27,7 +27,7 @@ _SEEN = 1e-3
 """px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
 
 
-def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
+def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
     """How far from the solution's places the kernels show the points.
 
     Parameters
@@ -47,15 +47,15 @@ def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
     InputError
         When there is no meta-kernel, SPICE refuses a file, or an image has no camera constants.
     """
-    meta, differences = folder / _META_KERNEL, np.full(len(wanted.image), np.inf)
+    meta, differences = folder / _META_KERNEL, np.full(len(expected.image), np.inf)
     with loaded([meta], folder), spice_words(str(meta)):
         cameras = _cameras()
-        for name, mine in images_of(wanted).items():
+        for name, of_image in images_of(expected).items():
             if name not in cameras:
                 raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
             with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
-                place = _seen(cameras[name], wanted.points[mine])
-            differences[mine] = np.linalg.norm(place - wanted.places[mine], axis=1)
+                place = _seen(cameras[name], expected.points[of_image])
+            differences[of_image] = np.linalg.norm(place - expected.places[of_image], axis=1)
     return np.where(np.isnan(differences), np.inf, differences)
 
 
@@ -88,23 +88,23 @@ class _Camera(NamedTuple):
 
 
 def _cameras() -> dict[str, _Camera]:
-    found = {}
+    cameras = {}
     for number in _variable("MGSGRAPH_INSTRUMENTS"):
-        said = {key: _variable(f"INS{int(number)}_{key}") for key in (
+        keys = {key: _variable(f"INS{int(number)}_{key}") for key in (
             "IMAGE", "IMAGE_LINES", "SPACECRAFT", "FRAME_ID", "BODY", "BODY_FRAME", "FOCAL_LENGTH", "ITRANSL",
             "ITRANSS", "DETECTOR_CENTRE", "DETECTOR_FIRST", "SAMPLE_SUMMING", "DISTORTION", "OD_K", "LINES_COVERED",
             "LINE_TIMES",
         )}  # fmt: skip
-        frame = int(said["FRAME_ID"][0])
-        found[said["IMAGE"][0]] = _Camera(
-            int(said["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(said["BODY"][0]),
-            said["BODY_FRAME"][0], said["FOCAL_LENGTH"][0], np.array(said["ITRANSL"]), np.array(said["ITRANSS"]),
-            np.array(said["DETECTOR_CENTRE"]), np.array(said["DETECTOR_FIRST"]), said["SAMPLE_SUMMING"][0],
-            said["DISTORTION"][0], said["OD_K"], *_added(int(number)),
-            (said["LINES_COVERED"][0], said["LINES_COVERED"][1]), int(said["IMAGE_LINES"][0]),
-            np.array(said["LINE_TIMES"]).reshape(-1, 3),
+        frame = int(keys["FRAME_ID"][0])
+        cameras[keys["IMAGE"][0]] = _Camera(
+            int(keys["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(keys["BODY"][0]),
+            keys["BODY_FRAME"][0], keys["FOCAL_LENGTH"][0], np.array(keys["ITRANSL"]), np.array(keys["ITRANSS"]),
+            np.array(keys["DETECTOR_CENTRE"]), np.array(keys["DETECTOR_FIRST"]), keys["SAMPLE_SUMMING"][0],
+            keys["DISTORTION"][0], keys["OD_K"], *_added(int(number)),
+            (keys["LINES_COVERED"][0], keys["LINES_COVERED"][1]), int(keys["IMAGE_LINES"][0]),
+            np.array(keys["LINE_TIMES"]).reshape(-1, 3),
         )  # fmt: skip
-    return found
+    return cameras
 
 
 def _added(number: int) -> tuple[list[float], list[float]]:
@@ -128,8 +128,8 @@ def _seen(camera: _Camera, points: Numbers) -> Numbers:
         lines = np.clip(lines + step, *camera.covered)
         if not np.any(np.abs(lines - before) > _REST):
             break
-    found = (np.abs(lines - before) <= _REST) & (np.abs(off_before) < _SEEN)
-    return np.where(found[:, None], np.column_stack([lines, samples]), np.nan)
+    converged = (np.abs(lines - before) <= _REST) & (np.abs(off_before) < _SEEN)
+    return np.where(converged[:, None], np.column_stack([lines, samples]), np.nan)
 
 
 def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers, Numbers]:
@@ -177,9 +177,9 @@ def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
         return np.asarray(plane * whole - np.array(camera.point)[:, None])
 
     for _ in range(_STEPS):
-        here = ideally(place)
-        (a, c), (b, d) = ((ideally(place + _NUDGE * axis[:, None]) - here) / _NUDGE for axis in np.eye(2))
-        x, y = ideal - here
+        computed = ideally(place)
+        (a, c), (b, d) = ((ideally(place + _NUDGE * axis[:, None]) - computed) / _NUDGE for axis in np.eye(2))
+        x, y = ideal - computed
         place = place + np.array([d * x - b * y, a * y - c * x]) / (a * d - b * c)
     return place
 

@@ -190,7 +190,7 @@ class ImageTimes(NamedTuple):
 
 
 def simultaneous_starts(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
-    """Pairs of images, by their numbers, whose first lines were taken at the same time; they alone can be duplicates."""
+    """Pairs of images, by their numbers, whose first lines begin at the same time; they alone can be duplicates."""
     starts = [image.start for image in times]
     order, pairs = np.argsort(starts, kind="stable").tolist(), []
     for k, first in enumerate(order):

@@ -21,7 +21,7 @@ from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import ImageTimes, simultaneous_starts, require_distinct
+from mgsgraph.geometry.plausibility import ImageTimes, require_distinct, simultaneous_starts
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.common import common_heights

@@ -41,10 +41,10 @@ def found(places: tuple[np.ndarray, np.ndarray], degree: int = 1) -> tuple[Displ
 def test_coplanarity_is_untouched_by_heights() -> None:
     low, middle, high = (found(planted(60, lift))[0] for lift in (-50.0, 0.0, 50.0))
     for one in (low, high):
-        across, along = np.abs(one.apart - middle.apart).T
+        across, along = np.abs(one.offsets - middle.offsets).T
         assert np.all(along > 15.0)  # 50 m times 0.4
         assert np.all(across < 1e-3 * along)
-    np.testing.assert_allclose(high.apart[:, 1] - middle.apart[:, 1], -50.0 * middle.parallax, rtol=0.05)
+    np.testing.assert_allclose(high.offsets[:, 1] - middle.offsets[:, 1], -50.0 * middle.parallax, rtol=0.05)
 
 
 def test_without_errors_nothing_contradicts() -> None:

@@ -81,11 +81,11 @@ class _Near(NamedTuple):
 def _sort(values: Array, n: int) -> None:
     """By insertion: so few are there, and NumPy's takes long to compile."""
     for i in range(1, n):
-        one, j = values[i], i - 1
-        while j >= 0 and values[j] > one:
+        value, j = values[i], i - 1
+        while j >= 0 and values[j] > value:
             values[j + 1] = values[j]
             j -= 1
-        values[j + 1] = one
+        values[j + 1] = value
 
 
 @compiled
@@ -225,15 +225,15 @@ def _surrounded(near: _Near, n: int) -> bool:
 
 
 @compiled
-def _keep(near: _Near, n: int) -> int:
+def _compact(near: _Near, n: int) -> int:
     """Close up the points that count; how many."""
-    kept = 0
+    count = 0
     for i in range(n):
         if near.w[i] > 0.0:
-            near.x[kept], near.y[kept], near.h[kept] = near.x[i], near.y[i], near.h[i]
-            near.w[kept], near.which[kept] = near.w[i], near.which[i]
-            kept += 1
-    return kept
+            near.x[count], near.y[count], near.h[count] = near.x[i], near.y[i], near.h[i]
+            near.w[count], near.which[count] = near.w[i], near.which[i]
+            count += 1
+    return count
 
 
 @compiled
@@ -308,7 +308,7 @@ def _correlated(given: _Given, near: _Near, n: int) -> tuple[float, float, float
 @cached_kernel
 def surface(
     first_row: int, last_row: int, columns: int, first: Index, points: Array, spread: Array, orientation: Array,
-    pair: Index, reach: float, window: float, found: Array,
+    pair: Index, reach: float, window: float, posts: Array,
 ) -> None:
     """Fit the posts of some rows.
 
@@ -347,8 +347,8 @@ def surface(
                 near.h[i] -= level
             if not _robust(near, n) or not _surrounded(near, n):
                 continue
-            n = _keep(near, n)
+            n = _compact(near, n)
             if n < LEAST:
                 continue
-            found[row, column, 0] = near.plane[0] + level
-            _sigmas(given, near, n, found[row, column])
+            posts[row, column, 0] = near.plane[0] + level
+            _sigmas(given, near, n, posts[row, column])
