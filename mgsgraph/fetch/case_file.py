@@ -50,7 +50,7 @@ def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
     """Text of a meta-kernel that names files beside it, in the order of loading."""
     kernels = [LEAP_SECONDS, *FIXED, *kernels_of(needs)]
     if needs[0].camera is not None:
-        kernels = list(dict.fromkeys(one for image in needs for one in (*image.kernels, image.addendum) if one))
+        kernels = list(dict.fromkeys(path for image in needs for path in (*image.kernels, image.addendum) if path))
     names = [Path(kernel_path(kernel)).name for kernel in kernels]
     listed = "\n".join(f"  '{name}'" for name in names)
     return f"""{META_KERNEL_HEAD}
@@ -133,10 +133,10 @@ def camera_focal_length(folder: Path) -> float:
         A kernel that has no pixel size.
     """
     path = folder / _INSTRUMENT
-    found = _PIXEL_SIZE.search(read_text(path, encoding="latin-1"))
-    if found is None or not _LEAST < (size := number_of(found[1], f"{path}, INS-94031_PIXEL_SIZE")) < _LARGEST:
-        said = "no INS-94031_PIXEL_SIZE" if found is None else f"INS-94031_PIXEL_SIZE = {found[1]} m"
-        raise InputError(str(path), said, "NAIF's instrument kernel of MOC", "try another mirror")
+    match = _PIXEL_SIZE.search(read_text(path, encoding="latin-1"))
+    if match is None or not _LEAST < (size := number_of(match[1], f"{path}, INS-94031_PIXEL_SIZE")) < _LARGEST:
+        problem = "no INS-94031_PIXEL_SIZE" if match is None else f"INS-94031_PIXEL_SIZE = {match[1]} m"
+        raise InputError(str(path), problem, "NAIF's instrument kernel of MOC", "try another mirror")
     return round(size / _PIXEL_ANGLE, 6)
 
 

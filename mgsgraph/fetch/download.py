@@ -87,7 +87,7 @@ class RemoteSource:
     @property
     def sound(self) -> bool:
         """Whether its values are of the kinds that they should be: it may have been read from a file."""
-        texts = all(isinstance(one, str) for one in (self.url, self.etag, self.modified))
+        texts = all(isinstance(text, str) for text in (self.url, self.etag, self.modified))
         return texts and (self.total is None or (type(self.total) is int and self.total >= 0))
 
     @property
@@ -98,8 +98,8 @@ class RemoteSource:
     def same_content(self, other: "RemoteSource") -> bool:
         """Whether the other is the same content, as far as both say."""
         return all(
-            not mine or not others or mine == others
-            for mine, others in ((self.etag, other.etag), (self.modified, other.modified), (self.total, other.total))
+            not own or not theirs or own == theirs
+            for own, theirs in ((self.etag, other.etag), (self.modified, other.modified), (self.total, other.total))
         )
 
 
@@ -310,32 +310,32 @@ class Remote:
                 return
             part.discard()
         with self._answer(url, part.wanted()) as answer:
-            said = _source(url, answer)
+            stated = _source(url, answer)
             if answer.status_code == _NOTHING_MORE:
                 part.discard()
                 raise _Trouble("it is shorter than was announced before")
-            if said.total is not None and said.total > limit:
-                raise _too_long(url, f"{said.total / 1e6:.0f} MB", limit)
+            if stated.total is not None and stated.total > limit:
+                raise _too_long(url, f"{stated.total / 1e6:.0f} MB", limit)
             if answer.status_code != 206:
-                part.begin(said)
-            elif part.source is None or not part.source.same_content(said) or _first(answer) != part.size:
+                part.begin(stated)
+            elif part.source is None or not part.source.same_content(stated) or _first(answer) != part.size:
                 part.discard()
                 raise _Trouble("its content has changed while it was being fetched")
             size = part.size
-            progress(size, said.total)
+            progress(size, stated.total)
             for piece in _pieces(answer):
                 if self._stop.is_set():
                     raise Stopped
                 size += len(piece)
-                if size > (limit if said.total is None else said.total):
+                if size > (limit if stated.total is None else stated.total):
                     part.discard()
-                    if said.total is None:
+                    if stated.total is None:
                         raise _too_long(url, "no end", limit)
-                    raise _Trouble(f"more bytes came than the {said.total} that were announced")
+                    raise _Trouble(f"more bytes came than the {stated.total} that were announced")
                 part.add(piece)
-                progress(size, said.total)
+                progress(size, stated.total)
         if not part.whole:
-            raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
+            raise _Trouble(f"{part.size} bytes came of {stated.total} that were announced")
 
     @contextmanager
     def _answer(self, url: str, headers: Mapping[str, str]) -> Iterator["requests.Response"]:
@@ -468,12 +468,12 @@ def _pieces(answer: "requests.Response") -> Iterator[bytes]:
 
 def _up_to(answer: "requests.Response", count: int) -> bytes:
     """The first bytes of an answer's content."""
-    found = b""
+    content = b""
     for piece in _pieces(answer):
-        found += piece
-        if len(found) >= count:
+        content += piece
+        if len(content) >= count:
             break
-    return found[:count]
+    return content[:count]
 
 
 def _first(answer: "requests.Response") -> int | None:
@@ -490,8 +490,8 @@ def _count(text: str) -> int | None:
 def _words(error: Exception) -> str:
     """The innermost reason of an exception of requests, in a few words."""
     reason: object = error
-    while inner := [one for one in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
-                    if isinstance(one, Exception)]:  # fmt: skip
+    while inner := [cause for cause in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
+                    if isinstance(cause, Exception)]:  # fmt: skip
         reason = inner[0]
     text = getattr(reason, "strerror", None) or str(reason)
     return " ".join(str(text).rpartition(": ")[2].split())[:120]

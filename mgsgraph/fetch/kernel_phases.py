@@ -21,10 +21,10 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, label: Block) -> "Interval":
         """START_TIME and STOP_TIME of a label; InputError where one is missing, no time, or they are exchanged."""
-        found = cls(*(utc(label.text(key), label.where(key)) for key in ("START_TIME", "STOP_TIME")))
-        if found.start > found.stop:
-            raise InputError(label.where(), f"START_TIME {found.start} after STOP_TIME {found.stop}", "the reverse")
-        return found
+        own = cls(*(utc(label.text(key), label.where(key)) for key in ("START_TIME", "STOP_TIME")))
+        if own.start > own.stop:
+            raise InputError(label.where(), f"START_TIME {own.start} after STOP_TIME {own.stop}", "the reverse")
+        return own
 
     @classmethod
     def said_by(cls, label: Block) -> "Interval | None":
@@ -124,16 +124,16 @@ def _phases(taken: Interval, stem: str, cover: Cover, where: str) -> tuple[list[
     """Phases that hold an interval, in order, and whether labels say so; the predicted one is asked first."""
     predicted, wanted = phase_of(taken.middle), taken.wider(MARGIN)
     reach = range(max(0, predicted - _REACH), min(len(_NAMES), predicted + _REACH + 1))
-    found: dict[int, Interval] = {}
+    covered: dict[int, Interval] = {}
     for k in sorted(reach, key=lambda k: (abs(k - predicted), k)):
-        said = cover(f"{stem}{_NAMES[k]}.lbl")
-        if said is None and k == predicted:
+        stated = cover(f"{stem}{_NAMES[k]}.lbl")
+        if stated is None and k == predicted:
             return [k], False
-        if said is not None and said.meets(wanted):
-            found[k] = said
-        if all(any(one.holds(end) for one in found.values()) for end in wanted):
+        if stated is not None and stated.meets(wanted):
+            covered[k] = stated
+        if all(any(interval.holds(end) for interval in covered.values()) for end in wanted):
             break
-    if not all(any(one.holds(end) for one in found.values()) for end in taken):
-        near = ", ".join(f"{_NAMES[k]} {one}" for k, one in sorted(found.items())) or "none of its time"
+    if not all(any(interval.holds(end) for interval in covered.values()) for end in taken):
+        near = ", ".join(f"{_NAMES[k]} {interval}" for k, interval in sorted(covered.items())) or "none of its time"
         raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {taken}", near)
-    return sorted(found), True
+    return sorted(covered), True

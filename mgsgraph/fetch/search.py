@@ -214,8 +214,8 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
         """Latest id of a volume, or of the next that has an index, but for few that are out of order."""
         for volume in volumes[number:]:
             looked.append(volume)
-            if found := rows(volume):
-                return sorted(row.product.order for row in found)[-1 - len(found) // _TAIL]
+            if sample := rows(volume):
+                return sorted(row.product.order for row in sample)[-1 - len(sample) // _TAIL]
         return _AFTER_ALL
 
     looked = list[str]()
@@ -225,12 +225,12 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
         for row in rows(volume):
             if row.product == product:
                 if not row.narrow:
-                    found = f"of the wide angle ({row.instrument})"
-                    raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
+                    sample = f"of the wide angle ({row.instrument})"
+                    raise InputError(f"image {product}", sample, "a narrow-angle image, whose geometry is modelled")
                 return Found(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
-    found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
-    raise InputError(f"image {product}", found, "a narrow-angle image", "check the id, the mirror, or --volume")
+    sample = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
+    raise InputError(f"image {product}", sample, "a narrow-angle image", "check the id, the mirror, or --volume")
 
 
 _LABEL = 8192

@@ -23,6 +23,7 @@ from mgsgraph.matching.patches import (
     Links,
     Tile,
     Window,
+    concatenated,
     features_on,
     links_on,
     opencv,

@@ -203,14 +203,14 @@ class Archive:
         camera, ahead = self.settings.plan.camera, float(self.ahead[j])
         radius = float(np.linalg.norm(self.sites[j])) + camera.altitude
         swept = np.arcsin(radius / (radius - camera.altitude) * np.sin(ahead)) - ahead
-        seen = -float(swept) / float(np.sqrt(camera.body.gravity / radius**3))
+        center_time = -float(swept) / float(np.sqrt(camera.body.gravity / radius**3))
         flown = CircularPass(
             float(self.epochs[j]), self.sites[j], float(self.headings[j]), camera.altitude, float(self.aside[j]),
             camera.body, turning=True,
         )  # fmt: skip
         half = 0.5 * camera.lines * camera.period
-        times = seen + half * np.linspace(-1.05, 1.05, _RECORDS)
-        timing, size = one_rate(seen - half, camera.period), (camera.lines, camera.samples)
+        times = center_time + half * np.linspace(-1.05, 1.05, _RECORDS)
+        timing, size = one_rate(center_time - half, camera.period), (camera.lines, camera.samples)
         trajectory = circular_trajectory(flown, times)
         return line_image(self.name(j), size, camera.interior(ahead), timing, trajectory, camera.body.ellipsoid)
 

@@ -76,8 +76,8 @@ def _sun(trajectory: Trajectory) -> SunTable:
     """The Sun relative to the body, inertial, in km: 35 degrees or so from the zenith of the image's middle."""
     position, flight = trajectory.position.at(np.zeros(1))
     zenith, along = position[0] / np.linalg.norm(position[0]), flight[0] / np.linalg.norm(flight[0])
-    aside = np.cross(along, zenith)
-    direction = np.cos(35.0 * DEG) * zenith + np.sin(35.0 * DEG) * aside
+    sideways = np.cross(along, zenith)
+    direction = np.cos(35.0 * DEG) * zenith + np.sin(35.0 * DEG) * sideways
     velocity = _SUN_SPEED * np.cross(along, direction)
     times = trajectory.position.times[[0, -1]]
     return SunTable(
@@ -205,11 +205,11 @@ def _ties(sigma: float, network: str = "network.pvl") -> Tables:
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    known: dict[str, Value] = {"beam_sigma_mrad": 0.0, "pulse_share": 0.0}  # of the instrument nothing is drawn
+    exact: dict[str, Value] = {"beam_sigma_mrad": 0.0, "pulse_share": 0.0}  # of the instrument nothing is drawn
     lines = Tables()
     for image in simulated.images:
         name = image.settings.name
-        lines += toml_lines("[[shots]]", file=folder + pedr_file(image), image=name, **known, **sigmas)
+        lines += toml_lines("[[shots]]", file=folder + pedr_file(image), image=name, **exact, **sigmas)
     return lines
 
 
@@ -253,4 +253,4 @@ def _toml(value: Value) -> str:
         return f'"{value}"'
     if isinstance(value, dict):
         return f"{{ {', '.join(f'{key} = {_toml(inner)}' for key, inner in value.items())} }}"
-    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(one) for one in value)}]"
+    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(item) for item in value)}]"

@@ -128,7 +128,7 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     """Frames as they lie in the file."""
     footprints, spacecraft = (
         [_by_frame(column) for column in (np.unwrap(longitude), latitude, radius)]
-        for longitude, latitude, radius in (planetocentric(one).T for one in (frames.footprints, frames.spacecraft))
+        for longitude, latitude, radius in (planetocentric(xyz).T for xyz in (frames.footprints, frames.spacecraft))
     )
     present = _by_frame(np.ones(frames.times.size)) > 0.0
     count = np.sum(present, axis=1)

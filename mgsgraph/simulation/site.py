@@ -370,15 +370,15 @@ def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSetting
     """
     size = np.array([image.lines, image.samples])
     inside = np.flatnonzero(np.all((pixels >= 0.0) & (pixels <= size), axis=1))
-    lost = inside.size - settings.shots
-    if lost < 0:
+    without = inside.size - settings.shots
+    if without < 0:
         found = f"{inside.size} shots inside {settings.name}"
         raise InputError(SOURCE, found, f"at least the published {settings.shots}")
-    ends = min(_EDGE_SHOTS, lost // 2)
+    ends = min(_EDGE_SHOTS, without // 2)
     ground = np.ones(pixels.shape[0], dtype=np.bool_)
     ground[max(inside[0] - _EDGE_SHOTS, 0) : inside[0] + ends] = False
     ground[inside[-1] + 1 - ends : inside[-1] + 1 + _EDGE_SHOTS] = False
-    ground[rng.choice(inside[ends : inside.size - ends], lost - 2 * ends, replace=False)] = False
+    ground[rng.choice(inside[ends : inside.size - ends], without - 2 * ends, replace=False)] = False
     return ground
 
 

@@ -166,15 +166,15 @@ def _of_table(site: dict[str, Any]) -> SiteSettings:
     more = {name: tuple(site[name]) for name in ("trend",) if name in site}
     if "angle_sigmas" in site:
         more["angle_sigmas"] = tuple(sigma * ARCMIN for sigma in site["angle_sigmas"])
-    return SiteSettings(**site | angles | more | {"images": tuple(_image_of_table(one) for one in site["images"])})
+    return SiteSettings(**site | angles | more | {"images": tuple(_image_of_table(entry) for entry in site["images"])})
 
 
 def _image_of_table(image: dict[str, Any]) -> ImageSettings:
     errors = image["errors"]
     turned = np.array([errors.get(axis, (0.0, 0.0)) for axis in ("roll", "pitch", "yaw")]).T * ARCMIN
     bias, noise = errors.get("attitude_time_bias", 0.0), errors["noise"] * ARCSEC
-    found = KernelErrors(np.array([errors["position"]]), turned, bias, noise)
-    return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": found})
+    kernel_errors = KernelErrors(np.array([errors["position"]]), turned, bias, noise)
+    return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": kernel_errors})
 
 
 _SITES = {site["name"]: _of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"]}
