@@ -78,11 +78,11 @@ def laser_profile(
 
     Parameters
     ----------
-    taken : AltimeterShots
+    shots : AltimeterShots
         All of which have a range.
     name : str
         Of the profile, put before theirs.
-    wanted : ShotsInput
+    entry : ShotsInput
         Sigmas, and whether ranges are used.
     carriers : sequence
         Images taken along with the shots, whose orientation carries the ranges, and which of the shots each carries.
@@ -286,7 +286,7 @@ class Parts:
         areoid: TerrainGrid | None = None,
         entry: TerrainInput | None = None,
     ) -> Network:
-        """All of it as one network; tie points lie on the terrain model, if there is one, as `wanted`."""
+        """All of it as one network; tie points lie on the terrain model, if there is one, as `entry`."""
         points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
@@ -420,7 +420,7 @@ def in_images(
     where nothing was.
 
     Points go with measures in other images where no other measure is left, or a single one of a free point that isn't
-    `known` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
+    `known_ids` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
     """
     held = points.measure_image.over(images) >= 0
     if held.all():

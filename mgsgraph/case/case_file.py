@@ -163,7 +163,7 @@ def read_images(
 
     Parameters
     ----------
-    wanted : CaseInput
+    tables : CaseInput
         The case file.
     orientations : sequence of OrientationInput
         Of each image.

@@ -34,7 +34,7 @@ def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
     ----------
     folder : Path
         With the meta-kernel adjusted.tm.
-    wanted : Reprojection
+    expected : Reprojection
         Points and where the solution sees them.
 
     Returns

@@ -225,12 +225,12 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
         for row in rows(volume):
             if row.product == product:
                 if not row.narrow:
-                    sample = f"of the wide angle ({row.instrument})"
-                    raise InputError(f"image {product}", sample, "a narrow-angle image, whose geometry is modelled")
+                    found = f"of the wide angle ({row.instrument})"
+                    raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
                 return Found(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
-    sample = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
-    raise InputError(f"image {product}", sample, "a narrow-angle image", "check the id, the mirror, or --volume")
+    found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
+    raise InputError(f"image {product}", found, "a narrow-angle image", "check the id, the mirror, or --volume")
 
 
 _LABEL = 8192

@@ -312,7 +312,7 @@ def dense_matches(
 
 
 def _view(scene: Scene, pair: Pair, extents: Sequence[Array]) -> View | None:
-    """A pair, the finer picture first; None where the two look from the same side. `shown` has the `boxes` of all."""
+    """A pair, the finer picture first; None where the two look from the same side. `extents` has the `boxes` of all."""
     areas = scene.pixel_sizes ** 2
     i, j = pair[:2] if areas[pair.first] <= _FINER * areas[pair.second] else pair[1::-1]
     finer, coarser = scene.pictures[i], scene.pictures[j]

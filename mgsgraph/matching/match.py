@@ -283,7 +283,7 @@ class _Cells(NamedTuple):
 
 
 def ground_cells(scene: Scene, pairs: Sequence[Pair], count: int, least: float = 0.0) -> _Cells:
-    """Square cells of at least `least` m, of which about `wanted` fall on the ground that the largest pair shares."""
+    """Square cells of at least `least` m, of which about `count` fall on the ground that the largest pair shares."""
     side = max(float(np.sqrt(max(pair.area for pair in pairs) / count)), least)
     cells = [np.zeros(0, dtype=np.int64)]
     for picture, ((west, south), (east, north)) in zip(scene.pictures, boxes(scene), strict=True):

@@ -95,7 +95,7 @@ def joined_measures(parts: Sequence[Measured]) -> Measured:
 def measured(
     scene: Scene, links: Links, tracks: Sequence[list[int]], sharp: SharpPictures, settings: MatchSettings, step: float
 ) -> Measured:
-    """Measure tracks of features, `found`, from the sharpest pixel near their first feature into their other pictures,
+    """Measure tracks of features, `links`, from the sharpest pixel near their first feature into their other pictures,
     whose orientations agree; `step` in m is the pixel of the ground grid.
     """
     track, first, other = star(tracks)

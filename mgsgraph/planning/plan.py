@@ -76,7 +76,7 @@ def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
 
     Parameters
     ----------
-    wanted : sequence of str
+    names : sequence of str
         "ties", "all" (points), or names of points and images; each once.
 
     Raises

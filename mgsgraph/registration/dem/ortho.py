@@ -130,7 +130,7 @@ def densely_matched(
 def adjusted_names(
     available: Sequence[str], posterior: Posterior, chosen: Sequence[str] = (), where: str = "the case"
 ) -> list[str]:
-    """Of the images `there`, those `chosen` (all when empty); `where` names their case in errors.
+    """Of the images `available`, those `chosen` (all when empty); `where` names their case in errors.
 
     Raises
     ------

@@ -332,7 +332,7 @@ def surface(
         posts, up to which points count.
     window : float
         posts, width of a matching window.
-    found : (rows, columns, COLUMNS)
+    posts : (rows, columns, COLUMNS)
         Filled; left as it is where there is no height.
     """
     given = _Given(columns, first, points, spread, orientation, pair, reach, window)

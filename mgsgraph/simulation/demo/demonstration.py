@@ -266,11 +266,11 @@ def simulation(
 
 
 def simulation_options(
-    site: str, attitude_time_bias: float | None = None, pictures: bool = True, sites: Sequence[str] = SIMULATED
+    site: str, attitude_time_bias: float | None = None, pictures: bool = True, known: Sequence[str] = SIMULATED
 ) -> SimulationOptions:
     """Options of a study site's simulation; InputError unless the site is among the `known` ones, and can have them."""
-    if site not in sites:
-        raise InputError("site", repr(site), f"{', '.join(sites[:-1])} or {sites[-1]}")
+    if site not in known:
+        raise InputError("site", repr(site), f"{', '.join(known[:-1])} or {known[-1]}")
     if site not in SITE_NAMES and attitude_time_bias is not None:
         raise InputError("attitude time bias", f"given for {site}", "a study site", f"take {' or '.join(SITE_NAMES)}")
     return SimulationOptions(attitude_time_bias=attitude_time_bias, pictures=pictures)
