@@ -371,7 +371,7 @@ def _given(
     ties: Array, shots: Array, profile: Index, of_one_pass: Mask, rng: np.random.Generator
 ) -> tuple[GroundPoints, ProfileShifts]:
     """Points as an adjustment is given them. What footprints of a pass have in common is one error, an unknown; tie
-    points that are `of_one_pass` (n,) on rays of one pass have a height to start from: their rays are so nearly parallel that
+    points `of_one_pass` (n,) have a height to start from: their rays are so nearly parallel that
     the boresight's error makes them meet behind the cameras.
     """
     n, m, places = len(ties), len(shots), np.concatenate([ties, shots])
