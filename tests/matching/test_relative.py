@@ -102,7 +102,8 @@ def test_heights_are_no_blunders_but_what_lies_across_is() -> None:
     moved = second.copy()
     moved[:40, 0] += 1.0  # the second looks aside: lines are across
     scene = matched.scene()
-    shift = match_offsets(*scene.pictures, (first, moved), scene.ground) - apart(*scene.pictures, (first, second), scene.ground)
+    after, before = (match_offsets(*scene.pictures, (first, to), scene.ground) for to in (moved, second))
+    shift = after - before
     assert np.all(np.abs(shift[:40, 0]) > 2.0)
     one, _ = found((first, moved))
     _, fits = consensus(one, 0.5, 15.0, np.random.default_rng(0))
