@@ -106,7 +106,7 @@ def _refuse_former(value: Any, where: str) -> None:
 
 
 def _refuse_other_kinds(path: Path) -> None:
-    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
+    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to make one."""
     if (path / PROJECT).is_file():
         remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)

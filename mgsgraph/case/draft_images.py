@@ -44,7 +44,7 @@ class DraftImage(NamedTuple):
     by_kernels: bool
     """Whether it needs those of [spice]."""
     pixels: Path | None = None
-    """File of its pixels, where its own file has none and that is called alike."""
+    """File of its pixels, where its own file has none and a picture has its name."""
     line_times: str | None = None
     """What stands for the times of its lines, where its file doesn't have them."""
 

@@ -87,7 +87,7 @@ _DEFAULTS = {"": (1.0, 3.0 * MGON / MRAD), "bias_": (50.0, 28.0 * MGON / MRAD), 
 
 
 class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.passes`.
+    """A-priori errors of the observed trajectory: bias + drift s + departures, see `network.passes`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
     of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.
@@ -334,7 +334,7 @@ def negligible_departures(bias: Array) -> tuple[Process, ...]:
 
 
 def _require_keys(motion: Motion, allowed: tuple[str, ...], where: str) -> None:
-    """Raise InputError for keys that the model does not heed: they would change nothing, unsaid."""
+    """Raise InputError for keys that the model ignores."""
     for key, value in msgspec.structs.asdict(motion).items():
         if key != "model" and value not in (None, ()) and key not in allowed and key.rsplit("_", 1)[0] not in allowed:
             raise InputError(where, f'{key} beside model = "{motion.model}"', "keys of that model alone", "take it out")

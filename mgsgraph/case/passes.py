@@ -68,9 +68,9 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its orientation images; for polynomials four over the pass, and nothing to say. Of processes one every half
     correlation time when absent."""
     position: PositionInput = PositionInput()
-    """What is known of its positions beforehand."""
+    """A-priori errors of its positions."""
     attitude: AttitudeInput = AttitudeInput()
-    """What is known of its attitude beforehand."""
+    """A-priori errors of its attitude."""
     vibrations: tuple[VibrationInput, ...] | Literal["estimated"] = ()
     """Vibrations of its attitude, of known frequencies; "estimated": those that rays show are found."""
     prior: NodePriorInput | None = None
@@ -129,7 +129,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
                 raise InputError(f"{where}.nodes", found, f"at most {most:.4g} s", remedy)
 
     def prior_of(self, where: str, default: OrientationPrior) -> PassPrior:
-        """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
+        """Prior of the nodes; `default` is that of [orientation], `where` names this table."""
         if self.prior is not None:
             return self.prior.prior(f"{where}.prior")
         places = f"{where}.position", f"{where}.attitude"
@@ -298,9 +298,9 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where the camera is, along its own axes x, y, z, from where its tables have it; not of the laser, nor of images
     that carry laser ranges."""
     boresight_sigma_mrad: Sigmas | None = None
-    """A-priori sigma of that rotation about x, y, z alike, or three numbers; absent: known."""
+    """A-priori sigma of that rotation: one for x, y and z, or three numbers; absent: known."""
     lever_arm_sigma_m: Sigmas | None = None
-    """A-priori sigma of that arm along x, y, z alike, or three numbers; absent: known."""
+    """A-priori sigma of that arm: one for x, y and z, or three numbers; absent: known."""
 
     @property
     def stated(self) -> bool:
@@ -495,4 +495,4 @@ def _require_one_camera(network: Network, of_mounting: Sequence[int], where: str
             if angle > _LOOSE:
                 names = f"images {network.images[of_pass[0]].name} and {network.images[j].name}"
                 found = f"{names} of one camera, mounted {angle / DEG:.3g} deg apart in {network.passes[owner].name}"
-                raise InputError(where, found, "images of one camera, mounted alike", "give each camera its own table")
+                raise InputError(where, found, "one mounting for each camera", "give each camera its own table")

@@ -1,4 +1,4 @@
-"""A case file (TOML) names the inputs of an adjustment and what is known of them beforehand; here it becomes a network.
+"""A case file (TOML) names the inputs of an adjustment and their a-priori values; here it becomes a network.
 
 Paths are relative to the case file.
 """

@@ -158,7 +158,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """By which networks and shots refer to it; when absent, ISIS's serial number (of a cube or label), or what support
     data call it (`image_identifier`), or the file's name without its ending."""
     image: str | None = None
-    """The image, by a file of any of the kinds below; which it is, is told by what is in it."""
+    """The image, by a file of any of the kinds below; its content tells the kind."""
     list: str | None = None
     """Several images: an ISIS list, one file in every line, relative to the list; what stands beside is for each."""
     isd: str | None = None
@@ -285,7 +285,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_s: Sigma | None = None
     """Of a time bias."""
     sigma_mrad: float | list[float] | None = None
-    """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
+    """Of a boresight: one for the camera's axes x, y and z, or three numbers."""
     sigma_m: float | list[float] | None = None
     """Of a range bias or a focal length; of a radial distortion at the pixel farthest from the principal point; of a
     principal point along the camera's x and y alike, or two numbers; of an orbit's position radially, along and across

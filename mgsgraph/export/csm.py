@@ -307,7 +307,7 @@ def _provenance(solution: Solution) -> str:
 
 
 def _inertial_words(image: PushbroomImage, original: bool) -> str:
-    """What reference_frame doesn't say where nobody knows how the body turns in J2000."""
+    """reference_frame of an image whose body's rotation in J2000 is unknown."""
     if isinstance(image.trajectory, Trajectory) or original:
         return ""
     return " Inertial axes are not J2000's but the body's own at center_ephemeris_time."
@@ -332,7 +332,7 @@ def _heights(solution: Solution) -> dict[str, Any]:
 
 
 def _original(image: PushbroomImage, path: Path | None, heights: dict[str, Any]) -> dict[str, Any]:
-    """What support data say that the adjustment doesn't know; with ALE's own words for what nobody said."""
+    """What support data say that the adjustment doesn't know; with ALE's own words for what is missing."""
     unknown = {
         "isis_camera_version": 2, "name_platform": "UNKNOWN", "name_sensor": "UNKNOWN", "detector_line_summing": 1,
         "reference_height": heights, "naif_keywords": {},

@@ -1,4 +1,4 @@
-"""What a conversion between network formats is told beside the files: case, radii, names."""
+"""Settings of a conversion between network formats: case, radii, names."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -172,7 +172,7 @@ def rejected_rays(solution: Solution) -> Mask:
 
 
 def _measures(solution: Solution) -> list[list[ControlMeasure]]:
-    """Of each point, in the order of the rays; those that are back-projections are candidates, nobody measured them."""
+    """Of each point, in the order of the rays; back-projections are candidates, which were not measured."""
     rays, images = solution.network.rays, [image.name for image in solution.network.images]
     measures = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)

@@ -112,7 +112,7 @@ def _other_image(image: ImageNeeds) -> str:
 
 
 def _other_shots(image: ImageNeeds) -> str:
-    """Laser shots over an image, for a person to choose from: many profiles, seldom one that was taken along."""
+    """Laser shots over an image, for the user to choose from: many profiles, seldom one that was taken along."""
     return (
         f"# laser shots about {image.product.name}; which ones fall in it:\n"
         f"# mgsgraph footprints {CASE} {image.shots_path}\n"

@@ -149,7 +149,7 @@ def fetch_images(
         notes += [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
         for image in needs if choice == "128" else ():
-            with errors_from(f"{image.product}, whose place its tiles hang on"):
+            with errors_from(f"{image.product}, whose place its tiles depend on"):
                 places += ground_places(image, folder)
         grid = None if choice == "none" or _on_the_moon(needs) else grid_of(choice, places)
         if grid is not None:

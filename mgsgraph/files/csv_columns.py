@@ -243,7 +243,7 @@ MATRIX = tuple(f"covariance_{axes}_m2" for axes in ("xx", "xy", "xz", "yy", "yz"
 UNCERTAINTIES = (AXES, RADIAL, NORMAL, MATRIX)
 """Ways to say how well it is known, one of which a table has."""
 OF_POINT = ("type", "point_ignore", *dict.fromkeys(name for group in (*PLACES, *UNCERTAINTIES) for name in group))
-"""Columns that are of the point: said in one of its rows, or alike in all."""
+"""Columns that are of the point: stated in one of its rows, or the same in all."""
 OF_MEASURE = (*ISIS, *OURS, "sigma_line_px", "sigma_sample_px", "measure_type", "ignore", "reference")
 """Columns that are of the measure, besides its image."""
 COLUMNS = ("id", "image", *OF_POINT, *OF_MEASURE)

@@ -78,13 +78,13 @@ def toml_table(text: str, where: str) -> dict[str, Any]:
     """
     if match := _DEEP.search(text):
         line = text.count("\n", 0, match.start()) + 1
-        raise InputError(f"{where}, line {line}", "keys or brackets nested too deeply", "TOML that a person can read")
+        raise InputError(f"{where}, line {line}", "keys or brackets nested too deeply", "TOML of few levels")
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(where, f"malformed TOML ({error})", remedy="mend that line") from None
     except RecursionError:
-        raise InputError(where, "brackets nested too deeply", "TOML that a person can read") from None
+        raise InputError(where, "brackets nested too deeply", "TOML of few levels") from None
     except ValueError as error:  # Python's limit of digits, which tomllib lets through
         raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="mend that number") from None
     require_bearable(table, where, infinite=True)

@@ -1,7 +1,7 @@
 """Keys that bear on geometry, one table for each format: read, compared with what says the same a second time, or
 refused where they say anything else than what is meant here.
 
-Readers look here for what to refuse, `check` for keys that nobody reads, and the page of formats prints the tables. A
+Readers look here for what to refuse, `check` for keys that nothing reads, and the page of formats prints the tables. A
 name is a regular expression in capitals. Units are those of the file.
 """
 

@@ -26,7 +26,7 @@ from mgsgraph.geometry.records import LONGEST_NAME
 LARGEST = 1 << 32
 """bytes of a file that is read whole."""
 ANY_SIZE = 1 << 63
-"""The same of one of which a part is read: no limit."""
+"""The same of a file of which a part is read: no limit."""
 LARGEST_TEXT = 1 << 30
 """bytes of one that is read as text, which takes several times as much memory."""
 DEEPEST = 100

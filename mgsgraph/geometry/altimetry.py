@@ -116,7 +116,7 @@ _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
 _FAR_OFF = 3.0
 """Times by which lengths may be longer or shorter than expected, before their unit is doubted."""
 _SAME_TIME, _SAME_PLACE = 1e-5, 1e-2
-"""s and m, to which shots of two files are alike that are the same one."""
+"""s and m, by which the same shot may differ between two files."""
 _FIRST_MINUTE = 10**11
 """Numbers of crossings from which on they are a year to a minute."""
 SPOT_WIDTHS = 4.0
@@ -406,7 +406,7 @@ class AltimeterShots(Record):
 def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
     """Shots of several files of one altimeter, in the order of time; those that several files have are there once.
 
-    Where files number other shots alike (lines of tables), frames are numbered anew.
+    Where files give the same number to other shots (lines of tables), frames are renumbered.
     """
     names = {part.altimeter.name: part.source for part in parts}
     if len(names) > 1:

@@ -314,7 +314,7 @@ def _polynomials(x: Four, y: Four, of: Array) -> tuple[Array, Array]:
 
 
 def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
-    """Ideal places of distorted ones (n, 2) by Newton's method, and their Jacobians; NaN where it does not settle."""
+    """Ideal places of distorted ones (n, 2) by Newton's method, and their Jacobians; NaN where it does not converge."""
     ideal = place
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_STEPS):

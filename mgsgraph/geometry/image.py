@@ -148,7 +148,7 @@ class PushbroomImage(Record):
     body: Ellipsoid
     """Reference ellipsoid of the body it shows."""
     remarks: tuple[str, ...] = ()
-    """What its reader decided or put right, in phrases."""
+    """What its reader decided or corrected, in phrases."""
     mission: str = ""
     """As ISIS's serial numbers begin (MGS, MRO, LRO, KAGUYA, MEX); empty where its file doesn't say."""
 
@@ -325,7 +325,7 @@ class PushbroomImage(Record):
 
 
 _NODES = 2049
-"""Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
+"""Records at which polynomials of the attitude are sampled; the great arc between two is then on the curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

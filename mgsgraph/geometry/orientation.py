@@ -236,7 +236,7 @@ class Sine(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationPrior(Record):
-    """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient.
+    """Prior of one image's orientation corrections: zero mean, and a sigma for each coefficient.
 
     Examples
     --------

@@ -39,7 +39,7 @@ def require_plausible(image: PushbroomImage, where: str) -> None:
     """
     body, unit = image.body, "check the units of positions and radii (km, or m where the file says so)"
     table = getattr(image.trajectory, "position", None)
-    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where its velocities are nobody's
+    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where no velocity is right
         require_flight(table, where, 1.0 if isinstance(image.trajectory, Trajectory) else 0.5)
     require_possible(body, "", where)
     middle = image.middle

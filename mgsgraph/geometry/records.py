@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 
 def is_frozen(value: Any, kind: Any) -> bool:
-    """Whether a value is an array of a kind that nobody can write to, so that a record needs no copy of it."""
+    """Whether a value is a read-only array of a kind, so that a record needs no copy of it."""
     if not isinstance(value, np.ndarray) or value.dtype != kind:
         return False
     while isinstance(value, np.ndarray):
@@ -32,13 +32,13 @@ def is_frozen(value: Any, kind: Any) -> bool:
 
 
 def of_kind(value: Any, kind: type[_Scalar]) -> NDArray[_Scalar]:
-    """An array of a kind: the value itself where nobody can write to it, else a copy."""
+    """An array of a kind: the value itself where it is read-only, else a copy."""
     array: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
     return array
 
 
 def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """An array that was just made, and that nobody else knows: it becomes read-only, so that no record copies it."""
+    """An array that was just made and has no other reference: it becomes read-only, so that no record copies it."""
     array.flags.writeable = False
     return array
 

@@ -233,7 +233,7 @@ class FixedTrajectory:
     """Position and attitude in even or uneven steps, body-fixed, as model states of usgscsm have them."""
 
     epoch: float
-    """s TDB past J2000 (or any other zero, where nobody knows) from which all times count."""
+    """s TDB past J2000 (or an unknown zero) from which all times count."""
     position: PositionTable
     """Body-fixed, with body-fixed velocities."""
     camera: AttitudeTable

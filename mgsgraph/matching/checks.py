@@ -2,8 +2,8 @@
 
 Whether what was matched between two pictures is one ground: four signs, none of which decides alone.
 
-False matches stand every check of single matches: among thousands of windows some are alike, the way back ends where it
-began, and a correction with eighteen coefficients makes the rays of a dozen meet. Together they betray themselves:
+False matches stand every check of single matches: among thousands of windows some agree, the way back ends where it
+began, and a correction with eighteen coefficients makes the rays of a dozen meet. Together they can be detected:
 few of the surest features end as a match, few agreed on an orientation, they lie in few cells, and their rays miss each
 other by far more than their sigmas say, from one match to the next. Good pairs show one of these signs: noise costs
 matches, jitter of the spacecraft moves rays. So two signs refuse a pair, and one is said. The limits lie between what
@@ -134,7 +134,7 @@ class PairSigns(NamedTuple):
     other: str
     """Name of the other one."""
     agreed: float
-    """Share of the coarse matches that agreed; NaN of a pair that was brought together by way of others."""
+    """Share of the coarse matches that agreed; NaN of a pair that was aligned by way of others."""
     found: float
     """Share of the features tried that were found again both ways."""
     filled: float

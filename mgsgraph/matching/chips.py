@@ -1,4 +1,4 @@
-"""Patches of images around the measures of tie points, on one grid of the ground for each point; how alike they are.
+"""Patches of images around the measures of tie points, on one grid of the ground for each point; their similarity.
 
 A point's grid lies in the tangent plane at the point: rows go south, columns east, and a chip pixel is as large as a
 pixel of the coarsest image that shows the point. An affine map from the nominal orientation takes chip pixels to the
@@ -67,7 +67,7 @@ class ChipFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeness:
-    """How alike the chips of k measures are to those of their points' reference measures; NaN for these themselves, and
+    """Similarity of the chips of k measures to those of their points' reference measures; NaN for these themselves, and
     where a chip has no texture, or half of it lies outside its image.
     """
 
@@ -228,7 +228,7 @@ def stretched(patches: Array, levels: int = 256) -> NDArray[np.uint8]:
     return grey
 
 
-# --- how alike they are
+# --- their similarity
 
 
 def likeness(

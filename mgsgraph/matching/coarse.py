@@ -159,13 +159,13 @@ def _solved(displaced: Displacements, sigmas: Array) -> Array:
     return np.asarray(np.linalg.lstsq(full, np.concatenate([right, np.zeros(unknowns)]), rcond=None)[0])
 
 
-# --- pictures brought together
+# --- alignment of pictures
 
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""
 _DEGREE = 1
-"""Of the correction that brings two pictures together."""
+"""Of the correction that aligns two pictures."""
 _SIGMAS = 3.0
 """A-priori sigmas within which nominal orientations contradict each other."""
 _TOLERANCE = 1.0
@@ -211,7 +211,7 @@ def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
     Raises
     ------
     InputError
-        Where nothing is known of the orientation beforehand.
+        Where the orientation has no prior.
     """
     variance = 0.0
     for picture in (first, second):

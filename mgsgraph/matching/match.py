@@ -86,7 +86,7 @@ class Matches(Record):
     agreements: tuple[Agreement, ...]
     """How the pictures joined."""
     refused: tuple[str, ...]
-    """Why pairs that share ground by their nominal orientations were not brought together."""
+    """Why pairs that share ground by their nominal orientations were not aligned."""
     losses: Losses
     """What was lost on the way."""
     step: float
@@ -372,7 +372,7 @@ def _likeness(links: Links, tracks: Sequence[list[int]]) -> Array:
 def _second_look(
     scene: Scene, links: Links, first: Measured, sharp: SharpPictures, settings: MatchSettings, step: float, offset: int
 ) -> Measured:
-    """What did not fit a track's reference may belong together itself: such tracks are split and measured anew."""
+    """Features that did not fit a track's reference may fit each other: such tracks are split and measured again."""
     unfit = np.flatnonzero(~_acceptable(first, settings) | ~first.returns)
     tracks = dict[int, list[int]]()
     for k in unfit.tolist():

@@ -131,7 +131,7 @@ class Picture(Record):
     pixels: Pixels
     """(lines, samples)."""
     prior: OrientationPrior
-    """What is known of the corrections of its nominal orientation beforehand."""
+    """Prior of the corrections of its nominal orientation."""
     correction: OrientationCorrection | None = None
     """Of the nominal orientation."""
 
@@ -360,7 +360,7 @@ def next_pair(
 
 def joined(links: Index, likeness: Array, picture_of: Index) -> list[list[int]]:
     """Features joined by links (k, 2), the surest first; a link that would bring two features of one picture together,
-    or contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
+    or contradicts a surer one, is left out: so a contradictory track is split at its weakest link.
 
     `likeness` (k,) says how sure each link is, `picture_of` (n,) the picture of each feature. Returns the features of
     each track, at least two, by picture.

@@ -8,7 +8,7 @@ the likelihood of a shift against another is -D,
 
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
-the right one when all shifts are alike beforehand. The chi^2 of a prior is added to D.
+the right one when all shifts have the same prior. The chi^2 of a prior is added to D.
 
 What a registration by relief says: its choices, and each laser profile and terrain model against the surface
 that the images show, before and after the adjustment with stereo rows.
@@ -28,7 +28,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.record import Record
 
 _AS_STATED = 10.0
-"""Shots by whose weight stated sigmas are believed beforehand: the papers state ten times too much for MOLA."""
+"""Weight of the stated sigmas as a prior, in shots: the papers state ten times too much for MOLA."""
 _MOST_CORRELATED = 0.9
 """Correlation of successive heights that is taken at its word."""
 _ALIKE = 5.0
@@ -178,7 +178,7 @@ class CostSurface:
     name: str
     """Of the profile."""
     shifts: Array
-    """(k,) m, eastward and northward alike."""
+    """(k,) m, both eastward and northward."""
     misfits: Array
     """(k, k) chi^2, by shift east (rows) and north (columns); NaN where too few shots are on the surface."""
     shots: int

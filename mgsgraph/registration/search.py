@@ -386,7 +386,7 @@ def _compared(
         return ()
     lone, first = int(np.argmin(each)), int(np.argmin(each[own]))
     correlated = correlated_shots(left[lone][weights[lone] > 0.0])
-    if expected is not None:  # posts are alike in two directions, and have neighbours in one of them
+    if expected is not None:  # posts are correlated in two directions, and have neighbours in one of them
         correlated = correlated**2
     spreads = merged(fitted.shifts, fitted.covariances, each * counts[lone], owner, float(each[lone]) * correlated)
     fitted = fitted._replace(shifts=fitted.shifts[own], changes=fitted.changes[own], covariances=spreads[own])

@@ -96,7 +96,7 @@ class TrueJitter:
 def _drawn_jitter(
     settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator, common: np.random.Generator
 ) -> TrueJitter:
-    """The truth of one image; `rng` draws phases and constant errors, `common` the phases of images that move alike."""
+    """The truth of one image; `rng` draws phases and constant errors, `common` phases of images that move the same."""
     coverage = image_times(image)
     nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))

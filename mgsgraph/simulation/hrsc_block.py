@@ -52,7 +52,7 @@ _BLUNDER = (5.0, 100.0)
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryErrors(Record):
-    """Sigmas of what is wrong with the observed trajectory; of all three axes alike.
+    """Sigmas of errors of the observed trajectory; the same for all three axes.
 
     28 mgon are the paper's, for all angles: it improves pitch and yaw from them without terrain, roll only with it. For
     the position it has nothing; 50 m make the point heights' sigma of a free adjustment that of the paper, 30 to 50 m.

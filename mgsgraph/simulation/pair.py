@@ -128,7 +128,7 @@ def simulate_pair(
     seed : int
         zero or positive; orientation, ties and shots are drawn from streams of their own.
     errors : InstrumentErrors, optional
-        What is wrong with camera and altimeter, alike in both images; the images stay nominal. None when absent.
+        Errors of camera and altimeter, the same in both images; the images stay nominal. None when absent.
 
     Raises
     ------

@@ -79,7 +79,7 @@ class PassErrors:
     """Sigmas of a pass's trajectory error: polynomials of time, s = -1 .. 1 over the pass, of degree 3 at most."""
 
     position: tuple[float, ...] = (30.0, 10.0)
-    """m, of the coefficients of s^0, s^1, ..., along X, Y, Z alike."""
+    """m, of the coefficients of s^0, s^1, ..., the same along X, Y, Z."""
     attitude: tuple[float, ...] = (1.5e-4, 5e-5, 2e-5, 1e-5)
     """rad, the same of rotations about the first camera's axes."""
 
@@ -238,7 +238,7 @@ _FOOTPRINT, _TRACK = (3.0, 3.0, 1.0), 20.0
 """m, sigmas of a footprint's own place east, north and up; east and north alike of the shift that all footprints of a
 pass share."""
 _BORESIGHT, _BORESIGHT_SIGMAS = 80.0, np.array([1.6e-3, 1.6e-3, 5e-4])
-"""m on the ground below, by which the axis of R is off; rad, what is known of it beforehand, about its axes."""
+"""m on the ground below, by which the axis of R is off; rad, its prior, about its axes."""
 
 
 @dataclass(frozen=True, slots=True)

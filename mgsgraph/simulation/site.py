@@ -442,7 +442,7 @@ def simulate_three_sites(seed: int = 1, options: SimulationOptions | None = None
     seed : int
         zero or positive.
     options : SimulationOptions, optional
-        What differs from the published sites, alike for all three.
+        What differs from the published sites, the same for all three.
 
     Raises
     ------

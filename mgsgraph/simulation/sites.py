@@ -131,7 +131,7 @@ class SiteSettings(Record):
         return self.images[0] if not self.images[0].held else self.images[1]
 
     def prior(self, image: ImageSettings) -> OrientationPrior:
-        """What is known of an image's orientation beforehand, and what the errors of its kernels are drawn from."""
+        """Prior of an image's orientation, and what the errors of its kernels are drawn from."""
         constant = np.array([*(POSITION_SIGMA,) * 3, *self.angle_sigmas])
         return OrientationPrior((_HELD if image.held else 1.0) * np.array(self.trend)[:, None] * constant)
 

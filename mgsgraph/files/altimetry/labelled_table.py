@@ -200,7 +200,7 @@ class _Rows:
         above = self._altimeter.height_sphere if radius is None else 0.0
         if np.isnan(above):
             raise InputError(
-                str(self.path), f"heights of {self._altimeter.name} without radii, above no one knows what",
+                str(self.path), f"heights of {self._altimeter.name} without radii, above an unknown surface",
                 "a column of radii, or INSTRUMENT_ID = LALT, whose heights stand above 1737.4 km", _AS_CSV,
             )
         if radius is not None and height is not None and not np.isnan(self._altimeter.height_sphere):

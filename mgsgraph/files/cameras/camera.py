@@ -25,7 +25,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.units import ISIS_OFFSET, MM
 
 LineTimesSource = Path | Literal["mean"] | None
-"""A text file; "mean", all lines alike between the label's first and last time; or None, the image's own."""
+"""A text file; "mean", equal steps between the label's first and last time; or None, the image's own."""
 _INVERSE = 0.01
 """By which the product of two affine maps may differ from 1."""
 JOINED = 0.5
@@ -268,7 +268,7 @@ class LineScanLabel:
     whole: int = 0
     """Number of lines before any were cut off; 0 where none were."""
     padding: tuple[float, float] = (0.0, 0.0)
-    """s by which spiceinit was told to begin a cube's tables earlier and to end them later."""
+    """s by which spiceinit begins a cube's tables earlier and ends them later."""
     line_offset: float = 0.0
     """Detector lines by which the place of the exposure is off the detector's origin (time delay integration)."""
     late: float = 0.0
@@ -276,7 +276,7 @@ class LineScanLabel:
     detector: int = 0
     """NAIF id of the part of the detector that has constants of its own; 0 for the camera's."""
     band: int = 1
-    """Filter, from 1 on, of cameras whose geometry hangs on it."""
+    """Filter, from 1 on, of cameras whose geometry depends on it."""
     stop: str = ""
     """UTC of the last line; empty where the label has none."""
     times: LineTimesPlace = None

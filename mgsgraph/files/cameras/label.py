@@ -423,7 +423,7 @@ def _serial_number(camera: Camera, keys: LabelKeys, block: LabelBlock) -> str:
 
 
 def _stop(keys: LabelKeys, block: LabelBlock) -> str:
-    """Line times that the label doesn't have hang on it; others are held against it, where it is known."""
+    """Line times that the label lacks depend on it; others are compared with it, where it is known."""
     if not keys.stop or (keys.period and (keys.stop not in block or not block.text(keys.stop)[:1].isdigit())):
         return ""
     return block.text(keys.stop)

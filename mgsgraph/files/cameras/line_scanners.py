@@ -30,7 +30,7 @@ Imager of Kaguya (SELENE).
   call corrected; counts are decimal, and lie 0.03 s after the UTC beside them by SEL_M_V01.TSC: ISIS and the CK go by
   the clock. The principal point of TC is at (line 0.5, sample 2048.0) in ISIS's addendum 007, half a sample from the
   kernel's own 2048.5 and half a line ahead; support data that ALE writes have (0.5, 2048.5) with the other sign along
-  track: a line from ISIS's. MI's bands are lines of their own, told by NaifFrameCode.
+  track: a line from ISIS's. MI's bands are lines of their own, known by NaifFrameCode.
 """
 
 import re

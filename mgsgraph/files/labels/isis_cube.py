@@ -49,7 +49,7 @@ _KAGUYA = -131
 _SAME = 1e-6
 """Share by which constants that are the same may differ: digits."""
 _NODES = 2049
-"""Samples that a polynomial of jigsaw is laid out at; between them cubic and great arc are far below a micropixel."""
+"""Samples at which a polynomial of jigsaw is evaluated; between them cubic and great arc are far below a micropixel."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ class MatchFile:
     pixels: Array
     """(2, n, 2) image, match; row, column, first pixel's centre at (0, 0)."""
     sigmas: Array
-    """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
+    """(2, n) pixels, of row and column; NaN where the file says 0 or less."""
 
 
 def read_match(path: Path, images: tuple[str, str]) -> MatchFile:

@@ -274,7 +274,7 @@ def _positive(text: str, where: str) -> float:
 
 
 def keeps_ids(points: Sequence[ControlPoint]) -> bool:
-    """Whether the ids are numbers as the pipeline reads them; else they are counted anew, with the ids in comments."""
+    """Whether the ids are numbers as the pipeline reads them; else they are counted, with the ids in comments."""
     return all(_NUMBERED.fullmatch(point.id) for point in points)
 
 
@@ -292,7 +292,7 @@ def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
     ------
     InputError
         If there is no such point, one has no a-priori place or (constrained) no covariance with positive variances, or
-        an image's name can't be told from the next field.
+        an image's name can't be separated from the next field.
     """
     measures = measures_of(network, _KNOWN)
     where = network.source or "network"

@@ -85,7 +85,7 @@ _KNOWN = (
     "type", "apriori", "apriori_covariance", "apriori_source", "apriori_source_file", "apriori_radius_source",
     "apriori_radius_source_file", "latitude_constrained", "longitude_constrained", "radius_constrained",
 )  # fmt: skip
-"""Fields that say what is known of a point beforehand."""
+"""Fields of a point's a-priori coordinates."""
 
 
 def _notes(counts: Counter[str], largest: float, rule: Duplicates) -> list[str]:

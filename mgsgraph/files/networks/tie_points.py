@@ -231,7 +231,7 @@ class PointArrays:
             (constrained & np.any(variances <= 0.0, axis=1), "AprioriCovarianceMatrix", "variances {variances} m^2",
              "positive variances", ""),
             (constrained & (variances.min(axis=1) < _TINY) & (variances.max(axis=1) > _TINY * _UNLIKE),
-             "AprioriCovarianceMatrix", "variances {variances} m^2", "sigmas along X, Y, Z that are alike",
+             "AprioriCovarianceMatrix", "variances {variances} m^2", "equal sigmas along X, Y, Z",
              "of latitude and longitude in rad^2? they are in m^2 along X, Y, Z"),
         ):  # fmt: skip
             for i in np.flatnonzero(bad & ~self.ignored)[:1].tolist():

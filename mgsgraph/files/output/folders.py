@@ -123,7 +123,7 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
 
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
-    asked before long work. What a killed process has left there is put right first.
+    asked before long work. What a killed process has left is repaired first.
     """
     shown, target = str(path), resolved(path, _ELSEWHERE)
     try:

@@ -81,7 +81,7 @@ _KINDS = (
         re.compile(rb"<file_name>\s*(" + _NAME + rb")\s*</file_name>"),
     ),
 )  # fmt: skip
-"""Those told by their first bytes."""
+"""Kinds known by their first bytes."""
 _CUBE = _Kind(
     "ISIS3", re.compile(rb""), _PVL_ENDS,
     re.compile(rb"\^core|\bformat(?:[\s=\"'(]|(?>/\*.*?\*/)|(?>#[^\n]*))*+geotiff", re.IGNORECASE | re.DOTALL),
@@ -95,7 +95,7 @@ _PDS = _Kind(
         re.IGNORECASE,
     ),
 )  # fmt: skip
-"""Those told by the labels that `pvl.label_text` knows."""
+"""Kinds known by the labels that `pvl.label_text` knows."""
 _BYTES = {
     "unsignedbyte": 1, "signedword": 2, "unsignedword": 2, "signedinteger": 4, "unsignedinteger": 4, "real": 4,
     "double": 8,
@@ -491,7 +491,7 @@ _LAYOUT = {
     "compress": "DEFLATE", "predictor": "YES", "blocksize": str(_BLOCK), "overview_resampling": "AVERAGE",
     "bigtiff": "IF_SAFER",
 }  # fmt: skip
-"""What GDAL's COG driver is told; overviews are halved until one fits into a tile."""
+"""Options of GDAL's COG driver; overviews are halved until one fits into a tile."""
 
 
 @contextmanager

@@ -161,7 +161,7 @@ _MARGIN = 4
 _STEPS = 3
 """Of the search for the point at a place and height: each leaves 1e-5 of the error of the one before."""
 _MOST = 1 << 24
-"""Posts of a grid that a raster is laid out on."""
+"""Posts of a grid of the raster's extent."""
 _EDGE = 1e-6
 """Pixels by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 _NULL = 1e30

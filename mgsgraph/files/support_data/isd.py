@@ -3,7 +3,7 @@
 Kilometres and millimetres become metres here; ISIS lines (top edge of the first line at 0.5) become lines from 0.0.
 Formulas of the detector: ISIS CameraDetectorMap, CameraFocalPlaneMap; quaternions: scalar first, NAIF q2m.
 
-What programs are known to write wrongly into support data: put right where the file itself betrays it, and said.
+Known errors of programs in support data are corrected where the file itself shows them, and reported.
 """
 
 import re
@@ -80,7 +80,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     ------
     InputError
         Missing or malformed file, key missing or of the wrong kind, another sensor model than a line scanner,
-        positions of which nobody says whether they are geometric, or what is known to be wrong and can't be put right.
+        positions that may be geometric or not, or a known error that can't be corrected.
     """
     content, source = read_json(path), str(path)
     if (model := content.get("name_model", MODEL)) != MODEL:
@@ -202,7 +202,7 @@ def _record(kind: Any) -> type[msgspec.Struct] | None:
 def positions(
     isd: SupportData, body: Ellipsoid, given: Aberration | None, source: str
 ) -> tuple[PositionTable, list[str]]:
-    """Geometric positions at times past ``center_ephemeris_time``, and how they were come by, in sentences.
+    """Geometric positions at times past ``center_ephemeris_time``, and how they were computed, in sentences.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ _ANOTHER_ROAD = "read its cube after spiceinit, or its label and kernels"
 
 
 def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
-    """Support data as they were meant, and what was put right, in sentences.
+    """Support data as they were meant, and what was corrected, in sentences.
 
     Raises
     ------
@@ -340,7 +340,7 @@ def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, lis
     """Line times with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
 
     ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
-    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so betray that the
+    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so show that the
     correction is still to be made; ALE's times hold it.
     """
     code_of = re.compile(rf"INS(-?\d{{1,9}})_{CORRECTIONS[1]}", re.ASCII)

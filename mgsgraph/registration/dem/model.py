@@ -177,7 +177,7 @@ def ortho_grid(dem: Dem, scene: Scene, settings: DemSettings) -> MapGrid:
 
 
 def require_reference(posterior: Posterior, settings: DemSettings) -> None:
-    """Raise InputError where heights are asked for above an areoid that nobody knows."""
+    """Raise InputError where heights are wanted above an unknown areoid."""
     if settings.heights == "areoid" and posterior.network.areoid is None:
         raise InputError(
             "terrain model, heights", "areoid, which the adjusted case doesn't have",

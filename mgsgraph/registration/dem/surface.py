@@ -5,7 +5,7 @@ absolute residuals (Tukey's weights, so that a single blunder counts for nothing
 theirs, a'h, so its variance is a' S a with S_ij = s_i s_j r_ij: matching errors of pairs that have images in common are
 correlated by what their windows share, r = (1 - |dx| / w) (1 - |dy| / w), and n neighbours are not n measurements.
 
-What scatters about the plane beyond that is relief (or noise that nobody stated). With weights W and the projection
+What scatters about the plane beyond that is relief (or unstated noise). With weights W and the projection
 Q = W X (X'WX)^-1 X' W the squares' expectation is E r'Wr = tr(WS) - tr(QS) + relief^2 (tr W - tr Q); `surface` returns
 both sides, to be pooled over neighbouring posts.
 """
@@ -186,7 +186,7 @@ def _robust(near: _Near, n: int) -> bool:
         return False
     if _residuals(near, n) <= _FINE:
         return True
-    for _ in range(_ABSOLUTE):  # near and far points alike: a blunder at the post itself has no neighbour's weight
+    for _ in range(_ABSOLUTE):  # near and far points in one way: a blunder at the post itself has no neighbour's weight
         for i in range(n):
             near.w[i] = 1.0 / (near.sigma[i] * max(near.left[i], near.sigma[i]))
         if not _plane(near, n):

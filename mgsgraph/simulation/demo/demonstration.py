@@ -175,7 +175,7 @@ class _Adjusted:
         """(2,) m along and across the flight: root of the mean variance of some points' projections; NaN for none."""
         image, estimates = self._posterior.image(j), list[PixelEstimate]()
         for k in thinned(len(names), _MOST).tolist():
-            with suppress(InputError):  # it falls beside the image, whose orientation nobody knows there
+            with suppress(InputError):  # it falls beside the image, whose orientation is unknown there
                 estimates.append(self._posterior.projection(names[k], image.name))
         if not estimates:
             return np.full(2, np.nan)
@@ -393,7 +393,7 @@ def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> Relie
 
 
 def _named_from(case: Case, folder: Path) -> Case:
-    """The case with its sources named from the folder that holds `folder`, which may not have its name for good yet."""
+    """The case with its sources named from the folder that holds `folder`, which may still have a temporary name."""
 
     def short(source: str) -> str:
         return source.replace(str(folder / "x")[:-1], str(Path(folder.name) / "x")[:-1])
