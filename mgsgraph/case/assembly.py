@@ -74,7 +74,7 @@ def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> 
 def laser_profile(
     shots: AltimeterShots, name: str, entry: ShotsInput, carriers: Sequence[tuple[PushbroomImage, Index | slice]] = ()
 ) -> LaserProfile:
-    """Shots as observations with the sigmas that are wanted, or else those of their altimeter.
+    """Shots as observations with the sigmas of their table, or else those of their altimeter.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ class Parts:
     def _add_beam(
         self, name: str, shots: AltimeterShots, entry: ShotsInput, carried: Index, pointed: frozenset[str]
     ) -> None:
-        """What a profile's beam points elsewhere in common, as an unknown; profiles along one image have one beam."""
+        """A profile's common pointing error of its beam, as an unknown; profiles along one image have one beam."""
         sigma = entry.beam_sigma_mrad
         along = np.unique(carried[carried >= 0])
         if not (along.size and entry.ranges):
@@ -286,7 +286,7 @@ class Parts:
         areoid: TerrainGrid | None = None,
         entry: TerrainInput | None = None,
     ) -> Network:
-        """All of it as one network; tie points lie on the terrain model, if there is one, as `entry`."""
+        """All of it as one network; `entry` is the table of the terrain model on which tie points lie, if any."""
         points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
@@ -447,7 +447,7 @@ def in_images(
 
 
 def merged(groups: Sequence[TiePoints]) -> TiePoints:
-    """Points of several control networks, in the files' order, those of the same id made one.
+    """Points of several control networks, in the files' order; points of the same id are merged.
 
     Raises
     ------

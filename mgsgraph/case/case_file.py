@@ -1,4 +1,4 @@
-"""A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name.
+"""Reads a case file: its tables, and each image by the kind of its file, one by one or in an ISIS list, and its name.
 
 Tables and keys of a case file, as its schema has them: for `mgsgraph new --keys`, and for docs/case_file.md.
 """
@@ -94,7 +94,7 @@ def stated(path: Path) -> CaseInput:
 
 
 def _refuse_former(value: Any, where: str) -> None:
-    """Raise InputError for a table or key of an earlier version, and name the word of today."""
+    """Raise InputError for a table or key of an earlier version, and name today's word."""
     for table in value if isinstance(value, list) else [value]:
         for key, inner in table.items() if isinstance(table, dict) else ():
             expected, remedy = _FORMER.get(key) or _FORMER.get(f"{key} = {inner}", ("", ""))
@@ -126,13 +126,13 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
-    _require_heeded(entry, kind, where)
+    _require_supported(entry, kind, where)
     refuse_foreign_kinds(folder / image_file(entry))
     return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 
-def _require_heeded(entry: ImageInput, kind: ImageKind, where: str) -> None:
-    """Raise InputError for a key that has no meaning for this kind of file: it would change nothing, unsaid."""
+def _require_supported(entry: ImageInput, kind: ImageKind, where: str) -> None:
+    """Raise InputError for a key that this kind of file ignores."""
     untold = ImageInput()
     for key, kinds in _OF_KINDS.items():
         if kind not in kinds and getattr(entry, key) != getattr(untold, key):
@@ -198,7 +198,7 @@ def instruments(tables: CaseInput, path: Path) -> list[str]:
 def _require_of_pass(
     tables: CaseInput, orientations: Sequence[OrientationInput], of_pass: Sequence[int], where: str
 ) -> None:
-    """Raise InputError where what is said of an image contradicts its pass."""
+    """Raise InputError where the table of an image contradicts its pass."""
     for j in of_pass:
         entry = tables.images[j]
         if entry.held:

@@ -1,4 +1,4 @@
-"""A case file for the files that somebody has: what each is says its content, what is missing is said in comments.
+"""Writes a case file for given files: the content of each tells its kind, comments name what is missing.
 
 Tables of a case file for files that are no images, each looked at by itself: networks, shots, terrain models.
 """
@@ -82,7 +82,7 @@ def in_line(text: str) -> str:
 def draft_tables(
     kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path
 ) -> tuple[list[Part], list[str]]:
-    """Tables of all that is no image; and what can't be used beside the rest, with the reason."""
+    """Tables of all files but images; and the files that can't be used, with the reason."""
     parts, refused = list[Part](), list[str]()
     for make in (_ties, _control, _lidar, partial(_shots, refused=refused), _altimetry, _terrain):
         of_kind = list(make(kinds, images, out))
@@ -146,7 +146,7 @@ def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, ref
 
 
 def _nearest(sorted_or_not: Array, times: Array) -> Array:
-    """Of each time the nearest one of others."""
+    """For each time the nearest of the other times."""
     ordered = np.sort(sorted_or_not)
     after = np.clip(np.searchsorted(ordered, times), 1, ordered.size - 1)
     before = after - 1
@@ -187,7 +187,7 @@ def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
 
 
 def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | None:
-    """m, sphere above which a raster's values may be heights; None where they may be radii, or nothing of both."""
+    """m, sphere above which a raster's values may be heights; None where they may be radii, or neither."""
     for level in (None, images[0].body.equatorial):
         with suppress(InputError):
             entry = TerrainInput(radius=str(path.absolute()), reference_radius_m=level)
@@ -289,7 +289,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
-    """Kinds of all files by their paths; and those, of several or in folders, that are of no kind, and why."""
+    """Kinds of all files by their paths; and the files of unknown kind among several or in folders, with the reason."""
     kinds, unknown = dict[Path, Kind](), dict[Path, str]()
     for item in given:
         inside = _inside(item)
@@ -399,7 +399,7 @@ def _images(images: Sequence[DraftImage], usual: Accuracy, out: Path) -> str:
 
 
 def _name(given: Sequence[Path], out: Path) -> str:
-    """What to call a case: as its file, or, if that is called as every case is, the folder of the data."""
+    """Name of a case: that of its file, or, if the file has the usual name, that of the folder of the data."""
     if out.stem.lower() != _PLAIN:
         return out.stem
     first = given[0].resolve()

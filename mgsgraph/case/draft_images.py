@@ -1,4 +1,4 @@
-"""Which images some files are of, each once, by what file it is best read, and what networks call it."""
+"""Finds the images of files, each once: the file that it is best read from, and its name in networks."""
 
 import re
 from collections import Counter
@@ -110,7 +110,7 @@ def _on_one_body(drafts: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[P
 
 
 def without_place(reason: str, path: Path) -> str:
-    """What is wrong with a file, without the file's place before it."""
+    """A message about a file, without the file's path before it."""
     for place in (path, path.absolute(), path.name):
         reason = reason.removeprefix(f"{place}: ").removeprefix(f"{place}, ")
     return reason
@@ -131,7 +131,7 @@ def _read(
 
 
 def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
-    """A picture that is called as a file without pixels is."""
+    """The picture that has the name of a file without pixels."""
     if kinds[path] not in _ALONE:
         return None
     return next((file for file, kind in kinds.items() if kind in _PICTURES and file.stem == path.stem), None)
@@ -155,7 +155,7 @@ def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
 
 
 def _duplicate_of(draft: DraftImage, drafts: Sequence[DraftImage]) -> int | None:
-    """The image that a new one is again, by its geometry or its name."""
+    """Number of the image that a new one duplicates, by geometry or name; None without one."""
     images = [*(other.image for other in drafts), draft.image]
     same = [first for first, other in duplicate_images(images) if other == len(drafts)]
     if draft.name != draft.path.stem:  # a serial number

@@ -47,7 +47,7 @@ def three(value: object, where: str, zero: bool = False, infinite: bool = False)
 
 
 class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is said."""
+    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is stated."""
 
     spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
@@ -161,7 +161,7 @@ class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A further process, which adds to that of the table that it stands in."""
+    """A further process, which is added to that of its table."""
 
     model: Kind
     """Which."""
@@ -172,7 +172,7 @@ class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True
 
 
 class _Motion(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What corrections of position and of attitude both have."""
+    """Keys that corrections of position and of attitude share."""
 
     model: Model = "polynomial"
     """A polynomial of time; or bias and drift with departures about them that are a Gaussian process: stationary with
@@ -229,7 +229,7 @@ _OF_PROCESSES = ("sigma", "bias_sigma", "drift_sigma")
 
 
 def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
-    """(degree + 1, 3) m or rad, of a polynomial's terms; those that are not said by `default` (n, 3), of [orientation].
+    """(degree + 1, 3) m or rad, of a polynomial's terms; unstated ones by `default` (n, 3), of [orientation].
 
     Raises
     ------
@@ -277,7 +277,7 @@ def processes(motion: Motion, where: str) -> tuple[Process, ...]:
 
 
 def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Process:
-    """One of them; `motion` is the table that it stands in."""
+    """One process; `motion` is the table that it stands in."""
     assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
     for strange in ("sigma_m", "sigma_mrad"):
@@ -307,7 +307,7 @@ def _require_time(entry: Motion | ProcessInput, where: str) -> None:
 
 
 def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Array]:
-    """(3,) m or rad, of bias and drift: beside a process as they are said, 0 for none; or a polynomial's two terms.
+    """(3,) m or rad, of bias and drift: beside a process as stated, 0 for none; or a polynomial's two terms.
 
     Raises
     ------
@@ -329,7 +329,7 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
 
 
 def negligible_departures(bias: Array) -> tuple[Process, ...]:
-    """Departures that are next to nothing: of a part that is a line in time, with the sigma (3,) of its constant."""
+    """Negligible departures: of a part that is a line in time, with the sigma (3,) of its constant."""
     return (Process("white", _NEGLIGIBLE * bias),)
 
 

@@ -149,7 +149,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return ProcessPrior(parts[0], parts[1], bias, drift)
 
     def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
-        """About what is known of one of its images by itself: the constant and the linear part."""
+        """Approximate prior of one of its images by itself: the constant and the linear part."""
         prior = self.prior_of(where, default)
         if isinstance(prior, PolynomialPrior):
             return OrientationPrior(prior.coefficient_sigmas)
@@ -226,7 +226,7 @@ def passes_of(
 
 
 def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int]]) -> list[str]:
-    """A sentence where images that are of no pass were taken at one time from one trajectory; of large blocks none."""
+    """A sentence where images without a pass were taken at one time from one trajectory; large blocks are skipped."""
     unassigned = sorted(set(range(len(images))).difference(*of_passes), key=lambda j: seconds(images[j]))
     for early, late in pairwise(images[j] for j in unassigned[:_MOST_COMPARED]):
         if seconds(late)[0] < seconds(early)[1] and len(found_passes([early, late])) == 1:
@@ -401,7 +401,7 @@ def _moved(image: PushbroomImage, entry: MountingInput, where: str) -> Pushbroom
 
 
 def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> PositionTable:
-    """Positions that are away from those of a table by an arm (3,) in m along the camera's axes."""
+    """Positions of a table moved by an arm (3,) in m along the camera's axes."""
     times = np.unique(np.concatenate([position.times, camera.times]))
     times = times[(times >= position.times[0]) & (times <= position.times[-1])]
     places, velocities = position.at(times)
@@ -414,7 +414,7 @@ def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> Posit
 def mounting_unknowns(
     entries: Sequence[MountingInput], of_entries: Sequence[Sequence[int]], network: Network, path: str
 ) -> tuple[SharedUnknown, ...]:
-    """What is unknown of mountings: of all images of a camera, or of those of each pass.
+    """Unknowns of mountings: one for all images of a camera, or one for each pass.
 
     Parameters
     ----------
@@ -483,7 +483,7 @@ def _sharing(entry: MountingInput, of_mounting: Sequence[int], network: Network)
 
 
 def _require_one_camera(network: Network, of_mounting: Sequence[int], where: str) -> None:
-    """Raise InputError where tables have images of one camera mounted otherwise in one pass."""
+    """Raise InputError where images of one camera have different mountings in one pass."""
     for owner in {int(network.pass_of[j]) for j in of_mounting} - {-1}:
         of_pass = [j for j in of_mounting if int(network.pass_of[j]) == owner]
         first = network.axes_of(of_pass[0])

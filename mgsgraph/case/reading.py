@@ -96,7 +96,7 @@ class Case(Record):
         return f"Case({self.name!r}: {self.network!r})"
 
     def require_images_of(self, solution: "Solution") -> None:
-        """Raise InputError where it has none of a solution's images: then it is another one's case."""
+        """Raise InputError where it has none of a solution's images: it is the case of another solution."""
         own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
         if not set(own) & set(others):
             found = f"images such as {own[0]}"
@@ -217,7 +217,7 @@ def _read_passes(
 def _require_same_heights(
     network: Network, tables: CaseInput, profiles: Sequence[AltimeterShots], path: Path
 ) -> None:
-    """Raise InputError where laser and terrain model are far apart in height: something is stated wrongly."""
+    """Raise InputError where laser and terrain model differ much in height: a statement is wrong."""
     surface = network.surface
     shots = network.points.places[network.points.classes == PointClass.LASER]
     if surface is None or len(shots) < _LEAST_SHOTS:
@@ -241,7 +241,7 @@ def _require_same_heights(
 def _likely_surface(
     entry: TerrainInput, off: float, shots: Array, body: Ellipsoid, profiles: Sequence[AltimeterShots]
 ) -> str:
-    """What heights that lie off the laser by so much would be above, where they are stated above a sphere."""
+    """The surface above which heights that differ so from the laser may be, where they are stated above a sphere."""
     stated = entry.reference_radius_m
     if stated is None:
         return ""

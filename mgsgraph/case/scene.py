@@ -1,4 +1,4 @@
-"""A case's images with their pixels over its ground, to be matched; ties need not be there yet."""
+"""A case's images with their pixels over its ground, to be matched; ties may be missing."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -94,7 +94,7 @@ def picture_file(tables: CaseInput, image: int, path: Path) -> Path:
 def image_priors(
     tables: CaseInput, of_passes: Sequence[Sequence[int]], images: Sequence[PushbroomImage], path: Path
 ) -> list[OrientationPrior]:
-    """Of each image; one of a pass has what is known of that."""
+    """Prior of each image; an image of a pass has the prior of the pass."""
     priors, entries = list(tables.priors(str(path), images)), tables.passes
     for k, (entry, of_pass) in enumerate(zip(entries, of_passes, strict=True)):
         for j in of_pass:

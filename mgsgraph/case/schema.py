@@ -131,7 +131,7 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
 
     def nominal_of(self, image: PushbroomImage) -> PushbroomImage:
-        """An image with the nominal orientation that is said here."""
+        """An image with the nominal orientation of this table."""
         if self.nominal == "trajectory":
             return image
         return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
@@ -397,11 +397,11 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def orientations(self) -> list[OrientationInput]:
-        """Of each image: its own, or that of all."""
+        """[orientation] of each image: its own, or that of the case."""
         return [image.orientation or self.orientation for image in self.images]
 
     def priors(self, where: str, images: Sequence[PushbroomImage]) -> tuple[OrientationPrior, ...]:
-        """Of the corrections of each image, which has been read; `where` names the file in errors."""
+        """Priors of the corrections of all images, which have been read; `where` names the file in errors."""
         return tuple(
             orientation.prior(
                 f"{where}, images[{j}].orientation" if self.images[j].orientation else f"{where}, orientation",

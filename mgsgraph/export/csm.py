@@ -343,8 +343,8 @@ def _original(image: PushbroomImage, path: Path | None, heights: dict[str, Any])
     if (content.get("image_lines"), content.get("image_samples")) != (image.lines, image.samples):
         found = f"{content.get('image_lines')} x {content.get('image_samples')} lines x samples"
         raise InputError(str(path), found, f"those of image {image.name}, {image.lines} x {image.samples}")
-    taken = (*unknown, "sun_position", "body_rotation", "instrument_pointing")
-    return unknown | {key: content[key] for key in taken if key in content}
+    keys = (*unknown, "sun_position", "body_rotation", "instrument_pointing")
+    return unknown | {key: content[key] for key in keys if key in content}
 
 
 def _body_rotation(image: PushbroomImage, path: Path | None) -> Turning:

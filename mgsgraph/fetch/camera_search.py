@@ -52,9 +52,9 @@ class CameraSearch:
         file = self._file(product, answer)
         root = getattr(self._archives, camera.images)
         label = self._label(product, root + file)
-        taken = Interval.of(label)
+        exposure = Interval.of(label)
         box = box_of(answer, label)
-        kernels = self._kernels(camera, taken, str(product))
+        kernels = self._kernels(camera, exposure, str(product))
         shots, why = self._shots(camera, box, str(product))
         addendum, lacking = self._addendum(camera, str(product))
         orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label and label.text("ORBIT_NUMBER").isdigit() else 0
@@ -109,17 +109,17 @@ class CameraSearch:
 
     # --- kernels
 
-    def _kernels(self, camera: ArchivedCamera, taken: Interval, where: str) -> tuple[str, ...]:
+    def _kernels(self, camera: ArchivedCamera, exposure: Interval, where: str) -> tuple[str, ...]:
         """Paths below the kernels' archive, in the meta-kernel's order: of its time, and those of all times."""
         root = getattr(self._archives, camera.kernels)
-        folder, name = self._meta_kernel(camera, root, taken.middle.year, where)
+        folder, name = self._meta_kernel(camera, root, exposure.middle.year, where)
         text = read_text(self._store.get(WantedFile(f"{root}{folder}{name}", kernel_path(name))), encoding="latin-1")
         data = "DATA/" if folder.isupper() else "data/"
         listed = [match[1] for match in _KERNEL.finditer(re.sub(r"\+'\s*'", "", text))]
-        chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, taken)]
+        chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, exposure)]
         for kind in ("spk", "ck"):
             if not any(f"/{kind}/" in path.lower() for path in chosen):
-                raise InputError(f"{where}, {name}", f"no {kind.upper()} that holds {taken}", "kernels of its time")
+                raise InputError(f"{where}, {name}", f"no {kind.upper()} that holds {exposure}", "kernels of its time")
         return tuple(chosen)
 
     def _meta_kernel(self, camera: ArchivedCamera, root: str, year: int, where: str) -> tuple[str, str]:
@@ -133,7 +133,7 @@ class CameraSearch:
         expected = camera.meta_kernel.format(year)
         raise InputError(f"{where}, kernels of {year}", f"no meta-kernel in {root}extras/mk/", expected)
 
-    def _holds(self, camera: ArchivedCamera, data: str, path: str, taken: Interval) -> bool:
+    def _holds(self, camera: ArchivedCamera, data: str, path: str, exposure: Interval) -> bool:
         """Whether a kernel is wanted: text of any time; an orbit or attitude by the dates in its name, or its label."""
         kind, _, name = path.rpartition("/")
         kind = kind.lower()
@@ -141,7 +141,7 @@ class CameraSearch:
             return True
         if kind == "ck" and not camera.attitude.match(name):
             return False
-        interval = taken.wider(MARGIN)
+        interval = exposure.wider(MARGIN)
         if (covered := dates_in(name)) is not None and not covered.meets(interval):
             return False
         if covered is not None:

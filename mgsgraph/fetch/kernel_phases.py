@@ -94,12 +94,12 @@ def phase_of(when: datetime) -> int:
     return max(0, sum(start <= when for start in _STARTS) - 1)
 
 
-def find_kernels(taken: Interval, cover: Cover, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def find_kernels(exposure: Interval, cover: Cover, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Paths of the SPK and the CK of an image, and sentences about what could not be confirmed.
 
     Parameters
     ----------
-    taken : Interval
+    exposure : Interval
         When the image was taken.
     cover : callable
         Reads kernels' labels.
@@ -113,16 +113,16 @@ def find_kernels(taken: Interval, cover: Cover, where: str) -> tuple[tuple[str, 
     """
     paths, notes = [], []
     for kind, (stem, suffix) in KINDS.items():
-        phases, confirmed = _phases(taken, stem, cover, f"{where}, {kind}")
+        phases, confirmed = _phases(exposure, stem, cover, f"{where}, {kind}")
         paths += [f"{stem}{_NAMES[k]}{suffix}" for k in phases]
         if not confirmed:
             notes.append(f"{where}: {paths[-1]} has no label that would confirm its time; it is taken by its name")
     return tuple(paths), tuple(notes)
 
 
-def _phases(taken: Interval, stem: str, cover: Cover, where: str) -> tuple[list[int], bool]:
+def _phases(exposure: Interval, stem: str, cover: Cover, where: str) -> tuple[list[int], bool]:
     """Phases that hold an interval, in order, and whether labels say so; the predicted one is asked first."""
-    predicted, wanted = phase_of(taken.middle), taken.wider(MARGIN)
+    predicted, wanted = phase_of(exposure.middle), exposure.wider(MARGIN)
     reach = range(max(0, predicted - _REACH), min(len(_NAMES), predicted + _REACH + 1))
     covered: dict[int, Interval] = {}
     for k in sorted(reach, key=lambda k: (abs(k - predicted), k)):
@@ -133,7 +133,7 @@ def _phases(taken: Interval, stem: str, cover: Cover, where: str) -> tuple[list[
             covered[k] = stated
         if all(any(interval.holds(end) for interval in covered.values()) for end in wanted):
             break
-    if not all(any(interval.holds(end) for interval in covered.values()) for end in taken):
+    if not all(any(interval.holds(end) for interval in covered.values()) for end in exposure):
         near = ", ".join(f"{_NAMES[k]} {interval}" for k, interval in sorted(covered.items())) or "none of its time"
-        raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {taken}", near)
+        raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {exposure}", near)
     return sorted(covered), True

@@ -45,21 +45,21 @@ def orbit_at(when: datetime) -> int:
     return _KNOWN_ORBIT + round((when - _KNOWN_TIME) / _PERIOD)
 
 
-def find_profile(orbit: int, taken: Interval, archives: Archives, remote: Remote, where: str) -> tuple[str, str]:
+def find_profile(orbit: int, exposure: Interval, archives: Archives, remote: Remote, where: str) -> tuple[str, str]:
     """Path of the PEDR file below its archive, and a sentence: why there is none, or what is not confirmed.
 
     Parameters
     ----------
     orbit : int
         Mapping orbit of the image.
-    taken : Interval
+    exposure : Interval
         When it was taken.
     archives, remote
         Where, and how.
     where : str
         The image, for the sentences.
     """
-    if taken.start > RANGING_ENDED:
+    if exposure.start > RANGING_ENDED:
         return "", f"{where}: no laser profile, MOLA's ranging ended on {RANGING_ENDED:%Y-%m-%d}"
     for path in _candidates(orbit + FIRST, archives, remote):
         try:
@@ -69,9 +69,9 @@ def find_profile(orbit: int, taken: Interval, archives: Archives, remote: Remote
         covered = Interval.said_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
         if covered is None:
             return path, f"{where}: the label of {path} says no times; it is taken by its orbit"
-        if covered.holds(taken.middle):
+        if covered.holds(exposure.middle):
             return path, ""
-        if covered.stop < taken.middle:
+        if covered.stop < exposure.middle:
             return "", f"{where}: no laser profile, {path} ends at {covered.stop:%Y-%m-%dT%H:%M:%S} before it"
     return "", f"{where}: no laser profile, the archive has no file of its day"
 
@@ -268,10 +268,10 @@ class Search:
             raise InputError(f"index of {volume}, {product}", repr(row.file), "a path such as m08060/m0806047.imq")
         file = f"{volume}/{row.file}"
         label = self._image_label(product, self._archives.images + file)
-        taken, where = Interval.of(label), str(product)
-        orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label else orbit_at(taken.middle)
-        kernels, unconfirmed = find_kernels(taken, self._cover, where)
-        pedr, why = find_profile(orbit, taken, self._archives, self._store.remote, where)
+        exposure, where = Interval.of(label), str(product)
+        orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label else orbit_at(exposure.middle)
+        kernels, unconfirmed = find_kernels(exposure, self._cover, where)
+        pedr, why = find_profile(orbit, exposure, self._archives, self._store.remote, where)
         return ImageNeeds(
             product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, pedr,
             (*unconfirmed, *([why] if why else [])),

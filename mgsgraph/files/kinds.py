@@ -204,8 +204,8 @@ def _label(text: str, path: Path, size: int) -> Kind:
     if re.search(r"^[ \t]*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
     mapped = re.search(r"^[ \t]*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
-    taken = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
-    if mapped and not taken:
+    instrument = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
+    if mapped and not instrument:
         return Kind.RASTER
     return Kind.MAPPED_CUBE if mapped else Kind.CUBE
 

@@ -107,7 +107,7 @@ MLA = Altimeter(
 )  # fmt: skip
 ANY = Altimeter("an altimeter", None, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, "shots with ground = 0", "")
 """One of which the file says nothing."""
-ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT, MLA)}
+ALTIMETERS = {altimeter.name: altimeter for altimeter in (MOLA, LOLA, LALT, MLA)}
 """By name."""
 
 

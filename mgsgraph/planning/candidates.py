@@ -239,7 +239,7 @@ def planned_point(
 
 
 def require_candidates(where: str, names: Sequence[str]) -> None:
-    """Raise InputError for no candidate, and for a name that stands twice."""
+    """Raise InputError for no candidate, and for a name given twice."""
     if not names:
         raise InputError(where, "no candidate", "at least one image, profile or control point")
     for name in sorted({candidate for candidate in names if names.count(candidate) > 1})[:1]:

@@ -1,4 +1,4 @@
-"""The plan: every candidate judged by itself, then one chosen after the other, each in sight of those before it."""
+"""The plan: every candidate is judged by itself, then they are chosen one by one, each given those before it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -380,6 +380,6 @@ def plan(
 
 
 def _order(evaluation: Evaluation) -> tuple[bool, float, float, str]:
-    """Best first: what can't be judged last; then the fall of the sigma, the information, the name."""
+    """Best first, candidates that can't be judged last; then the fall of the sigma, the information, the name."""
     drop, bits = (float(f"{value:.{_ALIKE - 1}e}") for value in (evaluation.drop, evaluation.bits))
     return bool(evaluation.reason), -drop, -bits, evaluation.name

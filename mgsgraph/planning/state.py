@@ -267,7 +267,7 @@ class Update:
     """Information gained on all present unknowns."""
 
     def bits_on(self, others: Sequence[Unknown]) -> float:
-        """Information gained on the present unknowns but for some others, which may be known as badly as they like."""
+        """Information gained on the present unknowns without some others, which are marginalized."""
         if not others:
             return self.bits
         # det S of a part is det(information of the others) / det(information of all)

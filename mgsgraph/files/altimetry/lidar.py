@@ -169,9 +169,9 @@ def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
         require_years(times[[k]], where(k))
     for k in np.flatnonzero(np.abs(longitudes) > _TURN)[:1]:
         raise InputError(where(k), f"longitude {longitudes[k]:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
-    if (again := ids.first_repeated) is not None:
-        first = ids.tolist().index(ids[again])
-        raise InputError(where(again), f"the id {ids[again]!r} twice, first in points[{first}]", "each id once")
+    if (repeated := ids.first_repeated) is not None:
+        first = ids.tolist().index(ids[repeated])
+        raise InputError(where(repeated), f"the id {ids[repeated]!r} twice, first in points[{first}]", "each id once")
     if None in triangles:
         raise InputError(where(triangles.index(None)), "no key 'aprioriMatrix'", "the covariance of the footprint")
     pairs = np.sort(shot_measured * len(measured.distinct) + measured.numbers)

@@ -287,9 +287,9 @@ def read_isis_cube(
     mapped = ("the camera's image that its map was made of",) if is_map_projected(root) else ()
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
-        asked = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
-        asked = asked or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
-        image = _image(label, keywords, tables, name, *asked)
+        stated = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
+        stated = stated or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
+        image = _image(label, keywords, tables, name, *stated)
         return replace(image, remarks=(*image.remarks, *mapped))
 
 
@@ -328,13 +328,13 @@ def _odd_rates(label: LineScanLabel, tables: dict[str, CubeTable]) -> Iterator[s
 
 def _other_constants(label: LineScanLabel, keywords: NaifKeywords) -> Iterator[str]:
     """Remarks on keywords that are not those of the camera's record, where it has them."""
-    for key, known in label.camera.constants.items():
-        if key not in keywords or len(np.atleast_1d(np.array(keywords.values[key], dtype=object))) < len(known):
+    for key, expected in label.camera.constants.items():
+        if key not in keywords or len(np.atleast_1d(np.array(keywords.values[key], dtype=object))) < len(expected):
             continue
-        stated = keywords.numbers(key, len(known))
-        if np.abs(stated - known).max() > _SAME * np.abs(known).max():
-            said, usual = (", ".join(f"{one:.9g}" for one in values) for values in (stated, known))
-            yield f"{key} is {said}, where {label.camera.addendum} has {usual}"
+        stated = keywords.numbers(key, len(expected))
+        if np.abs(stated - expected).max() > _SAME * np.abs(expected).max():
+            in_label, in_addendum = (", ".join(f"{value:.9g}" for value in values) for values in (stated, expected))
+            yield f"{key} is {in_label}, where {label.camera.addendum} has {in_addendum}"
 
 
 def _files(path: Path) -> tuple[Path, Path | None]:
@@ -364,7 +364,7 @@ def has_tables(path: Path, root: Block) -> bool:
         return True
     tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
     size = path.stat().st_size
-    return len(tables) == len(_TABLES) and all(one.count("StartByte") <= size for one in tables)
+    return len(tables) == len(_TABLES) and all(table.count("StartByte") <= size for table in tables)
 
 
 def has_pixels(path: Path) -> bool:
@@ -406,21 +406,21 @@ def _line_times(label: LineScanLabel, keywords: NaifKeywords, position: CubeTabl
     the position table, which begins with the whole image's first line and ends with its last.
     """
     camera, key = label.camera, f"CLOCK_ET_{label.camera.clock or label.camera.spacecraft}_{label.start}_COMPUTED"
-    known = not camera.start_is_utc and key in keywords
-    if not known and not camera.start_is_utc:
+    has_start = not camera.start_is_utc and key in keywords
+    if not has_start and not camera.start_is_utc:
         _require_no_other_start(keywords, key)
     first, last = position.start + label.padding[0], position.stop - label.padding[1]
-    start = keywords.time(key) if known else first
+    start = keywords.time(key) if has_start else first
     times = camera.line_times(keywords, label, start, last)
     if label.period == 0.0:  # lines have times of their own, which are held against both
         return times
     whole = camera.line_times(keywords, replace(label, lines=label.whole or label.lines, first_line=0.0), start, last)
-    if not known and whole.start != start:
+    if not has_start and whole.start != start:
         found, remedy = f"no {key}", "run spiceinit again"
         raise InputError(f"{keywords.source}, NaifKeywords", found, "the time of the label's start", remedy)
-    partial = known and label.whole > 0  # spiceinit may have been run before or after the cut
-    wanted = times if partial or camera.tables_of_bands else whole
-    _require_coverage(position.where, (first, last), wanted, longer=wanted is not whole)
+    partial = has_start and label.whole > 0  # spiceinit may have been run before or after the cut
+    needed = times if partial or camera.tables_of_bands else whole
+    _require_coverage(position.where, (first, last), needed, longer=needed is not whole)
     return times
 
 

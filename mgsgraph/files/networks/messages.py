@@ -162,12 +162,12 @@ def _choice(kinds: dict[int, Any]) -> Callable[[int, str], Any]:
 
 
 _source = _choice({int(source): source for source in AprioriSource} | {UNSET: AprioriSource.NONE})
-_POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(one): one for one in PointType}
+_POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(kind): kind for kind in PointType}
 """By number in the file; 0 and 1 are Tie and Ground of old."""
 _KEYS: dict[tuple[str, str], tuple[str, Callable[[Any, str], Any]]] = {
     ("Point", "id"): ("PointId", _named), ("Measure", "serial_number"): ("SerialNumber", _named),
     ("Point", "type"): ("PointType", _choice(_POINT_TYPES)),
-    ("Measure", "type"): ("MeasureType", _choice({int(one): one for one in MeasureType})),
+    ("Measure", "type"): ("MeasureType", _choice({int(kind): kind for kind in MeasureType})),
     ("Point", "apriori_source"): ("AprioriXYZSource", _source),
     ("Point", "apriori_radius_source"): ("AprioriRadiusSource", _source),
     ("Point", "apriori_covariance"): ("AprioriCovarianceMatrix", _covariance),
