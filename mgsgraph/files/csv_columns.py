@@ -61,7 +61,7 @@ class Columns:
         return f"{self.path}, {self.row} {self.numbers[row]}"
 
     def filled(self, name: str) -> Mask:
-        """Which cells (n,) of a column hold anything."""
+        """Which cells (n,) of a column are filled."""
         return np.asarray(pc.not_equal(self.values[name], ""))
 
     def chosen(self, rows: Index) -> "Columns":
@@ -94,7 +94,7 @@ class CsvText:
         return ", ".join(filter(None, (str(self.path), f"line {self.numbers[row]}", name)))
 
     def texts(self, *names: str) -> dict[str, pa.Array]:
-        """Columns (n) of texts without blanks around them; InputError for a row that is none, or of another number of
+        """Columns (n) of texts without blanks around them; InputError for a bad row, or one with another number of
         fields.
         """
         if not self.body:

@@ -82,14 +82,14 @@ def vertical_of(crs: Any) -> tuple[str, str]:
 
 
 def require_surface(vertical: str, unit: str, stated: str, where: str) -> None:
-    """Raise InputError where a vertical system contradicts what heights are taken to be above.
+    """Raise InputError where a vertical system contradicts the reference surface of heights.
 
     Parameters
     ----------
     vertical, unit : str
         As `vertical_of` gives them.
     stated : str
-        "radius", "sphere", "ellipsoid" or "areoid"; empty where it is of no matter.
+        "radius", "sphere", "ellipsoid" or "areoid"; empty where it does not matter.
     where : str
         The file, for messages.
     """

@@ -135,7 +135,7 @@ def line_of(text: str, place: Sequence[str | int]) -> int | None:
 
 
 def _keys(dotted: str) -> list[str]:
-    """The parts of a key as they are meant, without quotation marks."""
+    """The parts of a key, without quotation marks."""
     keys, value = list[str](), tomllib.loads(f"{dotted} = 0") if dotted else {}
     while isinstance(value, dict) and value:
         ((key, value),) = value.items()
@@ -223,7 +223,7 @@ def _kinds_at(kind: Any, steps: list[tuple[str, str]]) -> list[Any]:
 
 
 def _refuse_nan(value: object, where: str) -> None:
-    """TOML has nan; nothing here may be it."""
+    """Refuse nan, which TOML allows."""
     if isinstance(value, float) and math.isnan(value):
         raise InputError(where, "nan", "a number")
     if isinstance(value, dict):

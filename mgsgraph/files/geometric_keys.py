@@ -15,7 +15,7 @@ from mgsgraph.files.pvl import Block
 
 
 class Use(StrEnum):
-    """What becomes of a key."""
+    """How a key is used."""
 
     READ = "read"
     COMPARED = "compared"
@@ -247,7 +247,7 @@ _OTHERS = re.compile(
 
 
 def texts(block: Block) -> dict[str, str]:
-    """What stands behind each keyword of a block, as text."""
+    """Value of each keyword of a block, as text."""
     items = {key: entry.value for key, entry in block.entries.items()}
     return {key: value if isinstance(value, str) else ", ".join(value) for key, value in items.items()}
 
@@ -257,7 +257,7 @@ def _of(name: str, keys: Iterable[Key]) -> Key | None:
 
 
 def unread(names: Iterable[str], keys: Iterable[Key]) -> list[str]:
-    """Names that look geometric and that a format's table does not have."""
+    """Names that look geometric and are not in a format's table."""
     table = tuple(keys)
     return [
         name for name in names

@@ -1,4 +1,4 @@
-"""The door by which every file from outside comes in: a regular file, of a bearable size, in errors that name it.
+"""Opens every file from outside: a regular file of a limited size, with errors that name it.
 
 What a damaged file makes its parser raise becomes an InputError in one place, `understood`.
 """
@@ -70,7 +70,7 @@ def _system_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(path: Path, limit: int = LARGEST) -> Iterator[BufferedReader]:
-    """A file from outside, opened to read its bytes: the only way in which one is.
+    """A file from outside, opened to read its bytes; no other function opens one.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ _Value = TypeVar("_Value", str, tuple[str, ...])
 
 
 class Entry(NamedTuple):
-    """What stands behind a keyword."""
+    """Value of a keyword."""
 
     value: str | tuple[str, ...]
     """A word or string, or the items of a list."""
@@ -259,7 +259,7 @@ def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> 
 
 
 def _statements(document: Document) -> Iterator[tuple[str, Entry]]:
-    """Keywords in lower case with what stands behind them, in the text's order."""
+    """Keywords in lower case with their values, in the text's order."""
     text, position = document.text, 0
     while True:
         plain = _PLAIN.match(text, position)
@@ -282,7 +282,7 @@ def _statements(document: Document) -> Iterator[tuple[str, Entry]]:
 
 
 def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
-    """Keyword in lower case, what stands behind it, and where the next statement may begin."""
+    """Keyword in lower case, its value, and where the next statement may begin."""
     match = _KEYWORD.match(document.text, position)
     keyword = match[1].lower() if match else ""
     closes = keyword in _CLOSE or keyword == "end"
@@ -423,7 +423,7 @@ def cube_size(cube: Block) -> tuple[int, int]:
 
 
 def instrument_of(path: Path) -> str:
-    """What the label of an image calls its instrument, in capitals: MOC-NA, MOC-WA, HRSC."""
+    """Name of the instrument in an image's label, in capitals: MOC-NA, MOC-WA, HRSC."""
     root = read_label(path)
     if "PDS_VERSION_ID" in root:
         return root.text("INSTRUMENT_ID").upper()

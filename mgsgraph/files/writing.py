@@ -1,4 +1,4 @@
-"""Files written whole or not at all, over nothing but an earlier output of their kind; folders for one process.
+"""Atomic files, which replace only an earlier output of their kind; folders for one process.
 
 Among them records of what the program has written, as JSON that ends with its checksum (by it a flipped bit is found),
 and pages for a browser: one HTML file each, with no outside address, all with the head of `templates/page.html`.
@@ -77,7 +77,7 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "", over: Output | 
 
 @contextmanager
 def writing_to(path: str | Path, expected: str = "", remedy: str = "") -> Iterator[None]:
-    """One line for what the system has against a file or folder that is being written."""
+    """One line for a system error while a file or folder is written."""
     try:
         yield
     except OSError as error:
@@ -101,7 +101,7 @@ def require_free(path: Path, over: Output | None = None, expected: str = "", rem
 def write_file(
     path: Path, content: str | bytes, expected: str = "", remedy: str = "", over: Output | None = None
 ) -> None:
-    """Write a file that is there whole or not at all: bytes, or text as UTF-8; see `fresh_file`."""
+    """Write a file atomically: bytes, or text as UTF-8; see `fresh_file`."""
     with fresh_file(path, expected, remedy, over) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
@@ -123,14 +123,14 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]
 
 
 def claim(descriptor: int, path: Path, found: str) -> None:
-    """Lock what is open, as long as it is; InputError with `found` where another process has."""
+    """Lock an open file, as long as it is open; InputError with `found` where another process has."""
     if not lock(descriptor):
         raise InputError(str(path), found, remedy="wait for it, or choose another --out")
 
 
 @contextmanager
 def claimed(folder: Path, found: str) -> Iterator[None]:
-    """Hold a folder that is there; InputError with `found` where another process does."""
+    """Lock an existing folder; InputError with `found` where another process has."""
     if sys.platform == "win32":  # opens no folders
         yield
         return

@@ -42,7 +42,7 @@ def _flight(first: str, last: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Altimeter(Record):
-    """One instrument; NaN where nothing published says.
+    """One instrument; NaN where nothing is published.
 
     Examples
     --------

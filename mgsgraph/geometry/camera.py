@@ -413,8 +413,8 @@ class InteriorOrientation(Record):
 
 
     def looks(self, samples: Array) -> tuple[Array, Array]:
-        """What samples (n,) look along in camera components, (n, 3) m with the focal length along the axis, and how it
-        changes per sample, (n, 3) m.
+        """Viewing directions of samples (n,) in camera components, (n, 3) m with the focal length along the axis, and
+        their changes per sample, (n, 3) m.
         """
         place, slope = self.focal_plane(samples)
         length = np.full((samples.size, 1), self.focal_length)

@@ -1,4 +1,4 @@
-"""Footprints of images on the ellipsoid, and by how much they overlap; the date line and the poles are places like any.
+"""Footprints of images on the ellipsoid, and by how much they overlap; the date line and the poles are no exceptions.
 
 Areas are true on the ellipsoid: outlines go to the sphere of the same area (authalic latitude; Snyder 1987, Map
 Projections, p. 16) and from there to the equal-area plane around each pair's middle (Lambert; p. 182), where shapely

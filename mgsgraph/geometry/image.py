@@ -1,4 +1,4 @@
-"""One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
+"""One pushbroom image: when and from where each line was taken, and the relation of image and ground coordinates.
 
 Ground to image is a search over the lines (`geometry.line_search`).
 
@@ -89,7 +89,7 @@ class LineTiming(Record):
 
 
 class ExteriorOrientation(Protocol):
-    """Where the camera is and how it stands over its image: sampled (`Trajectory`) or as polynomials of time."""
+    """Position and attitude of the camera over its image: sampled (`Trajectory`) or as polynomials of time."""
 
     @property
     def epoch(self) -> float:

@@ -190,7 +190,7 @@ _ROUGH = 40
 
 
 class TrackHeight(NamedTuple):
-    """What a profile says at a crossing."""
+    """Height of a profile at a crossing."""
 
     shots: Index
     """(2,) before and after it."""
@@ -297,7 +297,7 @@ def _height(track: Array, radii: Array, at: Array, sigma: float) -> TrackHeight 
 
 
 def _missed(place: Array, heights: Array, sigma: float) -> float:
-    """m, rms of what a straight line between two shots misses in the middle: of shots one and two away on either side,
+    """m, rms error of a straight line between two shots in the middle: of shots one and two away on either side,
     where there is one in the middle, and as it falls from two to one, from one to a half; without the shots' own
     noise, which is `sigma` for each.
     """

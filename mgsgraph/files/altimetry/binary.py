@@ -261,7 +261,7 @@ def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
 
 
 def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
-    """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
+    """Shots with a radius, read from some frames at a time: an archive's file is many times larger in float64."""
     software, corrections = _software(label), _crossover(frames)
     parts = [
         _columns(frames[k : k + _FRAMES], k, software, [column[k : k + _FRAMES] for column in corrections], clock_bias)
@@ -277,7 +277,7 @@ def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, pat
 def _columns(
     frames: NDArray[np.void], before: int, software: float | None, crossover: Sequence[Array], clock_bias: float
 ) -> dict[str, NDArray[Any]]:
-    """Fields of AltimeterShots, of frames that have so many before them in their file."""
+    """Fields of AltimeterShots; `before` is the number of frames before these in their file."""
     x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 
     def field(name: str, scale: float = 1.0) -> Array:
@@ -421,7 +421,7 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
 def _lola_spots(
     records: NDArray[np.void], chosen: NDArray[np.int64], ground: NDArray[np.bool_], path: Path, clock_bias: float
 ) -> AltimeterShots:
-    """Those of all spots whose numbers, record by record, are `chosen`."""
+    """The spots whose numbers, record by record, are `chosen`."""
     spots, owners = records["spots"].ravel()[chosen], records[chosen // SPOTS]
     record, spot = chosen // SPOTS + 1, chosen % SPOTS + 1
     times = tdb_of_tt(owners["seconds"] + owners["fraction"] * 2.0**-32)

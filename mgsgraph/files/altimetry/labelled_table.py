@@ -228,7 +228,7 @@ class _Rows:
         return shots
 
     def _require_same_heights(self, radius: Column, height: Column) -> None:
-        """Raise InputError where radii are not the heights above the altimeter's sphere that stand beside them."""
+        """Raise InputError where radii minus the altimeter's sphere are not the heights in the same rows."""
         both = [self._valid(radius, "radius"), self._valid(height, "height")]
         off = np.abs(both[0][0] - both[1][0] - self._altimeter.height_sphere)[both[0][1] & both[1][1]]
         if off.size and np.median(off) > _SAME_HEIGHT:
@@ -248,7 +248,7 @@ class _Rows:
         return "WEST" in directions
 
     def _valid(self, column: Column | None, meaning: str) -> tuple[Array, Mask]:
-        """Values of a column in rad, m or s, and which of them there are: no constant stands for none."""
+        """Values of a column in rad, m or s, and which of them are valid: not the constants for missing values."""
         assert column is not None
         block, raw = column.block, self._raw(column)
         valid = np.ones(raw.size, dtype=bool)
@@ -283,7 +283,7 @@ class _Rows:
         return np.char.strip(self._bytes(column).view(f"S{column.size}")[:, 0], b' "')
 
     def _raw(self, column: Column) -> Array:
-        """Numbers of a column as they stand in the file."""
+        """Numbers of a column as written in the file."""
         if not self._binary:
             return self._numbers(column)
         block = column.block
@@ -312,7 +312,7 @@ class _Rows:
         return values
 
     def _numbers(self, column: Column) -> Array:
-        """Those of a column of text."""
+        """Numbers of a column of text."""
         texts = self._texts(column)
         try:
             return texts.astype(np.float64)

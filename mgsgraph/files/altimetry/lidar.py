@@ -111,7 +111,7 @@ def read_lidar(path: Path) -> LaserProfile:
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Lists by the million are made, none of which is garbage: to look for some would take most of the time."""
+    """No garbage collection inside: millions of lists are made, and collecting would take most of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -135,23 +135,23 @@ def _shots(content: bytes, path: Path) -> list[LidarShot]:
 
 
 def _all(records: Sequence[msgspec.Struct], name: str) -> list[Any]:
-    """(n) what records have of a name."""
+    """(n) values of one attribute of records."""
     return list(map(attrgetter(name), records))
 
 
 def _numbers(records: Sequence[msgspec.Struct], name: str) -> Array:
-    """(n,) numbers that records have of a name."""
+    """(n,) numbers of one attribute of records."""
     return np.fromiter(map(attrgetter(name), records), np.float64, len(records))
 
 
 def _held(shots: Sequence[LidarShot], name: str) -> tuple[list[Any], Index]:
-    """What lists of shots hold (k), and the number (k,) of each one's shot."""
+    """Items (k) of lists of shots, and the number (k,) of each item's shot."""
     lists = _all(shots, name)
     return list(chain.from_iterable(lists)), np.repeat(np.arange(len(lists)), list(map(len, lists)))
 
 
 def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
-    """Columns of a file in SI units, and pixels counted from its corner; InputError for what shots can't be."""
+    """Columns of a file in SI units, and pixels counted from its corner; InputError for impossible shots."""
     longitudes, times = _numbers(shots, "longitude"), _numbers(shots, "time")
     ids, triangles = Names.of(_all(shots, "id")), _all(shots, "apriori_matrix")
     names, shot_along = _held(shots, "simultaneous_images")

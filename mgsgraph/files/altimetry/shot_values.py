@@ -35,7 +35,7 @@ _DAMAGED = "the file is damaged: fetch it anew, or take that shot out"
 def shots_with(
     source: str, altimeter: Altimeter, times: Array, footprints: Array, **stated: Array | Index | Mask
 ) -> AltimeterShots:
-    """Shots of a file; of what it doesn't say they have NaN, the row and 1 for their name, 0, and are of the ground."""
+    """Shots of a file; unstated fields are NaN or 0, names are row and 1, and all shots are ground returns."""
     n = times.size
     nothing = np.full(n, np.nan)
     unknown = dict.fromkeys(

@@ -1,4 +1,4 @@
-"""Tables of laser shots of any altimeter to AltimeterShots: which columns mean what, one layout for each.
+"""Tables of laser shots of any altimeter to AltimeterShots: the meaning of columns, one layout for each table.
 
 * LOLA RDR as CSV, which the Orbital Data Explorer (ODE) and lidar2image have: km, degrees, and as time the terrestrial
   one (TT; its digits are those of UTC and the leap seconds), which becomes TDB.
@@ -265,7 +265,7 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
 
 
 def _require_same_times(table: CsvText, names: Mapping[str, str], times: Array) -> None:
-    """Raise InputError where UTC is another time than the one beside it, in rows here and there."""
+    """Raise InputError where UTC differs from the other time of a row, tested in some rows."""
     other = next((names[meaning] for meaning in ("tdb", "tt") if meaning in names), "")
     if not other or "utc" not in names:
         return
@@ -286,7 +286,7 @@ def _require_areoid(
     """
     assert MOLA.body is not None
     if not MOLA.body.polar / 1.1 < np.median(values["radius"]) < 1.1 * MOLA.body.equatorial:
-        return  # said later
+        return  # another check reports it
     planetocentric = np.stack([values["longitude"] * DEG, values["latitude"] * DEG, values["radius"]], axis=1)
     stated, what, allowed = surface_radii(from_planetocentric(planetocentric), MOLA.body), "Mars's ellipsoid", _AREOID
     if "areoid" in values:
@@ -298,7 +298,7 @@ def _require_areoid(
 
 
 def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
-    """Names of columns by what they mean; InputError where one is missing that can't be done without."""
+    """Names of columns by their meaning; InputError where a necessary one is missing."""
     columns, where = dict[str, str](), f"{table.path}, header"
     for meaning, names in layout.columns.items():
         matches = [name for name in table.names if plain_name(name) in names.split()]
@@ -316,7 +316,7 @@ def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
 
 
 def _values(table: CsvText, layout: Layout, names: Mapping[str, str]) -> dict[str, Array]:
-    """Columns (n,) of numbers by what they mean, in the file's units."""
+    """Columns (n,) of numbers by their meaning, in the file's units."""
     gaps = [names[meaning] for meaning in _GAPS & set(names)] if layout is _OWN else []
     numbers = {meaning: name for meaning, name in names.items() if meaning != "utc"}
     columns = table.measured(*numbers.values(), gaps=gaps, largest=LARGEST)

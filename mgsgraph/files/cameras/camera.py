@@ -1,7 +1,7 @@
 """What there is to know of a line-scan camera, what the label of one of its images says, and camera constants by their
 SPICE names (``INS-74021_FOCAL_LENGTH``), wherever they come from: kernels, cubes, JSON.
 
-A new camera is one more `Camera` in `line_scanners` or a file of its own, and in `label.CAMERAS`: both roads have it
+A new camera is one more `Camera` in `line_scanners` or a file of its own, and in `label.CAMERAS`: all readers have it
 there, that of cubes with their own SPICE tables (`labels.isis_cube`) and that of kernels (`labels.labelled_image`).
 Formulas: ISIS CameraDetectorMap, LineScanCameraDetectorMap, CameraFocalPlaneMap.
 
@@ -176,7 +176,7 @@ def _finite(item: Any, where: str) -> float:
 
 
 def keywords_of(block: Block) -> NaifKeywords:
-    """Those of a block of a label."""
+    """Keywords of a block of a label."""
     return NaifKeywords(block.document.source, _ByName({name: entry.value for name, entry in block.entries.items()}))
 
 
@@ -195,7 +195,7 @@ class _ByName(dict[str, Any]):
 
 @dataclass(frozen=True, slots=True)
 class LabelKeys:
-    """Under which keywords a label has what the geometry needs; those of nested blocks are found, too."""
+    """Keywords of a label for all that the geometry needs; nested blocks are searched, too."""
 
     identity: Mapping[str, str]
     """Values (in capitals, without blanks) of some keywords, by which the camera is known."""
@@ -298,7 +298,7 @@ def times_of_label(keywords: Keywords, label: LineScanLabel, start: float, stop:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """One camera: its codes, where its labels say what, its constants."""
+    """One camera: its codes, the keywords of its labels, its constants."""
 
     name: str
     """By which messages call it."""
@@ -344,7 +344,7 @@ class Camera:
     """What else is in the label and no keyword alone says."""
 
     def keys(self, kind: LabelKind) -> LabelKeys | None:
-        """Where a label of a kind has what."""
+        """Keywords of labels of a kind."""
         return self.isis if kind == "isis" else self.pds3
 
 

@@ -333,7 +333,7 @@ def read_line_scan_label(path: Path) -> LineScanLabel:
 
 
 def label_of(path: Path, root: Block) -> LineScanLabel:
-    """The same of a label that was read already; `path` is its file."""
+    """As `read_line_scan_label`, of a label that was read already; `path` is its file."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
     _require_no_map(block)
     camera, keys = _recognised(path, block)
@@ -369,7 +369,7 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
 
 
 def instrument_name(root: Block) -> str:
-    """What a label calls its instrument, for messages."""
+    """Name of a label's instrument, for messages."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
     keys = ("INSTRUMENT_ID", "INSTRUMENT_NAME") if block.kind == "pds3" else ("InstrumentId",)
     return next((" ".join(block.words(key)) for key in keys if key in block), "no instrument")
@@ -396,7 +396,7 @@ def _sensor_kind(block: LabelBlock) -> str:
 
 
 def _require_no_map(block: LabelBlock) -> None:
-    """Refuse what has only the pixels of a map; a cube that was projected still says how its image was taken."""
+    """Refuse a map's pixels without a camera; a cube that was projected still holds the geometry of its image."""
     names = {group.name: group for group in all_blocks(block.root)}
     map_group = names.get("image_map_projection") or ("instrument" not in names and names.get("mapping"))
     if map_group:

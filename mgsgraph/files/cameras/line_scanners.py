@@ -85,7 +85,7 @@ PITCH = 0.0131240578522949
 
 
 def _whole_pixels(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
-    """A look at what only some of the label's numbers can be."""
+    """Check numbers of the label that can have few values only."""
     down = "DowntrackSumming" if block.kind == "isis" else "DOWNTRACK_SUMMING"
     first = "FirstLineSample" if block.kind == "isis" else "EDIT_MODE_ID"
     summed, camera = block.number(down), label.camera
@@ -268,7 +268,7 @@ _A1, _A2 = 0.00447623, 0.00107556 / MM
 
 
 def _of_band(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
-    """When and where the band's line sees what the label's start says."""
+    """Time and detector line of the band, from the label's start."""
     summing = block.number("SpatialSumming") if "SpatialSumming" in block else 1.0
     key = "ReferenceBand" if "ReferenceBand" in block else "FilterNumber"
     stated = block.words(key)

@@ -76,7 +76,7 @@ def geometric(apparent: PositionTable, body_velocity: Array, stated: Aberration,
 
 
 def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array, saved: float | None) -> Array:
-    """The body sees the craft where it was one light time before: ask the table that much later."""
+    """The body sees the craft where it was one light time before: the table is read that much later."""
     position, light_time = np.zeros((times.size, 3)), np.zeros((times.size, 1))
     for _ in range(_ITERATIONS):
         vector, velocity = apparent.at(times + light_time[:, 0])
@@ -160,7 +160,7 @@ def spacecraft_of(code: int) -> Spacecraft | None:
 
 
 def spacecraft_named(platform: str) -> Spacecraft | None:
-    """By what support data call it."""
+    """By its name in support data."""
     name = " ".join(re.split(r"[^A-Z0-9]+", platform.upper())).strip()
     return next((spacecraft for spacecraft in SPACECRAFT if name in spacecraft.names), None)
 
@@ -196,7 +196,7 @@ def aberration_of(values: Mapping[str, Any], source: str, instrument: int | None
 
 
 def remarks_on(stated: Aberration, why: str) -> tuple[str, ...]:
-    """What was done with positions, in sentences; `why` is empty where keywords said it."""
+    """Corrections of positions, in sentences; `why` is empty where keywords state them."""
     if stated.correction == "NONE":
         return (f"positions are taken as geometric ({why})",) if why else ()
     effects = "light time to the surface" if stated.to_surface else "light time and stellar aberration"

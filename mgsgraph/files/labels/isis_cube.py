@@ -54,7 +54,7 @@ _NODES = 2049
 
 @dataclass(frozen=True, slots=True)
 class CubeTable:
-    """A table of a cube: where it is said, its numbers by field, and what its label says."""
+    """A table of a cube: its place for messages, its numbers by field, and the keys of its label."""
 
     where: str
     """File and table, for messages."""
@@ -350,7 +350,7 @@ def _files(path: Path) -> tuple[Path, Path | None]:
 
 
 def _holds_tables(path: Path) -> bool:
-    """Whether there is JSON with a cube's tables, and not anything else that is called like the label."""
+    """Whether JSON beside the label has a cube's tables, and not anything else."""
     try:
         return path.is_file() and {"instrument_position", "instrument_pointing"} <= read_json(path).keys()
     except InputError:
@@ -377,7 +377,7 @@ def has_pixels(path: Path) -> bool:
 
 
 def is_cube_json(content: dict[str, Any]) -> bool:
-    """Whether JSON holds a cube's tables alone: label and camera model are to be had from elsewhere."""
+    """Whether JSON holds a cube's tables alone: label and camera model are in other files."""
     return "isis_camera_version" in content and "image_lines" not in content
 
 

@@ -40,7 +40,7 @@ def require_uncut(path: Path, text: bytes) -> None:
 
 
 def require_whole(path: Path) -> None:
-    """Raise InputError for what is no file, and for a double precision array file (SPK, CK, binary PCK) that ends
+    """Raise InputError for a missing file, and for a double precision array file (SPK, CK, binary PCK) that ends
     before the last word that its file record counts (NAIF, DAF required reading): SPICE trusts it.
     """
     with opened(path, ANY_SIZE) as file:

@@ -46,7 +46,7 @@ def spice_words(where: str, remedy: str = "") -> Iterator[None]:
 
 
 def members(path: Path, home: Path = Path()) -> list[Path]:
-    """The file itself, or the files that a meta-kernel names, from a folder or beside it; all are there and kernels."""
+    """The file itself, or the files that a meta-kernel names, from a folder or beside it; all must be kernels."""
     if b"KERNELS_TO_LOAD" not in _text_of(path):
         return [path]
     with spice_words(str(path)):

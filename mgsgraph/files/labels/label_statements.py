@@ -1,4 +1,4 @@
-"""PDS3 labels of images against what they say a second time: radii, pixels, corners and centers on the ground."""
+"""Compares statements that PDS3 labels of images repeat: radii, pixels, corners and centers on the ground."""
 
 from collections.abc import Iterator
 
@@ -26,7 +26,7 @@ _LENGTHS = {"km": KM, "m": 1.0, "": KM}
 
 
 def require_usual_label(root: Block, source: str) -> None:
-    """Raise InputError for a key with which a label means another image than one in camera geometry."""
+    """Raise InputError for a key of a label whose image is not in camera geometry."""
     require_once(root, IMAGE_LABEL)
     for block in all_blocks(root):
         require_usual(texts(block), IMAGE_LABEL, source)

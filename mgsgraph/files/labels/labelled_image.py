@@ -52,7 +52,7 @@ _STOP_SLACK = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _Sampling:
-    """How kernels are asked; the same for all images of a strip."""
+    """How kernels are sampled; the same for all images of a pass."""
 
     focal_length: float | None = None
     constants: Constants = "iak"
@@ -76,7 +76,7 @@ def read_strip(
     line_times: Sequence[LineTimesSource] = (),
     **how: Any,
 ) -> tuple[PushbroomImage, ...]:
-    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
+    """Read the images that lines behind one lens took in one pass; they share one trajectory record.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _sampled(
 
 
 def _checked(label: LineScanLabel, image: PushbroomImage) -> PushbroomImage:
-    """The image, whose PDS3 label has been held against it."""
+    """The image, after a comparison with its PDS3 label."""
     root = read_label(label.path)
     if "PDS_VERSION_ID" not in root:
         return image
@@ -203,7 +203,7 @@ def _short(label: LineScanLabel, times: LineTimes) -> Iterator[str]:
 
 
 def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:
-    """What was decided that the user may not have meant."""
+    """Decisions of the reader that the user may not have meant."""
     remarks = []
     if constants.of_label is not None:
         remarks.append("camera constants of the cube's label, for there is no addendum among the kernels")

@@ -68,7 +68,7 @@ _FORM = "PREFIX-IMAGE1__IMAGE2"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchFile:
-    """What a match file holds, but for how its places were found."""
+    """Content of a match file, without the descriptors of its matches."""
 
     source: str
     """File, for messages."""
@@ -345,7 +345,7 @@ def _image_pairs(name: str, known: Collection[str], prefix: str | None) -> list[
 
 
 def _heads(head: str, prefix: str | None, known: bool) -> list[str]:
-    """What may be the first image: all that follows a hyphen, or the whole where there is none, or where images are
+    """Possible names of the first image: all that follows a hyphen, or the whole without one, or where images are
     known, so that a wrong one does no harm.
     """
     if prefix is not None:
@@ -376,7 +376,7 @@ def match_path(prefix: Path, first: str, second: str, ending: str) -> Path:
 
 
 def prefix_of(output: Path, images: Collection[str]) -> Path:
-    """What match files written for `output` begin with: its name without its ending, and without a pair of images."""
+    """Prefix of match files written for `output`: its name without its ending, and without a pair of images."""
     name = output.stem
     for first, second in combinations(images, 2):
         if (pair := f"-{stem(first)}{_BETWEEN}{stem(second)}") and name.endswith(pair):

@@ -204,7 +204,7 @@ def _layout(buffer: Block) -> tuple[int, int, int]:
 
 @contextmanager
 def _anew() -> Iterator[None]:
-    """What is wrong with a label has one remedy."""
+    """All errors of a label have one remedy."""
     try:
         yield
     except InputError as error:
@@ -248,7 +248,7 @@ def _cut_short(where: str, found: str, expected: str) -> InputError:
 
 
 def _parsed(kind: str, data: bytes, where: str) -> Any:
-    """The message of a kind that bytes hold."""
+    """The message of a kind, parsed from bytes."""
     from google.protobuf.message import DecodeError
 
     message = message_class(kind)()
@@ -349,7 +349,7 @@ def _require(sound: Mask, content: BinaryContent) -> None:
 
 
 def _refusal(content: BinaryContent, number: int) -> InputError:
-    """What is wrong with a point, by its number from 0."""
+    """The InputError for a point, by its number from 0."""
     try:
         point = content.point(number, Texts())
         where = f"{content.where(number)} ({point.id[:60]})"

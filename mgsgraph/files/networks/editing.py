@@ -1,4 +1,4 @@
-"""Control networks changed as a whole: parts of one in some images, several united.
+"""Edits of whole control networks: the part in some images, the union of several.
 
 United: points of one id become one with the measures of all. Where two files say different things of a point, or of its
 measure in an image, one of them counts, as ISIS's cnetmerge has it (DUPLICATEPOINTS=MERGE, with or without
@@ -89,7 +89,7 @@ _KNOWN = (
 
 
 def _notes(counts: Counter[str], largest: float, rule: Duplicates) -> list[str]:
-    """What was met in uniting, in sentences; none where no point is in several files."""
+    """Sentences about the union; none where no point is in several files."""
     if not counts["points"]:
         return []
     sentences, counted = [], f"the {rule.value} file counts"
@@ -135,7 +135,7 @@ def united(
 def _united_point(
     early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: Counter[str], far: list[float]
 ) -> ControlPoint:
-    """Two points of one id as one."""
+    """The union of two points of one id."""
     counts["points"] += 1
     if early.edit_lock:
         counts["locked"] += 1

@@ -1,4 +1,4 @@
-"""The messages of ISIS's binary control networks: their fields, and records made of them and they of records.
+"""The messages of ISIS's binary control networks: their fields, and conversion to and from records.
 
 They are made known to protobuf when first needed, without protoc. Numbers of the fields: DOI-USGS/ISIS3,
 isis/src/control/objs/ControlNetVersioner/, from which these are ControlPointFileEntryV0002.proto (points of version 2
@@ -311,7 +311,7 @@ def second_versions(network: Any, log: Any, where: str) -> Iterator[Any]:
 
 
 def _set(message: Any) -> dict[str, Any]:
-    """Fields that are set, but for messages in them."""
+    """Fields that are set, without inner messages."""
     return {field.name: value for field, value in message.ListFields() if field.message_type is None}
 
 

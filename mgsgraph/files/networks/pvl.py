@@ -169,14 +169,14 @@ def _version(outer: Block, previous: Block | None) -> str:
 
 
 def _label(point: Block) -> str:
-    """The point's id, said in its messages from now on."""
+    """The point's id, named in its messages from now on."""
     name = point.text("PointId")
     point.label = f"point {name}"
     return name
 
 
 def _label_measure(measure: Block, point: Block) -> None:
-    """The measure's image, said in its messages from now on."""
+    """The measure's image, named in its messages from now on."""
     measure.label = point.label
     measure.label += f", image {measure.text('SerialNumber')}"
 
@@ -215,7 +215,7 @@ def _measure(block: Block, point: Block) -> ControlMeasure:
 
 
 def _values(block: Block, keys: Mapping[str, _Known]) -> dict[str, Any]:
-    """What a block says of what is known, by its names in the record."""
+    """Values of a block's known keys, by their names in the record."""
     values = dict[str, Any]()
     for key, entry in block.entries.items():
         if key in keys and (len(entry.value) != _NULL_SIZE or key in block):
@@ -328,7 +328,7 @@ def renew_keywords(point: Block) -> None:
 
 
 def _rename(block: Block, names: dict[str, str]) -> None:
-    """Other names for keywords, and none for those that say nothing."""
+    """Rename keywords, and drop those without content."""
     entries = {key: entry for key, entry in block.entries.items() if entry.value != ""}
     for old, new in names.items():
         if old in entries:
@@ -448,7 +448,7 @@ def _logged(measure: ControlMeasure) -> _Keywords:
 def _keywords(
     record: ControlPoint | ControlMeasure, keys: Mapping[str, tuple[str, str]]
 ) -> Iterator[tuple[str, Value]]:
-    """Keywords with their values, but for those of which there is nothing to say."""
+    """Keywords with their values, without empty ones."""
     for key, (attribute, kind) in keys.items():
         value = getattr(record, attribute)
         if kind == "name":

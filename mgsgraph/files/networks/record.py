@@ -34,7 +34,7 @@ class PointType(IntEnum):
 
 
 class MeasureType(IntEnum):
-    """How a measure came about; numbers as in the file."""
+    """How a measure was made; numbers as in the file."""
 
     CANDIDATE = 0
     MANUAL = 1
@@ -56,7 +56,7 @@ class AprioriSource(IntEnum):
 
 
 class Duplicates(StrEnum):
-    """What becomes of a point that several files have (`networks.uniting`)."""
+    """Treatment of a point that several files have (`networks.editing.united`)."""
 
     REFUSE = "refuse"
     """It is an error."""

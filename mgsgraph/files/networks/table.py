@@ -148,7 +148,7 @@ def _parquet_columns(path: Path) -> Columns:
 
 @contextmanager
 def _damage() -> Iterator[None]:
-    """What Arrow raises of a damaged file, as a ValueError."""
+    """Turn Arrow's errors of a damaged file into a ValueError."""
     try:
         yield
     except OSError as error:
@@ -209,7 +209,7 @@ class _Rows:
         self.refuse(bad, name, lambda k: f"{values[k]:g}", "a positive number below 1e100", rows)
 
     def words(self, name: str, rows: Index, meanings: Mapping[str, int], empty: int, expected: str) -> Index:
-        """(k,) what the words of a column mean in some rows; `empty` where there is none."""
+        """(k,) meanings of the words of a column in some rows; `empty` for an empty cell."""
         if name not in self.table.values:
             return np.full(rows.size, empty)
         cells = RepeatedNames.of(self.table.values[name].take(pa.array(rows)))
@@ -223,7 +223,7 @@ class _Rows:
         return self.words(name, rows, FLAGS, 0, "true or false").astype(bool)
 
     def stated_rows(self, name: str) -> Index:
-        """(n,) the row that says a column of each point first, any where none does; all others must say the same."""
+        """(n,) the first row of each point that states a column, any where none does; all must state the same."""
         if name not in self.table.values:
             return self.first
         filled = np.flatnonzero(self.table.filled(name))
@@ -290,7 +290,7 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
 
 
 def _measures(rows: _Rows, of_measures: Index) -> Array:
-    """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where none are said."""
+    """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where unstated."""
     columns = rows.table.values
     measures = np.full((of_measures.size, 4), np.nan)
     for c, name in enumerate((*(ISIS if ISIS[0] in columns else OURS), "sigma_line_px", "sigma_sample_px")):

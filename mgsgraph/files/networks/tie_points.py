@@ -1,4 +1,4 @@
-"""Tie points and ground control points of a control network, in our pixels; what it and TiePoints mean to each other.
+"""Tie points and ground control points of a control network, in our pixels; conversion between it and TiePoints.
 
 Pixels counted from 1 end and begin here.
 """

@@ -31,7 +31,7 @@ def _varint(data, at, end):
 
 @compiled
 def _number(data, at, bits, number):
-    """The float64 at a place, by way of `bits` and `number`, which are one memory."""
+    """The float64 at a place, by way of `bits` and `number`, which share memory."""
     value = np.uint64(0)
     for k in range(8):
         value |= np.uint64(data[at + k]) << np.uint64(8 * k)

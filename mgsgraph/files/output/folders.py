@@ -1,4 +1,4 @@
-"""A result folder is there whole or not at all: it is written aside and takes its place in one step."""
+"""Result folders are atomic: they are written beside their place and moved in one step."""
 
 import errno
 import os
@@ -172,7 +172,7 @@ def _unrelated_files(folder: Path) -> list[str]:
 
 
 def _listed(folder: Path) -> set[str]:
-    """Names that an export or a demonstration says it has made, in folders of it too."""
+    """Files that an export or a demonstration lists as its own, in its folders too."""
     listed = set[str]()
     for record in (EXPORT, DEMO):
         names = _record(folder / record).get("files")
@@ -181,12 +181,12 @@ def _listed(folder: Path) -> set[str]:
 
 
 def _kind(folder: Path) -> str | None:
-    """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
+    """The file by which a folder is known as a result, RECORD before others; None for a foreign folder."""
     return next((name for name in _KINDS if _record(folder / name).get("program") == PROGRAM), None)
 
 
 def _record(path: Path) -> dict[str, Any]:
-    """A record, which may be anybody's: empty for a file that is none."""
+    """A record, perhaps of another program; empty for a file that is none."""
     try:
         return read_json(path)
     except InputError:

@@ -1,4 +1,4 @@
-"""A table, said once: its columns have a name, a unit, a meaning and formats, and every form of it is made from them.
+"""A table, stated once: its columns have a name, a unit, a meaning and formats, and every form of it is made from them.
 
 A table is written as CSV (`write_csv`), as values for JSON (`records`), as aligned text for the terminal (`text`), and
 as cells for the report page (`headings`, `rows`). Values come in SI units and leave in the unit that the column names.
@@ -436,5 +436,5 @@ def _is_number(text: str) -> bool:
 
 
 def cut(total: int, shown: int, which: str, file: str) -> str:
-    """Words where a table doesn't hold all rows; empty where it does."""
+    """A note where a table lacks rows; empty where it has all."""
     return "" if shown >= total else f"{shown} of {total} are listed, {which}; {file} in the results has all."

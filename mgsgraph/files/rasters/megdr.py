@@ -233,7 +233,7 @@ def _from_label(path: Path, image: Path) -> _Layout:
 
 
 def _require_one_kind(label: Block, image: Path) -> None:
-    """Raise InputError where product, pointer and file's name are of different kinds of grids."""
+    """Raise InputError where product, pointer and file name belong to different kinds of grids."""
     names = [image.name, *(label.words(key)[0] for key in ("PRODUCT_ID", "^IMAGE", "FILE_NAME") if key in label)]
     kinds = {name[3:4].upper(): name for name in names if re.match(r"MEG[ACRT]\d", name, re.IGNORECASE)}
     if len(kinds) > 1:

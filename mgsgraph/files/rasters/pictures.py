@@ -162,7 +162,7 @@ class PixelArea:
 
 
 def pixel_area(path: Path, root: Block) -> PixelArea:
-    """That of an image, by its PDS3 label, which is in the file `path` or beside it."""
+    """Pixel area of an image, by its PDS3 label in the file `path` or beside it."""
     image = root.inner("IMAGE")
     if image.number("SAMPLE_BITS", {"": 1.0}) != 8.0:
         raise InputError(image.where("SAMPLE_BITS"), image.text("SAMPLE_BITS"), "8, as all MOC images have")
@@ -263,7 +263,7 @@ def _decompressed(label: LineScanLabel, area: PixelArea) -> Pixels:
 
 
 def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:
-    """Pixels as another library gave them, after a look whether they are what the label says."""
+    """Pixels from another library, after a comparison with the label."""
     shape = (label.lines, label.samples)
     if not isinstance(pixels, np.ndarray) or pixels.shape != shape:
         found = f"an array of shape {pixels.shape}" if isinstance(pixels, np.ndarray) else "no image"

@@ -55,7 +55,7 @@ _NAME = rb"[\w.\-]+"
 
 
 class _Kind(NamedTuple):
-    """What tells a kind of raster file, and where it names other files."""
+    """Signs of a kind of raster file, and where it names other files."""
 
     driver: str
     """GDAL's."""
@@ -155,7 +155,7 @@ def raster_kind(path: Path, expected: str) -> RasterKind:
 
 
 def whole_remedy(path: Path) -> str:
-    """What makes one file of a raster that lies in several."""
+    """The command that makes one file of a raster in several."""
     whole = f"{path.stem}_whole.tif" if path.suffix.lower().startswith(".tif") else f"{path.stem}.tif"
     return f"make one GeoTIFF of it: gdal_translate {path.name} {whole}"
 
@@ -334,7 +334,7 @@ def _require_own(file: "DatasetReader", path: Path) -> None:
 
 
 def _require_possible_size(file: "DatasetReader", path: Path, window: "Window | None") -> None:
-    """Raise InputError where pixels take more memory than their file can hold: for it is hollow, or a trap."""
+    """Raise InputError where pixels take more memory than their file can hold: it is sparse, or malicious."""
     size = sum(os.stat(name).st_size for name in file.files)
     rows, columns = file.shape if window is None else (int(window.height), int(window.width))
     down, across = file.block_shapes[0]

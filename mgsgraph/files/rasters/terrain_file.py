@@ -355,7 +355,7 @@ def read_terrain(
 
 
 def _surface(reference: Reference, kind: TerrainKind) -> str:
-    """What heights are above, as the case says; empty of counts."""
+    """Reference surface of heights, as the case states it; empty for counts."""
     if kind == "counts":
         return ""
     if isinstance(reference, float):

@@ -183,7 +183,7 @@ def _trajectory(
 
 
 def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> None:
-    """Raise InputError for a key that is a slip in one that is missing, and whose place a default would take."""
+    """Raise InputError for a misspelled key, in whose place a default would be taken."""
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     missing = [name for name in fields if name not in table]
     for key, value in table.items():
@@ -239,7 +239,7 @@ def require_j2000(table: StateTable | RotationTable, where: str) -> None:
 
 
 def _stated(isd: SupportData, source: str) -> tuple[Aberration, str]:
-    """By the keywords in the file, or else by the platform; never a guess. Why, where it was not the keywords."""
+    """By the keywords in the file, or else by the platform; no guess. The reason, where it was not the keywords."""
     if (stated := aberration_of(isd.naif_keywords, source)) is not None:
         return stated, ""
     spacecraft = _spacecraft(isd)

@@ -147,7 +147,7 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
 
 
 def _second_statements(state: _State, image: PushbroomImage, source: str) -> Iterator[str]:
-    """Remarks on what a state says a second time, and InputError where it contradicts itself: numbers of values,
+    """Remarks on second statements in a state, and InputError where it contradicts itself: numbers of values,
     velocities, height of flight, size of a pixel and the place of the middle on the ground.
     """
     for key, stated, values in (
@@ -190,7 +190,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
 
 
 def _require_plain(state: _State, source: str) -> None:
-    """Refuse what usgscsm would do beside its tables."""
+    """Refuse what usgscsm would compute besides its tables."""
     if any(state.m_currentParameterValue):
         raise InputError(
             f"{source}, m_currentParameterValue", "parameters that are not zero", "zeros",
@@ -256,7 +256,7 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
 
 
 def _require_samples(places: Array, turns: Array, source: str) -> None:
-    """Raise InputError for positions that are none, and quaternions that are far from unit ones."""
+    """Raise InputError for impossible positions, and quaternions far from unit length."""
     require_near_sun(places, f"{source}, m_positions")
     largest = np.abs(turns).max(axis=1)
     norms = np.linalg.norm(np.where(largest[:, None] < _NORMS[1], turns, 0.0), axis=1)

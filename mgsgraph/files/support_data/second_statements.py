@@ -1,4 +1,4 @@
-"""Support data against what they say a second time, in `naif_keywords` and in their own tables.
+"""Compares support data with their second statements in `naif_keywords` and in their own tables.
 
 A contradiction is refused where one of both would move the ground by more than a twentieth of a pixel and nothing tells
 which; smaller and known ones become remarks.
