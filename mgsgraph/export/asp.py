@@ -96,7 +96,7 @@ def _has_pixels(file: str) -> bool:
 
 
 def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> ControlNetwork:
-    """The adjusted network with measures that took part alone, and images called by their files."""
+    """The adjusted network with only the measures that took part, and images named by their files."""
     network = adjusted_network(solution, scaled=scaled)
     file = dict(zip((image.name for image in solution.network.images), files, strict=True))
     ids, rays = solution.network.points.ids, solution.network.rays
@@ -119,7 +119,7 @@ def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> Cont
 
 
 def _as_control(network: ControlNetwork) -> ControlNetwork:
-    """Adjusted points as constrained ones; fixed ones stay so."""
+    """Adjusted points as constrained ones; fixed points stay fixed."""
     points = [
         point if point.type == PointType.FIXED else msgspec.structs.replace(
             point, type=PointType.CONSTRAINED, apriori=point.adjusted, apriori_covariance=point.adjusted_covariance

@@ -1,4 +1,4 @@
-"""What jigsaw's users look for: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
+"""Tables of jigsaw: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
 jigsaw's names, order and units of columns.
 
 Latitudes are planetocentric, coordinates km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
@@ -131,7 +131,7 @@ def _sigmas(
 def _pass_sigmas(
     network: Network, owner: int, lines: Array, image: int, turned: Sequence[Array], fit: Array, axes: Array
 ) -> Array:
-    """(6 (d + 1),) a-priori sigmas of an image's coefficients by what is known of its pass's nodes and trend."""
+    """(6 (d + 1),) a-priori sigmas of an image's coefficients by the priors of its pass's nodes and trend."""
     pass_, moments = network.passes[owner], network.images[image].moments(lines)
     basis, _ = pass_.nodes.dense(moments.times, moments.epoch)
     halves = [np.einsum("nij,nk->nikj", part, basis) for part in (turned[0], turned[1] @ axes)]

@@ -63,7 +63,7 @@ _ELSEWHERE = "name another file; or say --replace"
 
 @dataclass(frozen=True, slots=True)
 class Conversion(Record):
-    """What was read, written and lost."""
+    """Networks and files read and written, and what was lost."""
 
     network: ControlNetwork
     written: tuple[Path, ...]
@@ -76,7 +76,7 @@ class Conversion(Record):
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What of the networks that are read is written."""
+    """The part of the read networks that is written."""
 
     duplicates: Duplicates = Duplicates.REFUSE
     """What becomes of points that several files have."""
@@ -87,7 +87,7 @@ class Selection:
 
 
 class Lossy(InputError):
-    """A format that can't hold all of a network, where all was asked for; `lost` says of what."""
+    """A format can't hold all of a network, and `strict` forbids losses; `lost` lists them."""
 
     def __init__(self, output: Path, lost: Sequence[str]) -> None:
         found = f"it can't hold {many(len(lost), 'kind')} of things ({lost[0]}{'; ...' if len(lost) > 1 else ''})"
@@ -214,7 +214,7 @@ def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
 
 
 def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: list[str]) -> ControlNetwork:
-    """All points, with the head of the first network that names its body; what is to be said goes to `notes`."""
+    """All points, with the head of the first network that names its body; sentences are added to `notes`."""
     if len(networks) == 1:
         return networks[0]
     points, sentences = united(networks, duplicates)
@@ -223,7 +223,7 @@ def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: l
 
 
 def _other_heads(networks: Sequence[ControlNetwork]) -> list[str]:
-    """A note, where networks have heads that several can't have together."""
+    """A note where heads of networks differ and one must be chosen."""
     first = leading(networks)
     bare = structs.replace(first, points=(), source="")
     sources = [n.source for n in networks if n.network_id and structs.replace(n, points=(), source="") != bare]
@@ -253,7 +253,7 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
 
 
 def contents(network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting) -> dict[Path, bytes]:
-    """Contents of the files that a network becomes, by their paths; InputError where it can't."""
+    """Contents of a network's files by their paths; InputError where the format can't hold it."""
     if form in _MATCHES:
         return match_files(network, prefix_of(output, images_of(network)), form == Format.MATCH_TEXT)
     if form == Format.GCP:
@@ -378,7 +378,7 @@ def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None
 
 
 def _write(files: Mapping[Path, bytes]) -> None:
-    """All of them, or none: each is written aside before the first takes its place."""
+    """All files or none: each is written to a temporary file before the first is moved."""
     with ExitStack() as stack:
         asides = [stack.enter_context(fresh_file(path, "a file that may be written")) for path in files]
         for temporary, content in zip(asides, files.values(), strict=True):
@@ -391,7 +391,7 @@ _PAIR = ("first", "second")
 
 
 def earlier_network(form: Format, path: Path) -> Output:
-    """What a file has to be by its content to be replaced by a network of a format, or by a part of one."""
+    """Content by which a file may be replaced by a network of a format, or by a part of one."""
     match form:
         case Format.PVL:
             return begins("an ISIS control network as PVL", r"\s*Object\s*=\s*ControlNetwork\b")
@@ -412,7 +412,7 @@ def earlier_network(form: Format, path: Path) -> Output:
 
 
 def _read_by(read: Callable[[Path], object]) -> Callable[[Path], bool]:
-    """Whether a reader takes a file, of a kind whose beginning doesn't tell."""
+    """Whether a reader accepts a file whose beginning doesn't tell its kind."""
 
     def known(path: Path) -> bool:
         try:

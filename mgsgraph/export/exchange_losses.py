@@ -37,7 +37,7 @@ _TAKEN = {
 
 
 def _keys(*tables: dict[str, str]) -> dict[str, str]:
-    """ISIS's keywords by what they are in the record."""
+    """ISIS's keywords by fields of the record."""
     return {attribute: key for table in tables for key, attribute in table.items()}
 
 
@@ -117,7 +117,7 @@ def _left_out(network: ControlNetwork, form: Format) -> list[str]:
 
 
 def _line(words: str, count: int, noun: str) -> list[str]:
-    """A line, if there is any."""
+    """A line for a count above zero."""
     return [words.format(many(count, noun))] if count else []
 
 

@@ -23,7 +23,7 @@ _SAID = "--body, --radii, --case"
 
 @dataclass(frozen=True, slots=True)
 class ExchangeSetting(Record):
-    """What files don't say of themselves.
+    """Settings that files don't state.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def leading(networks: Sequence[ControlNetwork]) -> ControlNetwork:
 
 
 def ellipsoid_of(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> Ellipsoid:
-    """As it is said, or as the network has it."""
+    """The stated ellipsoid, or that of the network."""
     if setting.ellipsoid is not None:
         return setting.ellipsoid
     radii = network.target_radii

@@ -111,7 +111,7 @@ def footprint_layers(solution: Solution) -> list[Layer]:
 
 
 def _adjusted_footprints(solution: Solution) -> tuple[Footprint, ...]:
-    """With adjusted focal lengths, too."""
+    """Footprints with adjusted orientation and focal length."""
     images = tuple(solution.image(j) for j in range(len(solution.network.images)))
     return network_footprints(replace(solution.network, images=images), solution.places, solution.correction)
 
@@ -250,7 +250,7 @@ def _point_names(solution: Solution, points: Index) -> dict[str, Any]:
 
 
 def _both(name: str, about: str, factor: float) -> list[tuple[str, str, float]]:
-    """Name, words and factor of a layer and of its exaggerated fellow."""
+    """Name, words and factor of a layer and of its exaggerated copy."""
     more = f"{about} Shapes are exaggerated {factor:g} times, figures are not."
     return [(name, about, 1.0), (f"{name}_exaggerated", more, factor)]
 
@@ -447,13 +447,13 @@ def _write_layer(pyogrio: ModuleType, layer: Layer, crs: str, path: Path) -> Non
 
 
 def _rounded(shapes: Shapes) -> Shapes:
-    """With those digits that are the same wherever in memory they were computed; narrow wedges at a pole stay whole."""
+    """Rounded to digits that don't depend on memory alignment; narrow wedges at a pole stay valid."""
     rounded = shapely.transform(shapes, lambda xy: xy.round(_DECIMALS))
     return np.where(shapely.is_valid(rounded), rounded, shapes)
 
 
 def _digits(name: str, column: np.ndarray) -> np.ndarray:
-    """Likewise, of all numbers but times."""
+    """The same for all numbers but times."""
     if column.dtype.kind == "f" and not name.endswith("et_s"):
         return np.char.mod("%.12g", column).astype(float)
     return column if column.dtype.kind in "fib" else column.astype(object)
@@ -461,7 +461,7 @@ def _digits(name: str, column: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _dated(pyogrio: ModuleType, moment: str) -> Iterator[None]:
-    """What GDAL takes for the time of day, so that the same solution gives the same bytes."""
+    """The time of day for GDAL, fixed so that the same solution gives the same bytes."""
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": moment})
     try:

@@ -46,7 +46,7 @@ _UPPER = np.triu_indices(3)
 
 
 class IsisFiles(NamedTuple):
-    """What was written, and what is to be said of it."""
+    """Files written, and sentences about them."""
 
     paths: list[Path]
     """Files."""

@@ -1,4 +1,4 @@
-"""What the networks of an adjustment say besides what it needs, taken back into the network that is exported.
+"""Restores content of an adjustment's networks that the adjustment doesn't need in the exported network.
 
 Types of measures, their a-priori places, figures of merit, dates and choosers, and ignored points and measures stand in
 the files that were read. A solution remembers these files and their digests (`networks` in solution.json). What can't
@@ -33,7 +33,7 @@ _NAME_IT = "name the network: --ties NETWORK"
 
 
 class Sources(NamedTuple):
-    """The networks that a solution's points were read from, as far as they are still there."""
+    """The networks that a solution's points were read from, as far as they still exist."""
 
     network: ControlNetwork | None
     """All of them as one, as `united` makes it; None where none is there."""
@@ -85,14 +85,14 @@ def _remembered(folder: Path) -> list[tuple[Path, str]]:
 
 
 class Kept(NamedTuple):
-    """A network with its content of old, and what became of it in sentences."""
+    """A network with its original content, and sentences about the changes."""
 
     network: ControlNetwork
     notes: tuple[str, ...] = ()
 
 
 def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Kept:
-    """An adjusted network with all that its source says.
+    """An adjusted network with all content of its source.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _measure(original: ControlMeasure, adjusted: ControlMeasure, met: Counter[st
 
 
 def _described(before: str, now: str) -> str:
-    """What a network said of itself, without the word of an earlier adjustment, and what is said of this one."""
+    """A network's description, without that of an earlier adjustment, and the description of this one."""
     own = before.partition(ADJUSTED_BY)[0].rstrip(". ")
     return f"{own}. {now}" if own else now
 

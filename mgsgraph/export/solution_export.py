@@ -26,7 +26,7 @@ _FINE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings(Record):
-    """What a solution doesn't say of itself.
+    """Settings that a solution doesn't hold.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class ExportSettings(Record):
 
 
 class Exported(NamedTuple):
-    """What was written, and what kernels say when they are read back."""
+    """Files written, and differences of kernels that were read back."""
 
     target: Target
     folder: Path
@@ -68,7 +68,7 @@ class Exported(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What came of it, in a sentence; what to beware of in more."""
+        """The result in a sentence, and sentences of caution."""
         beware = {
             "They are farther off than they should be.": self.largest > _FINE,
             "The solution did NOT converge.": not self.converged,
@@ -127,7 +127,7 @@ def export_solution(
 
 
 def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:
-    """With what kernels say when SPICE alone reads them; InputError where they don't show a point."""
+    """With differences of kernels read by SPICE alone; InputError where they don't show a point."""
     from mgsgraph.export.spice_back import spice_differences
     from mgsgraph.export.spice_nodes import reprojection
 
@@ -152,7 +152,7 @@ def _require_same_target(out: Path, target: Target) -> None:
 
 @contextmanager
 def _called_as_asked(temporary: Path, out: Path) -> Iterator[None]:
-    """Errors of files name the folder that was asked for, not the one that is written to meanwhile."""
+    """Errors of files name the output folder, not the temporary one."""
     try:
         yield
     except InputError as error:
@@ -181,7 +181,7 @@ def require_supported(targets: Sequence[Target], settings: ExportSettings) -> No
 
 
 def settings_for(target: Target, settings: ExportSettings) -> ExportSettings:
-    """Those settings that a target uses, of those of several targets."""
+    """The settings that a target uses, out of those of several targets."""
     unused = [name for name, (_, used_by) in _USED_BY.items() if target not in used_by]
     return replace(settings, **{name: getattr(_DEFAULT, name) for name in unused})
 

@@ -87,7 +87,7 @@ class MissionClock:
 
 @dataclass(frozen=True, slots=True)
 class SpiceNaming:
-    """What a solution doesn't know of its mission. Nothing of it is needed: every image then has ids of its own."""
+    """Ids of the mission, which a solution lacks. They are optional: without them every image has ids of its own."""
 
     images: Mapping[str, NaifIds] = field(default_factory=dict)
     """By image; those of the same ids must not overlap in time."""
@@ -139,7 +139,7 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Export:
-    """What all files are made of."""
+    """Data of all files."""
 
     body: Body
     paths: Paths
@@ -210,7 +210,7 @@ def _carriers(solution: Solution, naming: SpiceNaming, measured: Reprojection) -
 def _comments(
     solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes]
 ) -> tuple[str, ...]:
-    """Where the files come from, and what holds in all of them; printable ASCII."""
+    """Origin of the files, and facts about all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
     state = "converged" if solution.converged else "NOT converged"
     lines = [

@@ -1,4 +1,4 @@
-"""Exported SPICE kernels, read back by SPICE alone: where do the images show the points?
+"""Reads exported kernels by SPICE alone, and computes the image coordinates of the points.
 
 Nothing is taken from the writer or from our geometry. The line is found by the secant method on what the instrument
 kernel says of detector, optics and line times (its comments have the formulas).
@@ -28,7 +28,7 @@ _SEEN = 1e-3
 
 
 def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
-    """How far from the solution's places the kernels show the points.
+    """Distances of the points' image coordinates by the kernels from those of the solution.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def _variable(name: str) -> list[Any]:
 
 
 class _Camera(NamedTuple):
-    """What the instrument kernel says of one image."""
+    """Constants of one image from the instrument kernel."""
 
     spacecraft: int
     frame: int

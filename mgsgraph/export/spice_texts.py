@@ -31,7 +31,7 @@ from mgsgraph.units import KM, MM
 
 @dataclass(frozen=True, slots=True)
 class _Stated:
-    """One model, as the kernel has it."""
+    """One distortion model, as in the kernel."""
 
     kind: type[Distortion]
     powers: tuple[int, ...]
@@ -62,7 +62,7 @@ _MODELS = {
 
 
 def optics_comment() -> str:
-    """What the kernel's comment says of its models."""
+    """Comment of the kernel about its distortion models."""
     lines = []
     for name, model in _MODELS.items():
         first, *rest = model.said.split("\n")
@@ -76,7 +76,7 @@ def optics_comment() -> str:
 
 
 def adjusted_optics(distortion: Distortion) -> dict[str, list[float]]:
-    """What an adjustment added to a model: radial coefficients in powers of mm, and the principal point in mm."""
+    """Adjusted terms of a model: radial coefficients in powers of mm, and the principal point in mm."""
     if not isinstance(distortion, CorrectedDistortion):
         return {}
     radial = [value * MM ** (2 * n + 2) for n, value in enumerate(distortion.radial)]
@@ -139,12 +139,12 @@ class Body:
 
     @property
     def frame_id(self) -> int:
-        """Of that frame, in the range that NAIF leaves to users."""
+        """Id of that frame, in the range that NAIF leaves to users."""
         return 1_900_000 + self.code
 
     @property
     def rotation_id(self) -> int:
-        """What body.bc calls it."""
+        """Id of the body's rotation in body.bc."""
         return -900_000_000 - self.code
 
 

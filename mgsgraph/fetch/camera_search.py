@@ -1,4 +1,4 @@
-"""What an image of CTX, LROC NAC or HRSC needs: its file by ODE or its volumes, kernels of its time by meta-kernel and
+"""Files for an image of CTX, LROC NAC or HRSC: its own by ODE or its volumes, kernels of its time by meta-kernel and
 labels, laser shots over its ground by ODE.
 """
 
@@ -64,7 +64,7 @@ class CameraSearch:
         )  # fmt: skip
 
     def _asked(self, product: CameraProduct) -> str:
-        """What ODE says of a product; empty for a camera that it isn't asked about."""
+        """ODE's answer about a product; empty for a camera without a query."""
         camera = product.camera
         if not camera.query:
             return ""

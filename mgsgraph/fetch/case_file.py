@@ -86,7 +86,7 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
 
 
 def _orientation(image: ImageNeeds) -> str:
-    """What is known of the images' orientation, by the mission of one of them."""
+    """Prior of the images' orientation, by the mission of one of them."""
     nominal = _MOC_NOMINAL if image.camera is None else ""
     mission = "MGS" if image.camera is None else image.camera.kernels.partition("_")[0].upper()
     return "".join([

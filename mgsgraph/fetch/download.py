@@ -74,7 +74,7 @@ def _write(path: Path, how: int, content: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RemoteSource:
-    """What an archive says of a file."""
+    """An archive's statements about a file."""
 
     url: str
     total: int | None
@@ -141,7 +141,7 @@ class PartialFile:
         return {"Range": f"bytes={self.size}-", "If-Range": self.source.validator}
 
     def begin(self, source: RemoteSource) -> None:
-        """Begin anew: nothing is there."""
+        """Begin again with an empty file."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(self.path.parent).free
@@ -165,7 +165,7 @@ class PartialFile:
             raise self._refusal(error) from None
 
     def finish(self) -> None:
-        """Let it take the file's place."""
+        """Move it to the file's place."""
         try:
             self.file.replace(self.path)
             self._said.unlink(missing_ok=True)
@@ -173,7 +173,7 @@ class PartialFile:
             raise self._refusal(error) from None
 
     def discard(self) -> None:
-        """Forget what is there."""
+        """Delete the partial file."""
         self.source = None
         try:
             self.file.unlink(missing_ok=True)
@@ -188,7 +188,7 @@ class PartialFile:
 
 
 class Refused(InputError):
-    """An answer that means no, however often one asks."""
+    """An answer that is final: another try is useless."""
 
 
 class NotInArchive(Refused):
@@ -196,7 +196,7 @@ class NotInArchive(Refused):
 
 
 class Stopped(Exception):
-    """Another download has failed, or the user has interrupted: this one shall end."""
+    """Another download failed, or the user interrupted: this download ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +215,7 @@ class RetryPolicy:
 
 
 class _Trouble(Exception):
-    """Something that may go better next time; `after` s the server asks to be left alone."""
+    """An error that may pass; the server asks to wait `after` s."""
 
     def __init__(self, found: str, after: float = 0.0) -> None:
         super().__init__(found)
@@ -454,7 +454,7 @@ def _source(url: str, answer: "requests.Response") -> RemoteSource:
 
 
 def _pieces(answer: "requests.Response") -> Iterator[bytes]:
-    """Content as it comes: of what broke off nothing is lost that had arrived (as it would be in larger reads)."""
+    """Content as it comes: all bytes that arrived before an interruption are kept (larger reads would lose some)."""
     from urllib3.exceptions import HTTPError, ReadTimeoutError
 
     try:

@@ -1,4 +1,4 @@
-"""Whether the geometry of an image can be: units that were mistaken, and tables that contradict themselves.
+"""Whether the geometry of an image is possible: exchanged units, and tables that contradict themselves.
 
 Images that are one and the same were taken at the same times from the same places in the same directions.
 """
@@ -145,7 +145,7 @@ def turning(times: Array, quaternions: Array, rates: Array) -> tuple[Array, Arra
 
 
 def turning_otherwise(times: Array, quaternions: Array, rates: Array, noise: float = 0.0) -> str:
-    """How attitudes turn otherwise than the angular velocities beside them say; empty where they do as these say.
+    """How attitudes turn differently from their angular velocities; empty where both agree.
 
     Parameters as of `turning`; of rates, which change between samples, the median interval counts. The noise is that of
     attitudes that were measured, rad/s.

@@ -1,4 +1,4 @@
-"""What every record does on construction: its arrays are copied to read-only float64 and checked once."""
+"""Construction of records: their arrays are copied to read-only float64 and checked once."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar

@@ -1,4 +1,4 @@
-"""The ground as two images show it, averaged over a footprint, and how high a point lies above it.
+"""The ground surface of two images, averaged over a footprint, and heights of points above it.
 
 Dense matches say where a pixel x = (line, sample) of the first image lies in the second: y = D(x). Averaged over what a
 laser spot (or a cell of a terrain model) covers, D is a smooth function that no orientation changes. A point P, which
@@ -341,7 +341,7 @@ def _heights_above(
     level: Mask | None,
     start: Array | None,
 ) -> SurfaceHeights:
-    """The same of some points."""
+    """`heights_above` for some points."""
     (first, second), guesses = images, (None, None) if start is None else start.T
     (places, by_point), (other_places, other_by_point) = (
         image.ground_to_image(points, *arguments)

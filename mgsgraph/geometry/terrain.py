@@ -48,7 +48,7 @@ def refined(nodes: NDArray[Any], step: int) -> NDArray[Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaps(Record):
-    """What a terrain model's interpolation between tracks adds to the errors of its posts."""
+    """Errors of a terrain model's posts by interpolation between tracks."""
 
     sigmas: Array
     """(rows, columns) m, of each post's height; 0 for a post that shots made."""

@@ -1,4 +1,4 @@
-"""Terrain grids made of others: tiles put together, heights above the areoid put on top of it.
+"""Terrain grids made of others: mosaics of tiles, and sums of the areoid and heights above it.
 
 Errors of a terrain model between the tracks that made it: MEGDR interpolates posts in whose cells no shot fell.
 
@@ -115,7 +115,7 @@ _FLATTEST = 0.2
 
 
 def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
-    """What interpolation between tracks adds to the errors of a grid's posts, by the number of shots in each cell.
+    """Errors of a grid's posts by interpolation between tracks, from the number of shots in each cell.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where the camera was and how it stood: sampled position and attitude, interpolated as ISIS and SPICE do.
+"""Position and attitude of the camera: sampled position and attitude, interpolated as ISIS and SPICE do.
 
 Position tables are inertial and interpolated by cubic Hermite polynomials; attitude tables turn uniformly between two
 samples (the great arc, as SPICE CK type 3 and ISIS). The two are brought to the body-fixed frame at the asked time.

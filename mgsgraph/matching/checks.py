@@ -1,4 +1,4 @@
-"""What finished measures must stand: rays that meet, heights like their neighbours', and an even spread.
+"""Checks of finished measures: rays that meet, heights like their neighbors', and an even spread.
 
 Whether what was matched between two pictures is one ground: four signs, none of which decides alone.
 
@@ -127,7 +127,7 @@ _ENOUGH = 4
 
 
 class PairSigns(NamedTuple):
-    """What speaks for or against the matches of two pictures."""
+    """Evidence for and against the matches of two pictures."""
 
     first: str
     """Name of the reference picture."""
@@ -144,7 +144,7 @@ class PairSigns(NamedTuple):
 
     @property
     def signs(self) -> tuple[str, ...]:
-        """Those that speak against it, in words with figures."""
+        """Signs against it, in words with figures."""
         return tuple(
             words
             for bad, words in (

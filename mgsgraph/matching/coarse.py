@@ -1,4 +1,4 @@
-"""First, on a coarse ground grid: by how much the nominal orientations contradict each other.
+"""First step, on a coarse ground grid: differences of the nominal orientations.
 
 By how much the orientations of two pictures contradict each other at their matches, and which matches do not fit.
 
@@ -38,7 +38,7 @@ _ROUNDS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacements:
-    """Two pictures at n matches: how far apart their rays meet the ground, and what an orientation would do to it."""
+    """Two pictures at n matches: offsets of their rays on the ground, and derivatives by the orientation."""
 
     offsets: Array
     """(n, 2) m, second minus first, across and along the direction of a displacement by height."""
@@ -48,7 +48,7 @@ class Displacements:
     """(n,) m of displacement along, per m of height."""
 
     def residuals(self, coefficients: Array) -> Array:
-        """(n, 2) m that remain after a correction in units of its sigmas."""
+        """(n, 2) m, offsets after a correction in units of its sigmas."""
         return np.asarray(self.offsets + self.design @ coefficients)
 
     def of(self, some: Mask | Index) -> "Displacements":
@@ -189,7 +189,7 @@ class NoAgreement(InputError):
 
 
 class Agreement(NamedTuple):
-    """What two pictures agreed on."""
+    """Agreement of two pictures."""
 
     first: int
     second: int
@@ -332,14 +332,14 @@ def _coarse_links(scene: Scene, pair: Pair, settings: MatchSettings, step: float
 
 
 def _chance(displaced: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
-    """Chance of a match to agree with an orientation: what tolerances take of the ground searched."""
+    """Chance of a false match to agree with an orientation: the tolerances' share of the searched ground."""
     along = np.hypot(tolerance, height_sigma * displaced.parallax)
     reach = np.minimum(3.0 * np.column_stack([np.full(along.size, tolerance), along]) / radius, 1.0)
     return float(reach.prod(axis=1).mean()) if along.size else 0.0
 
 
 def _share_needed(chance: float) -> float:
-    """Share of the matches that has to agree, by the chance of each."""
+    """Share of the matches that must agree, by the chance of each."""
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
 
 

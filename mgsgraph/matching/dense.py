@@ -77,7 +77,7 @@ class PostMatches(NamedTuple):
 
 
 class _Start(NamedTuple):
-    """Where posts lie in both pictures, as far as semi-global matching knows; n of them."""
+    """Pixels of n posts in both pictures, by semi-global matching."""
 
     row: Index
     """(n,) of the post, counted through the tile's posts."""

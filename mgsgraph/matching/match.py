@@ -113,7 +113,7 @@ class Matches(Record):
 
 
 def _ids(names: tuple[str, ...], pixels: Array, count: int) -> Names:
-    """Names of points that those of another run, which may stand in the same case, don't have."""
+    """Names of points that differ from those of other runs, which may be in the same case."""
     run = zlib.crc32("\n".join(names).encode() + pixels.tobytes())
     return Names.of(f"M{run:08x}_{i + 1:06d}" for i in range(count))
 
@@ -249,7 +249,7 @@ def _one_thread_each() -> Iterator[None]:
 def _windows(
     scene: Scene, pairs: Sequence[Pair], agreements: Sequence[Agreement], step: float
 ) -> dict[tuple[int, int], Window]:
-    """Of each pair, by how much the ground was seen to leave its model."""
+    """Window of each pair, by the differences of the ground from its model."""
     sigmas = [agreement.height_sigma for agreement in agreements if np.isfinite(agreement.height_sigma)]
     height = max(sigmas, default=scene.ground.height_sigma)
     return {
@@ -391,7 +391,7 @@ def _acceptable(measures: Measured, settings: MatchSettings) -> Mask:
 def checked_matches(
     scene: Scene, measures: Measured, likeness: Array, settings: MatchSettings, step: float, cells: _Cells, linked: int
 ) -> tuple[Measured, Losses, Array]:
-    """What stands all checks, best of each cell, and the coplanarity residuals."""
+    """Measures that pass all checks, best of each cell, and the coplanarity residuals."""
     acceptable = _acceptable(measures, settings)
     sound = measures.some(acceptable & measures.returns)
     checked = checked_measures(scene, sound, step, settings.seed)

@@ -88,7 +88,7 @@ class Measured(NamedTuple):
 
 
 def joined_measures(parts: Sequence[Measured]) -> Measured:
-    """Several as one."""
+    """Several records as one."""
     return Measured(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 

@@ -124,7 +124,7 @@ class Ground(Record):
 
 @dataclass(frozen=True, eq=False)
 class Picture(Record):
-    """An image with its pixels, and the orientation that is believed for now."""
+    """An image with its pixels and its current orientation."""
 
     image: PushbroomImage
     """Geometry."""
@@ -350,7 +350,7 @@ def first_picture(pairs: Sequence[Pair], left: Collection[int]) -> int:
 def next_pair(
     pairs: Sequence[Pair], aligned: Collection[int], left: Collection[int], tried: Collection[Pair]
 ) -> Pair | None:
-    """The largest overlap of a picture that is there already (first) with one that is left (second), but for pairs that
+    """The largest overlap of an aligned picture (first) with one that is left (second), without pairs that
     were tried (Prim 1957); None where there is none.
     """
     turned = (Pair(j, i, area) if i in left else Pair(i, j, area) for i, j, area in pairs)

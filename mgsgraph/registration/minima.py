@@ -132,7 +132,7 @@ def merged(shifts: Array, covariances: Array, misfits: Array, owner: Index, scal
 
 
 def correlated_shots(left: Array) -> float:
-    """Number of successive shots that count as one, by the correlation of what is left of their heights (n,)."""
+    """Number of successive shots that count as one, by the correlation of their height residuals (n,)."""
     if left.size <= FITTED:
         return 1.0
     correlation = float(np.sum(left[1:] * left[:-1]) / max(np.sum(left**2), 1e-12))
@@ -205,7 +205,7 @@ class CostSurface:
 
     @property
     def possible(self) -> tuple[Minimum, ...]:
-        """Minima one of which may be the right one."""
+        """Minima that may be the right one."""
         return tuple(minimum for minimum in self.minima if minimum.weight >= _CLEAR)
 
     @property
@@ -218,7 +218,7 @@ class CostSurface:
 
     @property
     def clear(self) -> bool:
-        """Whether it does so at one place only, which adjustments reach."""
+        """Whether relief ties it at one position only, which adjustments reach."""
         return self.tied and len(self.possible) == 1 and self.reached
 
 
@@ -327,7 +327,7 @@ class ReliefProfile(Record):
 
     @property
     def unit(self) -> str:
-        """What one of its points is called."""
+        """Name of one of its points."""
         return "post" if self.of_posts else "shot"
 
     @property
@@ -368,6 +368,6 @@ class ReliefRegistration(Record):
 
 
 def _rms(surface_heights: SurfaceHeights, used: Mask) -> float:
-    """Of the heights of the shots taken, where the surface is known; NaN without any."""
+    """Rms height of the used shots, where the surface is known; NaN without any."""
     used = surface_heights.covered & used
     return float(np.sqrt(np.mean(surface_heights.heights[used] ** 2))) if np.any(used) else float("nan")

@@ -1,4 +1,4 @@
-"""Registration by relief: laser profiles and the surface that the images show find each other, in the adjustment.
+"""Registration by relief: the adjustment aligns laser profiles with the surface that the images show.
 
 Ties make images agree with one another, ranges fix heights; nothing of that holds a footprint horizontally. Relief
 does: the images are matched densely with their adjusted orientation, the disparities are averaged over the footprint
@@ -165,7 +165,7 @@ def registered(
     solver: SolverSettings,
     progress: Progress = no_progress,
 ) -> ReliefRegistration:
-    """Register laser profiles and terrain models with surfaces that are there already.
+    """Register laser profiles and terrain models with given surfaces.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _require_profiles(case: Case) -> None:
 
 
 def _require_pictures(case: Case, settings: ReliefSettings) -> None:
-    """Raise InputError unless a case has the images that are wanted, and pixels, before anything takes long."""
+    """Raise InputError unless a case has the necessary images and pixels; called before long work."""
     names = [image.name for image in case.network.images]
     with errors_from(str(case.path)):
         image_names(settings.images, names)
@@ -287,7 +287,7 @@ class _SearchedProfile:
 
     @property
     def unreached(self) -> "_SearchedProfile":
-        """The same, its best shift being one that adjustments have not come to."""
+        """The same, with the best shift marked as not reached by the adjustment."""
         return replace(self, cost=replace(self.cost, reached=False), starts=self.points, moved=self.above)
 
     def converged(self, before: "_SearchedProfile") -> bool:
@@ -351,7 +351,7 @@ def _search_profile(
 
 
 def _crossing(network: Network, placed: _Placed, searched: Sequence[_SearchedProfile]) -> Crossovers | None:
-    """Crossovers of the laser profiles, where the search has found that they lie."""
+    """Crossovers of the laser profiles, at the positions found by the search."""
     assert network.shifts is not None
     moved, clear = placed.shifts[: len(searched)].copy(), np.array([profile.cost.clear for profile in searched])
     for p in np.flatnonzero(clear).tolist():

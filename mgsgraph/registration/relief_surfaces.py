@@ -1,4 +1,4 @@
-"""What images show of the ground, averaged over laser footprints and over cells of terrain models."""
+"""Stereo surfaces of images, averaged over laser footprints and over cells of terrain models."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -149,7 +149,7 @@ def _left_of_line(heights: Array, weights: Array, along: Array, left: Array) -> 
 
 
 def robust_weights(left: Array) -> Array:
-    """Factors (...) of the weights of what is left of heights (...), in sigmas, by Huber's loss."""
+    """Factors (...) of weights by Huber's loss, for height residuals (...) in sigmas."""
     return np.asarray(_HUBER / np.maximum(np.abs(left), _HUBER))
 
 
@@ -195,7 +195,7 @@ class StereoPair(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What is known of the shift at which a terrain model fits."""
+    """Prior of the shift of a terrain model."""
 
     shift: Array
     """(2,) m east and north."""

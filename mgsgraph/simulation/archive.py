@@ -103,7 +103,7 @@ _MOC = _Camera(MARS_BODY, 378e3, 3.5, 13.1240578522949e-6, 1024, 2.0, 6144, 2 * 
 
 
 class _Plan(NamedTuple):
-    """What an archive is made of by default."""
+    """Default settings of an archive."""
 
     camera: _Camera
     images: int

@@ -35,7 +35,7 @@ _SUN_DISTANCE, _SUN_SPEED = 2.28e11, 2.41e4
 
 
 def json_text(value: dict[str, Any]) -> str:
-    """JSON as all these files have it."""
+    """JSON in the layout of all these files."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
@@ -59,7 +59,7 @@ def support_data(image: PushbroomImage) -> dict[str, Any]:
 
 
 def sampled_fields(image: PushbroomImage, sun: Callable[[Trajectory], SunTable | None] = lambda _: None) -> Any:
-    """What every image's support data have: camera, times, and its sampled trajectory, with the Sun where wanted."""
+    """Support data common to all images: camera, times, and its sampled trajectory, with the Sun where wanted."""
     trajectory = image.trajectory
     if not isinstance(trajectory, Trajectory):
         raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
@@ -149,7 +149,7 @@ def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSetti
 
 
 def sigma_lines(noise: NoiseSettings, network: str = "network.pvl") -> Tables:
-    """What is known of all orientations, and of the ties in a network's file."""
+    """Sigmas of all orientations, and of the ties in a network's file."""
     return toml_lines("[orientation]", degree=noise.prior.degree, **_orientation(noise)) + _ties(noise.tie, network)
 
 

@@ -57,7 +57,7 @@ _ROUNDS = 8
 
 @dataclass(frozen=True, slots=True)
 class JitterSettings:
-    """What a camera's attitude does that its tables don't have; amplitudes in pixels."""
+    """Motion of a camera's attitude that its tables lack; amplitudes in pixels."""
 
     pitch: float = 0.5
     """px, amplitude of the vibration about the camera's y: along lines."""

@@ -203,7 +203,7 @@ def _campaign(
 
 
 def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
-    """What an adjustment should find, and what was put in."""
+    """True values that an adjustment should find, and the injected errors."""
     images = simulated.images
     footprints, pixels, ground = [], [], []
     for image in images:

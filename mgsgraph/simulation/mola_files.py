@@ -229,7 +229,7 @@ def _whole(values: Array, name: str) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True)
 class MegdrLayout:
-    """Where a grid's posts lie, and what was taken off them."""
+    """Positions of a grid's posts, and the offset subtracted from them."""
 
     shape: tuple[int, ...]
     """rows southward, columns eastward."""

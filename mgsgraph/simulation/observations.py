@@ -168,7 +168,7 @@ def tie_network(
 
 @dataclass(frozen=True, slots=True)
 class TerrainErrors(Record):
-    """A terrain model like MOLA's and what is wrong with it."""
+    """A terrain model like MOLA's and its errors."""
 
     posts_per_degree: int = 64
     """Resolution of the grid."""

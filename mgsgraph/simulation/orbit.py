@@ -427,13 +427,13 @@ def site_pass(
 
 
 def true_trajectory(flown: SitePass, duration: float) -> Trajectory:
-    """What was flown, sampled; times count from the pass's epoch."""
+    """True trajectory, sampled; times count from the pass's epoch."""
     times = _table_times(duration)
     return _sampled(flown, times, flown.orbit.state(times), flown.camera(times))
 
 
 def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, rng: np.random.Generator) -> Trajectory:
-    """What the kernels say, with the archive's time tags already undone: true (+) errors."""
+    """Trajectory of the kernels, with the archive's time tags already corrected: true (+) errors."""
     times, orbit = _table_times(duration), flown.orbit
     positions, velocities = orbit.state(times)
     axes = np.stack([orbit.outward, orbit.flight, np.cross(orbit.outward, orbit.flight)])

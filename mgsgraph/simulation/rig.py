@@ -1,4 +1,4 @@
-"""Cameras mounted on one spacecraft, and what is wrong with their common trajectory and with each mounting.
+"""Cameras mounted on one spacecraft, and errors of their common trajectory and of each mounting.
 
 All cameras of a pass share its trajectory (`MountedCamera.image`), and so its error: values at the nodes of the pass,
 drawn from the prior that the network states, about the axes of the pass's first image. A camera's boresight error turns
@@ -316,7 +316,7 @@ def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> Sim
 
 
 def own_priors(errors: PassErrors) -> tuple[OrientationPrior, ...]:
-    """What is known of each image by itself: the pass's error, and of R that of its boresight besides."""
+    """Prior of each image by itself: the pass's error, and for R also that of its boresight."""
     sigmas, mounted = errors.sigmas, errors.sigmas.copy()
     mounted[0, 3:] = np.hypot(mounted[0, 3:], _BORESIGHT_SIGMAS)
     return tuple(OrientationPrior(sigma) for sigma in (sigmas, mounted) * 2)

@@ -1,4 +1,4 @@
-"""A study site simulated: true images over true ground, what the instruments and kernels say of them, and the truth.
+"""Simulates a study site: true images over true ground, data of instruments and kernels, and the truth.
 
 The two images see the same middle from two flights (`orbit.site_pass`); the altimeter shoots beside the camera, so that
 it is rolled with the spacecraft, and a range is the mean over its spot (`laser_spot`). What an adjustment is given
@@ -118,7 +118,7 @@ _CLOUD = (300.0, 3000.0)
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions(Record):
-    """What may differ from the published site.
+    """Settings that may differ from the published site.
 
     Examples
     --------
@@ -287,7 +287,7 @@ def _flight(
     terrain: SiteTerrain,
     rng: np.random.Generator,
 ) -> tuple[SitePass, KernelErrors, float, str]:
-    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
+    """The flight, the errors of its kernels, the time of the image's upper edge, and its clock count."""
     count, start = clock_count(ephemeris_time(image.start))
     middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
     emission = options.emission if image.held else None

@@ -1,4 +1,4 @@
-"""The three study sites as published, and what may be wrong with their kernels: drawn anew from the sigmas that their
+"""The three study sites as published, and errors of their kernels: drawn from the sigmas that their
 cases state, or of the sizes that the papers found, for the reproduction of their tables alone.
 
 Numbers: Yoon & Shan, PE&RS 2005 and ISPRS 2004, Table 1; site and height of Eos from the exterior orientation of Shan,
@@ -35,7 +35,7 @@ _HELD = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelErrors(Record):
-    """What is wrong with the kernels of one image; nominal = true (+) these."""
+    """Errors of the kernels of one image; nominal = true (+) these."""
 
     position: Array
     """(terms, 3) m, of the SPK, row k times u^k of the normalised line u in [-1, 1]: radial, along the flight, across
@@ -56,7 +56,7 @@ class KernelErrors(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSettings(Record):
-    """One image as published, its simultaneous profile, and what is wrong with its kernels."""
+    """One image as published, its simultaneous profile, and the errors of its kernels."""
 
     name: str
     """Product, as the papers write it."""

@@ -217,7 +217,7 @@ def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
 
 
 def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
-    """Tie points of several steps as one: points in the order in which they come up, measures by point."""
+    """Tie points of several steps together: points in order of appearance, measures by point."""
     ids, of_part = Names.united([part.ids for part in parts])
     point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
     order = np.argsort(point, kind="stable")

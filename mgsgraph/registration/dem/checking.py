@@ -38,7 +38,7 @@ OUTSIDE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckProfile(Record):
-    """Shots of one file that took no part, and what is known of them."""
+    """Shots of one file that took no part, and their sigmas."""
 
     name: str
     """Name of the file."""
@@ -165,7 +165,7 @@ def _moves(network: Network, shared: SharedUnknown, name: str) -> bool:
 
 
 def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left: AltimeterShots) -> Array:
-    """(n, width, 3) m per unit, how a shared unknown of the used shots moves those that are left; nothing where no
+    """(n, width, 3) m per unit, how a shared unknown of the used shots moves the others; nothing where no
     image was taken along with them.
     """
     motion = np.zeros((left.times.size, shared.kind.width, 3))

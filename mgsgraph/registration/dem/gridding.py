@@ -386,7 +386,7 @@ def gridded(
 
 
 def _parts(ratio: float) -> int:
-    """Into how many posts, an odd number, one that is `ratio` as wide as points are apart is divided."""
+    """Number of posts, odd, into which a post is divided; `ratio` is its width over the distance of points."""
     return 1 + 2 * max(round((ratio - 1.0) / 2.0), 0)
 
 
@@ -414,7 +414,7 @@ def _fitted(
 
 
 def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]:
-    """What the kernel takes: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
+    """Input of the kernel: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
     pixels = grid.pixels(grid.chart.plane(points.positions))
     nearest = np.rint(pixels).astype(np.int64)
     inside = np.all((nearest >= 0) & (nearest < [grid.rows, grid.columns]), axis=1)

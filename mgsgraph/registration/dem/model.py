@@ -62,7 +62,7 @@ class DemSettings(Record):
 
 
 class MatchedPair(NamedTuple):
-    """How densely, and how well, two images were matched."""
+    """Density and quality of the matches of two images."""
 
     images: tuple[str, str]
     """Names of both."""

@@ -36,7 +36,7 @@ _LEAST_SIGMA = 1e-9
 
 
 class _Given(NamedTuple):
-    """What `surface` is given of the points."""
+    """Input of `surface` about the points."""
 
     columns: int
     first: Index
@@ -49,7 +49,7 @@ class _Given(NamedTuple):
 
 
 class _Near(NamedTuple):
-    """Points near a post, and what is made of them; arrays for as many as any post has."""
+    """Points near a post, and work arrays; each is large enough for any post."""
 
     x: Array
     """posts eastward from the post."""
@@ -79,7 +79,7 @@ class _Near(NamedTuple):
 
 @compiled
 def _sort(values: Array, n: int) -> None:
-    """By insertion: so few are there, and NumPy's takes long to compile."""
+    """Insertion sort: there are few values, and NumPy's sort takes long to compile."""
     for i in range(1, n):
         value, j = values[i], i - 1
         while j >= 0 and values[j] > value:
@@ -123,7 +123,7 @@ def _empty(n: int) -> _Near:
 
 @compiled
 def _gather(given: _Given, row: int, column: int, near: _Near) -> int:
-    """Fill in the points within reach of a post; how many."""
+    """Fill in the points within reach of a post; their number."""
     n = 0
     begin, end, west, east = _cells(given, row, column)
     for i in range(begin, end):
@@ -226,7 +226,7 @@ def _surrounded(near: _Near, n: int) -> bool:
 
 @compiled
 def _compact(near: _Near, n: int) -> int:
-    """Close up the points that count; how many."""
+    """Move the points that count to the front; their number."""
     count = 0
     for i in range(n):
         if near.w[i] > 0.0:

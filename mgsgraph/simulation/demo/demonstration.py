@@ -115,7 +115,7 @@ _MOST = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disagreement:
-    """Of one laser profile in one image."""
+    """Disagreement of one laser profile and one image."""
 
     state: str
     """The step after which it is."""
@@ -135,7 +135,7 @@ class Disagreement:
 def disagreements(
     simulated: SimulatedSite, case: Case, steps: Sequence[tuple[str, Solution | None]]
 ) -> tuple[Disagreement, ...]:
-    """Of each profile in each image that sees it, by the kernels (no solution) and by solutions of the case."""
+    """One for each profile in each image that sees it, by the kernels (no solution) and by solutions of the case."""
     true, result = true_shots(simulated), list[Disagreement]()
     for state, solution in steps:
         adjusted = None if solution is None else _Adjusted(solution)
@@ -318,7 +318,7 @@ class Demonstration:
 
     @property
     def solution(self) -> Solution:
-        """What the last step made of it."""
+        """Solution of the last step."""
         return self.adjusted if isinstance(self.relief, str) else self.relief.solution
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""What a demo has shown: sentences and tables; the same as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
+"""Summary of a demo: sentences and tables; the same as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
 
 from collections.abc import Callable
 from pathlib import Path
