@@ -301,10 +301,10 @@ def _write_positions(name: str, export: _Export) -> None:
 
 
 def _write_attitudes(name: str, export: _Export) -> None:
-    with _opened(name, export) as handle:
-        for carrier, nodes, times, segment in export.segments:
-            attitudes = nodes.matrices, nodes.angular_rate
-            _add_attitudes(handle, carrier.camera, export, export.body.frame, segment, times, *attitudes)
+    with _opened(name, export) as file:
+        for carrier, nodes, times, title in export.segments:
+            matrices = nodes.matrices
+            _add_attitudes(file, carrier.camera, export, export.body.frame, title, times, matrices, nodes.angular_rate)
 
 
 def _write_rotation(name: str, export: _Export) -> None:

@@ -380,9 +380,10 @@ def _control(network: Network, surfaces: Sequence[AveragedPair], profiles: Seque
         starts[p.members[on]] = p.starts[on]
     if not np.any(surface >= 0):
         shots = sum(p.members.size for p in profiles)
-        found = f"none of {len(profiles)} with {_LEAST_SHOTS} shots on the stereo surface ({shots} in all)"
-        remedy = "check the images' overlap and the profiles' places"
-        raise InputError("laser profiles", found, "profiles that cross the ground that two images show", remedy)
+        raise InputError(
+            "laser profiles", f"none of {len(profiles)} with {_LEAST_SHOTS} shots on the surface ({shots} in all)",
+            "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
+        )  # fmt: skip
     images = np.array([pair.images for pair in surfaces])
     return StereoControl(tuple(pair.surface for pair in surfaces), images, surface, sigmas, starts, level=level)
 

@@ -103,8 +103,7 @@ def test_heights_are_no_blunders_but_what_lies_across_is() -> None:
     moved[:40, 0] += 1.0  # the second looks aside: lines are across
     scene = matched.scene()
     after, before = (match_offsets(*scene.pictures, (first, to), scene.ground) for to in (moved, second))
-    shift = after - before
-    assert np.all(np.abs(shift[:40, 0]) > 2.0)
+    assert np.all(np.abs((after - before)[:40, 0]) > 2.0)
     one, _ = found((first, moved))
     _, fits = consensus(one, 0.5, 15.0, np.random.default_rng(0))
     assert not fits[:40].any()
