@@ -425,8 +425,8 @@ def in_images(
     held = points.measure_image.over(images) >= 0
     if held.all():
         return points, ""
-    strange = points.measure_image[~held].used
-    called = some(strange, len(strange))
+    foreign = points.measure_image[~held].used
+    called = some(foreign, len(foreign))
     before, after = (
         np.bincount(points.measure_point[selection], minlength=len(points.ids)) for selection in (slice(None), held)
     )
@@ -438,7 +438,7 @@ def in_images(
         raise InputError(points.source, found, expected, "call images as the network does")
     left = points.with_measures(held).chosen(np.flatnonzero(~dropped))
     sentence = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "
-    sentence += f"{many(len(strange), 'image')} that {holder} doesn't hold ({called})"
+    sentence += f"{many(len(foreign), 'image')} that {holder} doesn't hold ({called})"
     if dropped.any():
         single = int(held.sum()) - len(left.measure_image)
         sentence += f", and {many(int(dropped.sum()), 'point')} of theirs that too few others see"

@@ -98,31 +98,31 @@ def draft_tables(
     return parts, refused
 
 
-_Made = Iterator[tuple[Path, str, bool]]
+_Tables = Iterator[tuple[Path, str, bool]]
 
 
 def _of(kinds: dict[Path, Kind], *accepted: Kind) -> list[Path]:
     return [path for path, kind in kinds.items() if kind in accepted]
 
 
-def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
         sigma = commented("sigma_px = 1.0", "of line and sample, where the network doesn't say")
         yield path, f"[ties]\nnetwork = {place(path, out)}\n{sigma}", True
 
 
-def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
         yield path, f"[ground_control]\nfile = {place(path, out)}\n", True
 
 
-def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.LIDAR):
         sigma = commented("image_sigma_px = 30.0", "of the shots' pixels")
         yield path, f"[laser]\nfile = {place(path, out)}\n{sigma}", True
 
 
-def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Made:
+def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Tables:
     """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
     lidar_times = list[Array]()
     for path in _of(kinds, Kind.LIDAR):
@@ -160,7 +160,7 @@ def _span(draft: DraftImage) -> tuple[float, float]:
     return start, stop
 
 
-def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     yield from (_of_relief(path, out) for path in _of(kinds, Kind.ALTIMETRY))
 
 
@@ -169,7 +169,7 @@ def _of_relief(path: Path, out: Path) -> tuple[Path, str, bool]:
     return path, f"{_ALTIMETRY}\nfile = {place(path, out)}\n{sigma}", False
 
 
-def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     pictures = [draft.image for draft in images]
     for path in _of(kinds, Kind.RADII, Kind.RASTER):
         text = f"[terrain]\nradius = {place(path, out)}\n"
@@ -337,8 +337,8 @@ def _no_image(
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
         return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
-    strange = [f"{path.name} {why}" for path, why in unknown.items()]
-    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *strange[:1]])
+    unrecognized = [f"{path.name} {why}" for path, why in unknown.items()]
+    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *unrecognized[:1]])
     found = f"no image{f': it holds {holds}' if holds else ''}"
     expected, remedy = "a cube, support data, a label or a model state", "name an image too, or a folder of them"
     return InputError(where, found, expected, remedy)

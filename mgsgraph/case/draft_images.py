@@ -21,7 +21,7 @@ from mgsgraph.units import KM
 _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,
           Kind.CUBE_LABEL)  # fmt: skip
 """By which an image is read, if there are several: what holds its geometry before what needs kernels."""
-_ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
+_NO_SERIAL = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
 _LINE_TIMES = "line_times"
 """Key that the reader of a label without times of its lines asks for."""
@@ -64,7 +64,7 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
     files = sorted((path for path, kind in kinds.items() if kind in IMAGES), key=lambda path: (
         _ORDER.index(kinds[path]), len(path.name), path.name.lower()
     ))  # fmt: skip
-    labels = [path for path in files if kinds[path] not in _ALONE]
+    labels = [path for path in files if kinds[path] not in _NO_SERIAL]
     drafts, left_out = list[DraftImage](), dict[Path, str]()
     for path, line_times in [*((path, None) for path in files), *((path, "mean") for path in files if kernels)]:
         if line_times and _LINE_TIMES not in left_out.get(path, ""):
@@ -123,16 +123,16 @@ def _read(
     entry = plain_image(stated, spice, Path(), path.name)
     image = read_image(entry, spice, Path(), path.name)
     names = [entry.name]
-    if kind in _ALONE:
+    if kind in _NO_SERIAL:
         beside = [label for label in labels if label.stem.startswith(path.stem) and label.parent == path.parent]
         names = [*_serials(beside), *names]
-    aliases = frozenset({*names, path.stem, *_products([path, *(labels if kind in _ALONE else [])], path.stem)})
+    aliases = frozenset({*names, path.stem, *_products([path, *(labels if kind in _NO_SERIAL else [])], path.stem)})
     return DraftImage(path, kind, names[0], aliases, image, entry.label is not None, None, line_times)
 
 
 def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
     """The picture that has the name of a file without pixels."""
-    if kinds[path] not in _ALONE:
+    if kinds[path] not in _NO_SERIAL:
         return None
     return next((file for file, kind in kinds.items() if kind in _PICTURES and file.stem == path.stem), None)
 

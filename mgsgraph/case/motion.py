@@ -280,9 +280,9 @@ def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Proces
     """One process; `motion` is the table that it stands in."""
     assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
-    for strange in ("sigma_m", "sigma_mrad"):
-        if strange != key and getattr(entry, strange, None) is not None:
-            raise InputError(where, f"{strange}, of {motion.what}", key)
+    for foreign in ("sigma_m", "sigma_mrad"):
+        if foreign != key and getattr(entry, foreign, None) is not None:
+            raise InputError(where, f"{foreign}, of {motion.what}", key)
     value = getattr(entry, key)
     if value is None:
         raise InputError(where, f"{entry.model} without a sigma", f'{key}: a number, three, or "estimated"')

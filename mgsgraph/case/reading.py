@@ -49,7 +49,7 @@ _LEAST_SHOTS = 12
 """Over the terrain model, by whose heights it is compared with the laser."""
 _LIKELY, _LEAST_OFF = 0.1, 20.0
 """Share of an offset in height, and m, by which another reference surface explains it."""
-_FAR_APART = 5.0
+_TOO_FAR = 5.0
 """Sigmas of a terrain model's heights, and of the shots' scatter about it, by which both may differ as a whole."""
 
 
@@ -229,7 +229,7 @@ def _require_same_heights(
     middle = float(np.median(off))
     scatter = 1.4826 * float(np.median(np.abs(off - middle)))
     entry = tables.terrain_models[0]
-    if abs(middle) > _FAR_APART * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
+    if abs(middle) > _TOO_FAR * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
         likely = _likely_surface(entry, middle, shots, network.images[0].body, profiles)
         found = f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots){likely}"
         raise InputError(

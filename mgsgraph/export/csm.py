@@ -372,9 +372,9 @@ def _require_timing(image: PushbroomImage) -> None:
         return
     late = np.concatenate([timing.first_lines[1:], timing.first_lines[1:] + 0.5])
     k = np.tile(np.arange(timing.first_lines.size - 1), 2)
-    gone_on = timing.start_times[k] + (late - timing.first_lines[k]) * timing.periods[k]
+    extrapolated = timing.start_times[k] + (late - timing.first_lines[k]) * timing.periods[k]
     true = timing.start_times[k + 1] + (late - timing.first_lines[k + 1]) * timing.periods[k + 1]
-    off = np.abs(gone_on - true) / timing.periods[k + 1]
+    off = np.abs(extrapolated - true) / timing.periods[k + 1]
     if off.max() > _TIMING_TOLERANCE:
         line = timing.first_lines[k[off.argmax()] + 1]
         raise InputError(
@@ -392,12 +392,12 @@ def _support_data(
     if summing != image.interior.sample_summing:
         where = f"image {image.name}, detector_sample_summing"
         raise InputError(where, f"{image.interior.sample_summing:g}", "a whole number")
-    kept_keys = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
+    carried = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
     fields = support_fields(
         image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),
         _body_table(tables.epoch, body, original), _no_sun(tables),
     )  # fmt: skip
-    return kept_keys | fields | {
+    return carried | fields | {
         "detector_sample_summing": summing,
         "naif_keywords": _naif_keywords(original["naif_keywords"], image.interior.focal_length),
         "sun_position": original.get("sun_position", fields["sun_position"]),

@@ -327,7 +327,7 @@ def convert(
     lossy = losses(network, form)
     _require_others(paths, files)
     for path in files:
-        require_free(path, None if anything else earlier_network(form, path), remedy=_ELSEWHERE)
+        require_free(path, None if anything else replaceable_network(form, path), remedy=_ELSEWHERE)
     if strict and lossy:
         raise Lossy(output, lossy)
     _write(files)
@@ -390,7 +390,7 @@ _OFFSETS = offsets_path(Path(".nvm")).name.removeprefix(".nvm")
 _PAIR = ("first", "second")
 
 
-def earlier_network(form: Format, path: Path) -> Output:
+def replaceable_network(form: Format, path: Path) -> Output:
     """Content by which a file may be replaced by a network of a format, or by a part of one."""
     match form:
         case Format.PVL:

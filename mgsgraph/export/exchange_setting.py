@@ -17,7 +17,7 @@ from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
 from mgsgraph.record import Record
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
-_SAID = "--body, --radii, --case"
+_OPTIONS = "--body, --radii, --case"
 """Where a setting comes from, for messages."""
 
 
@@ -118,7 +118,7 @@ def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSettin
     on which points don't lie.
     """
     stated = [(network.source, network.target_name) for network in networks if network.target_name]
-    stated += [(_SAID, setting.target)] if setting.target else []
+    stated += [(_OPTIONS, setting.target)] if setting.target else []
     for where, name in stated[1:]:
         if name.casefold() != stated[0][1].casefold():
             found, expected = f"the target body {name}", f"{stated[0][1]}, as in {stated[0][0]}"
@@ -126,7 +126,7 @@ def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSettin
     if setting.ellipsoid is not None and stated and not may_be(setting.ellipsoid, stated[0][1]):
         found = f"an equatorial radius of {setting.ellipsoid.equatorial:.10g} m"
         expected = f"that of {stated[0][1]}, the target body in {stated[0][0]}"
-        raise InputError(_SAID, found, expected, "radii are in m")
+        raise InputError(_OPTIONS, found, expected, "radii are in m")
     if setting.ellipsoid is None:
         return
     for network in networks:

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
-from mgsgraph.export.network_content import ADJUSTED_BY, Kept, with_content
+from mgsgraph.export.network_content import ADJUSTED_BY, Restored, with_content
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl import write_pvl_network
@@ -89,8 +89,8 @@ def write_isis(
     """
     images = frozenset(image.name for image in solution.network.images)
 
-    def complete(network: ControlNetwork) -> Kept:
-        return Kept(network) if source is None else with_content(network, source, images)
+    def complete(network: ControlNetwork) -> Restored:
+        return Restored(network) if source is None else with_content(network, source, images)
 
     network, notes = complete(adjusted_network(solution, scaled=scaled, target=target))
     paths = [folder / NETWORK, folder / NETWORK_TEXT]

@@ -28,7 +28,7 @@ ADJUSTED_BY = f"Adjusted by {PROGRAM}"
 """What descriptions of exported networks say."""
 _OF_A_PRIORI = ("apriori", "apriori_covariance", "apriori_source")
 _CONSTRAINED = ("latitude_constrained", "longitude_constrained", "radius_constrained")
-_LOST = "types, a-priori places, figures of merit and dates of measures"
+_MISSING = "types, a-priori places, figures of merit and dates of measures"
 _NAME_IT = "name the network: --ties NETWORK"
 
 
@@ -62,14 +62,14 @@ def source_networks(folder: Path, stated: Sequence[Path], body: Ellipsoid) -> So
     if not stated:
         for path, digest in _remembered(folder):
             if not path.is_file():
-                notes.append(f"{path} isn't there any more: {_LOST} aren't known; {_NAME_IT}")
+                notes.append(f"{path} isn't there any more: {_MISSING} aren't known; {_NAME_IT}")
             elif sha256_of(path) != digest:
                 notes.append(f"{path} has changed since the adjustment: nothing is taken from it; {_NAME_IT}")
             else:
                 paths.append(path)
     networks = [read_whole(path, body) for path in paths]
     if not networks:
-        return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_LOST}; {_NAME_IT}",))
+        return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_MISSING}; {_NAME_IT}",))
     points, _ = united(networks, Duplicates.FIRST)
     return Sources(structs.replace(leading(networks), points=points, source=some([str(p) for p in paths], len(paths))),
                    tuple(notes))  # fmt: skip
@@ -84,14 +84,14 @@ def _remembered(folder: Path) -> list[tuple[Path, str]]:
         return [(Path(entry["path"]), str(entry["sha256"])) for entry in read_record(file).get("networks", [])]
 
 
-class Kept(NamedTuple):
+class Restored(NamedTuple):
     """A network with its original content, and sentences about the changes."""
 
     network: ControlNetwork
     notes: tuple[str, ...] = ()
 
 
-def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Kept:
+def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Restored:
     """An adjusted network with all content of its source.
 
     Parameters
@@ -134,7 +134,7 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
         target_radii=source.target_radii or adjusted.target_radii,
         description=_described(source.description, adjusted.description),
     )  # fmt: skip
-    return Kept(network, _notes(met, source.source))
+    return Restored(network, _notes(met, source.source))
 
 
 def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> ControlPoint:

@@ -21,7 +21,7 @@ _META_KERNEL = "adjusted.tm"
 _NUDGE = 1e-5
 """mm."""
 _STEPS = 30
-_REST = 1e-5
+_CONVERGED = 1e-5
 """lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
 _SEEN = 1e-3
 """px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
@@ -123,12 +123,12 @@ def _seen(camera: _Camera, points: Numbers) -> Numbers:
     for _ in range(_STEPS):
         off, samples = _off_line(camera, points, lines)
         step = -off * (lines - before) / (off - off_before)
-        step = np.where((off == 0.0) | (np.abs(lines - before) <= _REST) | np.isnan(step), 0.0, step)
+        step = np.where((off == 0.0) | (np.abs(lines - before) <= _CONVERGED) | np.isnan(step), 0.0, step)
         before, off_before = lines, off
         lines = np.clip(lines + step, *camera.covered)
-        if not np.any(np.abs(lines - before) > _REST):
+        if not np.any(np.abs(lines - before) > _CONVERGED):
             break
-    converged = (np.abs(lines - before) <= _REST) & (np.abs(off_before) < _SEEN)
+    converged = (np.abs(lines - before) <= _CONVERGED) & (np.abs(off_before) < _SEEN)
     return np.where(converged[:, None], np.column_stack([lines, samples]), np.nan)
 
 

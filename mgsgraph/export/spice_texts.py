@@ -36,7 +36,7 @@ class _Stated:
     kind: type[Distortion]
     powers: tuple[int, ...]
     """Of metres, the units of the record's numbers."""
-    said: str
+    formula: str
     """The formula, in lines of the kernel's comment."""
 
 
@@ -65,7 +65,7 @@ def optics_comment() -> str:
     """Comment of the kernel about its distortion models."""
     lines = []
     for name, model in _MODELS.items():
-        first, *rest = model.said.split("\n")
+        first, *rest = model.formula.split("\n")
         lines += [f"            {name:<11}{first}", *(f"            {'':<11}{line}" for line in rest)]
     lines += [
         "            OD_RADIAL, OD_POINT (where an adjustment found them) go on from there, with (x, y) of the model:",

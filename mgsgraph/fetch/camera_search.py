@@ -151,7 +151,7 @@ class CameraSearch:
             text = read_text(self._store.get(WantedFile(data + label, kernel_path(label.lower()))), encoding="latin-1")
         except NotInArchive:
             return True
-        stated = Interval.said_by(flat_label(text, label))
+        stated = Interval.stated_by(flat_label(text, label))
         return stated is None or stated.meets(interval)
 
     def _addendum(self, camera: ArchivedCamera, where: str) -> tuple[str, tuple[str, ...]]:

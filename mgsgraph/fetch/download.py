@@ -43,7 +43,7 @@ _PIECE = 1 << 16
 """bytes read at a time, at the most."""
 _LATER = (429, 500, 502, 503, 504)
 """Statuses of a server that may do better later."""
-_NOT_THERE = (404, 410)
+_MISSING = (404, 410)
 _NOTHING_MORE = 416
 """Status of a file that ends before the byte asked for."""
 _REDIRECTS = 10
@@ -434,7 +434,7 @@ def _too_long(url: str, found: str, limit: int) -> InputError:
 def _require_content(url: str, answer: "requests.Response") -> None:
     """Raise _Trouble or InputError unless the answer is a file, or a part of one."""
     status = f"{answer.status_code} {answer.reason}".strip()
-    if answer.status_code in _NOT_THERE:
+    if answer.status_code in _MISSING:
         raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
     if answer.status_code in _LATER:
         raise _Trouble(f"the server says {status}", _count(answer.headers.get("Retry-After", "")) or 0.0)

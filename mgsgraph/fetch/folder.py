@@ -216,13 +216,13 @@ def _opened(
     folder: Path, retry: RetryPolicy | None, say: Callable[[str], None], progress: Progress
 ) -> Iterator[DownloadFolder]:
     """The folder, ours alone as long as this lasts."""
-    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+    with closing(Remote(retry, say)) as remote, claimed(_made_folder(folder), "another mgsgraph is fetching into it"):
         lock = Lock.read(folder)
         lock.write()
         yield DownloadFolder(lock, remote, progress)
 
 
-def _made(folder: Path) -> Path:
+def _made_folder(folder: Path) -> Path:
     """The folder, made where there is none; InputError where it is neither empty nor an earlier one of ours."""
     try:
         if folder.exists() and not (folder / LOCK).exists():

@@ -27,7 +27,7 @@ class Interval(NamedTuple):
         return own
 
     @classmethod
-    def said_by(cls, label: Block) -> "Interval | None":
+    def stated_by(cls, label: Block) -> "Interval | None":
         """The same; None for a label that says no times."""
         stated = [str(label.entries[key.lower()].value) for key in ("START_TIME", "STOP_TIME") if key in label]
         return cls.of(label) if len(stated) == 2 and not any(text.upper() in _NONE for text in stated) else None

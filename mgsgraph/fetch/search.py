@@ -66,7 +66,7 @@ def find_profile(orbit: int, exposure: Interval, archives: Archives, remote: Rem
             head = remote.head(archives.pedr + path, HEADER_RECORDS * FRAME.itemsize)
         except NotInArchive:
             continue
-        covered = Interval.said_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
+        covered = Interval.stated_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
         if covered is None:
             return path, f"{where}: the label of {path} says no times; it is taken by its orbit"
         if covered.holds(exposure.middle):
@@ -170,7 +170,7 @@ Rows = Callable[[str], Sequence[IndexRow]]
 """Index of a volume by its name; empty where there is no such volume."""
 
 
-class Found(NamedTuple):
+class LocatedImage(NamedTuple):
     """An image, and where it is."""
 
     volume: str
@@ -192,7 +192,7 @@ def volumes_of(texts: Sequence[str]) -> tuple[str, ...]:
     return named
 
 
-def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
+def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> LocatedImage:
     """Look an image up.
 
     Parameters
@@ -227,7 +227,7 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
                 if not row.narrow:
                     found = f"of the wide angle ({row.instrument})"
                     raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
-                return Found(volume, row)
+                return LocatedImage(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
     found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
     raise InputError(f"image {product}", found, "a narrow-angle image", "check the id, the mirror, or --volume")
@@ -305,4 +305,4 @@ class Search:
             path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
         except NotInArchive:
             return None
-        return Interval.said_by(flat_label(read_text(path, encoding="latin-1"), str(path)))
+        return Interval.stated_by(flat_label(read_text(path, encoding="latin-1"), str(path)))

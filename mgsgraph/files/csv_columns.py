@@ -269,7 +269,7 @@ _MOST = 360.0, 90.0
 """Degrees of a longitude and a latitude."""
 LARGEST_SIGMA = 1e100
 """Of sigmas, whose squares must be numbers."""
-_ALIKE = 0.7
+_LIKENESS = 0.7
 """Of difflib: 'note' is not meant to be 'ignore'."""
 _COUNTS = "name line and sample isis_line and isis_sample if the first pixel is (1, 1), as in ISIS"
 
@@ -374,7 +374,7 @@ def upper_triangles(columns: Sequence[str], values: Array, directions: Array) ->
 def _unknown(name: str, names: Sequence[str], where: str) -> InputError:
     if not name:
         return InputError(where, "a column without a name", "a name for each", "remove it, with the comma before it")
-    close = get_close_matches(name, COLUMNS, n=1, cutoff=_ALIKE)
+    close = get_close_matches(name, COLUMNS, n=1, cutoff=_LIKENESS)
     nearest = _MEANT.get(name) or (close[0] if close else "")
     remedy = f"rename it to {nearest!r}" if nearest else f"the columns there are: {', '.join(COLUMNS)}"
     if nearest and set(OURS) & set(names):

@@ -46,7 +46,7 @@ _WORDS = {
 }  # fmt: skip
 """msgspec's names of types."""
 _NO_VALUE = object()
-_ALIKE = 0.6
+_LIKENESS = 0.6
 """Likeness (difflib) from which on a known key may be meant by an unknown one."""
 
 
@@ -161,7 +161,7 @@ def _refusal(
         if key[1] == "missing required":
             return InputError(where, f"no key {key[2]!r}", remedy=remedy)
         known_keys = [field.encode_name for at in _kinds_at(kind, steps) if _is_record(at) for field in _fields(at)]
-        close = get_close_matches(key[2], known_keys, n=1, cutoff=_ALIKE)
+        close = get_close_matches(key[2], known_keys, n=1, cutoff=_LIKENESS)
         expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(known_keys)}"
         if homes := sorted(set(_homes(kind, key[2]))):
             expected = f"it is a key of {' and '.join(f'[{home}]' if home else 'the head' for home in homes)}"

@@ -30,18 +30,18 @@ class Key(NamedTuple):
     use: Use
     meaning: str
     """What it says; unit, frame."""
-    twin: str = ""
+    same_as: str = ""
     """What says the same in the same input; of a refused one its usual values, for a reader's eye."""
     usual: str = ""
     """Regular expression of values, in capitals, with which a refused key says what is meant here."""
 
 
-def _read(name: str, meaning: str, twin: str = "") -> Key:
-    return Key(name, Use.READ, meaning, twin)
+def _read(name: str, meaning: str, same_as: str = "") -> Key:
+    return Key(name, Use.READ, meaning, same_as)
 
 
-def _compared(name: str, meaning: str, twin: str) -> Key:
-    return Key(name, Use.COMPARED, meaning, twin)
+def _compared(name: str, meaning: str, same_as: str) -> Key:
+    return Key(name, Use.COMPARED, meaning, same_as)
 
 
 def _refused(name: str, meaning: str, usual: str = "", words: str = "") -> Key:
@@ -304,4 +304,4 @@ def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) ->
         key = _of(name, refused)
         if key is not None and not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
             remedy = f"convert the file first ({key.meaning})"
-            raise InputError(f"{where}, {name}", repr(value)[:60], key.twin, remedy)
+            raise InputError(f"{where}, {name}", repr(value)[:60], key.same_as, remedy)

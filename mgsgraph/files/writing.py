@@ -173,7 +173,7 @@ FILES = "sha256"
 _KEY = "crc32"
 _MARK = f',\n "{_KEY}": "%08x"\n}}\n'
 """How a record ends: with the CRC-32 of what stands before."""
-_ALIKE = 10
+_MARK_BYTES = 10
 """bytes of 18 that an end has in common with the mark, from which on it is the mark, or was: flipped bits may hit it;
 other ends of JSON have 3.
 """
@@ -201,7 +201,7 @@ def read_record(path: Path) -> dict[str, Any]:
     body, mark = content[: -len(end)], content[-len(end) :]
     sealed = mark == (_MARK % zlib.crc32(body)).encode()
     same = sum(a == b for k, (a, b) in enumerate(zip(mark, end, strict=False)) if end[k : k + 1] != b"0")
-    record = json_object(content, where) if sealed or same < _ALIKE else {_KEY: ""}
+    record = json_object(content, where) if sealed or same < _MARK_BYTES else {_KEY: ""}
     if not sealed and _KEY in record:
         raise InputError(where, "is damaged, or was changed (its checksum is another one)", remedy=_REMEDY)
     record.pop(_KEY, None)

@@ -166,7 +166,7 @@ _LINES = 0.5
 """Lines by which the times of their first and last edges may differ."""
 _PIXELS = 1.0
 """By which what they see may differ: one image read by two roads differs by thousandths."""
-_APART = 1e3
+_FAR = 1e3
 """m between two cameras at mid-image from which on they are of two spacecraft."""
 
 
@@ -209,7 +209,7 @@ def duplicate_images(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
     """
     near = simultaneous_starts([ImageTimes.of(image) for image in images])
     flown = {j: images[j].pose(images[j].middle[0]).position[0] for j in {j for pair in near for j in pair}}
-    near = [(j, k) for j, k in near if np.linalg.norm(flown[j] - flown[k]) < _APART]
+    near = [(j, k) for j, k in near if np.linalg.norm(flown[j] - flown[k]) < _FAR]
     return sorted((min(pair), max(pair)) for pair in near if _same(images[pair[0]], images[pair[1]]))
 
 

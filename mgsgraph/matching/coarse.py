@@ -27,7 +27,7 @@ from mgsgraph.workers import Progress
 
 SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""
-_TRIALS = 400
+_SAMPLES = 400
 _UNKNOWN_ANGLE = 1e-2
 """rad, unit of a rotation without a prior."""
 _MAD = 1.4826
@@ -131,7 +131,7 @@ def consensus(
     n = len(displaced.offsets)
     sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * displaced.parallax)])
     best, most = np.zeros(displaced.design.shape[2]), _fits(displaced, np.zeros(displaced.design.shape[2]), sigmas)
-    for _ in range(_TRIALS if n > SAMPLE else 0):
+    for _ in range(_SAMPLES if n > SAMPLE else 0):
         some = rng.choice(n, SAMPLE, replace=False)
         trial = _solved(displaced.of(some), sigmas[some])
         fits = _fits(displaced, trial, sigmas)

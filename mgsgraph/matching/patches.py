@@ -181,7 +181,7 @@ _CONTRAST = 0.015
 """SIFT's threshold on contrast: half of Lowe's, for evenly lit plains."""
 _BORDER = 9
 """pixels which features keep from where a picture ends."""
-_TOGETHER = 256
+_AT_ONCE = 256
 """Features that are compared at a time."""
 _SAME = 4.0
 """pixels within which a second-best candidate is the best one over again."""
@@ -342,8 +342,8 @@ def _best(left: Features, right: Features, window: Window, step: float, ratio: f
     if len(right.plane) == 0:
         return best, likeness
     reach = abs(window.direction[1]) * window.along + abs(window.direction[0]) * window.across
-    for begin in range(0, len(left.plane), _TOGETHER):
-        some = slice(begin, min(begin + _TOGETHER, len(left.plane)))
+    for begin in range(0, len(left.plane), _AT_ONCE):
+        some = slice(begin, min(begin + _AT_ONCE, len(left.plane)))
         y = left.plane[some, 1]
         low, high = np.searchsorted(right.plane[:, 1], [y[0] - reach, y[-1] + reach])
         if low == high:

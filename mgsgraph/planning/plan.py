@@ -183,7 +183,7 @@ def summarised(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:
 
 Progress = Callable[[int, int], None]
 """Called with how many judgements are done, and how many there will be at most."""
-_ALIKE = 9
+_DIGITS = 9
 """Significant digits in which two falls of a sigma count as the same: then the name decides, not the file's order."""
 
 
@@ -381,5 +381,5 @@ def plan(
 
 def _order(evaluation: Evaluation) -> tuple[bool, float, float, str]:
     """Best first, candidates that can't be judged last; then the fall of the sigma, the information, the name."""
-    drop, bits = (float(f"{value:.{_ALIKE - 1}e}") for value in (evaluation.drop, evaluation.bits))
+    drop, bits = (float(f"{value:.{_DIGITS - 1}e}") for value in (evaluation.drop, evaluation.bits))
     return bool(evaluation.reason), -drop, -bits, evaluation.name

@@ -155,7 +155,7 @@ def robust_weights(left: Array) -> Array:
 
 _MOST_SHOTS = 300
 """Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
-_MOST_TRIALS = 1_500_000
+_MOST_WORK = 1_500_000
 """Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
@@ -271,7 +271,7 @@ def search(
         smooth = replace(pair.surface, roughness=np.zeros_like(pair.surface.roughness))
         pair = pair._replace(surface=smooth)
     half = int(np.ceil(reach / step))
-    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
+    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_WORK // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))

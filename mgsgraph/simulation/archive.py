@@ -34,7 +34,7 @@ ArchiveKind = Literal["kaguya", "ctx", "moc", "dense", "block"]
 ARCHIVE_KINDS = get_args(ArchiveKind)
 """What `simulate archive --kind` offers."""
 
-_FIRST, _APART = -50_000_000.0, 1000.0
+_FIRST, _STEP = -50_000_000.0, 1000.0
 """s TDB past J2000 of the first image's middle, and s from one to the next; whole numbers, exact in files."""
 _INCLINATION = 93.0 * DEG
 """Of all orbits: the poles are passed at 3 degrees."""
@@ -240,7 +240,7 @@ def lay_out(settings: ArchiveSettings, seed: int = 1) -> Archive:
     return Archive(
         settings, seed, sites, np.arcsin(np.cos(_INCLINATION) / np.cos(places[:, 1])),
         of_places.uniform(-camera.aside, camera.aside, n), ahead,
-        np.asarray(_FIRST + _APART * of_times.permutation(n), dtype=np.float64),
+        np.asarray(_FIRST + _STEP * of_times.permutation(n), dtype=np.float64),
         sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
     )  # fmt: skip
 

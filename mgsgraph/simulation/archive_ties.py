@@ -22,7 +22,7 @@ _DRAWN = 4
 """Places drawn for each point that is wanted."""
 _REACH = 1.15
 """Half diagonals of the largest image about a middle in which ground is looked for: images lie off a little."""
-_KEPT = 1 << 13
+_CACHED = 1 << 13
 """Images kept in memory; those of a region are used several times."""
 _WAVES = np.array([[1.0, 61e3, 0.0], [0.5, 23e3, 1.3], [0.2, 9e3, 2.9]])
 """Of each wave of the ground: share of the amplitude, wavelength (m), phase (rad)."""
@@ -106,7 +106,7 @@ def regions(archive: Archive, footprints: Footprints, progress: Count = no_progr
     order = _by_place(footprints)
     per_image = archive.settings.ties / len(archive)
     many = max(int(_REGION / per_image), 1)
-    image_of = lru_cache(maxsize=_KEPT)(archive.image)
+    image_of = lru_cache(maxsize=_CACHED)(archive.image)
     streams = np.random.default_rng([archive.seed, 1]).spawn(-(-len(archive) // many))
     drawn_so_far = 0
     for k, rng in enumerate(streams):

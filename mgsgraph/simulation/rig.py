@@ -228,7 +228,7 @@ _TRIES = 60
 
 ALTITUDE = 50e3
 """m."""
-_ROLL, _ASIDE = 20.0 * DEG, 1250.0
+_ROLL, _EAST = 20.0 * DEG, 1250.0
 """rad, by which the second pass looks aside; m on the ground by which its middle lies east of the first one's."""
 _LINES, _PERIOD = 52_224, 3.4e-4
 """Of each image, and s per line."""
@@ -275,7 +275,7 @@ def nac_cameras() -> tuple[MountedCamera, MountedCamera]:
 
 def nac_images() -> tuple[PushbroomImage, ...]:
     """Nominal images: L and R of the first pass at nadir, then of the second one."""
-    east, images = _ASIDE / (MOON.equatorial * np.cos(_SITE[1])), []
+    east, images = _EAST / (MOON.equatorial * np.cos(_SITE[1])), []
     for k, (epoch, roll) in enumerate(zip(_EPOCHS, (0.0, _ROLL), strict=True)):
         site = site_at(_SITE[0] + k * east, _SITE[1], MOON)
         flown = CircularPass(epoch, site, 0.0, ALTITUDE, roll, MOON_BODY, turning=True)

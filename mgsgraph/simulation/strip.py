@@ -209,8 +209,8 @@ class Steps:
 
 
 def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
-    found_ground = f"ground shared with earlier images for {found} of {wanted} tie points"
-    return InputError(f"{SOURCE}, image {image.name}", found_ground, remedy=_NO_OVERLAP)
+    ground = f"ground shared with earlier images for {found} of {wanted} tie points"
+    return InputError(f"{SOURCE}, image {image.name}", ground, remedy=_NO_OVERLAP)
 
 
 # --- steps put together

@@ -226,7 +226,7 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
 def _require_sound(frames: NDArray[np.void], path: Path) -> None:
     """Values that show another record length or byte order before they show as footprints in the wrong place."""
     radii = frames["shot_radius"] * _CM
-    used, again = np.any(radii > 0.0, axis=1), frames["time"]
+    used, second_times = np.any(radii > 0.0, axis=1), frames["time"]
     whole = frames["seconds"] + 1e-6 * frames["microseconds"]
     places = [
         (f", {what}", frames[field] * 1e-6, -most, most, "degrees")
@@ -236,7 +236,7 @@ def _require_sound(frames: NDArray[np.void], path: Path) -> None:
     for what, values, least, most, unit in (
         (", radius", np.where(radii > 0.0, radii, _LEAST).min(axis=1), _LEAST, _LARGEST, "m"),
         (", radius", np.where(used, radii.max(axis=1), _LEAST), _LEAST, _LARGEST, "m"),
-        (", difference of its two times", np.where(again != 0.0, whole - again, 0.0), -1e-3, 1e-3, "s"),
+        (", difference of its two times", np.where(second_times != 0.0, whole - second_times, 0.0), -1e-3, 1e-3, "s"),
         (", clock", frames["clock"], _CLOCK * (1.0 - _CLOCK_TOLERANCE), _CLOCK * (1.0 + _CLOCK_TOLERANCE), "Hz"),
         *places,
     ):

@@ -56,8 +56,8 @@ def require_own_statements(root: Block, label: LineScanLabel, image: PushbroomIm
             remedy = "look at the label's times and places, and at the kernels"
             raise InputError(root.where(key), away, f"within {max(_NEAR, size) / KM:.0f} km of it", remedy)
     names = [name for block in _blocks(root) for name in block.entries if not name.startswith("^")]
-    found_keys = [name.upper() for name in unread(names, IMAGE_LABEL)]
-    return (f"nothing reads the key {', '.join(found_keys)}",) if found_keys else ()
+    unread_keys = [name.upper() for name in unread(names, IMAGE_LABEL)]
+    return (f"nothing reads the key {', '.join(unread_keys)}",) if unread_keys else ()
 
 
 def _blocks(root: Block) -> list[Block]:

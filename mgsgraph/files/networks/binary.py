@@ -54,7 +54,7 @@ from mgsgraph.names import Names, RepeatedNames
 LABEL_BYTES = 65536
 """Of a label, or a multiple of them."""
 _SIZE = struct.Struct("<I")
-_BEGINNING = re.compile(
+_HEAD = re.compile(
     rb"(?:\s++|#[^\n]*+|/\*.*?\*/)*+(?:begin_)?object\s*+=\s*+protobuffer\b", re.IGNORECASE | re.DOTALL
 )
 _LOOKED_AT = 4096
@@ -66,7 +66,7 @@ _OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
 
 def is_binary(data: bytes) -> bool:
     """Whether a file's content is a binary network, by how it begins."""
-    return _BEGINNING.match(data[:_LOOKED_AT]) is not None
+    return _HEAD.match(data[:_LOOKED_AT]) is not None
 
 
 def parse_binary_network(data: bytes, source: str) -> ControlNetwork:

@@ -262,12 +262,12 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     coded = table.values["id"].dictionary_encode()
     point = np.asarray(coded.indices).astype(np.int64)
     rows = _Rows(table, point, np.unique(point, return_index=True)[1])
-    all_points, measured_there = np.arange(point.size), table.filled("image")
+    all_points, has_image = np.arange(point.size), table.filled("image")
     rows.refuse(~table.filled("id"), "", "no id", "one in every row", all_points)
     for name in [name for name in OF_MEASURE if name in names]:
-        bad = table.filled(name) & ~measured_there
+        bad = table.filled(name) & ~has_image
         rows.refuse(bad, name, "a measure without image", "the image it was measured in", all_points)
-    of_measures = np.flatnonzero(measured_there)
+    of_measures = np.flatnonzero(has_image)
     of_measures = of_measures[np.argsort(point[of_measures], kind="stable")]
     first = np.searchsorted(point[of_measures], np.arange(rows.first.size + 1))
     ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))

@@ -40,7 +40,7 @@ def _number(data, at, bits, number):
 
 
 @compiled
-def _kept(value):
+def _set_or_nan(value):
     """A number as it is, NaN for those of ISIS's special values that say that none was set, inf for what is none."""
     if -LARGEST < value < LARGEST:
         return value
@@ -97,7 +97,7 @@ def _read_measure(data, at, end, bits, number, k, measures, ignored, types, imag
             ignored[k] = value != 0
         elif (field == 3 or field == 4 or field == 15 or field == 16) and kind == _FIXED64:
             column = 1 if field == 3 else 0 if field == 4 else 3 if field == 15 else 2
-            measures[k, column] = _kept(_number(data, value, bits, number))
+            measures[k, column] = _set_or_nan(_number(data, value, bits, number))
     return True
 
 
@@ -145,7 +145,7 @@ def read_points(data, begin, end, first, types, ids, ignored, places, covariance
             elif field == 6 and kind == _VARINT:
                 ignored[i] = value != 0
             elif (16 <= field <= 18 or 20 <= field <= 22) and kind == _FIXED64:
-                places[i, field - 16 if field < 19 else field - 17] = _kept(_number(data, value, bits, number))
+                places[i, field - 16 if field < 19 else field - 17] = _set_or_nan(_number(data, value, bits, number))
             elif field == 19 and not (kind == _BYTES and at == value):
                 whole = kind == _BYTES and at - value == 48 and not has_covariance
                 for c in range(6):

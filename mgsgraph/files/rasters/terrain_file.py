@@ -175,7 +175,7 @@ _ROUND = 1e6
 """m, radius from which on bodies are round."""
 _CHUNK = 1 << 20
 """Of these at once."""
-_SEVERAL, _APART, _LEAST_GAP = 3, 0.5, 500.0
+_SEVERAL, _TAG_GAP, _LEAST_GAP = 3, 0.5, 500.0
 """Posts of one value, and the gap to all others (share of their range, and m), that are no terrain."""
 _OUTLINE = 65
 """Rows and columns by which the extent of a raster is found."""
@@ -448,7 +448,7 @@ def _require_tagged(values: NDArray[Any], path: Path) -> None:
         if min(rest.size, finite.size - rest.size) < _SEVERAL:
             continue
         gap = float(np.min(side * (rest - value)))
-        if gap > max(_APART * float(np.ptp(rest)), _LEAST_GAP):
+        if gap > max(_TAG_GAP * float(np.ptp(rest)), _LEAST_GAP):
             found = f"{finite.size - rest.size} posts of {value:g} m, {gap:.0f} m from all others"
             remedy = "state the value of missing posts: gdal_edit.py -a_nodata"
             raise InputError(str(path), found, "terrain", remedy)

@@ -60,7 +60,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
-_ALIKE = 0.8
+_LIKENESS = 0.8
 """Likeness (difflib) from which on an unknown key is a slip in one that is known and missing."""
 
 
@@ -187,7 +187,7 @@ def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: 
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     missing = [name for name in fields if name not in table]
     for key, value in table.items():
-        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_ALIKE)):
+        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_LIKENESS)):
             raise InputError(where, f"the unknown key {key!r}", remedy=f"did you mean {close[0]!r}?")
         if isinstance(value, dict) and (inner := _record(fields.get(key))) is not None:
             _require_no_slips(value, inner, f"{where}, {key}")

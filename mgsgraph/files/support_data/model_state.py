@@ -44,7 +44,7 @@ _NORMS = 0.5, 2.0
 """Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
-_SAME_SPEED, _SAME_SIZE, _SAME_HEIGHT, _ALIKE, _NEAR = 0.05, 0.025, 0.1, 1.5, 20e3
+_SAME_SPEED, _SAME_SIZE, _SAME_HEIGHT, _SAME_RATIO, _NEAR = 0.05, 0.025, 0.1, 1.5, 20e3
 """Shares of speeds and sizes, and m, by which a state's own summaries may be off: heights of the ground are not known.
 """
 _PIXELS = 0.24
@@ -176,7 +176,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
     for key, by_state, computed, same in (
         ("m_flyingHeight", state.m_flyingHeight, height, _SAME_HEIGHT), ("m_gsd", state.m_gsd, pixel, _SAME_SIZE)
     ):
-        if by_state > 0.0 and not 1.0 / _ALIKE < by_state / computed < _ALIKE:
+        if by_state > 0.0 and not 1.0 / _SAME_RATIO < by_state / computed < _SAME_RATIO:
             raise InputError(f"{source}, {key}", f"{by_state:.6g} m", f"about {computed:.6g} m, as the other keys say")
         if by_state > 0.0 and abs(by_state / computed - 1.0) > same:
             yield f"{key} is {by_state:.6g} m, and by the other keys {computed:.6g} m"

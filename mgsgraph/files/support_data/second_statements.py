@@ -57,7 +57,7 @@ _MOC = (-94031, -94032, -94033)
 """ALE writes pixel sizes for coefficients of these, which repairs have taken out."""
 
 
-class _Twin(NamedTuple):
+class _Repeated(NamedTuple):
     """Numbers that are stated twice."""
 
     key: str
@@ -195,18 +195,18 @@ def contradictions_of_constants(
     """
     remarks = list(_radii(keywords, body, f"{source}, radii"))
     remarks += _focal_length(isd, keywords, source)
-    for twin in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
-        if twin.found.shape != twin.stated.shape or np.abs(twin.found - twin.stated).max(initial=0.0) > twin.allowed:
-            _refuse(twin, source)
+    for pair in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
+        if pair.found.shape != pair.stated.shape or np.abs(pair.found - pair.stated).max(initial=0.0) > pair.allowed:
+            _refuse(pair, source)
     remarks += _center(isd, keywords, source)
     _require_on_detector(isd, keywords, source)
     _require_rotation(isd, keywords, source)
     return remarks
 
 
-def _refuse(twin: _Twin, source: str) -> None:
-    found, stated = (", ".join(f"{number:.9g}" for number in values) for values in (twin.found, twin.stated))
-    raise InputError(f"{source}, {twin.key}", found, f"{stated}, as {twin.keyword} says", "mend the wrong one")
+def _refuse(pair: _Repeated, source: str) -> None:
+    found, stated = (", ".join(f"{number:.9g}" for number in values) for values in (pair.found, pair.stated))
+    raise InputError(f"{source}, {pair.key}", found, f"{stated}, as {pair.keyword} says", "mend the wrong one")
 
 
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
@@ -248,7 +248,7 @@ def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iter
         yield f"focal_length_model is {text}"
 
 
-def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Twin]:
+def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Repeated]:
     """Detector and focal plane. ALE's lines of Kaguya may run the other way, which is a line's difference at most."""
     codes = _codes(keywords)
     for axis, row in (("L", isd.focal2pixel_lines), ("S", isd.focal2pixel_samples)):
@@ -259,13 +259,13 @@ def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Twin]:
             turned = axis == "L" and codes & set(_MODELS) and _MODELS[min(codes & set(_MODELS))] == "kaguyalism"
             if turned and float(values[1:] @ stated[1:]) < 0.0:
                 stated = -stated
-            yield _Twin(name, values, key, stated, max(1e-5 * size, 1e-9))
+            yield _Repeated(name, values, key, stated, max(1e-5 * size, 1e-9))
         elif key := _only(keywords, "INS", "_PIXEL_PITCH"):
             per_mm = np.array([1.0 / number(keywords, key)])
-            yield _Twin(f"{name} (their norm)", np.array([size]), f"{key} (its inverse)", per_mm, 1e-3 * size)
+            yield _Repeated(f"{name} (their norm)", np.array([size]), f"{key} (its inverse)", per_mm, 1e-3 * size)
 
 
-def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[_Twin]:
+def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[_Repeated]:
     """Coefficients of the one model; another model than the camera's is refused, and none where there should be one."""
     where, models = f"{source}, optical_distortion", {key.lower(): m for key, m in isd.optical_distortion.items()}
     codes = _codes(keywords)
@@ -278,12 +278,12 @@ def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterat
         name = next((candidate for candidate in ("radial", "lrolrocnac") if candidate in models), "")
         own = coefficients[name] if name else np.zeros(1)
         stated = keywords.numbers(key, own.size or 1)
-        yield _Twin(f"optical_distortion.{name}", own, key, stated, 1e-5 * float(np.abs(stated).max(initial=1e-9)))
+        yield _Repeated(f"optical_distortion.{name}", own, key, stated, 1e-5 * float(np.abs(stated).max(initial=1e-9)))
     for axis in "xy":
         if key := _only(keywords, "INS", f"_DISTORTION_COEF_{axis.upper()}"):
             own = _numbers(models.get("kaguyalism", {}).get(axis, [0.0]))
             stated = keywords.numbers(key, own.size or 1)
-            yield _Twin(f"optical_distortion.kaguyalism.{axis}", own, key, stated, 1e-9)
+            yield _Repeated(f"optical_distortion.kaguyalism.{axis}", own, key, stated, 1e-9)
 
 
 def _numbers(values: object) -> Array:
