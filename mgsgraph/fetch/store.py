@@ -85,7 +85,7 @@ class Lock:
                 {str(name): str(digest) for name, digest in content["written"].items()},
             )
         except (TypeError, ValueError, KeyError, AttributeError):
-            found, remedy = "entries that are not ours", "move the folder away, and fetch anew"
+            found, remedy = "entries that are not ours", "move the folder away, and fetch again"
             raise InputError(str(path), found, remedy=remedy) from None
 
     def write(self) -> None:

@@ -133,7 +133,7 @@ def require_same(first: Ellipsoid, other: Ellipsoid, where: str, stated_by: str)
     """Raise InputError where two statements of a datum differ."""
     if not is_same(first, other):
         found, expected = (f"{ellipsoid.equatorial:.9g} and {ellipsoid.polar:.9g} m" for ellipsoid in (first, other))
-        raise InputError(where, f"a datum of {found}", f"{expected}, as {stated_by} says", "mend the wrong one")
+        raise InputError(where, f"a datum of {found}", f"{expected}, as {stated_by} says", "fix the wrong one")
 
 
 def wkt_of(ellipsoid: Ellipsoid) -> str:

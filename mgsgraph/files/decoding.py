@@ -82,11 +82,11 @@ def toml_table(text: str, where: str) -> dict[str, Any]:
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, f"malformed TOML ({error})", remedy="mend that line") from None
+        raise InputError(where, f"malformed TOML ({error})", remedy="fix that line") from None
     except RecursionError:
         raise InputError(where, "brackets nested too deeply", "TOML of few levels") from None
     except ValueError as error:  # Python's limit of digits, which tomllib lets through
-        raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="mend that number") from None
+        raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="fix that number") from None
     require_bearable(table, where, infinite=True)
     return table
 

@@ -176,7 +176,7 @@ def unpacked_gzip(content: bytes, where: str, limit: int = LARGEST_TEXT) -> byte
     """
     pieces, size = list[bytes](), 0
     limit = min(limit, max(_LEAST_LIMIT, _MOST_PACKED * len(content)))
-    with understood(where, "a gzip file", "fetch it anew"):
+    with understood(where, "a gzip file", "fetch it again"):
         while content:
             member = zlib.decompressobj(wbits=31)
             pieces.append(member.decompress(content, limit + 1 - size))
@@ -217,7 +217,7 @@ def json_object(text: str | bytes, where: str) -> dict[str, Any]:
         value = json.loads(text, parse_constant=refuse, object_pairs_hook=unique)
     except json.JSONDecodeError as error:
         place = f"{where}, line {error.lineno}, column {error.colno}"
-        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None
+        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file again") from None
     except RecursionError:
         raise _too_deep(where) from None
     except InputError:

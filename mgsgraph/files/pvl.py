@@ -232,7 +232,7 @@ def _closed_blocks(root: Block, left_out: int | None) -> Iterator[tuple[list[Blo
     if len(stack) > 1:
         raise InputError(
             document.where(stack[-1].position), f"the {stack[-1].kind} that begins here is never closed",
-            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it anew",
+            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it again",
         )  # fmt: skip
 
 

@@ -138,10 +138,10 @@ def require_lengths(lengths: Array, expected: Array, what: str, source: str, nea
 
 
 def exchanged_units(ratio: float) -> str:
-    """What to mend where a length is so many times what it should be; empty where no unit explains it."""
+    """What to fix where a length is so many times what it should be; empty where no unit explains it."""
     units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
     exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
-    return f"{exchanged[0]}: mend the unit" if exchanged else ""
+    return f"{exchanged[0]}: fix the unit" if exchanged else ""
 
 
 def require_on_body(footprints: Array, body: Ellipsoid, source: str, names: Sequence[str] = ()) -> None:

@@ -257,7 +257,7 @@ class ReliefSettings(Record):
                 raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
         if self.reach > MOST_REACH:
             found, most = f"shifts up to {self.reach:g} m", f"{MOST_REACH:g} m at most"
-            raise InputError("registration by relief, reach", found, most, "mend the orientation or the profiles first")
+            raise InputError("registration by relief, reach", found, most, "fix the orientation or the profiles first")
 
 
 class ProfileState(NamedTuple):

@@ -56,7 +56,7 @@ _ROUGH = 0.2
 """Share of the ground's roughness within a footprint by which its means differ, of a laser's light and of matches: 0.17
 at Gusev, simulated with seed 1."""
 _MOST_ROUNDS = 6
-"""Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
+"""Of search and adjustment: heights and tilts that the first round corrects have shown the next one another surface."""
 _NEAR = 5.0
 """m, by which a best shift may differ from zero and be none, however well it is known."""
 _LIKELY = 0.01

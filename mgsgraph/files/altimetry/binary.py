@@ -208,14 +208,14 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
         header = size * (label.count("LABEL_RECORDS") if "LABEL_RECORDS" in label else HEADER_RECORDS)
     body = len(content) - header
     if body < 0:
-        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it anew")
+        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it again")
     if body % size:
         raise InputError(
             str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
-            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it anew",
+            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it again",
         )
     if body == 0:
-        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it anew")
+        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
     if label is not None:
         require_records(label, len(content) // size, header // size)
     frames = np.frombuffer(content, FRAME, offset=header)
@@ -244,7 +244,7 @@ def _require_sound(frames: NDArray[np.void], path: Path) -> None:
         for i in np.flatnonzero(checked & ~((values >= least) & (values <= most)))[:1]:
             raise InputError(
                 f"{path}, frame {i + 1}{what}", f"{values[i]:.9g} {unit}", f"{least:.9g} .. {most:.9g}",
-                "the records have another length or byte order, or are damaged: fetch the file anew",
+                "the records have another length or byte order, or are damaged: fetch the file again",
             )
 
 
@@ -403,7 +403,7 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
     if rest:
         raise InputError(
             str(path), f"{whole} records and {rest} bytes more", f"records of {RECORD.itemsize} bytes",
-            "the file is cut short: fetch it anew",
+            "the file is cut short: fetch it again",
         )
     records = np.frombuffer(content, RECORD)
     ground = (records["spots"]["radius"] != _NO_RADIUS) & (records["spots"]["flag"] & INVALID == 0)

@@ -163,7 +163,7 @@ class _Rows:
         if not rows or rest:
             raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
         if "ROWS" in table and table.count("ROWS") != rows:
-            found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table anew"
+            found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table again"
             raise InputError(table.where("ROWS"), found, "as many", remedy)
         for column in self._columns:
             if column.start + column.size > size:
@@ -184,7 +184,7 @@ class _Rows:
         """Raise InputError where columns overlap, or are not as many as the label counts."""
         if "COLUMNS" in table and table.count("COLUMNS") != len(self._columns):
             found = f"{table.count('COLUMNS')}, and {len(self._columns)} described"
-            raise InputError(table.where("COLUMNS"), found, "as many", "fetch label and table anew")
+            raise InputError(table.where("COLUMNS"), found, "as many", "fetch label and table again")
         ordered = sorted(self._columns, key=lambda column: column.start)
         for before, after in pairwise(ordered):
             if (end := before.start + before.size) > after.start:

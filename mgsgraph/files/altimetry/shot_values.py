@@ -29,7 +29,7 @@ _RELIEF = 0.03
 _WAY = 0.02
 """Part of the way from the spacecraft to the footprint by which a range may be another: archives compute one of the
 other, and LOLA's 52,363 points over Hadley agree to 2e-5."""
-_DAMAGED = "the file is damaged: fetch it anew, or take that shot out"
+_DAMAGED = "the file is damaged: fetch it again, or take that shot out"
 
 
 def shots_with(
@@ -117,7 +117,7 @@ def require_records(label: Block, count: int, before: int = 0) -> None:
         return
     counted = label.count("FILE_RECORDS")
     if count not in (counted, counted + before):  # a few count what is behind the label alone
-        remedy = "the file is cut short: fetch it anew" if count < counted else "fetch file and label anew"
+        remedy = "the file is cut short: fetch it again" if count < counted else "fetch file and label again"
         raise InputError(label.where("FILE_RECORDS"), f"{counted}, and {count} records in the file", "as many", remedy)
 
 

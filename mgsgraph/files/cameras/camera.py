@@ -438,7 +438,7 @@ def _require_inverse(keywords: Keywords, code: int, to_pixel: Array) -> None:
         back = np.stack([keywords.numbers(name, 3)[[2, 1]] for name in names])
         if np.abs(to_pixel[:, 1:] @ back - np.eye(2)).max() > _INVERSE:
             found = ", ".join(f"{element:.7g}" for element in to_pixel[:, 1:].ravel())
-            raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "mend one")
+            raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "fix one")
 
 
 def by_addendum(
@@ -476,5 +476,5 @@ def require_summing(label: LineScanLabel) -> None:
         raise InputError(
             str(label.path),
             f"{label.samples} samples of {summing:g} pixels from {label.first_sample + 1.0:g} on end at {last:g}",
-            f"an end on the detector of {pixels} pixels", "mend the summing, the samples or the first sample",
+            f"an end on the detector of {pixels} pixels", "fix the summing, the samples or the first sample",
         )  # fmt: skip

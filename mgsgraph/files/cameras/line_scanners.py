@@ -345,13 +345,13 @@ def _not_turned(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     side = re.fullmatch(r"[MN]\d+([LR])[EC]", label.product)
     if side and (side[1] == "R") != (label.camera.instrument == _RIGHT):
         found, expected = f"the product {label.product} of {label.camera.name}", "one side: FRAME_ID and PRODUCT_ID"
-        raise InputError(str(label.path), found, expected, "fetch the label anew")
+        raise InputError(str(label.path), found, expected, "fetch the label again")
     if block.kind == "pds3" and all(key in block for key in ("LRO:PREROLL_TIME", "START_TIME")):
         before, after = tdb_of_utc([block.text("LRO:PREROLL_TIME"), block.text("START_TIME")], str(label.path))
         periods = (after - before) / (label.period * _LONGER)
         if abs(periods - _PREROLL) > _PREROLL_SLACK * _PREROLL + _MILLISECOND / label.period:
             found = f"START_TIME {after - before:.3f} s after the preroll, {periods:.1f} line periods"
-            raise InputError(block.where("LINE_EXPOSURE_DURATION"), found, f"{_PREROLL:g} of them", "mend one")
+            raise InputError(block.where("LINE_EXPOSURE_DURATION"), found, f"{_PREROLL:g} of them", "fix one")
     key = "PRODUCT_VERSION_ID"
     if block.kind == "pds3" and label.camera.instrument == _RIGHT and key in block:
         version = number_of(block.text(key).lower().removeprefix("v"), block.where(key))

@@ -65,7 +65,7 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
             raise InputError(
                 str(path), f"the kernel {name!r} that it names is not there",
                 f"it as {(home / full).absolute()} or beside the meta-kernel",
-                "fetch it, or mend PATH_VALUES or KERNELS_TO_LOAD",
+                "fetch it, or fix PATH_VALUES or KERNELS_TO_LOAD",
             )
         if b"KERNELS_TO_LOAD" in _text_of(places[0]):
             raise InputError(str(path), f"the meta-kernel {name!r} among its kernels", "no other meta-kernel in one")

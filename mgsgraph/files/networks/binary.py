@@ -59,7 +59,7 @@ _HEAD = re.compile(
 )
 _LOOKED_AT = 4096
 """Bytes from the file's start in which a binary network says that it is one."""
-_ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
+_ANEW = "let ISIS write it again: cnetbin2pvl, then cnetpvl2bin"
 _OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
 """Types of points by their numbers in the file: 0 and 1 are Tie and Ground of old."""
 
@@ -244,7 +244,7 @@ def _by_sizes(data: bytes, start: int, of_header: Sequence[int], source: str) ->
 
 
 def _cut_short(where: str, found: str, expected: str) -> InputError:
-    return InputError(where, found, expected, "the file is cut short or damaged: write it anew")
+    return InputError(where, found, expected, "the file is cut short or damaged: write it again")
 
 
 def _parsed(kind: str, data: bytes, where: str) -> Any:

@@ -317,4 +317,4 @@ def _set(message: Any) -> dict[str, Any]:
 
 def _require_same(found: int, expected: int, where: str) -> None:
     if found != expected:
-        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it anew")
+        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it again")

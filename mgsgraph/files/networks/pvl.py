@@ -163,7 +163,7 @@ def _version(outer: Block, previous: Block | None) -> str:
         raise InputError(outer.where(), "a second network", "one in a file", "put it into a file of its own")
     version = outer.text("Version") if "Version" in outer else "1"
     if version not in _VERSIONS:
-        remedy = "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl"
+        remedy = "let ISIS write it again: cnetpvl2bin, then cnetbin2pvl"
         raise InputError(outer.where("Version"), f"version {version}", "1 to 5", remedy)
     return version
 

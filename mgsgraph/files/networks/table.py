@@ -139,7 +139,7 @@ def _parquet_columns(path: Path) -> Columns:
         size = sum(head.row_group(k).total_byte_size for k in range(head.num_row_groups))
         if head.num_rows > limit or size > limit:
             found = f"{head.num_rows} rows, {size} bytes unpacked"
-            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it anew")
+            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it again")
         table = file.read(use_threads=False)
         names = header_of(table.column_names, f"{source}, columns")
         columns = {name: _parquet_column(name, table.column(k), source) for k, name in enumerate(names)}

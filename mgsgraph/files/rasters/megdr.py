@@ -110,7 +110,7 @@ def read_megdr(
         size = os.fstat(file.fileno()).st_size
         if size not in expected:
             wanted = f"{layout.lines} lines x {layout.samples} samples x {np.dtype(layout.types[0]).itemsize} bytes"
-            raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it anew")
+            raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it again")
         counts = np.memmap(file, expected[size], "r", layout.skipped, (layout.lines, layout.samples))
     _require_kind(layout, counts, image)
     step, wraps = DEG / layout.resolution, abs(layout.samples - 360.0 * layout.resolution) < 0.5
@@ -237,7 +237,7 @@ def _require_one_kind(label: Block, image: Path) -> None:
     names = [image.name, *(label.words(key)[0] for key in ("PRODUCT_ID", "^IMAGE", "FILE_NAME") if key in label)]
     kinds = {name[3:4].upper(): name for name in names if re.match(r"MEG[ACRT]\d", name, re.IGNORECASE)}
     if len(kinds) > 1:
-        raise InputError(label.document.source, " and ".join(kinds.values()), "one kind of grid", "fetch them anew")
+        raise InputError(label.document.source, " and ".join(kinds.values()), "one kind of grid", "fetch them again")
 
 
 def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
@@ -257,7 +257,7 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
             off = abs(label.number(key) - computed)
             if min(off, abs(off - 360.0) if "LONGITUDE" in key else off) > slack:
                 expected = f"{computed:.9g}, as the label's other keys say"
-                raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid anew")
+                raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid again")
     if _NAME.fullmatch(image.name):
         named = _from_name(image)
         turn = (named.longitude - layout.longitude + 180.0) % 360.0 - 180.0
@@ -265,7 +265,7 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
         if named.resolution != layout.resolution or off > _PART / layout.resolution:
             at = f"first post at {layout.latitude:.6g} N, {layout.longitude:.6g} E, {layout.resolution:g} per degree"
             expected = f"{named.latitude:.6g} N, {named.longitude:.6g} E, {named.resolution:g}, as the name says"
-            raise InputError(label.document.source, at, expected, "fetch label and grid anew")
+            raise InputError(label.document.source, at, expected, "fetch label and grid again")
 
 
 def _skipped(label: Block) -> int:

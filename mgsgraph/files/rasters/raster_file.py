@@ -143,14 +143,14 @@ def raster_kind(path: Path, expected: str) -> RasterKind:
         return RasterKind(kind.driver)
     end = kind.label_ends.search(head)
     if end is None:
-        raise InputError(str(path), "a label without an end", f"one within {_HEAD} bytes", "fetch it anew")
+        raise InputError(str(path), "a label without an end", f"one within {_HEAD} bytes", "fetch it again")
     _require_beside(path, head, kind)
     if label is None:
         return RasterKind(kind.driver)
     root = whole_label(Document(str(path), label))
     stated, begin = (_of_cube if kind is _CUBE else _of_image)(root)
     if begin is not None and begin < end.end():
-        raise InputError(str(path), f"pixels from byte {begin} on, within its label", "behind it", "fetch it anew")
+        raise InputError(str(path), f"pixels from byte {begin} on, within its label", "behind it", "fetch it again")
     return RasterKind(kind.driver, stated)
 
 
@@ -256,7 +256,7 @@ def open_raster(path: Path, expected: str) -> Iterator["DatasetReader"]:
             _require_own(file, path)
             if kind.stated is not None and (found := (*file.shape, np.dtype(file.dtypes[0]).itemsize)) != kind.stated:
                 stated = " x ".join(map(str, kind.stated))
-                raise InputError(str(path), f"a label of which GDAL takes {found}", f"{stated} bytes", "fetch it anew")
+                raise InputError(str(path), f"a label of which GDAL takes {found}", f"{stated} bytes", "fetch it again")
             yield file
 
 
@@ -344,7 +344,7 @@ def _require_possible_size(file: "DatasetReader", path: Path, window: "Window | 
         raise InputError(
             str(path), f"{rows} x {columns} pixels ({needed / 1e6:.0f} MB) in a file of {size / 1e6:.3g} MB",
             f"at most {_PACKED} times its size",
-            "fetch it anew; of a hollow one cut out the part that is needed: gdal_translate -projwin",
+            "fetch it again; of a hollow one cut out the part that is needed: gdal_translate -projwin",
         )  # fmt: skip
 
 
@@ -367,7 +367,7 @@ def _require_blocks(file: "DatasetReader", path: Path, window: "Window | None") 
             if offset is None and not stated:
                 raise InputError(
                     str(path), f"no pixels from row {i * down + 1}, column {j * across + 1} on",
-                    "a whole raster, or nodata", "fetch it anew; where they are to be missing, state the value of "
+                    "a whole raster, or nodata", "fetch it again; where they are to be missing, state the value of "
                     "such: gdal_edit.py -a_nodata",
                 )  # fmt: skip
             if offset is not None and tags.get("COMPRESSION") == "DEFLATE":

@@ -155,7 +155,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
         ("m_numQuaternions", state.m_numQuaternions, state.m_quaternions),
     ):
         if stated not in (None, 0, len(values)):
-            raise InputError(f"{source}, {key}", f"{stated}, and {len(values)} numbers", "as many", "write it anew")
+            raise InputError(f"{source}, {key}", f"{stated}, and {len(values)} numbers", "as many", "write it again")
     places = np.array(state.m_positions).reshape(-1, 3)
     if len(state.m_velocities) == places.size and np.any(state.m_velocities):
         stated_speeds = np.array(state.m_velocities).reshape(-1, 3)
@@ -169,7 +169,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
     if not np.all(np.isfinite(ground)):
         if np.any(state.m_referencePointXyz):
             where, expected = f"{source}, m_referencePointXyz", "one that sees it, where this point says"
-            raise InputError(where, "a middle pixel that looks past the ellipsoid", expected, "mend the wrong keys")
+            raise InputError(where, "a middle pixel that looks past the ellipsoid", expected, "fix the wrong keys")
         return
     height = float(np.linalg.norm(image.pose(image.middle[0]).position - ground))
     pixel = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
@@ -184,7 +184,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
         away = float(np.linalg.norm(np.array(state.m_referencePointXyz) - ground[0]))
         where = f"{away:.6g} m from where the middle pixel's ray meets the ellipsoid"
         if away > _NEAR + abs(state.m_halfSwath):
-            raise InputError(f"{source}, m_referencePointXyz", where, "near it", "mend the wrong keys")
+            raise InputError(f"{source}, m_referencePointXyz", where, "near it", "fix the wrong keys")
         if away > _PIXELS * pixel:
             yield f"m_referencePointXyz is {where}"
 

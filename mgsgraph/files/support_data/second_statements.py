@@ -82,7 +82,7 @@ def contradictions_of_times(isd: SupportData, keywords: NaifKeywords, source: st
         off = isd.center_ephemeris_time + start - isd.starting_ephemeris_time
         if abs(off) > max(_LATE * period, _SAME * 10.0):
             found = f"a first line {off:+.6f} s from starting_ephemeris_time"
-            raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
+            raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "fix the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
     remarks = list(_clock(isd, keywords))
@@ -206,7 +206,7 @@ def contradictions_of_constants(
 
 def _refuse(pair: _Repeated, source: str) -> None:
     found, stated = (", ".join(f"{number:.9g}" for number in values) for values in (pair.found, pair.stated))
-    raise InputError(f"{source}, {pair.key}", found, f"{stated}, as {pair.keyword} says", "mend the wrong one")
+    raise InputError(f"{source}, {pair.key}", found, f"{stated}, as {pair.keyword} says", "fix the wrong one")
 
 
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
@@ -227,7 +227,7 @@ def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]
     for name, radius, by_key in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
         both = f"{radius / KM:.9g} km, where {key} says {by_key / KM:.9g} km"
         if abs(radius - by_key) > _SAME_RADII * abs(by_key):
-            raise InputError(f"{where}.{name}", both, "one radius", f"mend radii, their unit or {key}")
+            raise InputError(f"{where}.{name}", both, "one radius", f"fix radii, their unit or {key}")
         if abs(radius - by_key) > _SAME * abs(by_key):
             yield f"radii.{name} is {both}"
 
@@ -243,7 +243,7 @@ def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iter
     stated, focal_length = number(keywords, key), isd.focal_length_model.focal_length
     text = f"{focal_length:g} mm, where {key} says {stated:g}"
     if abs(focal_length - stated) > _SAME_FOCAL_LENGTH * abs(stated):
-        raise InputError(f"{source}, focal_length_model", text, "one focal length", "mend the wrong one")
+        raise InputError(f"{source}, focal_length_model", text, "one focal length", "fix the wrong one")
     if abs(focal_length - stated) > _SAME * abs(stated):
         yield f"focal_length_model is {text}"
 
@@ -273,7 +273,7 @@ def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterat
     coefficients = {name: _numbers(model.get("coefficients", [])) for name, model in models.items()}
     plain = {name for name, values in coefficients.items() if name == "radial" and not values.any()}
     for name in models.keys() - plain - {model} if model else ():
-        raise InputError(where, f"the model {name!r}", f"{model!r}, the camera's", "write the support data anew")
+        raise InputError(where, f"the model {name!r}", f"{model!r}, the camera's", "write the support data again")
     if (key := _only(keywords, "INS", "_OD_K")) and not codes & set(_MOC):
         name = next((candidate for candidate in ("radial", "lrolrocnac") if candidate in models), "")
         own = coefficients[name] if name else np.zeros(1)
@@ -308,7 +308,7 @@ def _center(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[s
         centers = [keywords.numbers(name, 2)[k] for name in keys if name and len(_numbers(keywords.values[name])) > 1]
         if not any(abs(center - c + half) < _SAME * 100.0 for c in (stated, *centers) for half in (0.0, _HALF)):
             both = f"{center:.9g}, where {key} says {stated:.9g} (its first pixel's centre is 1)"
-            raise InputError(f"{source}, detector_center.{name}", both, "one principal point", "mend the wrong one")
+            raise InputError(f"{source}, detector_center.{name}", both, "one principal point", "fix the wrong one")
         yield f"detector_center.{name} is {center:.9g}, where {key} says {stated:.9g}"
 
 
@@ -323,7 +323,7 @@ def _require_on_detector(isd: SupportData, keywords: NaifKeywords, source: str) 
     if last > pixels + summing or isd.starting_detector_sample < -summing:
         found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
         expected = f"within the {pixels:.0f} pixels that {f'{key} says' if key else 'the camera has'}"
-        raise InputError(f"{source}, detector_sample_summing", found, expected, "mend one of them")
+        raise InputError(f"{source}, detector_sample_summing", found, expected, "fix one of them")
 
 
 def odd_pixels(image: PushbroomImage) -> list[str]:
@@ -360,7 +360,7 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
     if off > (_PLAIN_POLE if plain else _POLE):
         raise InputError(
             f"{source}, body_rotation", f"a body turned by {off / DEG:.4g} degrees",
-            f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "mend the wrong one",
+            f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "fix the wrong one",
         )  # fmt: skip
 
 
