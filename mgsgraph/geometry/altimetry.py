@@ -42,7 +42,7 @@ def _flight(first: str, last: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Altimeter(Record):
-    """One instrument; NaN where nothing published says.
+    """One instrument; NaN where nothing is published.
 
     Examples
     --------
@@ -107,7 +107,7 @@ MLA = Altimeter(
 )  # fmt: skip
 ANY = Altimeter("an altimeter", None, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, "shots with ground = 0", "")
 """One of which the file says nothing."""
-ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT, MLA)}
+ALTIMETERS = {altimeter.name: altimeter for altimeter in (MOLA, LOLA, LALT, MLA)}
 """By name."""
 
 
@@ -116,32 +116,32 @@ _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
 _FAR_OFF = 3.0
 """Times by which lengths may be longer or shorter than expected, before their unit is doubted."""
 _SAME_TIME, _SAME_PLACE = 1e-5, 1e-2
-"""s and m, to which shots of two files are alike that are the same one."""
+"""s and m, by which the same shot may differ between two files."""
 _FIRST_MINUTE = 10**11
 """Numbers of crossings from which on they are a year to a minute."""
 SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
 
-def require_lengths(found: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
+def require_lengths(lengths: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
     """Raise InputError where lengths (n,) in m are more than `near` times those expected (n,) in m, or less, by the
     median ratio, which says whether metres and kilometres were exchanged.
     """
-    ratio = float(np.median(found / expected))
+    ratio = float(np.median(lengths / expected))
     if 1.0 / near < ratio < near:
         return
     remedy = exchanged_units(ratio) or "check file and images"
     raise InputError(
-        source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
+        source, f"{what} of {np.median(lengths) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
         f"about {np.median(expected) / 1e3:,.6g} km", remedy,
     )  # fmt: skip
 
 
 def exchanged_units(ratio: float) -> str:
-    """What to mend where a length is so many times what it should be; empty where no unit explains it."""
+    """What to fix where a length is so many times what it should be; empty where no unit explains it."""
     units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
     exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
-    return f"{exchanged[0]}: mend the unit" if exchanged else ""
+    return f"{exchanged[0]}: fix the unit" if exchanged else ""
 
 
 def require_on_body(footprints: Array, body: Ellipsoid, source: str, names: Sequence[str] = ()) -> None:
@@ -357,7 +357,7 @@ class AltimeterShots(Record):
 
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
-        names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
+        names = [field.name for field in fields(self) if field.name not in ("source", "altimeter")]
         some: dict[str, Any] = {name: read_only(getattr(self, name)[which]) for name in names}
         return replace(self, **some)
 
@@ -433,15 +433,15 @@ class AltimeterShots(Record):
 def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
     """Shots of several files of one altimeter, in the order of time; those that several files have are there once.
 
-    Where files number other shots alike (lines of tables), frames are numbered anew.
+    Where files give the same number to other shots (lines of tables), frames are renumbered.
     """
-    names = {one.altimeter.name: one.source for one in parts}
+    names = {part.altimeter.name: part.source for part in parts}
     if len(names) > 1:
         found = " and ".join(f"{source} ({name})" for name, source in names.items())
         raise InputError(found, "shots of several altimeters", "files of one", "select them one after the other")
     values = {
-        one.name: np.concatenate([getattr(part, one.name) for part in parts])
-        for one in fields(AltimeterShots) if one.name not in ("source", "altimeter")
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(AltimeterShots) if field.name not in ("source", "altimeter")
     }  # fmt: skip
     places = np.round(values["footprints"] / _SAME_PLACE).astype(np.int64)
     keys = np.column_stack([np.round(values["times"] / _SAME_TIME).astype(np.int64), places])
@@ -500,13 +500,13 @@ class AltimetryCloud(Record):
 
     def chosen(self, which: Mask) -> "AltimetryCloud":
         """The shots of a mask (n,), and of the profiles those that still have any."""
-        kept, profile = np.unique(self.profile[which], return_inverse=True)
+        profiles, profile = np.unique(self.profile[which], return_inverse=True)
         return replace(
             self,
             ids=self.ids[which],
             points=self.points[which],
             times=self.times[which],
-            profiles=tuple(self.profiles[k] for k in kept),
+            profiles=tuple(self.profiles[k] for k in profiles),
             profile=profile,
         )
 
