@@ -280,9 +280,7 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
-    """Of points what moves their a-priori positions: profiles' shifts, and what lasers share; `of_ranges` without what
-    acts on ranges itself.
-    """
+    """What moves a-priori positions of points: profiles' shifts and what lasers share, or what of it no range has."""
     found: dict[int, list[PolynomialEffect]] = {}
     for points, variables, motions, on_ranges in known_motions(network):
         if not (of_ranges and on_ranges):
@@ -292,7 +290,6 @@ def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, 
 
 
 def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
-    """A-priori places."""
     points, movers = network.points, _movers(network, keys)
     for i in np.flatnonzero(selected.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
         yield ground_prior(keys.point(i), points.places[i], points.covariances[i], movers.get(i, []))
@@ -387,16 +384,12 @@ def _ranges(
         mine = np.flatnonzero(selected.ranges & (ranges.image == j))
         lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
         for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
-            i, footprint, shares = int(ranges.point[k]), None, np.zeros(3)
-            if ranges.shares is not None and np.any(ranges.shares[k]):
-                shares = ranges.shares[k]
-                footprint = network.points.places[i], shares
-            lengthening = [
-                constant(one.keys[0], RANGE, shares[None] @ one.coefficients[0, POSITION]) for one in movers.get(i, [])
-            ]
+            i, shares = int(ranges.point[k]), np.zeros(3) if ranges.shares is None else ranges.shares[k]
+            longer = [constant(one.keys[0], RANGE, shares[None] @ one.coefficients[0, :3]) for one in movers.get(i, ())]
             yield laser_range(
                 None, _point(network, keys, i), image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
-                shared=[*moves[j].of_range(line, shares), *lengthening], footprint=footprint, robust=_robust(settings),
+                shared=[*moves[j].of_range(line, shares), *longer], robust=_robust(settings),
+                footprint=(network.points.places[i], shares) if np.any(shares) else None,
                 label=f"shot {network.points.ids[i]}, image {image.name}",
             )  # fmt: skip
 
@@ -504,10 +497,9 @@ class _Moves:
             kind, key = self._network.shared[k].kind, self._keys.shared(k)
             found.append(range_bias(key) if kind is SharedKind.RANGE_BIAS else self._pose[k])
             if kind.moves_footprints:
-                effect = self._shared.of_instrument[self._j, kind]
-                lengths = np.zeros((effect.shape[1], STATE, effect.shape[0]))
-                lengths[:, 9] = (effect[:, :, :3] @ shares).T
-                found.append(PolynomialEffect((key,), lengths, float(self._image.lines)))
+                lengths = (self._shared.of_instrument[self._j, kind][:, :, POSITION] @ shares).T
+                coefficients = np.eye(STATE)[RANGE].T * lengths[:, None]
+                found.append(PolynomialEffect((key,), coefficients, float(self._image.lines)))
         return found
 
     def _of_interior(self, k: int, sample: float) -> PolynomialEffect:

@@ -166,21 +166,10 @@ def footprint_covariances(footprints: Array, horizontal: float, vertical: float 
 
 
 def with_common_errors(sigmas: Array | float, covariances: Array, errors: Array) -> tuple[Array, Array, Array]:
-    """Ranges and footprints with one more error in common: a range that it makes too long takes the footprint as far on
-    along the beam.
-
-    Parameters
-    ----------
-    sigmas : (n,) or float
-        m, of the ranges without it.
-    covariances, errors : (n, 3, 3), (n, 3)
-        m^2, of the footprints without it, and one sigma of it in m, along the beam away from the instrument.
-
-    Returns
-    -------
-    (n,), (n, 3, 3), (n, 3)
-        Of n ranges the sigmas that remain where the footprint is known; covariances of the footprints; and what of the
-        footprint's error each range has, too, m per m.
+    """Ranges of `sigmas` (n,), m, and footprints of `covariances` (n, 3, 3), m^2, with one more error in common, which
+    takes a footprint as far on along the beam as it makes the range too long: one sigma of it (n, 3) in m, along the
+    beam away from the instrument. Returned are the sigmas that remain where the footprint is known, covariances of the
+    footprints, and what of the footprint's error each range has, too (n, 3), m per m.
     """
     whole = covariances + errors[:, :, None] * errors[:, None]
     lengths = np.linalg.norm(errors, axis=1)

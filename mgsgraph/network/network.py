@@ -436,11 +436,9 @@ class Network(Record):
     @cached_property
     def range_sigmas(self) -> Array:
         """(r,) m, of ranges with what they have in common with their footprints."""
-        ranges = self.ranges
-        if ranges.shares is None:
-            return ranges.sigmas
-        known = np.einsum("ri,rij,rj->r", ranges.shares, self.points.covariances[ranges.point], ranges.shares)
-        return _kept(np.sqrt(ranges.sigmas**2 + known))
+        if self.ranges.shares is None:
+            return self.ranges.sigmas
+        return _kept(np.sqrt(self.ranges.sigmas**2 + self.ranges.in_common(self.points)[1]))
 
     @property
     def independent(self) -> "Network":
@@ -449,25 +447,15 @@ class Network(Record):
         """
         if not self.common and self.ranges.shares is None:
             return self
-        rays, surface, points, ranges = self.rays, self.surface, self.points, self.ranges
-        if ranges.shares is not None:
-            covariances = points.covariances.copy()
-            both = np.einsum("rij,rj->ri", covariances[ranges.point], ranges.shares)
-            size = np.linalg.norm(both, axis=1)
-            more = size + np.einsum("ri,ri->r", both, ranges.shares)
-            beams = both / np.where(size > 0.0, size, 1.0)[:, None]
-            np.add.at(covariances, ranges.point, both[:, :, None] * beams[:, None])
-            points = replace(points, covariances=covariances)
-            ranges = replace(ranges, sigmas=np.sqrt(ranges.sigmas**2 + more), shares=None)
+        rays, surface, (points, ranges) = self.rays, self.surface, self.ranges.independent(self.points)
         if self.common_rays is not None:
             one = self.common_rays
             rays = replace(rays, sigmas=scaled(rays.sigmas, one.members, one.independent))
         if self.common_heights is not None and surface is not None:
             one = self.common_heights
             surface = replace(surface, sigmas=scaled(surface.sigmas, one.members, one.independent))
-        return replace(
-            self, points=points, rays=rays, ranges=ranges, surface=surface, common_rays=None, common_heights=None
-        )
+        found = replace(self, points=points, rays=rays, ranges=ranges, surface=surface)
+        return replace(found, common_rays=None, common_heights=None)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:

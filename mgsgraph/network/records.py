@@ -172,6 +172,28 @@ class Ranges(Record):
         )  # fmt: skip
 
 
+    def in_common(self, points: GroundPoints) -> tuple[Array, Array]:
+        """Covariances (r, 3) of the error in common with the errors of their points, and what of their variances (r,)
+        these know of, m^2.
+        """
+        shares = np.zeros((self.point.size, 3)) if self.shares is None else self.shares
+        both = np.einsum("rij,rj->ri", points.covariances[self.point], shares)
+        return both, np.asarray(np.einsum("ri,ri->r", both, shares))
+
+    def independent(self, points: GroundPoints) -> tuple[GroundPoints, "Ranges"]:
+        """Points and ranges with the variance of the error in common twice in each, for rows that count as
+        independent.
+        """
+        if self.shares is None:
+            return points, self
+        both, known = self.in_common(points)
+        size, covariances = np.linalg.norm(both, axis=1), points.covariances.copy()
+        beams = both / np.where(size > 0.0, size, 1.0)[:, None]
+        np.add.at(covariances, self.point, both[:, :, None] * beams[:, None])
+        sigmas = np.sqrt(self.sigmas**2 + known + size)
+        return replace(points, covariances=covariances), replace(self, sigmas=sigmas, shares=None)
+
+
 def _chosen(values: NDArray[_Scalar] | None, rows: Index | Mask) -> NDArray[_Scalar] | None:
     return None if values is None else values[rows]
 

@@ -319,8 +319,8 @@ def _moved(network: Network) -> Index:
 
 
 def _footprints(network: Network) -> list[tuple[Index, int, bool]]:
-    """Of each shared unknown that moves footprints (n,) its variable where it moves a point's a-priori position, -1
-    elsewhere, the number of its columns, and whether it acts on ranges, too.
+    """Of each shared unknown that moves footprints (n,) its variable (-1: not this point's), the number of its columns,
+    and whether it acts on ranges, too.
     """
     found = []
     for k, shared in enumerate(network.shared):
@@ -365,22 +365,20 @@ class _PatternObservations:
         self._common[surface] = common[1][example[surfaces]]
         self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
         self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
-        moving = ((moved, 2, False), *footprints)
+        mine = np.flatnonzero((self.kind == RANGE) & (network.ranges.shares is not None))
+        point, moving = example[np.searchsorted(self.first, mine, side="right") - 1], ((moved, 2, False), *footprints)
         moves = [(ground, variable[example[known]], width) for variable, width, _ in moving]
-        if network.ranges.shares is not None:
-            mine = np.flatnonzero(self.kind == RANGE)
-            point = example[np.searchsorted(self.first, mine, side="right") - 1]
-            moves += [(mine, variable[point], width) for variable, width, on_ranges in moving if not on_ranges]
-        self._add_unknowns(network, terms, surface, moves)
+        moves += [(mine, variable[point], width) for variable, width, on_ranges in moving if not on_ranges]
+        if network.terrain_moves and network.surface is not None:
+            moves.append((surface, np.full(surface.size, network.first_shared - 1), len(network.surface.terms)))
+        self._add_unknowns(network, terms, moves)
 
-    def _add_unknowns(
-        self, network: Network, terms: Terms, surface: Index, moved: list[tuple[Index, Index, int]]
-    ) -> None:
+    def _add_unknowns(self, network: Network, terms: Terms, moved: list[tuple[Index, Index, int]]) -> None:
         """Numbers of terms and single columns, widths, and the entries."""
         carried = self.image >= 0
         self.terms = np.where(carried, terms.counts[self.image], 0)
-        self.width = np.where(self.kind == IMAGE, 6, np.where(self.kind == STEREO, 1, 3))
-        self.width[self.kind == RANGE] += network.ranges.shares is not None
+        of_range = 3 if network.ranges.shares is None else 4
+        self.width = np.array([6, of_range, 3, 3, 1])[self.kind]
         size = self.kind.size
         observation, variable, inside = [], [], []
         mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
@@ -389,9 +387,6 @@ class _PatternObservations:
         observation.append(mine)
         variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
         inside.append(np.where(node >= 0, 0, 6 * step))
-        if network.terrain_moves and network.surface is not None:
-            moved_terrain = np.full(surface.size, network.first_shared - 1)
-            _add_singles(observation, variable, inside, surface, moved_terrain, len(network.surface.terms))
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
