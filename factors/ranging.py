@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     import gtsam
 
 
+_FARTHEST = 10.0
+"""Images from the first line, within which a shot may lie: a time in place of a line is farther."""
+
+
 @equation
 def range_residual(measured, point, centre, bias, shares):
     """Residual in m, and its derivatives (3) by the point and by the centre; `measured` is without c'P0."""
@@ -79,7 +83,8 @@ def laser_range(
     image_key, point, image, degree, shared, robust, label
         As of `pushbroom_projection`; the image's EO carries the range.
     line : float
-        Of that image at the shot's time; before its first or after its last one, too.
+        Of that image at the shot's time, `image.timing.lines(times - image.trajectory.epoch)`; before its first or
+        after its last one, too.
     measured, sigma : float
         m, one-way.
     footprint : (3,) and (3,), optional
@@ -94,7 +99,7 @@ def laser_range(
     Raises
     ------
     InputError
-        For a sigma or a range that is not positive.
+        For a sigma or a range that is not positive; for a line more than ten images away.
 
     Examples
     --------
@@ -104,6 +109,9 @@ def laser_range(
     where = label or ", ".join([*point_names(point), f"range at line {line:g} of image {image.name}"])
     if not measured > 0.0:
         raise InputError(where, f"{measured:g} m", "a positive number of meters")
+    if not abs(line) <= _FARTHEST * image.lines:
+        found, remedy = f"an image of {image.lines} lines", "image.timing.lines(times - image.trajectory.epoch) gives it"
+        raise InputError(where, found, "the image's line at the shot's time", remedy)
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
     known, shares = np.zeros((2, 3)) if footprint is None else footprint
     row = Range(

@@ -281,6 +281,7 @@ def test_derivatives_of_a_stereo_height() -> None:
         (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0), line="measured"), "without `near`"),
         (lambda: factors.laser_range(X(0), L(0), IMAGE, 3.0, 4e5, -1.0), "sigma -1"),
         (lambda: factors.laser_range(X(0), L(0), IMAGE, 3.0, -4e5, 1.0), "-400000 m"),
+        (lambda: factors.laser_range(X(0), L(0), IMAGE, 8.7e11, 4e5, 1.0), "line 8.7e"),
         (lambda: factors.orientation_prior(X(0), np.zeros((3, 6))), "sigma 0"),
         (lambda: factors.ground_prior(L(0), seen()[0], -np.eye(3)), "point l0.*positive definite"),
         (lambda: factors.laser_range(L(0), L(0), IMAGE, 3.0, 4e5, 1.0), "key l0 of an unknown and of the point"),
