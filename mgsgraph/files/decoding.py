@@ -160,9 +160,9 @@ def _refusal(
     if key:
         if key[1] == "missing required":
             return InputError(where, f"no key {key[2]!r}", remedy=remedy)
-        known_keys = [field.encode_name for at in _kinds_at(kind, steps) if _is_record(at) for field in _fields(at)]
-        close = get_close_matches(key[2], known_keys, n=1, cutoff=_LIKENESS)
-        expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(known_keys)}"
+        keys = [field.encode_name for part in _kinds_at(kind, steps) if _is_record(part) for field in _fields(part)]
+        close = get_close_matches(key[2], keys, n=1, cutoff=_LIKENESS)
+        expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(keys)}"
         if homes := sorted(set(_homes(kind, key[2]))):
             expected = f"it is a key of {' and '.join(f'[{home}]' if home else 'the head' for home in homes)}"
         return InputError(where, f"the unknown key {key[2]!r}", remedy="; ".join(filter(None, (expected, remedy))))

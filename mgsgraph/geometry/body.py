@@ -123,7 +123,7 @@ def require_possible(body: Ellipsoid, target: str, where: str) -> None:
     name = target.upper() if target.upper() in _BODIES else target_name(body)
     if name == "UNKNOWN":
         if body.equatorial > _LARGE:
-            nearest = min(_BODIES, key=lambda known: abs(np.log(_RADII[known] / body.equatorial)))
+            nearest = min(_BODIES, key=lambda other: abs(np.log(_RADII[other] / body.equatorial)))
             expected = f"a body that there is (the one nearest in size is {nearest} of {_RADII[nearest] / KM:g} km)"
             raise InputError(where, size, expected, unit)
         return

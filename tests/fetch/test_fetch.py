@@ -346,7 +346,7 @@ def test_words_of_an_archive_go_to_the_terminal_as_text(archive: Flaky, tmp_path
 
 
 def test_tiles_need_the_images_place(archive: Flaky, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"M04/02852, whose place its tiles hang on"):
+    with pytest.raises(InputError, match=r"M04/02852, whose place its tiles depend on"):
         fetch(archive, tmp_path / "d", terrain="128")
 
 
