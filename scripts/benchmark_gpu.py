@@ -60,13 +60,13 @@ def _stand_alone() -> None:
 
         import mgsgraph
 
-        found = importlib.util.spec_from_file_location(
+        spec = importlib.util.spec_from_file_location(
             "mgsgraph.factors", ROOT / "factors" / "__init__.py", submodule_search_locations=[str(ROOT / "factors")]
         )
-        assert found is not None
-        assert found.loader is not None
-        sys.modules["mgsgraph.factors"] = mgsgraph.factors = importlib.util.module_from_spec(found)
-        found.loader.exec_module(mgsgraph.factors)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules["mgsgraph.factors"] = mgsgraph.factors = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(mgsgraph.factors)
 
 
 def _name_without_arrow() -> None:
@@ -158,10 +158,10 @@ def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
     begin = time.perf_counter()
     problem, _ = SIZES[size]()
     net, settings = network(problem, line)
-    made = time.perf_counter()
+    built = time.perf_counter()
     layout = lay_out(net, settings)
     laid = time.perf_counter()
-    found = Times(size, len(net.images), len(net.points), net.rays.point.size, made - begin, laid - made)
+    times = Times(size, len(net.images), len(net.points), net.rays.point.size, built - begin, laid - built)
     del problem
     sweeper, start = GpuSweeper(find_gpu(), layout, deterministic), np.zeros(layout.columns)
 
@@ -169,18 +169,18 @@ def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
         graph = BundleGraph(layout, layout.rows, sweeper)
         return levenberg_marquardt(BundleProblem(graph), start, settings, lambda _: None)
 
-    found.first, found.adjusted, outcome = median(adjust, 1), median(adjust, runs), adjust()
-    found.cost, found.iterations = outcome.cost_final, len(outcome.history)
+    times.first, times.adjusted, outcome = median(adjust, 1), median(adjust, runs), adjust()
+    times.cost, times.iterations = outcome.cost_final, len(outcome.history)
     last = sweeper.reduction(layout, layout.rows, outcome.state, SYSTEM, None)
-    again = (layout, layout.rows, outcome.state)
-    found.system = median(lambda: sweeper.reduction(*again, SYSTEM, last), runs)
-    found.costs = median(lambda: sweeper.reduction(*again, COSTS, last), runs)
+    inputs = (layout, layout.rows, outcome.state)
+    times.system = median(lambda: sweeper.reduction(*inputs, SYSTEM, last), runs)
+    times.costs = median(lambda: sweeper.reduction(*inputs, COSTS, last), runs)
     unit = np.zeros(layout.blocks.target.size)
-    found.covariances = median(lambda: sweeper.covariances(*again, unit, last.points), runs)
-    return found
+    times.covariances = median(lambda: sweeper.covariances(*inputs, unit, last.points), runs)
+    return times
 
 
-def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
+def page(times: list[Times], line: str, deterministic: bool, runs: int) -> str:
     """The table of a run, in Markdown."""
     head = [
         "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s",
@@ -194,13 +194,13 @@ def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
             f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}",
             f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
         ]
-        for t in found
+        for t in times
     ]  # fmt: skip
     order = "in a fixed order" if deterministic else "by atomic additions"
-    said = (
+    caption = (
         f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
     )
-    return "\n".join(["# Times on a GPU", "", *table(head, rows), "", said, ""])
+    return "\n".join(["# Times on a GPU", "", *table(head, rows), "", caption, ""])
 
 
 def main() -> int:
@@ -221,16 +221,16 @@ def main() -> int:
     def run() -> int:
         require_writable(chosen.out, chosen.json)
         find_gpu()
-        found = list[Times]()
+        results = list[Times]()
         for size in sizes:
-            found.append(timed(size, chosen.line, chosen.runs, chosen.deterministic))
-            print(json.dumps(asdict(found[-1])), flush=True)  # should a larger one fail
-        text = page(found, chosen.line, chosen.deterministic, chosen.runs)
+            results.append(timed(size, chosen.line, chosen.runs, chosen.deterministic))
+            print(json.dumps(asdict(results[-1])), flush=True)  # should a larger one fail
+        text = page(results, chosen.line, chosen.deterministic, chosen.runs)
         print(text)
         if chosen.out is not None:
             write_text(text, chosen.out)
         if chosen.json is not None:
-            write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n", chosen.json)
+            write_text(json.dumps([asdict(times) for times in results], indent=1) + "\n", chosen.json)
         return 0
 
     return status(parser.prog, run)

@@ -70,10 +70,10 @@ def folder_seed(folder: Path, main: str) -> Seed:
     return Seed({main: files[main]} | files, main)
 
 
-def text(name: str, content: str | bytes, **others: str | bytes) -> Seed:
+def text(name: str, content: str | bytes, **beside: str | bytes) -> Seed:
     """One file, and files beside it."""
-    files = {name: content} | others
-    return Seed({key: one.encode() if isinstance(one, str) else one for key, one in files.items()}, name)
+    files = {name: content} | beside
+    return Seed({key: data.encode() if isinstance(data, str) else data for key, data in files.items()}, name)
 
 
 def commanded(*arguments: object) -> None:
@@ -127,11 +127,11 @@ def worked_folder() -> Path:
     return folder
 
 
-def of_pair(main: str, *others: str) -> Seed:
+def of_pair(main: str, *beside: str) -> Seed:
     """Files of the pair: one that is damaged, and those that it needs."""
-    worked = any("/" in name for name in (main, *others))
+    worked = any("/" in name for name in (main, *beside))
     folder = worked_folder() if worked else pair_folder()
-    return Seed({name: (folder / name).read_bytes() for name in (main, *others)}, main)
+    return Seed({name: (folder / name).read_bytes() for name in (main, *beside)}, main)
 
 
 def case_seed(main: str = "case.toml") -> Seed:
@@ -152,8 +152,8 @@ def site_seed() -> dict[str, bytes]:
         write_site(simulate_site("eos", 1, SimulationOptions(pictures=False)), folder)
         files = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in (".json", ".pvl")}
     short = {".img": lambda content: content[: 1 << 13], ".b": short_profile}
-    kept = {name for name in files if not name.endswith(".img") or name.startswith("E")}
-    return {name: short.get(Path(name).suffix, bytes)(files[name]) for name in kept}
+    names = {name for name in files if not name.endswith(".img") or name.startswith("E")}
+    return {name: short.get(Path(name).suffix, bytes)(files[name]) for name in names}
 
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
@@ -164,15 +164,15 @@ def short_profile(content: bytes, frames: int = 4) -> bytes:
     rows = len(content) // FRAME.itemsize - 10
     label = content[: 10 * FRAME.itemsize]
     for key, old, new in ((b"FILE_RECORDS", rows + 10, records), (b"ROWS", rows, frames)):
-        said = key + b" = " + str(old).encode()
-        assert said in label
-        label = label.replace(said, (key + b" = " + str(new).encode()).ljust(len(said)))
+        entry = key + b" = " + str(old).encode()
+        assert entry in label
+        label = label.replace(entry, (key + b" = " + str(new).encode()).ljust(len(entry)))
     return label + content[10 * FRAME.itemsize : records * FRAME.itemsize]
 
 
-def of_site(main: str, *others: str) -> Seed:
+def of_site(main: str, *beside: str) -> Seed:
     files = site_seed()
-    return Seed({name: files[name] for name in (main, *others)}, main)
+    return Seed({name: files[name] for name in (main, *beside)}, main)
 
 
 def kernels_seed(main: str) -> Seed:
@@ -214,9 +214,9 @@ def lola_records(count: int = 3) -> bytes:
 
 def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
     table = f'OBJECT = TABLE\nROWS = {rows}\n^STRUCTURE = "LOLARDR.FMT"\nEND_OBJECT = TABLE\nEND\n'
-    said = 'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"\n'
+    data_set = 'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"\n'
     head = f'PDS_VERSION_ID = PDS3\nRECORD_TYPE = FIXED_LENGTH\n^TABLE = "{name}"\n'
-    return (head + said + table).replace("\n", "\r\n")
+    return (head + data_set + table).replace("\n", "\r\n")
 
 
 def mla_table() -> str:

@@ -88,10 +88,10 @@ def compiled(name: str, kernel: Any, arguments: Any, capability: tuple[int, int]
     source.write_text(text, encoding="ascii")
     architecture = f"-arch=sm_{capability[0]}{capability[1]}"
     command = ["ptxas", "-v", architecture, str(source), "-o", str(folder / "code")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stderr
 
     def number(pattern: str) -> int:
-        return sum(int(found) for found in re.findall(pattern, said))
+        return sum(int(match) for match in re.findall(pattern, output))
 
     return Code(
         name, seconds, number(r"Used (\d+) registers"), number(r"(\d+) bytes stack frame"),

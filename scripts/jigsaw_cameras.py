@@ -116,10 +116,10 @@ class Seen(NamedTuple):
     """px, the largest one of these."""
 
 
-def jigsaw_cameras(images: list[PushbroomImage], ties: TiePoints, told: Jigsaw, off: float = 0.0) -> Seen:
+def jigsaw_cameras(images: list[PushbroomImage], ties: TiePoints, jigsaw: Jigsaw, off: float = 0.0) -> Seen:
     """ISIS's adjusted cameras in this geometry; `off`: samples by which measures are moved, to see what that does."""
     moved = replace(ties, measures=ties.measures + np.array([0.0, off]))
-    cameras = [with_angles(*one) for one in zip(images, told.ascension, told.declination, strict=True)]
+    cameras = [with_angles(*values) for values in zip(images, jigsaw.ascension, jigsaw.declination, strict=True)]
     residuals = jigsaw_residuals(cameras, moved, meeting(cameras, moved))
     its = [measures_of(ties, image) for image in images]
     fixed = {}
@@ -153,9 +153,9 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
     for j, image in enumerate(images):
         its = measures_of(ties, image)
         at = ties.measure_point[its]
-        seen, by_point = image.ground_to_image(places[at], start=ties.measures[its, 0])
-        turned = image.by_correction(places[at], seen, none)[:, :, 3:5]
-        powers = polynomial(image.normalised(seen[:, 0]), DEGREE)[0]
+        pixels, by_point = image.ground_to_image(places[at], start=ties.measures[its, 0])
+        turned = image.by_correction(places[at], pixels, none)[:, :, 3:5]
+        powers = polynomial(image.normalised(pixels[:, 0]), DEGREE)[0]
         rows = 2 * its[:, None] + np.arange(2)
         cameras[rows, j * width : (j + 1) * width] = np.einsum("krc,kp->krpc", turned, powers).reshape(-1, 2, width)
         level = np.swapaxes(east_north_up(places[at])[:, :2], 1, 2)
@@ -164,8 +164,8 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
     across, _ = np.linalg.qr(points)
     cameras /= np.linalg.norm(cameras, axis=0)
     spectrum = np.linalg.svd(cameras - across @ (across.T @ cameras), compute_uv=False)
-    whole = np.hstack([points, cameras])
-    inverse = np.linalg.pinv(whole, rcond=1e-14)
+    design = np.hstack([points, cameras])
+    inverse = np.linalg.pinv(design, rcond=1e-14)
     sigmas = np.linalg.norm(inverse, axis=1)[: points.shape[1]].reshape(-1, 2)
     return spectrum, np.median(sigmas, axis=0)
 

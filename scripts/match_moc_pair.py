@@ -108,8 +108,8 @@ def read_ties(path: Path) -> Ties:
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
             places.setdefault(row["id"], {})[row["product"]] = float(row["line"]) - 0.5, float(row["sample"]) - 0.5
-    both = {name: found for name, found in places.items() if {E02, M01} <= found.keys()}
-    return Ties(list(both), *(np.array([found[image] for found in both.values()]) for image in (E02, M01)))
+    common = {name: pixels for name, pixels in places.items() if {E02, M01} <= pixels.keys()}
+    return Ties(list(common), *(np.array([pixels[image] for pixels in common.values()]) for image in (E02, M01)))
 
 
 # --- M01/00115, of which nothing but the label is known
@@ -144,18 +144,19 @@ def nominal_image(label: LineScanLabel, like: PushbroomImage) -> PushbroomImage:
 
 def resected(image: PushbroomImage, points: Array, places: Array) -> OrientationCorrection:
     """The correction that brings ground points (n, 3) to image places (n, 2): least squares with a wide prior."""
-    found = np.zeros(UNKNOWN.size)
+    solution = np.zeros(UNKNOWN.size)
 
-    def seen(unknowns: Array) -> Array:
+    def projected(unknowns: Array) -> Array:
         correction = OrientationCorrection((unknowns * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
         return image.ground_to_image(points, correction)[0].ravel() / TIE_SIGMA
 
     for _ in range(8):
-        now = seen(found)
-        columns = [(seen(found + 1e-4 * one) - now) / 1e-4 for one in np.eye(found.size)]
-        design = np.concatenate([np.stack(columns, axis=1), np.eye(found.size)])
-        found = found + np.linalg.lstsq(design, np.append(places.ravel() / TIE_SIGMA - now, -found), rcond=None)[0]
-    return OrientationCorrection((found * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
+        before = projected(solution)
+        columns = [(projected(solution + 1e-4 * unit) - before) / 1e-4 for unit in np.eye(solution.size)]
+        design = np.concatenate([np.stack(columns, axis=1), np.eye(solution.size)])
+        off = np.append(places.ravel() / TIE_SIGMA - before, -solution)
+        solution = solution + np.linalg.lstsq(design, off, rcond=None)[0]
+    return OrientationCorrection((solution * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
 
 
 # --- E02/01461, of which there is a map
@@ -195,7 +196,7 @@ def into_camera(image: PushbroomImage, apparent: PushbroomImage, grid: MapGrid, 
     corners = apparent.ground_to_image(on_ground(ground, grid.directions(edges)))[0]
     low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     lines, samples = (high - low).astype(int)
-    rows, columns = (one.ravel() for one in np.mgrid[:lines, :samples] + 0.5)
+    rows, columns = (values.ravel() for values in np.mgrid[:lines, :samples] + 0.5)
     places = grid.places(ground.meet(*apparent.sightlines(low[0] + rows, low[1] + columns)))
     # cubic: the camera's pixels are smaller than the map's
     grey = map_coordinates(spline_filter(pixels, mode="mirror"), (places - 0.5).T, prefilter=False, mode="mirror")
@@ -233,7 +234,7 @@ class Comparison(NamedTuple):
     """m above MOLA's grid, the terrain model of the map that explains what is off along that way."""
 
 
-def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, way: Array) -> list[Comparison]:
+def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, slope: Array) -> list[Comparison]:
     """At each tie a surface through the matches near it; `way` (n, 2) px per m is how M01's places move with height."""
     reference = matches.reference
     e02, m01 = matches.ties.measures[reference] + window.corner, matches.ties.measures[~reference]
@@ -249,15 +250,15 @@ def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, w
         fitted = np.linalg.lstsq(design, m01[near], rcond=None)[0]
         rest = m01[near] - design @ fitted
         off = fitted[0] - ties.m01[k]
-        parted = by_parallax(off[None], way[k : k + 1])[0]
-        scatter, per_metre = float(np.sqrt(np.sum(rest**2) / (2 * count - 8))), float(np.linalg.norm(way[k]))
+        parted = by_parallax(off[None], slope[k : k + 1])[0]
+        scatter, per_metre = float(np.sqrt(np.sum(rest**2) / (2 * count - 8))), float(np.linalg.norm(slope[k]))
         rows.append(Comparison(ties.names[k], count, off, parted, scatter, -float(parted[1]) / per_metre))
     return rows
 
 
-def by_parallax(off: Array, way: Array) -> Array:
+def by_parallax(off: Array, slope: Array) -> Array:
     """(n, 2) px, differences (n, 2) across and along the way (n, 2) that places take with height."""
-    along = way / np.linalg.norm(way, axis=1, keepdims=True)
+    along = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     return np.column_stack([np.einsum("ni,ni->n", off, across), np.einsum("ni,ni->n", off, along)])
 
@@ -298,16 +299,16 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     size = np.array(window.pixels.shape)
     inside = np.all((local > 0.0) & (local < size), axis=1)
     inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
-    other = nominal_image(read_line_scan_label(plain), image)
-    correction = resected(other, points[~inside], ties.m01[~inside])
-    seen = other.ground_to_image(points, correction)[0]
+    m01 = nominal_image(read_line_scan_label(plain), image)
+    correction = resected(m01, points[~inside], ties.m01[~inside])
+    predicted = m01.ground_to_image(points, correction)[0]
     up = points / np.linalg.norm(points, axis=1, keepdims=True)
     rays = image.sightlines(*ties.e02.T)[1]
     higher = points + rays / np.einsum("ni,ni->n", rays, up)[:, None]  # by a metre, up the ray of E02
-    way = other.ground_to_image(higher, correction)[0] - seen
+    slope = m01.ground_to_image(higher, correction)[0] - predicted
     prior = OrientationPrior(RESECTED)
     scene = Scene(
-        (Picture(window.image, window.pixels, prior), Picture(other, read_moc_pixels(plain), prior, correction)), ground
+        (Picture(window.image, window.pixels, prior), Picture(m01, read_moc_pixels(plain), prior, correction)), ground
     )
     begin = time.perf_counter()
     matches = match_scene(scene, settings, progress=lambda what, done, most: show(f"{what} {done} of {most}"))
@@ -315,7 +316,7 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     show("")
     lifted = np.abs(image.ground_to_image(points + up)[0] - ties.e02)[:, 1]
     return Trial(
-        ties, inside, ties.m01 - seen, way, matches, compared(matches, window, ties, inside, way),
+        ties, inside, ties.m01 - predicted, slope, matches, compared(matches, window, ties, inside, slope),
         float(np.median(lifted)), seconds,
     )  # fmt: skip
 
@@ -333,16 +334,16 @@ def ground_about(image: PushbroomImage, grid: MapGrid, shape: tuple[int, ...], d
 HEAD = ("tie", "matches", "scatter", "line / sample", "across / along", "model / ground, m")
 
 
-def tables(found: Trial) -> Blocks:
+def tables(result: Trial) -> Blocks:
     """Figures, and a table of the ties."""
-    matches, inside, others = found.matches, found.inside, ~found.matches.reference
-    sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[others])), axis=0)
-    before = by_parallax(found.off, found.way)
-    heights = (before[:, 1] / np.linalg.norm(found.way, axis=1))[inside]
-    parted = np.array([row.parted for row in found.comparisons if np.isfinite(row.scatter)]).reshape(-1, 2)
+    matches, inside, in_m01 = result.matches, result.inside, ~result.matches.reference
+    sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[in_m01])), axis=0)
+    before = by_parallax(result.off, result.way)
+    heights = (before[:, 1] / np.linalg.norm(result.way, axis=1))[inside]
+    parted = np.array([row.parted for row in result.comparisons if np.isfinite(row.scatter)]).reshape(-1, 2)
     rows = [
         [row.name, f"{row.matches}", text(row.scatter), text(row.off), text(row.parted), f"{row.model:.0f} / {up:.0f}"]
-        for row, up in zip(found.comparisons, heights, strict=True)
+        for row, up in zip(result.comparisons, heights, strict=True)
     ]
     steps = ", ".join(f"{name} {count}" for name, count in matches.losses._asdict().items())
     return {"figures": [
@@ -350,11 +351,11 @@ def tables(found: Trial) -> Blocks:
         "* Resection of M01 by those outside, rms across / along the parallax: "
         f"{text(rms(before[~inside], 0))} px; those in the crop, with it: {text(rms(before[inside], 0))} px.",
         f"* Matches: {len(matches.ties.ids)} in {matches.cells[0]} of {matches.cells[1]} cells of {matches.cell:.0f} m "
-        f"({steps}); {found.seconds:.1f} s.",
+        f"({steps}); {result.seconds:.1f} s.",
         f"* Their stated sigmas (px of M01, axes of the ellipse, median): {text(sigmas)}; correlation, median: "
-        f"{np.median(matches.correlation[others]):.3f}; coplanarity, rms: {text(rms(matches.misfit[others], 0))} m.",
+        f"{np.median(matches.correlation[in_m01]):.3f}; coplanarity, rms: {text(rms(matches.misfit[in_m01], 0))} m.",
         f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted, 0))} px.",
-        f"* 100 m of the map's terrain model are {100.0 * found.samples_per_metre:.1f} samples of E02.",
+        f"* 100 m of the map's terrain model are {100.0 * result.samples_per_metre:.1f} samples of E02.",
     ], "ties": table(HEAD, rows)}  # fmt: skip
 
 
