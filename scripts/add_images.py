@@ -52,9 +52,8 @@ def main(images: str = "5") -> None:
     print(f"cost: ISAM2 {graph.error(isam.calculateEstimate()):.6f}, batch {batch.cost_final:.6f}")
     names, _, covariances = ours.points(network.points.ids[:1])
     by_isam = isam.marginalCovariance(keys.point(names[0]))
-    sources = ("ISAM2", by_isam), ("IncrementalAdjustment", covariances[0]), ("batch", batch.covariances[0])
-    for name, matrix in sources:
-        print(f"sigmas of {names[0]} along X, Y, Z by {name}: {np.sqrt(np.diag(matrix)).round(3)} m")
+    for name, block in (("ISAM2", by_isam), ("IncrementalAdjustment", covariances[0]), ("batch", batch.covariances[0])):
+        print(f"sigmas of {names[0]} along X, Y, Z by {name}: {np.sqrt(np.diag(block)).round(3)} m")
 
 
 if __name__ == "__main__":

@@ -197,9 +197,7 @@ def page(times: list[Times], line: str, deterministic: bool, runs: int) -> str:
         for t in times
     ]  # fmt: skip
     order = "in a fixed order" if deterministic else "by atomic additions"
-    caption = (
-        f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
-    )
+    caption = f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
     return "\n".join(["# Times on a GPU", "", *table(head, rows), "", caption, ""])
 
 

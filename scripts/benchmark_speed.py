@@ -461,15 +461,14 @@ def ratio_table(results: Mapping[str, Runs]) -> list[str]:
 def cost_table(results: Mapping[str, Runs]) -> list[str]:
     """Solve seconds and iterations of every program; covariance; final cost and its difference."""
     rows = []
-    for size, runs in results.items():
+    for size, by_program in results.items():
         cells = [size]
         for name in (OURS, *VARIANTS):
-            program_runs = runs.get(name, ())
-            seconds, steps = number(middle(program_runs, "seconds_solve")), middle(program_runs, "iterations")
-            cells.append(f"{seconds} ({steps:g})" if program_runs else "-")
-        cells += [number(middle(runs.get(name, ()), "seconds_covariance")) for name in (OURS, "custom")]
-        difference = cost_difference(runs)
-        cells += [f"{middle(runs[OURS], 'cost_final'):.12g}", "-" if math.isnan(difference) else f"{difference:.1e}"]
+            runs = by_program.get(name, ())
+            cells.append(f"{number(middle(runs, 'seconds_solve'))} ({middle(runs, 'iterations'):g})" if runs else "-")
+        cells += [number(middle(by_program.get(name, ()), "seconds_covariance")) for name in (OURS, "custom")]
+        gap = cost_difference(by_program)
+        cells += [f"{middle(by_program[OURS], 'cost_final'):.12g}", "-" if math.isnan(gap) else f"{gap:.1e}"]
         rows.append(tuple(cells))
     names = (f"{name}, solve (iterations)" for name in (OURS, *VARIANTS))
     return table(("size", *names, f"{OURS}, covariance", "custom, covariance", "cost", "relative difference"), rows)

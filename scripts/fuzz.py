@@ -132,19 +132,18 @@ def outcome(reader: Reader, data: bytes) -> Outcome:
     folder = Path(_ROOM.name) / str(os.getpid()) / re.sub(r"\W", "_", reader.name)
     seed = _seed(reader)
     _lay(folder, {**seed.files, seed.main: data})
-    before, report = _listing(folder), os.memfd_create("report")
-    streams = [os.memfd_create(name) for name in ("out", "err")]
+    before, end, streams = _listing(folder), os.memfd_create("told"), [os.memfd_create(name) for name in ("out", "err")]
     child = os.fork()
     if child == 0:
         try:
             _isolate(reader, streams)
-            _report(reader, folder / seed.main, report)
+            _report(reader, folder / seed.main, end)
         finally:
             os._exit(0)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     with suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # what it has begun itself
-    answer, out, err = (_text(file) for file in (report, *streams))
+    answer, out, err = (_text(file) for file in (end, *streams))
     errors = err.decode(errors="replace")
     if ended < 0:
         name = signal.Signals(-ended).name
@@ -213,7 +212,7 @@ def _isolate(reader: Reader, streams: list[int]) -> None:
     signal.setitimer(signal.ITIMER_REAL, reader.patience)
 
 
-def _report(reader: Reader, path: Path, report: int) -> None:
+def _report(reader: Reader, path: Path, end: int) -> None:
     try:
         result = Outcome(End.READ, "", dict(flat(reader.read(path))))
     except SystemExit as ended:
@@ -221,7 +220,7 @@ def _report(reader: Reader, path: Path, report: int) -> None:
     except BaseException as error:
         result = _of_error(error, str(path.parents[1]))
     sys.stdout.flush()
-    os.write(report, pickle.dumps(result))
+    os.write(end, pickle.dumps(result))
 
 
 def _of_error(error: BaseException, folder: str) -> Outcome:

@@ -144,19 +144,18 @@ def nominal_image(label: LineScanLabel, like: PushbroomImage) -> PushbroomImage:
 
 def resected(image: PushbroomImage, points: Array, places: Array) -> OrientationCorrection:
     """The correction that brings ground points (n, 3) to image places (n, 2): least squares with a wide prior."""
-    solution = np.zeros(UNKNOWN.size)
+    x = np.zeros(UNKNOWN.size)
 
     def projected(unknowns: Array) -> Array:
         correction = OrientationCorrection((unknowns * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
         return image.ground_to_image(points, correction)[0].ravel() / TIE_SIGMA
 
     for _ in range(8):
-        before = projected(solution)
-        columns = [(projected(solution + 1e-4 * unit) - before) / 1e-4 for unit in np.eye(solution.size)]
-        design = np.concatenate([np.stack(columns, axis=1), np.eye(solution.size)])
-        off = np.append(places.ravel() / TIE_SIGMA - before, -solution)
-        solution = solution + np.linalg.lstsq(design, off, rcond=None)[0]
-    return OrientationCorrection((solution * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
+        before = projected(x)
+        columns = [(projected(x + 1e-4 * unit) - before) / 1e-4 for unit in np.eye(x.size)]
+        design = np.concatenate([np.stack(columns, axis=1), np.eye(x.size)])
+        x = x + np.linalg.lstsq(design, np.append(places.ravel() / TIE_SIGMA - before, -x), rcond=None)[0]
+    return OrientationCorrection((x * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
 
 
 # --- E02/01461, of which there is a map

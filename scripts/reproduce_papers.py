@@ -405,9 +405,8 @@ def with_weights(result: Result) -> list[tuple[str, str, Solution]]:
     network, settings = result.case.network, result.case.settings
     x_alone = np.repeat(balance.implied_sigmas(result.site, balance.counts_in(network))[:, :1], 2, axis=1)
     stated = np.full((2, 2), balance.STATED_SIGMA)
-    alone, text = (adjust_network(balance.weighed(network, sigmas), settings) for sigmas in (x_alone, stated))
-    site = result.site
-    return [(site, "papers' case", result.solution), (site, "y as x", alone), (site, "30 px", text)]
+    by_x, text = (adjust_network(balance.weighed(network, sigmas), settings) for sigmas in (x_alone, stated))
+    return [(result.site, "papers' case", result.solution), (result.site, "y as x", by_x), (result.site, "30 px", text)]
 
 
 def with_biases(result: Result, seed: int, work: Path) -> list[tuple[str, Result]]:

@@ -117,15 +117,14 @@ def _drift(axis: int) -> Callable[[Network, float], Change]:
     return wrong
 
 
-def _added(correction: OrientationCorrection, rows: Array) -> OrientationCorrection:
+def _added(base: OrientationCorrection, rows: Array) -> OrientationCorrection:
     """A correction with coefficients (k, 6) added, to the values of all nodes the constant ones."""
-    nodes = len(correction.nodes) if correction.nodes else 0
-    polynomial = correction.coefficients[: len(correction.coefficients) - nodes]
+    nodes = len(base.nodes) if base.nodes else 0
+    polynomial = base.coefficients[: len(base.coefficients) - nodes]
     if nodes:
-        moved = correction.coefficients[len(polynomial) :] + rows[0]
-        return replace(correction, coefficients=np.vstack([polynomial, moved]))
+        return replace(base, coefficients=np.vstack([polynomial, base.coefficients[len(polynomial) :] + rows[0]]))
     rows = rows[: len(polynomial)] if len(rows) > len(polynomial) else rows
-    return replace(correction, coefficients=polynomial + np.pad(rows, ((0, len(polynomial) - len(rows)), (0, 0))))
+    return replace(base, coefficients=polynomial + np.pad(rows, ((0, len(polynomial) - len(rows)), (0, 0))))
 
 
 def _priors(factor_of: Callable[[float], float]) -> Callable[[Network, float, Rng], Network]:
@@ -431,9 +430,8 @@ def one_draw(case: str, seed: int) -> Draw:
     site, kind = case.split(", ", 1)
     network, settings = prepared(site)
     if kind == GOOD:
-        drawn = redraw(network, np.random.default_rng(seed), settings.angles).network
-        judgement = verdict(adjust_network(drawn, settings))
-        return {"state": judgement.state.value, "p": {g.name: g.p_value for g in judgement.groups if g.tested}}
+        good = verdict(adjust_network(redraw(network, np.random.default_rng(seed), settings.angles).network, settings))
+        return {"state": good.state.value, "p": {g.name: g.p_value for g in good.groups if g.tested}}
     results = [_end_of(network, settings, KINDS[kind], size, seed) for size in KINDS[kind].sizes] if applies(
         network, kind) else []  # fmt: skip
     return {"ends": [end for end, _ in results], "nees": [values for _, values in results]}
@@ -552,8 +550,8 @@ def _least(site: str, kind: Kind, name: str) -> float:
     judgement = _good(site)
     if kind.unit == "times":
         level = level_of_groups(judgement.groups)
-        groups = [group for group in judgement.groups if group.name.startswith(kind.listed or "-")]
-        return min((group.hidden_factor(level, POWER) for group in groups), default=float("nan"))
+        factors = [g.hidden_factor(level, POWER) for g in judgement.groups if g.name.startswith(kind.listed or "-")]
+        return min(factors, default=float("nan"))
     listed = [e for e in judgement.undetected if f"{e.what} of {e.of}".startswith(kind.listed or "-")]
     single = [effect.size for effect in listed if (effect.of == "all images") == ("one image" not in name)]
     return min(single or [effect.size for effect in listed], default=float("nan"))

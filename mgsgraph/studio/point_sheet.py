@@ -65,14 +65,13 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
         return record | {"rays": [], "class": "tie", "kind": "free", "place": None, "answer": None}
     points = MapPoints(opened, block)
     rays = np.flatnonzero(block.network.rays.point == number)
-    record |= {
+    return record | {
         "class": PointClass(int(block.network.points.classes[number])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[number])).name.lower(),
         "place": _place(block, block.places[number]), "map_m": vector(points.plane[number]),
         "sigmas_m": vector(np.sqrt(np.diagonal(points.local[number]))),
         "rays": [_ray(opened, block, number, k) for k in rays.tolist()], "answer": _answer(posterior, point),
     }  # fmt: skip
-    return record
 
 
 def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
@@ -85,8 +84,8 @@ def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
 
 
 def _measure_record(measure: Measure) -> dict[str, Any]:
-    sigmas = [measure.sigma_line, measure.sigma_sample]
-    return {"image": measure.image, "line": measure.line, "sample": measure.sample, "sigma_px": sigmas}
+    return {"image": measure.image, "line": measure.line, "sample": measure.sample,
+            "sigma_px": [measure.sigma_line, measure.sigma_sample]}  # fmt: skip
 
 
 def _place(block: Block, place: Array) -> dict[str, float] | None:
