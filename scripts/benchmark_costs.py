@@ -45,7 +45,7 @@ from mgsgraph.units import MRAD
 
 _GIGA = 1e9
 _PAUSE = 0.2
-"""s between two looks at a process's memory."""
+"""s between two readings of a process's memory."""
 
 
 # --- a command
@@ -67,7 +67,7 @@ class Took(NamedTuple):
 
 
 def _processes(root: int) -> list[int]:
-    """A process and all that it has begun."""
+    """A process and all its descendants."""
     processes, waiting = list[int](), [root]
     while waiting:
         process = waiting.pop()
@@ -81,7 +81,7 @@ def _processes(root: int) -> list[int]:
 
 
 def _own_memory(process: int) -> float:
-    """Bytes of memory of its own that a process has; what it shares with forks of it is shared out among them."""
+    """Bytes of memory of its own that a process has; memory shared with forks is divided among them."""
     try:
         text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -128,7 +128,7 @@ def median(runs: Sequence[Took]) -> Took:
 
 
 class Job(NamedTuple):
-    """What is run: an archive of a kind, and options of `mgsgraph adjust`."""
+    """An archive of a kind, and options of `mgsgraph adjust`."""
 
     kind: str
     images: int | None = None
@@ -154,7 +154,7 @@ JOBS = {
     "ctx": Job("ctx", options=("--no-figures", "--cluster", "local:2")),
 }
 STAGES = ("reading", "set up", "send to workers", "solve", "residuals", "covariance")
-"""Of an adjustment (solution.json, `seconds`), in the table; what others take is small."""
+"""Of an adjustment (solution.json, `seconds`), that the table has; the other stages are short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ class Run:
 
 
 def archive_of(job: Job, work: Path) -> Path:
-    """The case of a job; its archive is made where it isn't there."""
+    """The case of a job; its archive is made where it is missing."""
     folder = work / (job.kind if job.images is None else f"{job.kind}{job.images}")
     case = folder / "case.toml"
     if not case.is_file():
@@ -207,7 +207,7 @@ def run(name: str, work: Path) -> Run:
 
 
 def finished(path: Path) -> list[Run]:
-    """Runs that are over."""
+    """Finished runs of a file."""
     if not path.is_file():
         return []
     return [Run(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -246,31 +246,31 @@ def archive(parser: OneLine, arguments: list[str]) -> int:
 
     python scripts/benchmark.py archive --work WORK [block block-pages block-pvl kaguya dense ctx] [--repeat 3]
 
-    Archives are made in WORK by `mgsgraph simulate archive` where they aren't there. Every run is added to
-    WORK/runs.jsonl as soon as it is over, so that an interrupted campaign goes on where it was. Fills docs/scale.md.
+    Archives are made in WORK by `mgsgraph simulate archive` where they are missing. Every run is added to
+    WORK/runs.jsonl as soon as it ends, so that an interrupted campaign continues where it stopped. Fills docs/scale.md.
     """
     parser.add_argument("jobs", nargs="*", default=["block", "block-pages", "block-pvl", "kaguya"], metavar="JOB",
                         help=f"of {', '.join(JOBS)}")  # fmt: skip
     parser.add_argument("--work", type=Path, required=True, help="folder of archives and runs; 20 GB for all")
     parser.add_argument("--repeat", type=at_least(1), default=3)
     parser.add_argument("--out", type=Path, default=DOCS / "scale.md")
-    chosen = parser.parse_args(arguments)
-    for name in chosen.jobs:
+    options = parser.parse_args(arguments)
+    for name in options.jobs:
         if name not in JOBS:
             parser.error(f"no job {name!r}; expected some of {', '.join(JOBS)}")
 
     def make() -> dict[str, list[str]]:
-        chosen.work.mkdir(parents=True, exist_ok=True)
-        record = chosen.work / "runs.jsonl"
-        for name in chosen.jobs:
-            while (count := sum(r.job == name for r in finished(record))) < chosen.repeat:
-                show(f"{name}: run {count + 1} of {chosen.repeat}")
-                done = run(name, chosen.work)
+        options.work.mkdir(parents=True, exist_ok=True)
+        record = options.work / "runs.jsonl"
+        for name in options.jobs:
+            while (count := sum(r.job == name for r in finished(record))) < options.repeat:
+                show(f"{name}: run {count + 1} of {options.repeat}")
+                done = run(name, options.work)
                 with record.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(done)) + "\n")
         return {"archive": archive_tables(finished(record))}
 
-    return write_page(parser, chosen.out, "scale.md", make)
+    return write_page(parser, options.out, "scale.md", make)
 
 
 # --- the commands of a project
@@ -314,7 +314,7 @@ def tree(folder: Path) -> float:
 
 
 def project_row(strip: SimulatedStrip, images: int, repeats: int, solve: bool, work: Path) -> list[str]:
-    """What the commands cost with so many images in the project."""
+    """Times of the commands with a number of images in the project."""
     show(f"{images} images: making the project")
     original, copy = work / "kept", work / "copy"
     solved_project(strip.upto(images), original)
@@ -348,17 +348,17 @@ def project(parser: OneLine, arguments: list[str]) -> int:
     parser.add_argument("--repeats", type=at_least(1), default=3, help="runs whose median counts")
     parser.add_argument("--no-solve", action="store_true", help="leave solve out")
     parser.add_argument("--out", type=Path, default=DOCS / "project_cost.md")
-    chosen = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
-        strip, rows = simulate_strip(StripSettings(images=max(chosen.images) + 1, ties=chosen.ties)), []
-        for images in chosen.images:
+        strip, rows = simulate_strip(StripSettings(images=max(options.images) + 1, ties=options.ties)), []
+        for images in options.images:
             with tempfile.TemporaryDirectory() as folder:
-                rows.append(project_row(strip, images, chosen.repeats, not chosen.no_solve, Path(folder)))
+                rows.append(project_row(strip, images, options.repeats, not options.no_solve, Path(folder)))
         head = ["images", "points", "project (MB)", "add (s)", "tree (s)", "dry run (s)", "status (s)", "solve (s)"]
         return {"project": table(head, rows)}
 
-    return write_page(parser, chosen.out, "project_cost.md", make)
+    return write_page(parser, options.out, "project_cost.md", make)
 
 
 # --- questions
@@ -370,7 +370,7 @@ Seconds = dict[str, list[float]]
 
 
 def turn(block: Network, settings: Any, queries: int, seconds: Seconds) -> list[str]:
-    """Adjust a network, ask everything once, and book the seconds; words on its size."""
+    """Adjust a network, run each query once, record the seconds; its size as text."""
 
     def timed(name: str, job: Callable[[], Any], count: int = 1) -> Any:
         begin = time.perf_counter()
@@ -388,13 +388,13 @@ def turn(block: Network, settings: Any, queries: int, seconds: Seconds) -> list[
         timed("file", lambda: reliability_table(tests).write_csv(Path(folder) / "reliability.csv"))
     timed("variance components", lambda: components(at))
     for name, query in zip(QUERIES, single_queries(block, Posterior(at), queries), strict=True):
-        query(0)  # what it keeps for the next ones
+        query(0)  # the first query fills caches
         timed(name, lambda query=query: [query(k) for k in range(1, queries + 1)], queries)
     return [f"{len(tests):,} scalar measures", f"{solution.iterations} iterations"]
 
 
 def single_queries(block: Network, posterior: Posterior, queries: int) -> tuple[Callable[[int], object], ...]:
-    """The `QUERIES` by number; each is of other points and images, spread over the rays."""
+    """The `QUERIES` by number; each number means other points and images, spread over the rays."""
     rays, ids, images = block.rays, block.points.ids, block.images
     chosen = np.linspace(0, rays.point.size - 1, queries + 2).astype(np.int64)
     names, image_of = [ids[i] for i in rays.point[chosen]], [images[j] for j in rays.image[chosen]]
@@ -427,7 +427,7 @@ def ratio(times: list[float], iteration: list[float]) -> str:
 
 
 def analysis(parser: OneLine, arguments: list[str]) -> int:
-    """What does it cost to ask an adjustment?
+    """Times of queries to an adjustment.
 
     Adjusts one of the peer's problems (or the Kaguya-sized block) and times, in one process and in turn: an adjustment,
     linearizing it at its solution, the reliability table, its sorting and its file, variance components, and single
@@ -439,17 +439,17 @@ def analysis(parser: OneLine, arguments: list[str]) -> int:
     parser.add_argument("--queries", type=at_least(1), default=20, help="single queries of each kind in a turn")
     parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the peer's generator")
     parser.add_argument("--out", type=Path, default=DOCS / "analysis_cost.md")
-    chosen = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
-        problem, _ = made(chosen.size, chosen.shared)
+        problem, _ = made(options.size, options.shared)
         inputs, counts, seconds = network(problem, "predicted"), list[str](), Seconds()
-        for repeat in range(chosen.repeat + 1):
-            show(f"turn {repeat} of {chosen.repeat}")
+        for repeat in range(options.repeat + 1):
+            show(f"turn {repeat} of {options.repeat}")
             seconds = Seconds() if repeat <= 1 else seconds
-            counts = turn(*inputs, chosen.queries, seconds)
+            counts = turn(*inputs, options.queries, seconds)
         sizes = f"{problem.orientation.shape[0]} images", f"{problem.places.shape[0]:,} points", *counts
-        title = f"Size {chosen.size}: {', '.join(sizes)}; {chosen.repeat} turns."
+        title = f"Size {options.size}: {', '.join(sizes)}; {options.repeat} turns."
         return {"analysis": [title, "", *query_tables(seconds)]}
 
-    return write_page(parser, chosen.out, "analysis_cost.md", make)
+    return write_page(parser, options.out, "analysis_cost.md", make)

@@ -63,7 +63,7 @@ _REMEDY = "build it with the peer's build.sh"
 
 
 MEGABYTE = 2.0**20
-"""bytes; as the peer counts its own."""
+"""bytes; as the peer counts its memory."""
 
 
 STAGES = ("read", "network", "set_up", "solve", "covariance")
@@ -92,7 +92,7 @@ class Ratio:
     value: float
     """of the medians."""
     least: float
-    """of the repeats, each with its own neighbours in time."""
+    """least, over the repeats."""
     most: float
     """the same."""
 
@@ -101,7 +101,7 @@ class Ratio:
 
 
 def middle(runs: Sequence[Mapping[str, Any]], key: str) -> float:
-    """Median over the repeats; NaN where the figure isn't there."""
+    """Median over the repeats; NaN where the figure is missing."""
     values = [float(run[key]) for run in runs if key in run]
     return median(values) if values else math.nan
 
@@ -127,7 +127,7 @@ def cost_difference(runs: Runs) -> float:
 
 
 def metrics(size: str, runs: Runs) -> dict[str, float]:
-    """Everything of one size that a baseline may hold a run to, by name."""
+    """All figures of one size that a baseline may limit, by name."""
     figures = {
         f"{size}: iterations": middle(runs[OURS], "iterations"),
         f"{size}: bytes per observation": middle(runs[OURS], "bytes_per_observation"),
@@ -148,14 +148,14 @@ def metrics(size: str, runs: Runs) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What one figure is held to."""
+    """The limit of one figure."""
 
     direction: str
     """higher: higher is better; lower: lower is."""
     required: float | None = None
-    """The issue's own demand; no tolerance."""
+    """Required value; no tolerance."""
     value: float | None = None
-    """What was reached when the baseline was made."""
+    """Value when the baseline was made."""
     tolerance: float = 0.25
     """Share of `value` by which a figure may be worse: times scatter on shared machines."""
 
@@ -210,7 +210,7 @@ def judged(limits: Mapping[str, Limit], values: Mapping[str, float], sizes: Sequ
 
 
 def update_baseline(path: Path, figures: Mapping[str, float]) -> None:
-    """Put what was reached into the lines that the baseline has; do so deliberately, on a quiet machine."""
+    """Write the values of this run into the baseline's lines; only on a quiet machine."""
     limits = read_baseline(path)
     updated = {name: replace(limit, value=figures.get(name, limit.value)) for name, limit in limits.items()}
     note = json.loads(path.read_text(encoding="utf-8")).get("note", "")
@@ -283,9 +283,9 @@ def highest() -> float:
 
 
 def forget_peak() -> None:
-    """Let the highest memory begin anew, so that reading the input doesn't hide the adjustment; Linux only.
+    """Reset the highest memory, so that reading the input doesn't hide the adjustment; Linux only.
 
-    What the input's making has freed goes back to the system first: used again, it would not count.
+    Memory freed after reading the input is returned to the system first: reused, it would not count.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -305,7 +305,7 @@ def require_peer(program: Path) -> None:
 
 
 def run_peer(program: Path, problem: Path, variant: str, threads: int) -> dict[str, Any]:
-    """Figures of one run; InputError when the program fails or says something else than the peer's line of JSON."""
+    """Figures of one run; InputError when the program fails or doesn't print the peer's line of JSON."""
     command = [str(program), str(problem), *VARIANTS[variant], *TOLERANCE, "--threads", str(threads)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
@@ -328,7 +328,7 @@ def run_peer(program: Path, problem: Path, variant: str, threads: int) -> dict[s
 
 
 def programs(peer: Path | None) -> list[str]:
-    """What runs in every repeat."""
+    """Programs that run in every repeat."""
     return [OURS, *(VARIANTS if peer else ())]
 
 
@@ -480,8 +480,8 @@ def cost_table(results: Mapping[str, Runs]) -> list[str]:
 def speed(parser: OneLine, arguments: list[str]) -> int:
     """Seconds, memory and cost of this program on problems of the peer's model, beside the C++ peer in the same run.
 
-    Every run is a process of its own, and every repeat runs all programs in turn, so that what else the machine does
-    hits all alike; figures are medians over the repeats, ratios the peer's seconds over ours. Not in the figures:
+    Every run is a process of its own, and every repeat runs all programs in turn, so that other load of the machine
+    affects all of them; figures are medians over the repeats, ratios the peer's seconds over ours. Not in the figures:
     compiling the kernel, or loading it from its cache. A tiny problem of the same kind is adjusted first, so that the
     file's own adjustment finds everything compiled, as a second adjustment in one session would.
     """

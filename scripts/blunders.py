@@ -42,7 +42,7 @@ from networks import network as network_of_pair
 from redraw import redraw
 
 PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
-"""Limits, and sigmas of the observation by which planted rays are off."""
+"""Limits, and errors of planted rays in sigmas of the observation."""
 RATE = 0.02
 """Share of the rays that are off, one of a point at most."""
 POWERS = 0.80, 0.95
@@ -52,7 +52,7 @@ TUKEY = tuple(f"{case}, tukey" for case in ("pair", "gusev", "eos", "isidis", "s
 GROSS, MORE = 0.3, (0.4, 0.5, 0.6, 0.7)
 """Shares of the ties' rays that are far off: in each draw, and in every fourth."""
 FAR = 100.0, 900.0
-"""px, by which, in a random direction."""
+"""px, least and largest such error, in a random direction."""
 
 
 def network_of(case: str, seed: int) -> tuple[Network, SolverSettings]:
@@ -99,7 +99,7 @@ def of_clean(network: Network, settings: SolverSettings) -> Array:
 
 
 def of_planted(clean: Solution, limit: float, size: float, seed: int) -> Array:
-    """Planted, found, expected, variance of that; of each power how many, and found; beside it, elsewhere."""
+    """Numbers planted, found, expected, and its variance; by power; false rejections at those points, and elsewhere."""
     network, settings = clean.network, replace(clean.settings, reject=limit)
     wrong, rows, errors = planted(network, size, np.random.default_rng([seed, 22]))
     chance = chances(clean, limit, rows, errors)
@@ -139,8 +139,8 @@ def far_off(network: Network, share: float, rng: np.random.Generator) -> tuple[N
 def error_ratios(
     network: Network, truth: Array, settings: SolverSettings, share: float, seed: int, losses: tuple[Loss, ...]
 ) -> list[float]:
-    """Root mean square error of ties whose rays are all good over that of adjustments, with some losses, that are told
-    the blunders; 1e9 where a point, or the adjustment, is lost.
+    """Root mean square error of ties whose rays are all good, over that of adjustments (with some losses) that know
+    the blunders; 1e9 where the adjustment fails or a point has no place.
     """
     wrong, rows = far_off(network, share, np.random.default_rng([seed, 23]))
     full, good = all_rows(wrong), (network.points.classes == PointClass.TIE) & ~network.undetermined
@@ -181,7 +181,7 @@ def one_draw(case: str, seed: int) -> Draw:
 
 
 def clean_row(case: str, draws: list[Draw]) -> list[str]:
-    """What a limit of four sigmas takes of clean data."""
+    """Measurements of clean data that a limit of four sigmas rejects."""
     rays, rejected, ranges, ranges_rejected = np.sum([draw["clean"] for draw in draws], axis=0)
     of_ranges = f"{ranges_rejected:.0f} of {ranges:.0f}" if ranges else "-"
     expected = f"{rays * 6.334e-5:.1f}"
@@ -189,7 +189,7 @@ def clean_row(case: str, draws: list[Draw]) -> list[str]:
 
 
 def planted_row(case: str, turn: int, draws: list[Draw]) -> list[str]:
-    """What is found of blunders of one size."""
+    """Blunders of one size that are found."""
     sums = np.sum([draw["planted"] for draw in draws if draw["turn"] == turn] or np.zeros((1, 12)), axis=0)
     count, caught, expected, variance, *strong, beside, elsewhere = sums
     half = Z99 * np.sqrt(variance)
@@ -204,7 +204,7 @@ def planted_row(case: str, turn: int, draws: list[Draw]) -> list[str]:
 
 
 def tukey_row(case: str, draws: list[Draw]) -> list[str]:
-    """What Tukey's loss loses, and its errors."""
+    """Measurements that Tukey's loss rejects, and its errors."""
     rows, rejected = np.sum([draw["lost"] for draw in draws], axis=0)
     ratios = np.array([draw["ratios"] for draw in draws])
     turns = np.array([draw["turn"] for draw in draws])

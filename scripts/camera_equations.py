@@ -51,15 +51,15 @@ class Variant(NamedTuple):
 
     name: str
     keywords: dict[str, Any]
-    """naif_keywords that are other ones."""
+    """naif_keywords that differ."""
     edit: Callable[[dict[str, Any]], None] = lambda isd: None
-    """What it is known to write otherwise."""
+    """The known difference."""
     why: str = ""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """An image: its optics, lines, and what turns and moves."""
+    """An image: its optics, lines, frames and bodies."""
 
     camera: str
     name: str
@@ -72,7 +72,7 @@ class Scene:
     code: int
     """The instrument's."""
     frames: tuple[str, str]
-    """That which C-kernels turn, and the camera's."""
+    """The frame of the C-kernels, and the camera's."""
     body: str
     fixed: str
     platform: str = ""
@@ -113,7 +113,7 @@ class Scene:
         return pool(f"BODY{spice.bods2c(self.body)}_RADII")
 
     def ground(self, line: float, sample: float) -> Vector:
-        """m, body-fixed: the equations."""
+        """m, body-fixed, by the equations."""
         time = self.time(line)
         turn = self.body_turn(time)
         place, ray = turn @ self.state(time)[:3], turn @ self.turn(time, self.frames[1]).T @ self.optics.look(sample)

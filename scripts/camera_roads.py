@@ -31,18 +31,18 @@ HEAD = (
 
 
 class Row(NamedTuple):
-    """Largest differences in pixels of 25 places; NaN where a road is not there."""
+    """Largest differences in pixels of 25 places; NaN where a path is missing."""
 
     camera: str
     image: str
     label: float
     support: float
-    both: float
+    between: float
     why: str
 
 
 def rows(name: str, data: Path) -> list[Row]:
-    """Of one camera, by its name in CAMERAS: as it is, then its variants."""
+    """Rows of one camera, by its name in CAMERAS: the scene, then its variants."""
     make, folder, more = CAMERAS[name]
     kernels = kernels_of(data, folder, *more) if folder else []
     with tempfile.TemporaryDirectory() as place:
@@ -81,7 +81,7 @@ def rows(name: str, data: Path) -> list[Row]:
 
 
 def by_label(scene: Scene, kernels: Sequence[Path]) -> PushbroomImage | None:
-    """The program's road; None where there is none."""
+    """The image as the program reads it from its label; None without a label."""
     if scene.label is None:
         return None
     if isinstance(scene, Tabled):
@@ -90,7 +90,7 @@ def by_label(scene: Scene, kernels: Sequence[Path]) -> PushbroomImage | None:
 
 
 def cell(pixels: float) -> str:
-    """px, in two digits; nothing for a road that is not there."""
+    """px, in two digits; empty where a path is missing."""
     return "" if np.isnan(pixels) else f"{pixels:.2g} px"
 
 
@@ -98,7 +98,7 @@ def made(data: Path, names: Sequence[str]) -> Blocks:
     """The table."""
     compared = [row for name in names for row in rows(name, data)]
     return {"camera_roads": table(HEAD, [
-        [row.camera, row.image, cell(row.label), cell(row.support), cell(row.both), row.why] for row in compared
+        [row.camera, row.image, cell(row.label), cell(row.support), cell(row.between), row.why] for row in compared
     ])}  # fmt: skip
 
 

@@ -25,12 +25,12 @@ HRSC_TIMES = ((255744599.02748165, 0.012800790786743165, 1), (255744684.33197814
 
 
 def without(code: int) -> dict[str, Any]:
-    """That positions are geometric."""
+    """Keywords for geometric positions."""
     return {f"INS{code}_LIGHTTIME_CORRECTION": "NONE"}
 
 
 def apparent(code: int) -> Variant:
-    """Positions as ALE asks SPICE for them where an addendum says nothing else."""
+    """Positions as ALE asks SPICE for them by default."""
     keywords = {} if code == -131351 else {f"INS{code}_LIGHTTIME_CORRECTION": "LT+S"}
     return Variant("positions LT+S", keywords, why="made geometric, the Sun's own motion left out")
 
@@ -98,20 +98,20 @@ def kaguya(code: int, signed: bool) -> dict[str, Any]:
     return {"undistort": undistort, "model": {"kaguyalism": model}}
 
 
-def words(label: Path, key: str) -> str:
-    """What a label says of a key, without quotes and units."""
+def entry(label: Path, key: str) -> str:
+    """Value of a label's key, without quotes and units."""
     match = re.search(rf"^\s*{re.escape(key)}\s*=\s*(.*)$", label.read_text(errors="ignore"), re.MULTILINE)
     assert match is not None, f"{label}: no {key}"
     return re.sub(r"<.*>|[\"()]", "", match[1]).strip()
 
 
-def seen(label: Path, key: str) -> float:
+def number(label: Path, key: str) -> float:
     """A number of a label."""
-    return float(words(label, key))
+    return float(entry(label, key))
 
 
 def kernels_of(data: Path, folder: str, *more: str) -> list[Path]:
-    """All of a folder in the order of loading, the addendum after the instrument kernel; then `others`."""
+    """All of a folder in the order of loading, the addendum after the instrument kernel; then `more`."""
     kinds = (".tls", ".tsc", ".tpc", ".tf", ".ti", ".bsp", ".bc")
     kernels = [path for path in sorted((data / folder).iterdir()) if path.suffix.lower() in kinds]
     kernels.sort(key=lambda path: (kinds.index(path.suffix.lower()), "ddendum" in path.name))
@@ -125,8 +125,8 @@ MOON = (
 
 def ctx(data: Path, _: Path) -> Scene:
     label = data / "mro_ctx_b10" / "B10_013341_1010_XN_79S172W_pds3.lbl"
-    start = spice.scs2e(-74, words(label, "SPACECRAFT_CLOCK_START_COUNT"))
-    rate = (0.0, start, seen(label, "LINE_EXPOSURE_DURATION") * 1e-3)
+    start = spice.scs2e(-74, entry(label, "SPACECRAFT_CLOCK_START_COUNT"))
+    rate = (0.0, start, number(label, "LINE_EXPOSURE_DURATION") * 1e-3)
     return Scene(
         "MRO CTX", "B10_013341", by_keywords(-74021, **radial(-74021)), (400, 5000), [rate], "-74", -74021,
         ("MRO_SPACECRAFT", "MRO_CTX"), "MARS", "IAU_MARS", "MARS_RECONNAISSANCE_ORBITER", "CONTEXT CAMERA", label=label,
@@ -136,8 +136,8 @@ def ctx(data: Path, _: Path) -> Scene:
 
 def lroc(data: Path, _: Path) -> Scene:
     label = data / "lro_nac_m103595705" / "M103595705LE_pds3.lbl"
-    preroll = spice.scs2e(-85, words(label, "LRO:SPACECRAFT_CLOCK_PREROLL_COUNT"))
-    period = seen(label, "LINE_EXPOSURE_DURATION") * 1e-3 * 1.0045
+    preroll = spice.scs2e(-85, entry(label, "LRO:SPACECRAFT_CLOCK_PREROLL_COUNT"))
+    period = number(label, "LINE_EXPOSURE_DURATION") * 1e-3 * 1.0045
     k = float(pool("INS-85600_OD_K")[0])
     optics = by_keywords(
         -85600, undistort=lambda x, y: (x, y / (1.0 + k * y * y)), model={"lrolrocnac": {"coefficients": [k]}}
@@ -151,7 +151,7 @@ def lroc(data: Path, _: Path) -> Scene:
 
 def moc_narrow(data: Path, _: Path) -> Scene:
     label = data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
-    start, period = spice.scs2e(-94, words(label, "SpacecraftClockCount")), seen(label, "LineExposureDuration") * 1e-3
+    start, period = spice.scs2e(-94, entry(label, "SpacecraftClockCount")), number(label, "LineExposureDuration") * 1e-3
     optics = by_keywords(-94031, origin=(0.0, 1024.5), summing=8.0, model={"radial": {"coefficients": [0.0] * 3}})
     return Scene(
         "MGS MOC-NA", "M04/02852", optics, (1536, 256), [(0.0, start, 8.0 * period)], "-94", -94031,
@@ -213,8 +213,8 @@ def moc_wide(_: Path, folder: Path) -> Scene:
 
 def terrain(data: Path, _: Path) -> Scene:
     label = data / "kaguya_tc" / "TC1S2B0_01_06691S820E0465_pds3.lbl"
-    start = spice.sct2e(-131, seen(label, "CORRECTED_SC_CLOCK_START_COUNT"))
-    rate = (0.0, start, seen(label, "CORRECTED_SAMPLING_INTERVAL") * 1e-3)
+    start = spice.sct2e(-131, number(label, "CORRECTED_SC_CLOCK_START_COUNT"))
+    rate = (0.0, start, number(label, "CORRECTED_SAMPLING_INTERVAL") * 1e-3)
     return Scene(
         "Kaguya TC1", "S820E0465", by_keywords(-131351, **kaguya(-131351, signed=False)), (400, 3208), [rate], "-131",
         -131351, ("SELENE_M_SPACECRAFT", "LISM_TC1_HEAD"), "MOON", "MOON_ME", "SELENE", "TERRAIN CAMERA 1", label=label,
@@ -263,7 +263,7 @@ End
 """
 
 
-def made_up(folder: Path, name: str, size: tuple[int, int], target: str, start: float, code: int, rows: str) -> Path:
+def label_of(folder: Path, name: str, size: tuple[int, int], target: str, start: float, code: int, rows: str) -> Path:
     """The label of an ISIS cube, with keywords of its instrument, separated by semicolons."""
     path = folder / f"{name}.lbl"
     utc, rows = spice.et2utc(start, "ISOC", 6), rows.replace("; ", "\n")
@@ -302,7 +302,7 @@ def hirise(_: Path, folder: Path) -> Scene:
     return Scene(
         "MRO HiRISE RED5", "label made up, orbit of MRO", optics, size, [(0.0, start + late, line * binned)], "-74",
         -74699, ("MRO_SPACECRAFT", "MRO_HIRISE_OPTICAL_AXIS"), "MARS", "IAU_MARS", "MARS_RECONNAISSANCE_ORBITER",
-        "HIRISE", label=made_up(folder, "hirise", size, "Mars", start, -74605, keywords), kernels=files,
+        "HIRISE", label=label_of(folder, "hirise", size, "Mars", start, -74605, keywords), kernels=files,
     )  # fmt: skip
 
 
@@ -316,8 +316,8 @@ def multiband(_: Path, folder: Path) -> Scene:
         DISTORTION_COEF_Y=(-1.4e-3, 2.4e-3, 2.7e-6),
     )  # fmt: skip
     keywords = f"InstrumentId = MI-VIS; CorrectedSamplingInterval = {period * 1e3} <msec>"
-    label = made_up(folder, "mi", size, "Moon", near, code, keywords)
-    start = spice.str2et(words(label, "StartTime"))
+    label = label_of(folder, "mi", size, "Moon", near, code, keywords)
+    start = spice.str2et(entry(label, "StartTime"))
     return Scene(
         "Kaguya MI-VIS MV2", "label and constants made up, orbit of S820E0465",
         by_keywords(code, origin=(0.0, 481.5), **kaguya(code, signed=True)), size, [(0.0, start, period)], "-131", code,
@@ -378,7 +378,7 @@ def themis(data: Path, folder: Path) -> Scene:
         "Odyssey THEMIS-IR band 3", "label made up, orbit of MGS", optics, size,
         [(0.0, start + 0.5 + (row - 0.5) * period, period)], "-53", -53031, ("MGS_SPACECRAFT", "M01_THEMIS_IR"), "MARS",
         "IAU_MARS", "MARS ODYSSEY", "MARS ODYSSEY", kernels=files,
-        label=made_up(folder, "themis", size, "Mars", start, -53031, keywords),
+        label=label_of(folder, "themis", size, "Mars", start, -53031, keywords),
         variants=[Variant("as ALE has it", without(-53031), themis_of_ale, "202.059 mm, no distortion: put right")],
     )  # fmt: skip
 
@@ -494,13 +494,13 @@ def cube(name: str) -> Callable[[Path, Path], Scene]:
 
     def scene(data: Path, _: Path) -> Scene:
         label = data / "mgs_moc_wa_three" / f"{name}.pvl"
-        across, down = seen(label, "CrosstrackSumming"), seen(label, "DowntrackSumming")
+        across, down = number(label, "CrosstrackSumming"), number(label, "DowntrackSumming")
         start = json.loads(label.with_suffix(".isd").read_text())["instrument_position"]["ephemeris_times"][0]
-        rate = (0.0, start, seen(label, "LineExposureDuration") * 1e-3 * down)
-        optics = replace(wide_optics(summing=across), first=seen(label, "FirstLineSample"))
+        rate = (0.0, start, number(label, "LineExposureDuration") * 1e-3 * down)
+        optics = replace(wide_optics(summing=across), first=number(label, "FirstLineSample"))
         return Tabled(
-            "MGS MOC-WA red", f"{words(label, 'ProductId')} (cube)", optics,
-            (int(seen(label, "Lines")), int(seen(label, "Samples"))), [rate], "", -94032, ("", ""), "MARS", "",
+            "MGS MOC-WA red", f"{entry(label, 'ProductId')} (cube)", optics,
+            (int(number(label, "Lines")), int(number(label, "Samples"))), [rate], "", -94032, ("", ""), "MARS", "",
             label=label, why="by its cube's tables, at whose samples the equations ask, too",
         )  # fmt: skip
 
@@ -515,4 +515,4 @@ CAMERAS: dict[str, tuple[Callable[[Path, Path], Scene], str, Sequence[str]]] = {
     "hrsc": (hrsc, "mex_hrsc_h5270", ()), "terrain": (terrain, "kaguya_tc", MOON),
     "multiband": (multiband, "kaguya_tc", MOON), "crism": (crism, "", ()),
 }  # fmt: skip
-"""Makers of scenes, folders of their kernels, and further ones."""
+"""Functions that make scenes, folders of their kernels, and further kernels."""

@@ -21,7 +21,7 @@ from study import (
     Draw,
     cases,
     degrees_of_points,
-    degrees_together,
+    joint_degrees,
     names_of,
     nees_cell,
     number,
@@ -51,11 +51,11 @@ from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_
 from mgsgraph.simulation.sites import SITE_NAMES
 
 HEIGHT_SIGMA = 5.0
-"""m, a-priori sigma of the model's height as a whole, from which it is drawn."""
+"""m, a-priori sigma of the model's height offset, which is drawn."""
 STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
 """pixels between matches and of their noise; m, width of a matching window."""
 REACH = 1000.0
-"""m, up to which shifts are searched."""
+"""m, largest shift that is searched."""
 KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
 METHODS = ("ties", "cells")
@@ -79,7 +79,7 @@ def one_draw(name: str, seed: int) -> Draw:
 
 
 def drawn_case(name: str, seed: int, folder: Path) -> tuple[Case, "Truth", SimulatedSite, np.random.Generator]:
-    """A case in the mission's formats, what it should find, the site, and the generator for its matches.
+    """A case in the mission's formats, its truth, the site, and the generator for its matches.
 
     Raises InputError where a profile misses its image.
     """
@@ -113,7 +113,7 @@ def shown(
 
 
 class Truth:
-    """What an adjustment should find."""
+    """The true values that an adjustment estimates."""
 
     def __init__(self, site: SimulatedSite, lift: float) -> None:
         self._points = dict(zip(site.ties.ids, site.true_ties, strict=True))
@@ -146,7 +146,7 @@ class Truth:
             "converged": solution.converged,
             "degrees": {
                 "terrain": model.size, "ties": degrees_of_points(solution, members[0]),
-                "profiles": degrees_together(profiles, 2), "laser": degrees_of_points(solution, members[1]),
+                "profiles": joint_degrees(profiles, 2), "laser": degrees_of_points(solution, members[1]),
             },
             "nees": {kind: float(values.mean()) / KINDS[kind] for kind, values in squares.items()},
             "inside": float(np.mean(of_each_tie < INSIDE)),

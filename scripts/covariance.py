@@ -12,7 +12,7 @@ import mgsgraph
 
 
 def main(path: str, name_a: str, name_b: str) -> None:
-    """Print them."""
+    """Print the sigmas."""
     case = mgsgraph.read_case(path)
     graph, values, keys = mgsgraph.factor_graph(case)
     optimum = mgsgraph.optimize(graph, values)

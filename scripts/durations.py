@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 
 KEPT = Path(__file__).resolve().parents[1] / "tests" / "durations.json"
 LEAST = 5e-4
-"""Share below which a test is not kept."""
+"""Share below which a test is not stored."""
 GROWN, FACTOR = 1e-3, 1.5
-"""By what share, and how many times, one has grown that is named."""
+"""Least growth of a test that is reported: share, and factor."""
 SLOWEST = 20
 
 

@@ -44,7 +44,7 @@ def ground(name: str) -> SiteTerrain:
 
 
 def one_draw(name: str, seed: int, terrain: SiteTerrain | None = None) -> Draw:
-    """Of each kind of error the sum of their squares over their sigmas, and how many there are."""
+    """Sum of squares over sigmas, and number, of each kind of error."""
     sums = dict[str, tuple[float, int]]()
     for kind, errors in _normalised(simulate_site(name, seed, OPTIONS, replace(terrain or ground(name), seed=seed))):
         squares, count = sums.get(kind, (0.0, 0))

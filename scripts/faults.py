@@ -44,7 +44,7 @@ class Fault(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What the tests of a fault have shown: which of them failed, or how they ended otherwise."""
+    """Result of a fault's tests: which of them failed, or how they ended."""
 
     caught: bool
     seconds: float
@@ -69,7 +69,7 @@ def tracked() -> Iterable[str]:
 
 
 def copied(source: Path, names: Iterable[str], folder: Path) -> Path:
-    """A folder's files in a new one, links as links, with their times: else kernels would be compiled anew. The package
+    """A folder's files in a new one, links as links, with their times: else kernels are compiled again. The package
     is imported by a link beside the copy, since tests take their own checkout off the path.
     """
     copy = folder / "checkout"
@@ -84,7 +84,7 @@ def copied(source: Path, names: Iterable[str], folder: Path) -> Path:
 
 
 def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
-    """Exit status, output and s of Python with a copy's package; what takes too long is ended, with status -1."""
+    """Exit status, output and s of Python with a copy's package; status -1 after a timeout."""
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     environment |= {"PYTHONPATH": str(copy.parent / "path"), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "200"}
     began, how = time.monotonic(), {"cwd": copy, "env": environment, "timeout": LONGEST, "check": False}
@@ -96,7 +96,7 @@ def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
 
 
 def tried(fault: Fault, plain: Path) -> Outcome:
-    """The fault in a copy of its own: caught where one of its tests fails, not where pytest ends otherwise."""
+    """The fault in a copy of its own: caught if one of its tests fails; other errors of pytest do not count."""
     with tempfile.TemporaryDirectory(prefix="mgsgraph-fault-") as folder:
         names = [str(path.relative_to(plain)) for path in plain.rglob("*") if path.is_symlink() or path.is_file()]
         copy = copied(plain, names, Path(folder))

@@ -34,7 +34,7 @@ class Source(NamedTuple):
     sha256: str
 
     def check(self, path: Path) -> None:
-        """Raise InputError for another content."""
+        """Raise InputError if the content differs."""
         require((digest := sha256_of(path)) == self.sha256, str(path), f"SHA-256 {digest}", self.sha256)
 
 
@@ -44,7 +44,7 @@ def sources(page: Path) -> Iterator[Source]:
 
 
 def fetch_case(case: Path, out: Path, remote: Remote) -> Path:
-    """Bring what is missing of a case's files; the case file beside them."""
+    """Fetch the missing files of a case; write the case file beside them."""
     text = read_text(case)
     for source in sources(case.with_name("README.md")):
         path = out / source.folder / source.name

@@ -60,7 +60,7 @@ EXAMPLES = 100
 
 
 class End(StrEnum):
-    """What became of a file."""
+    """How reading a file ended."""
 
     READ = "read"
     REFUSED = "clear error"
@@ -78,7 +78,7 @@ GOOD = (End.READ, End.REFUSED)
 
 
 class Outcome(NamedTuple):
-    """An end, the words about it, and what was read, as places and plain values."""
+    """An end, its message, and what was read, as paths and plain values."""
 
     end: End
     words: str = ""
@@ -89,7 +89,7 @@ class Outcome(NamedTuple):
 
 
 def flat(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """All values in a record by their places in it."""
+    """All values in a record by their paths in it."""
     if isinstance(value, np.ndarray):
         yield f"{where}#", (value.shape, value.dtype.str, value.tobytes() if value.dtype != object else repr(value))
         if value.dtype.kind in "fc" and not np.all(np.isfinite(value)):
@@ -120,7 +120,7 @@ def _names(value: Any) -> tuple[str, ...]:
 
 
 def _not_finite(read: dict[str, Any]) -> set[str]:
-    """Where numbers are not finite; indices are left out."""
+    """Paths of numbers that are not finite, without indices."""
     return {re.sub(r"\[\d+\]", "[]", where) for where, value in read.items() if value == "nan"}
 
 
@@ -128,10 +128,10 @@ def _not_finite(read: dict[str, Any]) -> set[str]:
 
 
 def outcome(reader: Reader, data: bytes) -> Outcome:
-    """What becomes of a content that stands in its file's place."""
+    """How reading ends when a file has this content."""
     folder = Path(_ROOM.name) / str(os.getpid()) / re.sub(r"\W", "_", reader.name)
     seed = _seed(reader)
-    _lay(folder, {**seed.files, seed.main: data})
+    _write_files(folder, {**seed.files, seed.main: data})
     before, end, streams = _listing(folder), os.memfd_create("told"), [os.memfd_create(name) for name in ("out", "err")]
     child = os.fork()
     if child == 0:
@@ -142,7 +142,7 @@ def outcome(reader: Reader, data: bytes) -> Outcome:
             os._exit(0)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what it has begun itself
+        os.killpg(child, signal.SIGKILL)  # its own child processes
     answer, out, err = (_text(file) for file in (end, *streams))
     errors = err.decode(errors="replace")
     if ended < 0:
@@ -164,8 +164,8 @@ def _seed(reader: Reader) -> Seed:
     return reader.seed()
 
 
-def _lay(folder: Path, files: dict[str, bytes]) -> None:
-    """A folder with the files, and with what is no file."""
+def _write_files(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the files into a folder; for commands also pipes, links and broken files."""
     shutil.rmtree(folder, ignore_errors=True)
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +180,7 @@ def _lay(folder: Path, files: dict[str, bytes]) -> None:
 
 
 def _listing(folder: Path) -> dict[str, int]:
-    """Files by name with their sizes; what SQLite keeps beside a database is left out."""
+    """Files by name with their sizes; SQLite's journals are left out."""
     return {
         str(path.relative_to(folder)): path.lstat().st_size if path.is_file() and not path.is_symlink() else -1
         for path in folder.rglob("*") if not path.name.endswith(("-wal", "-shm", "-journal"))
@@ -195,7 +195,7 @@ def _text(memory: int) -> bytes:
 
 
 def _isolate(reader: Reader, streams: list[int]) -> None:
-    """Nothing to read, printing into memory, a time and little memory; what is begun ends with this process."""
+    """No input, output into memory, limits of time and memory; child processes end with this one."""
     os.setpgid(0, 0)
     for number, stream in enumerate((os.open(os.devnull, os.O_RDONLY), *streams)):
         os.dup2(stream, number)
@@ -224,7 +224,7 @@ def _report(reader: Reader, path: Path, end: int) -> None:
 
 
 def _of_error(error: BaseException, folder: str) -> Outcome:
-    """What an error is to a user."""
+    """How an error ends for a user."""
     text, causes = str(error), [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and len(causes) < 20:
         causes.append(cause)
@@ -241,7 +241,7 @@ def _of_error(error: BaseException, folder: str) -> Outcome:
 
 
 def _of_command(result: Outcome, err: str) -> Outcome:
-    """What a command's exit status and its words are to a user."""
+    """How a command ends for a user, by its exit status and messages."""
     lines = [line for line in err.splitlines() if line.strip()]
     if result.end is not End.READ:
         return result
@@ -250,19 +250,19 @@ def _of_command(result: Outcome, err: str) -> Outcome:
     if result.words == "2":
         clear = len(lines) == 1 and len(err) < 2 * LONGEST and lines[0].expandtabs().isprintable()
         return Outcome(End.REFUSED if clear else End.UNCLEAR, ascii(err)[:300])
-    if result.words not in ("0", "1"):  # 130: broken off by the clock
+    if result.words not in ("0", "1"):  # 130: stopped by the alarm
         return Outcome(End.HANG if result.words == "130" else End.UNCLEAR, f"exit status {result.words}")
     return Outcome(End.PRINTED, err[:300]) if "Warning" in err else result
 
 
 @cache
 def sound(reader: Reader) -> dict[str, Any]:
-    """What is read of the undamaged file; nothing where it is refused."""
+    """Content of the undamaged file; empty where it is refused."""
     return outcome(reader, _seed(reader).files[_seed(reader).main]).read or {}
 
 
 def judged(reader: Reader, data: bytes) -> Outcome:
-    """The same, of a reading also whether it is one that can be."""
+    """As `outcome`; it also judges whether a result is possible."""
     result, right = outcome(reader, data), sound(reader)
     if result.end is not End.READ or reader.read is obeyed:
         return result
@@ -278,7 +278,7 @@ _HUNTS: list[Callable[[], Found]] = []
 
 
 def hunt(reader: Reader, seconds: float, examples: Path | None = None) -> Found:
-    """Files of a reader for some seconds; how they ended, and the smallest that ended badly."""
+    """Try damaged files of a reader for some seconds; how they ended, and the smallest that ended badly."""
     seed, ends, until = _seed(reader), Counter[str](), time.monotonic() + seconds
     original, bad = seed.files[seed.main], list[tuple[bytes, Outcome]]()
     database = None if examples is None else DirectoryBasedExampleDatabase(examples / re.sub(r"\W", "_", reader.name))
@@ -315,7 +315,7 @@ def _common_start(left: bytes, right: bytes) -> int:
 
 
 def _hunted(number: int) -> Found:
-    return _HUNTS[number]()  # of before the fork: readers hold functions, which can't be sent
+    return _HUNTS[number]()  # from before the fork: readers hold functions, which can't be sent
 
 
 def main() -> None:

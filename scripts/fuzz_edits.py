@@ -24,13 +24,13 @@ NUMBERS = (
     b"9" * 400, b"7" * 5000, b"0x10", b"1_000", "١٢".encode(), b"1,5", b"true", b"null", b"[]", b"{}", b"2147483648",
     b"-2147483649", b"9223372036854775808", b"1e19", b"99999999999", b"1d5", b"1e", b"++1", b"1 km", b'"1"',
 )  # fmt: skip
-"""What may stand in a number's place."""
+"""Texts that replace a number."""
 NAMES = (
     b"", b"..", b"../../../../etc/passwd", b"/dev/zero", b"/", b"a" * 300, b"a\0b", b"\xff\xfe", b"\x1b[31m",
     "\u202e".encode(), b"\xed\xa0\x80", b"<script>", b"None", b"%s%n", b"/vsizip/x.zip/y", b"Moon", b"' OR 1=1", b"\\",
     b"\n", b"#", b"a=b", b"2#1111#", b'"', b"{", b"(", b"=", b"NULL", b"\0", b"\x85", "\u2028".encode(), b"\r",
 )  # fmt: skip
-"""What may stand in a name's place."""
+"""Texts that replace a name."""
 LONG = tuple(
     piece * times
     for times in (101, 1200, 20_000)
@@ -52,7 +52,7 @@ _UNITS = (b" <km>", b" <m>", b" <ms>", b" <seconds>", b" <degrees>", b" <>", b" 
 _ENCODINGS = ("utf-16", "utf-8-sig", "utf-32", "utf-7", "cp037")
 _CODES = ("B", "<H", ">H", "<i", ">i", "<q", "<f", ">f", "<d", ">d")
 _REACH = 4096
-"""bytes at both ends of a file that are met as often as all the others: there its structure stands."""
+"""bytes at both ends of a file, which hold its structure: they are edited as often as all others."""
 Change = Callable[[bytes], SearchStrategy[bytes]]
 
 
@@ -64,14 +64,14 @@ def place(size: int) -> SearchStrategy[int]:
 
 @st.composite
 def bit(draw: DrawFn, data: bytes) -> bytes:
-    """A bit flipped, as a disk does it."""
+    """A flipped bit, as by a disk error."""
     at, position = draw(place(len(data))), draw(st.integers(0, 7))
     return data[:at] + bytes(byte ^ 1 << position for byte in data[at : at + 1]) + data[at + 1 :]
 
 
 @st.composite
 def stretch(draw: DrawFn, data: bytes) -> bytes:
-    """Bytes left out, put in, repeated, blanked; the file cut short or made longer."""
+    """Bytes removed, inserted, repeated, blanked; the file cut short or made longer."""
     at, size = draw(place(len(data))), draw(st.sampled_from((0, 1, 2, 4, 8, 40, 512, len(data))))
     piece = data[at : at + min(size, 1000)]
     fixed = b"", piece * 2, piece * 100, *(filler * len(piece) for filler in (b"\0", b"\xff", b" "))
@@ -188,7 +188,7 @@ def json_value(draw: DrawFn, data: bytes) -> bytes:
 
 @st.composite
 def member(draw: DrawFn, data: bytes) -> bytes:
-    """A member of a NumPy archive: its numbers, shape and type, or its name; the archive is whole."""
+    """A member of a NumPy archive: its numbers, shape and type, or its name; the archive stays valid."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
@@ -209,7 +209,7 @@ def member(draw: DrawFn, data: bytes) -> bytes:
 
 @st.composite
 def cell(draw: DrawFn, data: bytes) -> bytes:
-    """A cell or row of a database that is whole; mostly without its checksum, as a killed writer leaves it."""
+    """A cell or row of a valid database; mostly without its checksum, as a killed writer leaves it."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as base:
         try:
             base.deserialize(data)
@@ -244,7 +244,7 @@ def bomb() -> bytes:
 
 
 def packed(data: bytes) -> SearchStrategy[bytes]:
-    """What gzip has packed, damaged and packed again; or a bomb."""
+    """Content of a gzip file, damaged and packed again; or a bomb."""
     try:
         content = gzip.decompress(data) if len(data) < 1_000_000 else b""
     except (OSError, EOFError, zlib.error):
@@ -266,7 +266,7 @@ WORDS = (
 
 @st.composite
 def words(draw: DrawFn, data: bytes) -> bytes:
-    """A command line, as JSON: a word replaced, left out, twice or longer, or an option of the verb more."""
+    """A command line, as JSON: a word replaced, removed, repeated or longer, or one more option of the verb."""
     from mgsgraph.cli import group
 
     line: list[str] = json.loads(data)
@@ -289,11 +289,11 @@ FORMS: dict[str, tuple[Change, ...]] = {
     "json": (json_value, json_value, token, line, whole, stretch), "npz": (member, member, stretch, bit),
     "sqlite": (cell, cell, stretch, bit), "gzip": (packed, packed, stretch), "words": (words,), "bit": (bit,),
 }  # fmt: skip
-"""What is done to files of a form."""
+"""Edits of files of a form."""
 
 
 def edited(sound: bytes, form: str) -> SearchStrategy[bytes]:
-    """The file with one piece of damage, or with two; but for single bits."""
+    """The file with one edit, or two; single bits only once."""
 
     def once(data: bytes) -> SearchStrategy[bytes]:
         return st.one_of(*(change(data) for change in FORMS[form]))

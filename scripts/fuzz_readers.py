@@ -29,7 +29,7 @@ _SHOTS = (".ranges", ".spacecraft", ".areoid_radii", ".off_nadir", ".pulses", ".
 def every(only: Sequence[str] = ()) -> list[Reader]:
     """All readers, or those whose names hold one of some words."""
     rows = (
-        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *_networks(), *_altimetry(), *_kept(),
+        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *_networks(), *_altimetry(), *_with_checksums(),
         *_archives(), *_real_files(), *_commands(),
     )  # fmt: skip
     return [row for row in rows if not only or any(word in row.name for word in only)]
@@ -232,8 +232,8 @@ def _altimetry() -> Iterator[Reader]:
     yield Reader("altimetry cloud, LOLA", lambda path: read_altimetry_cloud(path), binary, "bytes", gaps=_SHOTS)
 
 
-def _kept() -> Iterator[Reader]:
-    """What has checksums: a flipped bit is refused, or nobody reads it."""
+def _with_checksums() -> Iterator[Reader]:
+    """Formats with checksums: a flipped bit is refused, or not read."""
     from mgsgraph.case.reading import window_beside
     from mgsgraph.errors import require
     from mgsgraph.export.network_content import source_networks
@@ -351,7 +351,7 @@ def _packed(folder: str, name: str, lines: int) -> Seed:
 
 
 def _real_files() -> Iterator[Reader]:
-    """None where there are no such files."""
+    """No reader where the files are missing."""
     if not DATA.is_dir():
         return
     import mgs
@@ -422,7 +422,7 @@ last three are refused: the pair has no pixels.
 def _commands() -> Iterator[Reader]:
     """Every verb with odd words, and some with damaged files."""
     for verb, (line, more) in _LINES.items():
-        if verb == "studio":  # with odd words it would serve
+        if verb == "studio":  # it would start a server
             continue
         seed = partial(_command_seed, verb, line, more, seeds.WORDS)
         yield Reader(f"mgsgraph {verb}", seeds.obeyed, seed, "words", patience=60.0)

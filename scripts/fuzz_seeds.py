@@ -32,20 +32,20 @@ class Seed(NamedTuple):
 
 
 class Reader(NamedTuple):
-    """A way into the program."""
+    """A function that reads a file, or a command."""
 
     name: str
     read: Callable[[Path], Any]
     seed: Callable[[], Seed]
-    """Of its sound files, written when they are wanted."""
+    """Its valid files, written on request."""
     form: str
-    """Of its damage, of `fuzz_edits.FORMS`."""
+    """Kind of edits, of `fuzz_edits.FORMS`."""
     gaps: tuple[str, ...] = ()
-    """Ends of the places where what is read may have gaps (NaN): posts that are missing."""
+    """Ends of the paths where the result may have gaps (NaN), such as missing posts."""
     same: bool = False
-    """Whether all that is not refused must be read as of the sound file."""
+    """Whether each file that is not refused must give the valid file's result."""
     patience: float = 10.0
-    """s that it may take."""
+    """s, time limit."""
 
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -57,7 +57,7 @@ def of_tests(path: str) -> SimpleNamespace:
 
 
 def made(main: str, write: Callable[[Path], Any]) -> Seed:
-    """What a function writes into a folder."""
+    """Files that a function writes into a folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder)
@@ -77,7 +77,7 @@ def text(name: str, content: str | bytes, **beside: str | bytes) -> Seed:
 
 
 def commanded(*arguments: object) -> None:
-    """`mgsgraph` with these arguments; exit status 1 is that of a doubtful result."""
+    """`mgsgraph` with these arguments; exit status 1 means a doubtful result."""
     words = [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
     done = subprocess.run(words, stdout=subprocess.DEVNULL, check=False)
     if done.returncode not in (0, 1):
@@ -90,7 +90,7 @@ WORDS = "words.json"
 
 
 def obeyed(path: Path) -> None:
-    """The command line beside or above a file; ends the process, as a command does."""
+    """Run the command line beside or above a file; this ends the process."""
     from mgsgraph.cli import main
 
     os.chdir(next(folder for folder in path.parents if (folder / WORDS).exists()))

@@ -12,7 +12,7 @@ import golden  # noqa: E402
 
 
 def main() -> int:
-    """Status 1 where something differs and nothing is written."""
+    """Exit status 1 if results differ and none is written."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", choices=[[], *golden.GOLDEN], help="all when absent")
     parser.add_argument("--write", action="store_true", help="replace the golden results")
@@ -30,7 +30,7 @@ def main() -> int:
 
 
 def show(before: golden.Result, result: golden.Result) -> bool:
-    """Print the largest difference of each kind, and all beyond the tolerances; whether there are any of these."""
+    """Print the largest difference of each kind, and all beyond the tolerances; True if there is one."""
     worst, kind = golden.differences(before, result, golden.tolerances()), before | result
     for quantity in golden.TOLERANCES:
         name = max((name for name in worst if kind[name][0] == quantity), key=worst.__getitem__, default="")

@@ -43,7 +43,7 @@ SIGMA = 0.3
 """px, of a tie's measure in each direction."""
 LEVEL, RELIEF, LOOSE = 1_736_930.0, 1000.0, 20e3
 """m: mean radius of LOLA's shots in NAC-L, sigma of a tie's radius about it (their scatter is 558 m, the fixed points
-are 2 km apart), and sigma of its horizontal place: as good as unknown."""
+are 2 km apart), and sigma of its horizontal place (practically free)."""
 PRIORS = (0.1, 1.0, 10.0)
 """mrad, a-priori sigmas of R's boresight about each axis."""
 HEAD = ("lines of L", "ties", "median, m", "scatter, m", "sigma of one, m", "nearest shot, km away", "its median, m")
@@ -51,7 +51,7 @@ STRETCHES = ((0, 10_000), (10_000, 20_000), (20_000, 28_000), (28_000, 30_500), 
              (45_000, 52_224))  # fmt: skip
 """Lines of NAC-L by which heights are compared."""
 NEAR = 9e3
-"""m from a tie, beyond which a shot says nothing of its height."""
+"""m, largest distance from a tie of a shot that is compared with it."""
 
 
 class Rig(NamedTuple):
@@ -111,7 +111,7 @@ def adjusted(network: Network) -> Solution:
 
 
 def residual_rows(rig: Rig) -> list[list[str]]:
-    """Residuals of each way to adjust, by image."""
+    """Residuals of each variant of the adjustment, by image."""
     loose = ERRORS.sigmas.copy()
     loose[0, 3:] = np.hypot(loose[0, 3:], 1.0 * MRAD)
     alone = replace(rig.network, passes=(), shared=(), priors=(rig.network.priors[0], OrientationPrior(loose)))
@@ -202,7 +202,7 @@ def seam(rig: Rig) -> tuple[float, float]:
 
 
 class Control(NamedTuple):
-    """What LOLA's shots could be as control."""
+    """LOLA's shots as possible control."""
 
     left: int
     """Shots in NAC-L's footprint."""
@@ -238,7 +238,7 @@ def lola(rig: Rig, shots: AltimeterShots) -> Control:
 
 
 def free_radii(rig: Rig) -> Network:
-    """The rig with nothing said of the ties' places."""
+    """The rig without a-priori places of the ties."""
     points = rig.network.points
     free = points.kinds != PointKind.FIXED
     loose = replace(

@@ -117,7 +117,7 @@ def _stages(values: Array) -> list[str]:
 
 
 def nees_table(draws: list[Draw]) -> list[str]:
-    """NEES of the nodes of all strips, and of the points of a block, which err together."""
+    """NEES of the nodes of all strips, and of the points of a block, whose errors are correlated."""
     rows = []
     for step in (0, 1):
         nodes, points, freedom = ([draw[key][step] for draw in draws] for key in ("nodes", "points", "points_freedom"))

@@ -27,7 +27,7 @@ GROUND = -900.0
 
 
 class Jigsaw(NamedTuple):
-    """What a version of ISIS expects; published/jigsaw.toml says what is what."""
+    """Published results of a version of ISIS; published/jigsaw.toml explains the fields."""
 
     mean: float
     largest: float
@@ -38,8 +38,8 @@ class Jigsaw(NamedTuple):
 
 _TEXT = (Path(__file__).parent / "published" / "jigsaw.toml").read_text(encoding="utf-8")
 PUBLISHED = {
-    version: Jigsaw(**{key: np.array(value) if isinstance(value, list) else value for key, value in told.items()})
-    for version, told in tomllib.loads(_TEXT).items()
+    version: Jigsaw(**{key: np.array(value) if isinstance(value, list) else value for key, value in entries.items()})
+    for version, entries in tomllib.loads(_TEXT).items()
 }
 
 
@@ -102,7 +102,7 @@ def rig_residuals(solution: Solution, ties: TiePoints) -> Array:
 
 
 class Seen(NamedTuple):
-    """What jigsaw's adjusted cameras see here."""
+    """Residuals of jigsaw's adjusted cameras in this program."""
 
     fixed: dict[str, Array]
     """(2, 2) px by point: residuals of a fixed point in L and in R, along x and y of each focal plane."""
@@ -117,7 +117,7 @@ class Seen(NamedTuple):
 
 
 def jigsaw_cameras(images: list[PushbroomImage], ties: TiePoints, jigsaw: Jigsaw, off: float = 0.0) -> Seen:
-    """ISIS's adjusted cameras in this geometry; `off`: samples by which measures are moved, to see what that does."""
+    """ISIS's adjusted cameras in this geometry; `off`: samples by which measures are moved, for comparison."""
     moved = replace(ties, measures=ties.measures + np.array([0.0, off]))
     cameras = [with_angles(*values) for values in zip(images, jigsaw.ascension, jigsaw.declination, strict=True)]
     residuals = jigsaw_residuals(cameras, moved, meeting(cameras, moved))

@@ -30,13 +30,13 @@ from mgsgraph.units import DEG, MRAD
 FREQUENCY, BAND = 2.0, 0.25
 """Hz of the vibration; and what share of it to either side counts as its ripple."""
 _BIN = 16
-"""Lines whose height errors are one mean."""
+"""Lines whose height errors are averaged."""
 _SUN = 0.9
 """rad, of the Sun from the zenith, in the west."""
 _CELLS, _SPACING = 8000, 80.0
 """For ties, two to a post of control; m between matches of the terrain model."""
 _NEAR, _ROUNDS = 20.0, 4
-"""m between which the ground's slopes are taken; rounds in which a model is laid on the ground."""
+"""m between which the ground's slopes are taken; rounds in which a model is fitted to the ground."""
 CASES = {"before": "polynomials of degree 3", "after": "slow process and vibrations"}
 
 

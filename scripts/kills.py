@@ -50,12 +50,12 @@ from profiles import with_profile
 TEMPORARY = "tmp"
 """Folder of a trial that stands for the system's temporary files."""
 TABLES = ("image", "shared", "bundle", "bundle_image", "packed", "grid", "profile")
-"""Of a project, all that is no time and no name of a machine."""
+"""Columns of a project that hold neither times nor names of machines."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _CAUGHT = (signal.SIGTERM, signal.SIGINT)
-"""Signals that the program handles, once it has begun; sooner they end it as they end any process."""
+"""Signals that the program handles, once it has started; before that they end it at once."""
 _LATE = 1.1
-"""Shares of a command's seconds until which it is killed."""
+"""Latest kill, as a share of a command's seconds."""
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _EVENTS = ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.truncate")
 
@@ -67,11 +67,11 @@ class Verb(NamedTuple):
     arguments: str
     """In the folder of a trial; ADDRESS is that of the archive."""
     made: str
-    """What it makes there, whose state is that before or that after; earlier ones are there in half of the trials."""
+    """Its output there, in the state before or after; half of the trials begin with an earlier one."""
     several: bool = False
-    """Whether it makes several things one after the other, each of them whole."""
+    """Whether it has several outputs in sequence, each of them atomic."""
     earlier: bool = True
-    """Whether it replaces an earlier one; else it starts without."""
+    """Whether it replaces an earlier output; else it starts without one."""
     share: int = 6
     """Of all kills, beside those of other commands."""
 
@@ -90,7 +90,7 @@ class Ended(NamedTuple):
     """Negative: by that signal."""
     seconds: float
     events: int
-    """Files of its that it opened to write, renamed, made or removed."""
+    """Number of files that it opened to write, renamed, made or removed."""
     text: str
     """On standard error."""
 
@@ -128,7 +128,7 @@ def run(arguments: list[str], work: Path, blow: Blow | None = None) -> Ended:
 
 
 def _waited(child: int, began: float, blow: Blow | None) -> int:
-    """The exit status of a process, which is killed on the way if it is to be."""
+    """The exit status of a process, which is killed at a time, if one is given."""
     struck = blow is None or blow.seconds is None
     while True:
         ended, status = os.waitpid(child, os.WNOHANG if not struck else 0)
@@ -141,7 +141,7 @@ def _waited(child: int, began: float, blow: Blow | None) -> int:
 
 
 def _counting(count: mmap.mmap, blow: Blow | None, work: str) -> Callable[[str, tuple[object, ...]], None]:
-    """An audit hook that counts what is done to files of a trial, and strikes."""
+    """An audit hook that counts changes of a trial's files, and kills the process."""
 
     def hook(event: str, arguments: tuple[object, ...]) -> None:
         if event not in _EVENTS and event != "open":
@@ -176,7 +176,7 @@ def snapshot(work: Path) -> dict[str, str]:
 
 
 def project_state(project: Path) -> str:
-    """All rows of a project but times, of a copy whose journal is played back."""
+    """All rows of a project without times, from a copy whose journal is applied."""
     with tempfile.TemporaryDirectory() as aside:
         copy = Path(aside) / "project"
         copy.mkdir()
@@ -212,15 +212,15 @@ class Known(NamedTuple):
     before: dict[str, str]
     after: dict[str, str]
     changing: frozenset[str]
-    """Files whose content is another in every run."""
+    """Files whose content differs in every run."""
     allowed: frozenset[str]
-    """All that may be there when a run has ended."""
+    """All files that may exist when a run has ended."""
     seconds: float
     events: int
 
 
 def judged(work: Path, files: Mapping[str, str], reference: Known, several: bool) -> str:
-    """Whether what is there is the state before, after, both of them (of several things), or neither."""
+    """Whether the files are in the state before, after, both (for several outputs), or neither."""
     names = (set(files) | set(reference.before) | set(reference.after)) & (set(reference.before) | set(reference.after))
     is_before = {name for name in names if files.get(name) == reference.before.get(name)}
     is_after = {name for name in names if files.get(name) == reference.after.get(name)}
@@ -237,7 +237,7 @@ def judged(work: Path, files: Mapping[str, str], reference: Known, several: bool
 
 @contextmanager
 def inputs() -> Iterator[tuple[Path, str]]:
-    """A folder with all that the commands need, and the address of the archive."""
+    """A folder with all inputs of the commands, and the address of the archive."""
     reading, writing = os.pipe()
     server = os.fork()
     if server == 0:
@@ -246,7 +246,7 @@ def inputs() -> Iterator[tuple[Path, str]]:
             os.write(writing, archive.address.encode())
             signal.pause()
     address = os.read(reading, 200).decode()
-    folder = Path(tempfile.mkdtemp(prefix="kills-"))  # no TemporaryDirectory: forks would take it away at their end
+    folder = Path(tempfile.mkdtemp(prefix="kills-"))  # no TemporaryDirectory: forks would remove it at their end
     try:
         (folder / "base").mkdir()
         _fill(folder / "base")
@@ -280,7 +280,7 @@ def _fill(base: Path) -> None:
 
 
 def _plan(folder: Path) -> None:
-    """A case of four images, and one that might be taken besides."""
+    """A case of four images, and one candidate image."""
     simulated = strip(5)
     write_strip(simulated.upto(4), folder)
     write_texts(folder, {image_file(simulated.images[4]): json_text(support_data(simulated.images[4]))})
@@ -294,7 +294,7 @@ def _plan(folder: Path) -> None:
 
 
 def _site(base: Path) -> None:
-    """The small pair with pictures: with the ties that are found in it, adjusted, and without any."""
+    """The small pair with pictures: with matched ties, adjusted, and without ties."""
     case = matched.write(base / "site")
     text = case.read_text(encoding="utf-8")
     head, _, rest = text.partition("[ties]")
@@ -306,7 +306,7 @@ def _site(base: Path) -> None:
 
 
 def done(work: Path, line: str) -> Ended:
-    """A command that has to end well."""
+    """Run a command that must succeed."""
     ended = run(line.split(), work)
     if ended.status not in (0, 1) or "error" in ended.text:
         raise SystemExit(f"mgsgraph {line}: exit status {ended.status}: {ended.text}")
@@ -314,7 +314,7 @@ def done(work: Path, line: str) -> Ended:
 
 
 def learned(line: str, base: Path, aside: Path) -> Known | None:
-    """What undisturbed runs do: the first, another from the same beginning, and one after the first. None where the
+    """States of undisturbed runs: the first, another from the same state, and one after the first. None where the
     first changes nothing.
     """
     work, second = fresh(base, aside / "one"), fresh(base, aside / "other")
@@ -338,7 +338,7 @@ def fresh(base: Path, work: Path) -> Path:
 
 
 class Row(NamedTuple):
-    """What came of all kills of a command."""
+    """Results of all kills of a command."""
 
     known: Known
     counts: Counter[str]
@@ -346,7 +346,7 @@ class Row(NamedTuple):
 
 
 def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: random.Random) -> Row:
-    """Kill a command so many times."""
+    """Kill a command `kills` times."""
     line = verb.arguments.replace("ADDRESS", address)
     starts = [_cut(base, aside / "without", verb)]
     if verb.earlier:
@@ -382,7 +382,7 @@ def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: r
 
 
 def _cut(base: Path, target: Path, verb: Verb) -> Path:
-    """The inputs that a command names, which are copied sooner than all."""
+    """Copy only the inputs that a command names, which is faster."""
     shutil.rmtree(target, ignore_errors=True)
     (target / TEMPORARY).mkdir(parents=True)
     for name in {word.split("=")[-1].split("/")[0] for word in verb.arguments.split()}:
@@ -394,7 +394,7 @@ def _cut(base: Path, target: Path, verb: Verb) -> Path:
 
 
 def _age(work: Path, verb: Verb) -> None:
-    """Make an earlier result tell from a new one, where it is of the same content: by a file's last bytes."""
+    """Make an earlier result differ from a new one of the same content: change a file's last bytes."""
     for path in [work / verb.made] if (work / verb.made).is_file() else sorted((work / verb.made).glob("*.csv"))[:1]:
         if path.suffix in (".csv", ".html", ".toml"):
             path.write_bytes(path.read_bytes() + b"\n")

@@ -46,13 +46,13 @@ E02, M01 = "E0201461", "M0100115"
 MIDDLE = np.array([141.5485, 34.2905]) * DEG
 """rad, longitude and latitude of M01/00115's middle (footprint in NASA Ames StereoPipeline, TestPEDR)."""
 UNKNOWN = np.array([[500.0] * 3 + [0.02] * 3] * 3)
-"""m and rad, of the resected orientation beforehand."""
+"""m and rad, a-priori sigmas of the resected orientation."""
 RESECTED = np.array([[1.0], [0.1], [0.01]]) * np.array([20.0] * 3 + [5e-5] * 3)
-"""m and rad, of both orientations after it: what matching is told."""
+"""m and rad, sigmas of both orientations after it, for matching."""
 TIE_SIGMA, HEIGHT_SIGMA = 2.0, 100.0
 """px of the ties in the resection (ground off MOLA's grid of 15 km); m, of that ground."""
 NEAR, FEWEST = 60.0, 8
-"""px of E02 about a tie within which matches tell where it is in M01, and how many there have to be."""
+"""px of E02, radius around a tie whose matches give its place in M01; least number of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +218,7 @@ def on_ground(ground: Ground, directions: Array) -> Array:
 
 
 class Comparison(NamedTuple):
-    """Where the matches around it put a tie in M01, against where the given network does."""
+    """Place of a tie in M01 by the matches around it, against the given network."""
 
     name: str
     matches: int
@@ -226,15 +226,15 @@ class Comparison(NamedTuple):
     off: Array
     """(2,) px, line and sample: by the matches, minus given."""
     parted: Array
-    """(2,) px, across and along the way that the place would take with another height."""
+    """(2,) px, across and along the motion of the place with height."""
     scatter: float
     """px, of the matches about their surface, rms of a coordinate."""
     model: float
-    """m above MOLA's grid, the terrain model of the map that explains what is off along that way."""
+    """m above MOLA's grid, height of the map's terrain model that explains the difference along it."""
 
 
 def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, slope: Array) -> list[Comparison]:
-    """At each tie a surface through the matches near it; `way` (n, 2) px per m is how M01's places move with height."""
+    """At each tie a surface through the matches near it; `slope` (n, 2) px per m: how M01's places move with height."""
     reference = matches.reference
     e02, m01 = matches.ties.measures[reference] + window.corner, matches.ties.measures[~reference]
     rows = list[Comparison]()
@@ -256,7 +256,7 @@ def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, s
 
 
 def by_parallax(off: Array, slope: Array) -> Array:
-    """(n, 2) px, differences (n, 2) across and along the way (n, 2) that places take with height."""
+    """(n, 2) px, differences (n, 2) across and along the motion (n, 2) of places with height."""
     along = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     return np.column_stack([np.einsum("ni,ni->n", off, across), np.einsum("ni,ni->n", off, along)])
@@ -268,25 +268,25 @@ def text(values: Array | float) -> str:
 
 
 class Trial(NamedTuple):
-    """All that is said of a run."""
+    """Results of a run."""
 
     ties: Ties
     inside: Mask
     """(n,) which of them the crop shows."""
     off: Array
     """(n, 2) px, ties' places in M01 minus where the resected orientation sees them."""
-    way: Array
+    slope: Array
     """(n, 2) px per m, how these places move when the ground is higher on the ray of E02."""
     matches: Matches
     comparisons: list[Comparison]
     samples_per_metre: float
-    """By which the crop's places in E02 move with the height of the terrain model that its map was made over."""
+    """Motion of the crop's places in E02 with the height of its map's terrain model."""
     seconds: float
     """Of matching."""
 
 
 def trial(data: Path, settings: MatchSettings) -> Trial:
-    """Everything, from the files on."""
+    """The whole trial, from the files on."""
     pair = data / "mgs_moc_pair"
     cube, plain = pair / f"{E02}.tiny.cub", pair / f"{M01}.img"
     image, apparent = read_isis_cube(cube), read_isis_cube(cube, apparent=True)
@@ -337,8 +337,8 @@ def tables(result: Trial) -> Blocks:
     """Figures, and a table of the ties."""
     matches, inside, in_m01 = result.matches, result.inside, ~result.matches.reference
     sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[in_m01])), axis=0)
-    before = by_parallax(result.off, result.way)
-    heights = (before[:, 1] / np.linalg.norm(result.way, axis=1))[inside]
+    before = by_parallax(result.off, result.slope)
+    heights = (before[:, 1] / np.linalg.norm(result.slope, axis=1))[inside]
     parted = np.array([row.parted for row in result.comparisons if np.isfinite(row.scatter)]).reshape(-1, 2)
     rows = [
         [row.name, f"{row.matches}", text(row.scatter), text(row.off), text(row.parted), f"{row.model:.0f} / {up:.0f}"]

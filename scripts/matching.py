@@ -33,7 +33,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.text import root_mean_square as rms
 
 BLUNDER = 1.0
-"""pixels in line or sample beyond which a match is called a blunder."""
+"""pixels in line or sample beyond which a match is a blunder."""
 HEAD = ("site", "seed", "seconds", "points", "cells", "rms error, px", "mean error, px", "stated / true", "NEES / 2",
         "blunders")  # fmt: skip
 
@@ -91,12 +91,12 @@ def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) ->
     off = second.places[rows] - ground_of(matches, site)
     sigmas = np.sqrt(np.diagonal(second.covariances[rows], axis1=1, axis2=2))
     return {
-        "between": apart(first, second), "sigma0": float(second.sigma0), "off": rms(off, 0).tolist(),
+        "between": largest_difference(first, second), "sigma0": float(second.sigma0), "off": rms(off, 0).tolist(),
         "scaled": rms(off / sigmas, 0).tolist(),
     }  # fmt: skip
 
 
-def apart(first: Solution, second: Solution) -> float:
+def largest_difference(first: Solution, second: Solution) -> float:
     """Largest difference of two orientations in sigmas of the first."""
     worst = 0.0
     for j in range(len(first.network.images)):

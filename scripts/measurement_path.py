@@ -24,7 +24,7 @@ from mgsgraph.case.reading import read_case
 ROOT = Path(mgsgraph.__file__).resolve().parents[1]
 END = "sweep_all"
 Station = tuple[str, str, set[str]]
-"""File, function, digests of what is in what it made."""
+"""File, function, digests of the values in its result."""
 
 
 class Arrived(BaseException):
@@ -52,7 +52,7 @@ def digests(value: Any, depth: int = 0) -> set[str]:
 
 
 def stations(case: Path) -> list[Station]:
-    """What makes something new, in the order in which it ends, up to the first sweep."""
+    """Functions that return new values, in the order of their ends, up to the first sweep."""
     passed: list[Station] = []
     begun: list[tuple[Any, list[str]]] = []
 
@@ -93,14 +93,14 @@ def room(file: str) -> str:
     return "/".join(Path(file).parts[:2])
 
 
-np.empty = np.zeros  # memory that nothing is written to yet is no measurement
+np.empty = np.zeros  # uninitialized memory is no measurement
 
 
 def main(case: Path, file: str, offset: int, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "case"
         shutil.copytree(case.parent, copy)
-        stations(copy / case.name)  # what is imported or kept for later is not to differ
+        stations(copy / case.name)  # imports and caches shall not differ
         plain = stations(copy / case.name)
         changed = bytearray((copy / file).read_bytes())
         changed[offset : offset + len(content)] = content

@@ -47,24 +47,24 @@ from redraw import Draw, redraw
 
 BLOCK = StripSettings(images=6, ties=200, shots=30)
 EDGE = 10.0
-"""pixels from an image's edges, within which places in it are asked for."""
+"""pixels, least distance of queried places from an image's edges."""
 POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
-"""Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
+"""Items of one seed, evenly spread: points and pairs of them, lines of each image, projections, new places.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CaseSettings:
-    """A network to be drawn, and how the adjustment is told of it."""
+    """A network to draw, and the sigmas that the adjustment assumes."""
 
     ground: SiteName | None
     """Which site; None for the block."""
     surface: bool = False
     """Whether its tie points lie on the terrain model."""
     prior: float = 1.0
-    """Factor of the a-priori sigmas of the orientation, of draws and adjustment alike."""
+    """Factor of the a-priori sigmas of the orientation, of both draws and adjustment."""
     stated: float = 1.0
-    """Factor of the measures' sigmas that the adjustment is told; 1 is honest, less is a planted fault."""
+    """Factor of the measures' sigmas that the adjustment assumes; below 1 it is a planted fault."""
 
 
 CASES: dict[str, CaseSettings] = {
@@ -162,7 +162,7 @@ def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
 
 
 def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
-    """How much higher one point is than another, m."""
+    """Height difference of two points, m."""
     ids = posterior.network.points.ids
     estimate = posterior.difference(ids[i], ids[j])
     true = np.linalg.norm(draw.places[j]) - np.linalg.norm(draw.places[i])
@@ -216,7 +216,7 @@ def pose_errors(estimate: PoseEstimate, truth: Pose, k: int) -> tuple[Array, Arr
 def new_places(
     posterior: Posterior, draw: Draw, ties: Index, stated: float, rng: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
-    """Places half-way between two tie points that two images or more share: measured anew in these with noise of their
+    """Places half-way between two tie points that two images or more share: measured in these with noise of their
     own, and intersected. East, north, up, m.
     """
     network = posterior.network

@@ -26,11 +26,11 @@ KINDS: dict[str, tuple[str, ...]] = {
     "projection": ("line", "sample"),
     "new place": _PLACE,
 }
-"""What the posterior is asked, and the components in which bias is told."""
+"""Kinds of queries to the posterior, and the components of their errors."""
 LEVELS = (0.68, 0.95, 0.99)
 """Probabilities of the ellipsoids."""
 CHANCE = 0.01
-"""Of an honest posterior outside any one limit."""
+"""That a consistent posterior is outside any one limit."""
 ASTRAY = 1e-8
 """Chance of an error that can only come from another minimum of the cost, or from a fault."""
 CHECKS = 2 * len(LEVELS) + 3
@@ -125,7 +125,7 @@ class Judged:
 
 
 def astray(draw: Draw) -> bool:
-    """Whether some item's error has a chance below ASTRAY: of 200 honest seeds hardly ever one."""
+    """Whether some item's error has a chance below ASTRAY: hardly ever in 200 seeds."""
     return any(
         bool(np.any(np.array(squares) > chi_square_radius(1.0 - ASTRAY, len(KINDS[kind])) ** 2))
         for kind, squares in draw["squares"].items()
@@ -133,9 +133,9 @@ def astray(draw: Draw) -> bool:
 
 
 def breaking_strain(seeds: int) -> float:
-    """Standard errors that no check of a whole case goes beyond by chance: CHANCE for all of them together.
+    """Standard errors that a check of a case exceeds by chance only with the probability CHANCE for all checks.
 
-    The checks of a row that break a limit come in company: only this tells a fault from an unlucky set of draws.
+    Checks of a row are correlated: only this limit separates a fault from an unlucky set of draws.
     """
     of_bias = sum(len(components) for components in KINDS.values())
     return student(CHANCE / (len(KINDS) * (len(LEVELS) + 2) + of_bias), seeds - 1)
@@ -211,7 +211,7 @@ def summary(by_case: Mapping[str, Sequence[Judged]], draws: Sequence[Draw]) -> l
 
 
 def verdict(case: str, kinds: Sequence[Judged]) -> str:
-    """Sentence for a case, by the limit for all its checks together."""
+    """Sentence for a case, by the joint limit of all its checks."""
     sound = max(kind.strain for kind in kinds) <= breaking_strain(kinds[0].seeds)
     if case.endswith("planted"):
         return "The planted fault is not seen." if sound else "The planted fault is seen."

@@ -115,8 +115,8 @@ def errors_of(solution: Solution, draw: Redrawn) -> dict[int, Array]:
 
 
 def as_polynomials(network: Network, error: Array, covariance: Array) -> tuple[Array, Array]:
-    """Errors of the nodes of all passes and their covariance; of passes that are polynomials in place of nodes their
-    coefficients, without those that are held.
+    """Errors of the nodes of all passes and their covariance; for passes that are polynomials, of their coefficients
+    in place of nodes, without held ones.
     """
     if not isinstance(network.passes[0].prior, PolynomialPrior):
         return error, covariance

@@ -37,7 +37,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 CASES = tuple(f"{name}, {drawn}" for name in (*SITE_NAMES, "HRSC strip") for drawn in ("model", "exact"))
 STATED = ("ties", "heights", "means of 30", "squares")
 FORMS = ("groups", "independent")
-"""How a network states what neighbors have in common: by groups; by larger sigmas of independent rows."""
+"""How a network states common errors of neighbors: by groups; by larger sigmas of independent rows."""
 _GAP = 20.0
 """m, sigma of the heights between two tracks."""
 _MEANS = 3
@@ -50,7 +50,7 @@ class Correlated(NamedTuple):
     network: Network
     """With groups of neighbors."""
     settings: SolverSettings
-    """How it is adjusted."""
+    """Of its adjustment."""
     rays: list[tuple[Index, Array]]
     """Rays of each image, and a root of the exact covariance of their errors in whole sigmas."""
     heights: tuple[Index, Array]
@@ -69,7 +69,7 @@ class Correlated(NamedTuple):
 
 @lru_cache(maxsize=len(CASES))
 def correlated(name: str) -> Correlated:
-    """Of a site or the strip."""
+    """The network of a site or of the strip."""
     if name == "HRSC strip":
         network, settings = simulate_hrsc_block(replace(STRIP, terrain=TerrainErrors()), 1).network, SolverSettings()
     else:

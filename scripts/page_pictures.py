@@ -58,7 +58,7 @@ _WIDER = """() => {
     }
     return out.slice(0, 3);
 }"""
-"""What lies beyond the right edge and in nothing that scrolls."""
+"""Elements beyond the right edge that do not scroll."""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 
@@ -89,7 +89,7 @@ def demo(browser: Browser, work: Path) -> None:
 
 
 def save(picture: Image.Image, name: str) -> None:
-    """What pages need of it, as wide as they need it: pictures in JPEG, drawings in 128 colours."""
+    """Save a picture for a page, in its width: photographs as JPEG, drawings in 128 colors."""
     picture = picture.convert("RGB")
     if picture.width > WIDTH:
         picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)

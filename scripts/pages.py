@@ -88,28 +88,28 @@ _ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
 
 
 def pages() -> dict[Path, str]:
-    """What should stand in each page."""
+    """Expected text of each page."""
     return {
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
-        DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
-        DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
-        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _kept("input_keys.md", _LIES),
-        DOCS / "solution_npz.md": _by_hand("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
+        DOCS / "case_file.md": f"{_before_mark('case_file.md', _KEYS)}\n{keys_markdown()}",
+        DOCS / "files.md": _before_mark("files.md", _COLUMNS) + columns_markdown(),
+        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _after_mark("input_keys.md", _LIES),
+        DOCS / "solution_npz.md": _before_mark("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
 
-def _by_hand(page: str, mark: str) -> str:
+def _before_mark(page: str, mark: str) -> str:
     """Text of a page down to the mark."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
 
 
-def _kept(page: str, mark: str) -> str:
+def _after_mark(page: str, mark: str) -> str:
     """The part of a page from the mark on."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[1:])
 
 
 def input_keys_markdown() -> str:
-    """A table for each format, and the keys that nothing could be held against."""
+    """A table for each format, and the keys that could not be compared."""
     lines: list[str] = []
     for name, keys in FORMATS.items():
         lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
@@ -170,7 +170,7 @@ prior = {}
 [solver]
 reject = 4.0
 """
-"""What a small simulated case gets, so that every table has something in it."""
+"""Options of a small simulated case in which every table has rows."""
 
 
 def columns_markdown() -> str:
@@ -282,12 +282,12 @@ class ArrayRow(NamedTuple):
 
     @property
     def group(self) -> str:
-        """Which table it stands in."""
+        """Group of its table."""
         return max((name for name in GROUPS if not name or self.path.startswith(f"{name}.")), key=len)
 
     @property
     def line(self) -> str:
-        """In the table of its group."""
+        """Its row in the table of its group."""
         name = self.path.removeprefix(f"{self.group}.") if self.group else self.path
         numbers = f"{' or '.join(self.scalars)} {self.shape}"
         return f"| `{name}` | {numbers} | {self.unit} | {self.meaning.replace('|', chr(92) + '|')} |"

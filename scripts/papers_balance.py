@@ -57,7 +57,7 @@ class ImageRow(NamedTuple):
 
 
 class Published(NamedTuple):
-    """What the papers print of a site; their file says which table is which."""
+    """Published values of a site; their file names the tables."""
 
     ties: int
     base_to_height: float
@@ -168,7 +168,7 @@ def tie_noise() -> float:
 
 
 def balance_table(networks: dict[str, Network]) -> list[str]:
-    """What the balance gives for each site, and which sigma0 follows from the published residuals."""
+    """Results of the balance for each site, and sigma0 from the published residuals."""
     rows = []
     for site, network in networks.items():
         counts, all_shots = counts_in(network), (shots(site),) * 2

@@ -20,7 +20,7 @@ from mgsgraph.units import ARCMIN, DEG
 PEER_SIZES = ("S", "M", "L", "XL")
 SIZES = (*PEER_SIZES, "Kaguya")
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "peer"
-"""Where the peer's generator is looked for."""
+"""Folder of the peer's generator."""
 TREND = np.array([1.0, 0.1, 0.01])
 """A-priori sigmas of the terms 1, u, u^2, in those of the constant one."""
 SHOTS, SHOT_PIXELS, SHOT_SIGMA = 125, 30.0, 10.0
@@ -66,7 +66,7 @@ TERRAIN_CAMERA = Camera(72.5, 0.007, 100e3, 48.28e3, 100.0, 3.0 * ARCMIN)
 
 
 def made(size: str, shared: Path, seed: int | None = None) -> tuple[PeerProblem, Truth]:
-    """The problem of a size, and its truth; InputError where the peer's generator is wanted and not there."""
+    """The problem of a size, and its truth; InputError where the peer's generator is needed and missing."""
     if size == "Kaguya":
         return kaguya(0 if seed is None else seed)
     return peer_size(size, shared, seed)

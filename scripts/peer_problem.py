@@ -76,7 +76,7 @@ class PeerProblem:
     y: Array
     """(k,) pixels, measured sample from the principal point."""
     sigmas: Array
-    """(k,) pixels, of line and sample alike."""
+    """(k,) pixels, of both line and sample."""
     shot_point: Index
     """(r,) point of each shot, no point twice."""
     shot_image: Index
@@ -162,7 +162,7 @@ def _sections(images: int, points: int, rays: int, shots: int) -> Iterator[tuple
 
 
 def read_problem(path: str | Path) -> PeerProblem:
-    """Read a file of the peer's format; InputError when it is foreign, cut short or holds what can't be."""
+    """Read a file of the peer's format; InputError for another format, a truncated file or impossible values."""
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -194,7 +194,7 @@ def _count(shape: tuple[int, ...]) -> int:
 
 
 def write_problem(problem: PeerProblem, path: str | Path) -> None:
-    """Write a problem in the peer's format; whole or not at all."""
+    """Write a problem in the peer's format, atomically."""
     path = Path(path)
     images, points, rays, shots = (
         array.shape[0] for array in (problem.orientation, problem.places, problem.u, problem.ranges)

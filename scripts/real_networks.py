@@ -48,26 +48,26 @@ planimetric_sigma_m = 0.001
 
 
 class Agreement(NamedTuple):
-    """How places that ISIS computed in one image agree with those in the others."""
+    """Agreement of ISIS's places in one image with those in the others."""
 
     meet: float
     """px, rms of all rays about the place where those of a point meet."""
-    apart: float
+    distance: float
     """m, largest distance of two rays of a point on the ellipsoid."""
 
 
 @dataclass(frozen=True)
 class InverseByIsis:
-    """What ISIS has for the way from ground to image: for MOC's red wide angle a polynomial of its own, which is not
-    the inverse of that for the way back (MocWideAngleDistortionMap::SetUndistortedFocalPlane); turned round exactly.
+    """ISIS's projection from ground to image: for MOC's red wide angle it has another polynomial, which is not the
+    inverse of that from image to ground (MocWideAngleDistortionMap::SetUndistortedFocalPlane); inverted exactly.
     """
 
     focal_length: float
     """m."""
 
     def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m of distorted places (n, 2) in m, and their Jacobians (n, 2, 2), without the bending
-        of the scale along the radius: for steps, not for steps' lengths.
+        """Ideal places (n, 2) in m of distorted places (n, 2) in m, and their Jacobians (n, 2, 2), without the change
+        of the scale along the radius: good for directions of steps, not for their lengths.
         """
         odd = np.zeros(12)
         odd[1::2] = 0.9995458, -0.4237090, 0.2810857, -0.1697522, 0.068131536, -0.012665644
@@ -105,12 +105,12 @@ PLANTED: dict[str, Fault] = {
     "times one line off": _of_times(1.0, 0.0),
     "line period 0.1 % longer": _of_times(0.0, 1e-3),
 }
-"""What the agreement would show."""
+"""Faults that the agreement would show."""
 _by_isis = _of_optics(distortion=lambda interior: InverseByIsis(interior.focal_length))
 
 
 def by_isis(planted: Fault = lambda image: image) -> Fault:
-    """With ISIS's polynomial for the way from ground to image, and something wrong."""
+    """With ISIS's polynomial from ground to image, and a fault."""
     return lambda image: planted(_by_isis(image))
 
 
@@ -215,7 +215,7 @@ def rig_page(data: Path) -> Blocks:
 
 
 def determined_table(spectrum: Array, sigma: Array, moved: float) -> list[str]:
-    """What is determined, and what is not."""
+    """Determined and undetermined parameters."""
     return table(("", "value"), [
         ["singular values: first, twelfth", f"{spectrum[0]:.2f}, {spectrum[11]:.2f}"],
         ["thirteenth, last", f"{spectrum[12]:.1e}, {spectrum[15]:.1e}"],
@@ -269,7 +269,7 @@ def _write_sphere(path: Path) -> None:
 
 def wide_page(data: Path) -> Blocks:
     """Tables on MOC."""
-    rows = [[name, f"{agreement.meet:.5f}", f"{agreement.apart:.1f}"] for name, agreement in (
+    rows = [[name, f"{agreement.meet:.5f}", f"{agreement.distance:.1f}"] for name, agreement in (
         ("apparent, as ISIS takes them", wide_agreement(data, True)), ("geometric", wide_agreement(data, False)),
         ("apparent, ISIS's way from ground to image", wide_agreement(data, True, by_isis())),
         *((f"the same, {name}", wide_agreement(data, True, by_isis(fault))) for name, fault in PLANTED.items()),

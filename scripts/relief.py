@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from study import Blocks, Draw, cases, degrees_together, names_of, nees_cell, number, refusals, run, seeds_of, table
+from study import Blocks, Draw, cases, joint_degrees, names_of, nees_cell, number, refusals, run, seeds_of, table
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.posterior import Posterior
@@ -36,7 +36,7 @@ HEAD = (
     "ties' mean", "seconds",
 )  # fmt: skip
 _CAPTURED = 50.0
-"""m, misplacement after which the right minimum was found."""
+"""m, largest misplacement at the right minimum."""
 
 
 def one_draw(case: str, seed: int) -> Draw:
@@ -79,7 +79,7 @@ def _judged(site: SimulatedSite, registration: ReliefRegistration) -> Draw:
     of_ties = errors[1].mean(axis=0) @ axes.T
     mean = float(of_ties @ np.linalg.solve(plane, of_ties))
     return {
-        "degrees": degrees_together(solution.joint_covariance.of(variables), 2),
+        "degrees": joint_degrees(solution.joint_covariance.of(variables), 2),
         "before": [error.tolist() if np.all(np.isfinite(error)) else None for error in before],
         "after": after.tolist(), "shifts": nees, "mean": mean,
         "ties": [rms(np.linalg.norm(error, axis=1)) for error in errors],

@@ -188,7 +188,7 @@ def scaled(sigmas: Sigmas) -> Sigmas:
 
 
 def sigma_table(solutions: list[tuple[str, str, Solution]]) -> list[str]:
-    """Table 4: predicted sigmas (for sigma0 = 1), times sigma0, and published. `named`: site, weights, solution."""
+    """Table 4: predicted sigmas (for sigma0 = 1), times sigma0, and published. `solutions`: site, weights, solution."""
     rows = []
     for n, (site, weights, solution) in enumerate(solutions):
         sigmas = sigmas_of(solution)
@@ -256,7 +256,7 @@ def opposite_shift(correction: Scatter, site: str) -> float:
 
 
 def shift_table(results: list[tuple[str, Result]]) -> list[str]:
-    """What Table 5 implies, what was injected and what the papers' case corrects. `named`: option, result."""
+    """What Table 5 implies, what was injected and what the papers' case corrects. `results`: option, result."""
     rows = []
     for option, result in results:
         injected = along_flight(result)
@@ -369,7 +369,7 @@ def _verdict(value: float, limit: float) -> str:
 STATED_BIAS = 0.95
 """s, attitude-time bias of the nadir CK that gives the 325 m of the papers' text."""
 AS_PUBLISHED = SimulationOptions(errors="published", tie_noise=balance.tie_noise(), pictures=False)
-"""Kernels as wrong as the papers found them, and ties as good."""
+"""Errors of kernels and ties as the papers state them."""
 
 
 def reproduced(site: str, seed: int, folder: Path, options: SimulationOptions) -> Result:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-"""Folder of the pages, where no other is named."""
+"""Default folder of the pages."""
 REMEDY = "choose a file where you may write"
 Z99 = NormalDist().inv_cdf(0.995)
 """Quantile of the normal distribution, 99 % two-sided."""
@@ -50,7 +50,7 @@ class OneLine(argparse.ArgumentParser):
 
 
 def command(description: str | None, name: str | None = None) -> OneLine:
-    """A command line, called by its name or the script's; its help is the description as it stands."""
+    """A command line, called by its name or the script's; its help is the unchanged description."""
     formatter = argparse.RawDescriptionHelpFormatter
     return OneLine(prog=name or Path(sys.argv[0]).stem, description=description, formatter_class=formatter)
 
@@ -140,8 +140,8 @@ def run(
 def drawn(
     orders: Sequence[tuple[str, int]], one_draw: Callable[[str, int], Draw], keep: Path | None, place: str | None = None
 ) -> list[Draw]:
-    """Draws of cases and seeds, here or at workers; those that an earlier run of this commit has kept are not made
-    again.
+    """Draws of cases and seeds, in this process or at workers; draws stored by an earlier run of this commit are
+    used again.
     """
     require_writable(keep)
     this = commit()
@@ -159,7 +159,7 @@ def drawn(
 def _work(
     orders: Sequence[tuple[str, int]], one_draw: Callable[[str, int], Draw], place: str | None
 ) -> Iterator[Draw]:
-    """Draws as they come."""
+    """Draws as they are finished."""
     if place is None or not orders:
         yield from (_named(one_draw, order) for order in orders)
         return
@@ -173,7 +173,7 @@ def _work(
 
 
 def _by_name(job: Any) -> Any:
-    """A function of the program that runs as workers find it: in the module of the program's name."""
+    """The function as workers import it: from the module of the program's name."""
     return getattr(import_module(Path(sys.argv[0]).stem), job.__name__) if job.__module__ == "__main__" else job
 
 
@@ -182,7 +182,7 @@ def _named(one_draw: Callable[[str, int], Draw], order: tuple[str, int]) -> Draw
 
 
 def stored_draws(path: Path | None) -> dict[tuple[str, int], Draw]:
-    """Draws of an earlier run, by case and seed; a line that a crash has cut short is taken out of the file."""
+    """Draws of an earlier run, by case and seed; an incomplete last line is removed from the file."""
     if path is None or not path.exists():
         return {}
     try:
@@ -206,7 +206,7 @@ def names_of(draws: Sequence[Draw]) -> list[str]:
 
 
 def refusals(draws: Sequence[Draw]) -> str:
-    """A sentence on draws that are no cases."""
+    """A sentence on refused draws."""
     count = sum("refused" in draw for draw in draws)
     return f"Of {len(draws)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
 
@@ -216,7 +216,7 @@ def refusals(draws: Sequence[Draw]) -> str:
 
 def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[], Blocks]) -> int:
     """Make the blocks of a page of docs, print them, and write the page to a file, if one is named; the exit status.
-    Whether the file can be written is asked first.
+    It first tests whether the file can be written.
     """
 
     def job() -> None:
@@ -232,7 +232,7 @@ def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[],
 
 
 def filled(page: str, blocks: Blocks) -> str:
-    """The text of a page of docs with its made parts replaced; InputError where it has no marks of one."""
+    """The text of a page of docs with its made parts replaced; InputError where the marks of one are missing."""
     text = (DOCS / page).read_text(encoding="utf-8")
     for name, lines in blocks.items():
         before, begin, rest = text.partition(f"<!-- made: {name} -->\n")
@@ -244,7 +244,7 @@ def filled(page: str, blocks: Blocks) -> str:
 
 
 def require_writable(*paths: Path | None) -> None:
-    """Raise InputError unless files can be written here; to be asked before long work."""
+    """Raise InputError unless files can be written; for use before long work."""
     for path in paths:
         if path is None:
             continue
@@ -257,12 +257,12 @@ def require_writable(*paths: Path | None) -> None:
 
 
 def write_json(figures: Any, path: Path) -> None:
-    """Write figures as JSON, whole or not at all."""
+    """Write figures as JSON, atomically."""
     write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", path)
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file, atomically."""
     with fresh_file(path, remedy=REMEDY) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -327,10 +327,10 @@ def student(chance: float, degrees: int) -> float:
     return float(t.isf(0.5 * chance, degrees))
 
 
-def degrees_together(covariance: Array, width: int) -> float:
+def joint_degrees(covariance: Array, width: int) -> float:
     """Degrees of freedom of the chi-square that scatters as the sum of the items' normalised squares does, for items of
     `width` components with a joint covariance (n width, n width) (Satterthwaite 1946): (n width)^2 / |R|^2, R being the
-    covariance with each item's own block whitened. n width for independent items, `width` for items that err alike.
+    covariance with each item's own block whitened. n width for independent items, `width` for fully correlated items.
     """
     from scipy.linalg import block_diag
 
@@ -363,8 +363,8 @@ def degrees_of_points(solution: "Solution", points: Index) -> float:
 
 def nees_band(values: Sequence[float], degrees: float | Sequence[float] = 0.0) -> tuple[float, float]:
     """99 % band of the mean of normalised squares, one of each draw and each per degree of freedom, if the covariances
-    are right: a chi-square's for `degrees` in each draw, of a joint covariance or of items that err together
-    (`degrees_together`, `degrees_of_points`); for 0, where nobody has said these, 1 +- Student's quantile times the
+    are right: a chi-square's for `degrees` in each draw, of a joint covariance or of correlated items
+    (`joint_degrees`, `degrees_of_points`); for 0 (unknown), 1 +- Student's quantile times the
     scatter from draw to draw.
     """
     if np.any(degrees):

@@ -53,8 +53,8 @@ def strip() -> Network:
 
 
 def planted_factors(seed: int, groups: int) -> np.ndarray:
-    """(g,) each group has each factor in every third draw, in changing company; but of the last two, position and
-    pointing, one in turn is right.
+    """(g,) each group has each factor in every third draw, in varying combinations; of the last two, position and
+    pointing, one in turn has the factor 1.
     """
     blocks = np.random.default_rng([7, seed // 3]).permuted(np.tile(FACTORS, (groups, 1)), axis=1)
     factors = np.asarray(blocks[:, seed % 3])
@@ -114,7 +114,7 @@ def planted_rows(draws: list[Draw]) -> list[list[str]]:
 
 
 def figures(groups: list[Draw]) -> list[str]:
-    """z, spread, stated sigma and degrees of those that were judged; how many were not."""
+    """z, spread, stated sigma and degrees of the judged groups; number of the others."""
     judged = [group for group in groups if "z" in group]
     n, end = len(judged), str(len(groups) - len(judged))
     if n < 2:
@@ -150,7 +150,7 @@ def right_lines(right: list[Draw]) -> list[str]:
 
 
 def judge(draws: list[Draw]) -> Blocks:
-    """Both tables, of the cases that are there."""
+    """Tables of the cases that were drawn."""
     wrong, right, blocks = cases(draws, "planted"), cases(draws, "right"), dict[str, list[str]]()
     if wrong:
         rest = sum(not draw["converged"] for draw in wrong)

@@ -21,7 +21,7 @@ from packaging.version import Version
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "versions.md"
 EXTRAS = ("cluster", "cuda", "fetch", "gis", "match", "moc", "studio", "tables", "test", "docs", "dev")
-"""Whose packages stand in the table; others are made of these."""
+"""Extras whose packages the table has; other extras are unions of these."""
 
 
 class Needed(NamedTuple):

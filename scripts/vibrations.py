@@ -23,7 +23,7 @@ from mgsgraph.text import root_mean_square
 
 TIES = 800
 PLACES = 33
-"""Lines of each image at which pitch and roll are held against the truth."""
+"""Lines of each image at which pitch and roll are compared with the truth."""
 _AXES = {"x (roll)": 1, "y (pitch)": 0}
 """Which phasors of the truth."""
 _NEAR = 1.0 / 16.0
@@ -41,7 +41,7 @@ CASES = {
 
 
 def one_draw(case: str, seed: int) -> Draw:
-    """A pair: what is found of its vibration, and how well all else is known."""
+    """A pair: its estimated vibration, and the errors of all other parameters."""
     settings = CASES[case]
     pair = simulate_ctx_pair(CtxSettings(ties=TIES, jitter=settings), 100 * seed + list(CASES).index(case))
     began = time.perf_counter()
@@ -114,7 +114,7 @@ HEAD = (
 
 
 def judge(draws: list[Draw]) -> Blocks:
-    """The table, and all together."""
+    """The table, and a sentence on all draws."""
     slow = [draw["seconds"] for draw in draws]
     rest = sum(not draw["converged"] for draw in draws)
     sentence = (

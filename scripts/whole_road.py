@@ -39,11 +39,11 @@ ROAD = (
     "export PROJECT --to spice --out SPICE",
     "dem PROJECT --out DEM",
 )
-"""The commands; `fetch` has the mirror's address besides."""
+"""The commands; `fetch` also gets the mirror's address."""
 _BANDS = (1, 2, 3)
 """Of dem.tif: height, its sigma, the share of matching in it, m."""
 _SAMPLE, _NEAR, _ROUNDS = 20_000, 20.0, 5
-"""Posts by which a terrain model is laid on the truth, m between which slopes are taken, and rounds of moving it."""
+"""Posts by which a terrain model is fitted to the truth, m between which slopes are taken, and iterations."""
 
 
 class Step(NamedTuple):
@@ -66,13 +66,13 @@ class Judged(NamedTuple):
     """rms."""
     mean: float
     sigma: float
-    """rms of what is stated."""
+    """rms of the stated sigma."""
     share: float
     """rms of the error over its stated sigma."""
     moved: np.ndarray
-    """(3,) m east, north and up, by which it lies off as a whole."""
+    """(3,) m east, north and up, its shift."""
     residual: float
-    """rms, without that."""
+    """rms, without the shift."""
     matching: float
     """rms of the stated sigma of matching."""
 
@@ -89,9 +89,9 @@ def main() -> int:
     def make() -> dict[str, list[str]]:
         with tempfile.TemporaryDirectory() as aside:
             work, site = options.work or Path(aside), simulate_site(options.site, options.seed)
-            steps = road(site, work)
+            steps = workflow(site, work)
             judged = judge(work / "DEM" / "dem.tif", site)
-        return {"commands": step_table(steps), "judged": words(judged), "said": heard(steps)}
+        return {"commands": step_table(steps), "judged": words(judged), "said": report_lines(steps)}
 
     return write_page(parser, options.out, PAGE.name, make)
 
@@ -102,8 +102,8 @@ def commands(site: SimulatedSite) -> list[str]:
     return [f"mgsgraph {command.format(images=images)}" for command in ROAD]
 
 
-def road(site: SimulatedSite, work: Path) -> list[Step]:
-    """All commands, in the folder `work`, out of the site's archives there."""
+def workflow(site: SimulatedSite, work: Path) -> list[Step]:
+    """Run all commands in the folder `work`, on the site's archives there."""
     archive = write_archive(site, work / "archive")
     with serving(archive) as address:
         steps = []
@@ -115,7 +115,7 @@ def road(site: SimulatedSite, work: Path) -> list[Step]:
 
 
 def step(command: str, more: list[str], folder: Path) -> Step:
-    """Run one; the script ends with its status where it fails."""
+    """Run a command; the script ends with its status where it fails."""
     arguments = [sys.executable, "-m", *shlex.split(command), *more]
     begun = time.perf_counter()
     with tempfile.TemporaryFile() as output:
@@ -158,9 +158,9 @@ def judge(path: Path, site: SimulatedSite) -> Judged:
 def laid_on(
     truth: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, heights: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """By how much (3,) heights at places lie off the truth as a whole, and the rms of what is left then, m.
+    """Shift (3,) of heights against the truth, and the rms of the residuals, m.
 
-    What is left is without tilts and a bend along the flight, too: so far orientation polynomials of order 2 go.
+    Tilts and a curvature along the flight are removed from the residuals, too: orientation polynomials of order 2.
     """
     along, across = y / np.abs(y).max(), x / np.abs(x).max()
     shape = np.column_stack([np.ones_like(x), along, across, along**2, along * across])
@@ -177,7 +177,7 @@ def laid_on(
 
 
 def step_table(steps: list[Step]) -> list[str]:
-    """What each command took."""
+    """Time and memory of each command."""
     parts = [(f"`{step.command}`", step.seconds, step.busy, step.megabytes) for step in steps]
     _, seconds, busy, megabytes = zip(*parts, strict=True)
     parts.append(("all of it", sum(seconds), sum(busy), max(megabytes)))
@@ -196,8 +196,8 @@ def words(judged: Judged) -> list[str]:
     ]
 
 
-def heard(steps: list[Step]) -> list[str]:
-    """What `match` and `dem` said."""
+def report_lines(steps: list[Step]) -> list[str]:
+    """Lines that `match` and `dem` printed."""
     outputs = {step.command.split()[1]: step.output.splitlines() for step in steps}
     return [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in outputs[verb] if line.startswith("- ")]
 

@@ -46,9 +46,9 @@ from redraw import Change, redraw
 from redraw import Draw as Redrawn
 
 _POINTS = 60
-"""Of each class, whose errors are looked at."""
+"""Most points of each class whose errors are tested."""
 RUNS = 12_000
-"""Of so many good runs one has errors as large as count as harmful."""
+"""One of so many good runs has errors that count as harmful."""
 _SITES = {"gusev": "gusev, rigorous", "isidis": "isidis, rigorous", "eos": "eos, rigorous",
           "strip": "HRSC strip, passes"}  # fmt: skip
 _LROC = Path(__file__).parent / "cases" / "lro_nac_lola.toml"
@@ -63,11 +63,11 @@ class Kind(NamedTuple):
     unit: str
     """Of the sizes."""
     orientation: Callable[[Network, float], Change] | None = None
-    """What is wrong with nominal orientations."""
+    """The fault of nominal orientations."""
     network: Callable[[Network, float, Rng], Network] | None = None
-    """What is wrong with observations or control."""
+    """The fault of observations or control."""
     listed: tuple[str, ...] = ()
-    """Names of it among the errors that the verdict lists as possible."""
+    """Its names in the verdict's list of possible errors."""
 
 
 # --- wrong orientations
@@ -405,13 +405,13 @@ KINDS: dict[str, Kind] = {
 _NEEDS = {"terrain": "surface", "range": "ranges", "ranges": "ranges", "footprints": "laser",
           "ground": "laser", "shots": "laser", "laser": "ranges"}  # fmt: skip
 GOOD = "nothing"
-"""What is wrong with good data."""
+"""Name of the case without a fault."""
 CASES = tuple(f"{site}, {kind}" for site in (*_SITES, "lroc") for kind in (*KINDS, GOOD))
 
 
 @cache
 def prepared(site: str) -> tuple[Network, SolverSettings]:
-    """Network and settings of a site; of the LROC pair those of the real images, drawn anew as all others."""
+    """Network and settings of a site; for the LROC pair those of the real images, with drawn errors."""
     if site in _SITES:
         return drawn_sites(_SITES[site])
     read = read_case(_LROC)
@@ -419,7 +419,7 @@ def prepared(site: str) -> tuple[Network, SolverSettings]:
 
 
 def applies(network: Network, kind: str) -> bool:
-    """Whether a case has what is wrong."""
+    """Whether a case has the data that the fault changes."""
     has = {"surface": network.surface is not None, "ranges": bool(network.ranges.point.size),
            "laser": bool(_laser(network).size)}  # fmt: skip
     return all(has[need] for word, need in _NEEDS.items() if word in kind.replace(",", "").split())
@@ -545,7 +545,7 @@ def _of_wrong(all_draws: list[Draw]) -> list[str]:
 
 def _least(site: str, kind: Kind, name: str) -> float:
     """The least size that is found with `POWER`, by the verdict on good data; infinite where nothing tests it, and NaN
-    of what is no error of one number.
+    where the fault is not a single number.
     """
     judgement = _good(site)
     if kind.unit == "times":
