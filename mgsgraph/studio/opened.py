@@ -163,7 +163,7 @@ def _terrain(network: Network) -> TerrainGrid | None:
 
 
 Kind = Literal["project", "result", "case"]
-_Result = TypeVar("_Found")
+_Result = TypeVar("_Result")
 _MOST_NEAR = 2000
 """Most points around one of a solution whose posterior is computed jointly."""
 _CHANGED = "only a project can be changed; make one of the case: mgsgraph project init PROJECT --case CASE"
