@@ -23,14 +23,14 @@ COMMANDS = {"speed": "benchmark_speed", "archive": "benchmark_costs", "project":
 
 
 def main() -> int:
-    name, *given = sys.argv[1:] or [""]
+    name, *arguments = sys.argv[1:] or [""]
     if name not in COMMANDS:
         parser = command(__doc__, "benchmark")
         parser.add_argument("command", choices=COMMANDS)
-        parser.parse_args([name, *given])
+        parser.parse_args([name, *arguments])
     module = import_module(COMMANDS[name])  # not before its --threads count
     run = getattr(module, name)
-    return int(run(command(inspect.getdoc(run), f"benchmark {name}"), given))
+    return int(run(command(inspect.getdoc(run), f"benchmark {name}"), arguments))
 
 
 if __name__ == "__main__":

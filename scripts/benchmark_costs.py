@@ -45,7 +45,7 @@ from mgsgraph.units import MRAD
 
 _GIGA = 1e9
 _PAUSE = 0.2
-"""s between two looks at a process's memory."""
+"""s between two readings of a process's memory."""
 
 
 # --- a command
@@ -66,28 +66,28 @@ class Took(NamedTuple):
         return f"{number(self.wall)}, {number(self.processor)}"
 
 
-def _processes(first: int) -> list[int]:
-    """A process and all that it has begun."""
-    found, waiting = list[int](), [first]
+def _processes(root: int) -> list[int]:
+    """A process and all its descendants."""
+    processes, waiting = list[int](), [root]
     while waiting:
-        one = waiting.pop()
-        found.append(one)
+        process = waiting.pop()
+        processes.append(process)
         try:
-            for path in Path(f"/proc/{one}/task").iterdir():
+            for path in Path(f"/proc/{process}/task").iterdir():
                 waiting += map(int, (path / "children").read_text(encoding="ascii").split())
         except OSError:  # it has ended
             continue
-    return found
+    return processes
 
 
 def _own_memory(process: int) -> float:
-    """Bytes of memory of its own that a process has; what it shares with forks of it is shared out among them."""
+    """Bytes of memory of its own that a process has; memory shared with forks is divided among them."""
     try:
         text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii", errors="replace")
     except OSError:
         return 0.0
-    found = re.search(r"Pss_Anon:\s+(\d+) kB", text)
-    return 1024.0 * float(found[1]) if found else 0.0
+    match = re.search(r"Pss_Anon:\s+(\d+) kB", text)
+    return 1024.0 * float(match[1]) if match else 0.0
 
 
 def watched(command: Sequence[str]) -> Took:
@@ -96,8 +96,8 @@ def watched(command: Sequence[str]) -> Took:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(command, env=environment, text=True, **pipes) as running:  # type: ignore[call-overload]
-        said = list[str]()
-        reader = threading.Thread(target=lambda: said.extend(running.stderr), daemon=True)
+        messages = list[str]()
+        reader = threading.Thread(target=lambda: messages.extend(running.stderr), daemon=True)
         reader.start()
         while running_on:
             most = max(most, sum(map(_own_memory, _processes(running.pid))))
@@ -108,7 +108,7 @@ def watched(command: Sequence[str]) -> Took:
         wall = time.perf_counter() - begin
         reader.join()
     if running.returncode:
-        raise SolverError(f"{' '.join(command[:6])} ..: {(said or ['no message'])[-1].strip()}")
+        raise SolverError(f"{' '.join(command[:6])} ..: {(messages or ['no message'])[-1].strip()}")
     after = os.times()
     spent = after.children_user + after.children_system - before.children_user - before.children_system
     return Took(wall, spent, most)
@@ -128,7 +128,7 @@ def median(runs: Sequence[Took]) -> Took:
 
 
 class Job(NamedTuple):
-    """What is run: an archive of a kind, and options of `mgsgraph adjust`."""
+    """An archive of a kind, and options of `mgsgraph adjust`."""
 
     kind: str
     images: int | None = None
@@ -154,7 +154,7 @@ JOBS = {
     "ctx": Job("ctx", options=("--no-figures", "--cluster", "local:2")),
 }
 STAGES = ("reading", "set up", "send to workers", "solve", "residuals", "covariance")
-"""Of an adjustment (solution.json, `seconds`), in the table; what others take is small."""
+"""Of an adjustment (solution.json, `seconds`), that the table has; the other stages are short."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ class Run:
 
 
 def archive_of(job: Job, work: Path) -> Path:
-    """The case of a job; its archive is made where it isn't there."""
+    """The case of a job; its archive is made where it is missing."""
     folder = work / (job.kind if job.images is None else f"{job.kind}{job.images}")
     case = folder / "case.toml"
     if not case.is_file():
@@ -184,9 +184,9 @@ def archive_of(job: Job, work: Path) -> Path:
     text = case.read_text(encoding="utf-8")
     text = text.replace("network.net", "network.pvl") if job.pvl else text
     text += f"\n[solver]\nmemory_gb = {job.memory_gb}\n" if job.memory_gb is not None else ""
-    own = folder / "case-job.toml"
-    own.write_text(text, encoding="utf-8")
-    return own
+    job_case = folder / "case-job.toml"
+    job_case.write_text(text, encoding="utf-8")
+    return job_case
 
 
 def run(name: str, work: Path) -> Run:
@@ -200,14 +200,14 @@ def run(name: str, work: Path) -> Run:
     record = json.loads((out / "solution.json").read_text(encoding="utf-8"))
     wall, processor, memory = zip(*spent, strict=True)
     measures = sum(image["rays"] for image in record["images"])
-    points = sum(one["count"] for one in record["points"].values())
+    points = sum(kind["count"] for kind in record["points"].values())
     sizes = len(record["images"]), points, measures
     shutil.rmtree(out)
     return Run(name, commit(), sum(wall), sum(processor), max(memory), *sizes, record["seconds"])
 
 
-def kept(path: Path) -> list[Run]:
-    """Runs that are over."""
+def finished(path: Path) -> list[Run]:
+    """Finished runs of a file."""
     if not path.is_file():
         return []
     return [Run(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -217,14 +217,14 @@ def archive_tables(runs: Sequence[Run]) -> list[str]:
     """Medians of each job, and exponents between two sizes of a kind."""
     rows, of = [], dict[str, Run]()
     for name in JOBS:
-        if mine := [asdict(one) for one in runs if one.job == name]:
+        if of_job := [asdict(record) for record in runs if record.job == name]:
             keys = ("wall", "processor", "memory", "images", "points", "measures")
-            middle = {key: statistics.median(one[key] for one in mine) for key in keys}
-            stages = {key: statistics.median(one["stages"].get(key, 0.0) for one in mine) for key in STAGES}
-            one = of[name] = Run(**middle, stages=stages, job=name, commit=mine[-1]["commit"])
-            seconds = (*stages.values(), one.wall - sum(stages.values()), one.wall, one.processor)
-            sizes = (f"{value:.0f}" for value in (one.images, one.points, one.measures))
-            ends = f"{one.memory / _GIGA:.2f}", str(len(mine)), one.commit
+            middle = {key: statistics.median(record[key] for record in of_job) for key in keys}
+            stages = {key: statistics.median(record["stages"].get(key, 0.0) for record in of_job) for key in STAGES}
+            medians = of[name] = Run(**middle, stages=stages, job=name, commit=of_job[-1]["commit"])
+            seconds = (*stages.values(), medians.wall - sum(stages.values()), medians.wall, medians.processor)
+            sizes = (f"{value:.0f}" for value in (medians.images, medians.points, medians.measures))
+            ends = f"{medians.memory / _GIGA:.2f}", str(len(of_job)), medians.commit
             rows.append([name, *sizes, *(f"{value:.1f}" for value in seconds), *ends])
     head = ["archive", "images", "points", "measures", *(f"{stage} (s)" for stage in STAGES), "start and results (s)",
             "wall (s)", "processor (s)", "memory (GB)", "runs", "commit"]  # fmt: skip
@@ -232,45 +232,45 @@ def archive_tables(runs: Sequence[Run]) -> list[str]:
         [f"{a} to {b}", *(number(exponent(of[a], of[b], key)) for key in ("wall", "processor", "memory"))]
         for a, b in (("dense-tenth", "dense"), ("ctx-tenth", "ctx")) if a in of and b in of
     ]  # fmt: skip
-    words = "Exponents in the number of measures (slopes of the logarithms between two sizes):"
-    return [*table(head, rows), "", words, "", *table(["from, to", "wall", "processor", "memory"], grown)]
+    caption = "Exponents in the number of measures (slopes of the logarithms between two sizes):"
+    return [*table(head, rows), "", caption, "", *table(["from, to", "wall", "processor", "memory"], grown)]
 
 
-def exponent(one: Run, other: Run, key: str) -> float:
+def exponent(small: Run, large: Run, key: str) -> float:
     """Slope of the logarithms of a figure against the number of measures."""
-    return float(np.log(getattr(other, key) / getattr(one, key)) / np.log(other.measures / one.measures))
+    return float(np.log(getattr(large, key) / getattr(small, key)) / np.log(large.measures / small.measures))
 
 
-def archive(parser: OneLine, given: list[str]) -> int:
+def archive(parser: OneLine, arguments: list[str]) -> int:
     """From files to results: simulated archives adjusted by the command, each run a process (or a cluster) of its own.
 
     python scripts/benchmark.py archive --work WORK [block block-pages block-pvl kaguya dense ctx] [--repeat 3]
 
-    Archives are made in WORK by `mgsgraph simulate archive` where they aren't there. Every run is added to
-    WORK/runs.jsonl as soon as it is over, so that an interrupted campaign goes on where it was. Fills docs/scale.md.
+    Archives are made in WORK by `mgsgraph simulate archive` where they are missing. Every run is added to
+    WORK/runs.jsonl as soon as it ends, so that an interrupted campaign continues where it stopped. Fills docs/scale.md.
     """
     parser.add_argument("jobs", nargs="*", default=["block", "block-pages", "block-pvl", "kaguya"], metavar="JOB",
                         help=f"of {', '.join(JOBS)}")  # fmt: skip
     parser.add_argument("--work", type=Path, required=True, help="folder of archives and runs; 20 GB for all")
     parser.add_argument("--repeat", type=at_least(1), default=3)
     parser.add_argument("--out", type=Path, default=DOCS / "scale.md")
-    chosen = parser.parse_args(given)
-    for name in chosen.jobs:
+    options = parser.parse_args(arguments)
+    for name in options.jobs:
         if name not in JOBS:
             parser.error(f"no job {name!r}; expected some of {', '.join(JOBS)}")
 
     def make() -> dict[str, list[str]]:
-        chosen.work.mkdir(parents=True, exist_ok=True)
-        record = chosen.work / "runs.jsonl"
-        for name in chosen.jobs:
-            while (count := sum(one.job == name for one in kept(record))) < chosen.repeat:
-                show(f"{name}: run {count + 1} of {chosen.repeat}")
-                done = run(name, chosen.work)
+        options.work.mkdir(parents=True, exist_ok=True)
+        record = options.work / "runs.jsonl"
+        for name in options.jobs:
+            while (count := sum(r.job == name for r in finished(record))) < options.repeat:
+                show(f"{name}: run {count + 1} of {options.repeat}")
+                done = run(name, options.work)
                 with record.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(done)) + "\n")
-        return {"archive": archive_tables(kept(record))}
+        return {"archive": archive_tables(finished(record))}
 
-    return write_page(parser, chosen.out, "scale.md", make)
+    return write_page(parser, options.out, "scale.md", make)
 
 
 # --- the commands of a project
@@ -283,13 +283,13 @@ def solved_project(strip: SimulatedStrip, folder: Path) -> None:
         OrientationInput(position_sigma_m=noise.position, angle_sigma_mrad=noise.angle / MRAD, trend=noise.trend),
         measures=MeasuresInput(noise.tie, noise.shot_image),
     )
-    known = {image.name: KnownImage(image, noise.prior) for image in strip.images}
-    whole = build_network(known, [strip.ties, *strip.lasers], noise.tie, noise.shot_image)
-    assert whole is not None
-    solution = adjust_network(whole, settings.solver.settings)
+    known_images = {image.name: KnownImage(image, noise.prior) for image in strip.images}
+    block = build_network(known_images, [strip.ties, *strip.lasers], noise.tie, noise.shot_image)
+    assert block is not None
+    solution = adjust_network(block, settings.solver.settings)
     with Project.create(folder, "strip", settings) as made_project:
         IncrementalAdjustment(settings.solver.settings, made_project.store).adopt(solution)
-        made_project.record("solve", f"{len(whole.images)} images", {})
+        made_project.record("solve", f"{len(block.images)} images", {})
         made_project.record_batch(solution)
 
 
@@ -314,30 +314,30 @@ def tree(folder: Path) -> float:
 
 
 def project_row(strip: SimulatedStrip, images: int, repeats: int, solve: bool, work: Path) -> list[str]:
-    """What the commands cost with so many images in the project."""
+    """Times of the commands with a number of images in the project."""
     show(f"{images} images: making the project")
-    kept_one, copy = work / "kept", work / "copy"
-    solved_project(strip.upto(images), kept_one)
+    original, copy = work / "kept", work / "copy"
+    solved_project(strip.upto(images), original)
     arguments = step(strip, images, work / "step")
     runs: dict[str, list[Took]] = {"add": [], "dry": [], "status": []}
     trees = list[float]()
-    for again in range(repeats + 1):
-        show(f"{images} images: run {again} of {repeats}")
+    for repeat in range(repeats + 1):
+        show(f"{images} images: run {repeat} of {repeats}")
         shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(kept_one, copy)
+        shutil.copytree(original, copy)
         runs["status"].append(mgsgraph("project", "status", copy))
         runs["dry"].append(mgsgraph("project", "add", copy, *arguments, "--dry-run"))
         runs["add"].append(mgsgraph("project", "add", copy, *arguments))
         trees.append(tree(copy))
-    add, dry, status = (median(one[1:]) for one in (runs["add"], runs["dry"], runs["status"]))  # the first compiles
-    size = (kept_one / "project.sqlite").stat().st_size / 1e6
+    add, dry, status = (median(times[1:]) for times in (runs["add"], runs["dry"], runs["status"]))  # the first compiles
+    size = (original / "project.sqlite").stat().st_size / 1e6
     last = str(mgsgraph("project", "solve", copy, "--no-figures")) if solve else "-"
     points = str(len(strip.upto(images).ties.ids))
     seconds = f"{statistics.median(trees[1:]):.2f}"
     return [str(images), points, f"{size:.0f}", str(add), seconds, str(dry), str(status), last]
 
 
-def project(parser: OneLine, given: list[str]) -> int:
+def project(parser: OneLine, arguments: list[str]) -> int:
     """What do `project add`, `status` and `solve` cost as commands, with 10, 100, 498 images already in the project?
 
     Makes a project of a simulated strip's first images (batch, adopted), writes the files of the next image, and runs
@@ -348,17 +348,17 @@ def project(parser: OneLine, given: list[str]) -> int:
     parser.add_argument("--repeats", type=at_least(1), default=3, help="runs whose median counts")
     parser.add_argument("--no-solve", action="store_true", help="leave solve out")
     parser.add_argument("--out", type=Path, default=DOCS / "project_cost.md")
-    chosen = parser.parse_args(given)
+    options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
-        strip, rows = simulate_strip(StripSettings(images=max(chosen.images) + 1, ties=chosen.ties)), []
-        for images in chosen.images:
+        strip, rows = simulate_strip(StripSettings(images=max(options.images) + 1, ties=options.ties)), []
+        for images in options.images:
             with tempfile.TemporaryDirectory() as folder:
-                rows.append(project_row(strip, images, chosen.repeats, not chosen.no_solve, Path(folder)))
+                rows.append(project_row(strip, images, options.repeats, not options.no_solve, Path(folder)))
         head = ["images", "points", "project (MB)", "add (s)", "tree (s)", "dry run (s)", "status (s)", "solve (s)"]
         return {"project": table(head, rows)}
 
-    return write_page(parser, chosen.out, "project_cost.md", make)
+    return write_page(parser, options.out, "project_cost.md", make)
 
 
 # --- questions
@@ -369,44 +369,44 @@ QUERIES = ("point", "pose", "pair of points", "projection", "intersection")
 Seconds = dict[str, list[float]]
 
 
-def turn(whole: Network, settings: Any, queries: int, seconds: Seconds) -> list[str]:
-    """Adjust a network, ask everything once, and book the seconds; words on its size."""
+def turn(block: Network, settings: Any, queries: int, seconds: Seconds) -> list[str]:
+    """Adjust a network, run each query once, record the seconds; its size as text."""
 
     def timed(name: str, job: Callable[[], Any], count: int = 1) -> Any:
         begin = time.perf_counter()
-        found = job()
+        result = job()
         seconds.setdefault(name, []).append((time.perf_counter() - begin) / count)
-        return found
+        return result
 
-    solution = adjust_network(whole, settings)
+    solution = adjust_network(block, settings)
     seconds.setdefault(ITERATION, []).append(solution.seconds["solve"] / solution.iterations)
     at = timed("linearised", lambda: at_solution(solution))
-    found = timed("reliability table", lambda: reliability(at))
-    timed("sorted", lambda: found.order(len(found)))
-    timed("suspects", lambda: suspects(found))
+    tests = timed("reliability table", lambda: reliability(at))
+    timed("sorted", lambda: tests.order(len(tests)))
+    timed("suspects", lambda: suspects(tests))
     with tempfile.TemporaryDirectory() as folder:
-        timed("file", lambda: reliability_table(found).write_csv(Path(folder) / "reliability.csv"))
+        timed("file", lambda: reliability_table(tests).write_csv(Path(folder) / "reliability.csv"))
     timed("variance components", lambda: components(at))
-    for name, query in zip(QUERIES, single_queries(whole, Posterior(at), queries), strict=True):
-        query(0)  # what it keeps for the next ones
+    for name, query in zip(QUERIES, single_queries(block, Posterior(at), queries), strict=True):
+        query(0)  # the first query fills caches
         timed(name, lambda query=query: [query(k) for k in range(1, queries + 1)], queries)
-    return [f"{len(found):,} scalar measures", f"{solution.iterations} iterations"]
+    return [f"{len(tests):,} scalar measures", f"{solution.iterations} iterations"]
 
 
-def single_queries(whole: Network, posterior: Posterior, queries: int) -> tuple[Callable[[int], object], ...]:
-    """The `QUERIES` by number; each is of other points and images, spread over the rays."""
-    rays, ids, images = whole.rays, whole.points.ids, whole.images
+def single_queries(block: Network, posterior: Posterior, queries: int) -> tuple[Callable[[int], object], ...]:
+    """The `QUERIES` by number; each number means other points and images, spread over the rays."""
+    rays, ids, images = block.rays, block.points.ids, block.images
     chosen = np.linspace(0, rays.point.size - 1, queries + 2).astype(np.int64)
-    names, others = [ids[i] for i in rays.point[chosen]], [images[j] for j in rays.image[chosen]]
+    names, image_of = [ids[i] for i in rays.point[chosen]], [images[j] for j in rays.image[chosen]]
     pixels = [
         [Pixel(images[rays.image[k]].name, *rays.places[k].tolist(), float(rays.sigmas[k].max()))
          for k in np.flatnonzero(rays.point == i).tolist()] for i in rays.point[chosen]
     ]  # fmt: skip
     return (
         lambda k: posterior.point(names[k]),
-        lambda k: posterior.pose(others[k].name, 0.5 * others[k].lines),
+        lambda k: posterior.pose(image_of[k].name, 0.5 * image_of[k].lines),
         lambda k: posterior.difference(names[k], names[k + 1]),
-        lambda k: posterior.projection(names[k], others[k].name),
+        lambda k: posterior.projection(names[k], image_of[k].name),
         lambda k: posterior.intersection(pixels[k]),
     )
 
@@ -422,12 +422,12 @@ def query_tables(seconds: Seconds) -> list[str]:
 
 def ratio(times: list[float], iteration: list[float]) -> str:
     """Median ratio of times to those of the same turn, least and most."""
-    found = sorted(one / other for one, other in zip(times, iteration, strict=True))
-    return f"{statistics.median(found):.2f} ({found[0]:.2f} .. {found[-1]:.2f})"
+    ratios = sorted(seconds / reference for seconds, reference in zip(times, iteration, strict=True))
+    return f"{statistics.median(ratios):.2f} ({ratios[0]:.2f} .. {ratios[-1]:.2f})"
 
 
-def analysis(parser: OneLine, given: list[str]) -> int:
-    """What does it cost to ask an adjustment?
+def analysis(parser: OneLine, arguments: list[str]) -> int:
+    """Times of queries to an adjustment.
 
     Adjusts one of the peer's problems (or the Kaguya-sized block) and times, in one process and in turn: an adjustment,
     linearizing it at its solution, the reliability table, its sorting and its file, variance components, and single
@@ -439,17 +439,17 @@ def analysis(parser: OneLine, given: list[str]) -> int:
     parser.add_argument("--queries", type=at_least(1), default=20, help="single queries of each kind in a turn")
     parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the peer's generator")
     parser.add_argument("--out", type=Path, default=DOCS / "analysis_cost.md")
-    chosen = parser.parse_args(given)
+    options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
-        problem, _ = made(chosen.size, chosen.shared)
-        asked, words, seconds = network(problem, "predicted"), list[str](), Seconds()
-        for again in range(chosen.repeat + 1):
-            show(f"turn {again} of {chosen.repeat}")
-            seconds = Seconds() if again <= 1 else seconds
-            words = turn(*asked, chosen.queries, seconds)
-        sizes = f"{problem.orientation.shape[0]} images", f"{problem.places.shape[0]:,} points", *words
-        title = f"Size {chosen.size}: {', '.join(sizes)}; {chosen.repeat} turns."
+        problem, _ = made(options.size, options.shared)
+        inputs, counts, seconds = network(problem, "predicted"), list[str](), Seconds()
+        for repeat in range(options.repeat + 1):
+            show(f"turn {repeat} of {options.repeat}")
+            seconds = Seconds() if repeat <= 1 else seconds
+            counts = turn(*inputs, options.queries, seconds)
+        sizes = f"{problem.orientation.shape[0]} images", f"{problem.places.shape[0]:,} points", *counts
+        title = f"Size {options.size}: {', '.join(sizes)}; {options.repeat} turns."
         return {"analysis": [title, "", *query_tables(seconds)]}
 
-    return write_page(parser, chosen.out, "analysis_cost.md", make)
+    return write_page(parser, options.out, "analysis_cost.md", make)

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 class _Name(type):
-    """A name of such a library."""
+    """A name of a missing library."""
 
     def __getattr__(cls, name: str) -> Any:
         if name.startswith("__"):
@@ -37,7 +37,7 @@ class _Name(type):
 
 
 class _Absent(ModuleType):
-    """A library that isn't installed: its names are there, for annotations, and can't be used."""
+    """A library that isn't installed: its names serve annotations only."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -45,8 +45,8 @@ class _Absent(ModuleType):
         return _Name(name, (), {})
 
 
-def _stand_alone() -> None:
-    """Find the package in this checkout, and go without libraries that nothing here calls."""
+def _prepare_imports() -> None:
+    """Find the package in this checkout, and replace missing libraries that are not called."""
     if find_spec("mgsgraph") is None:
         sys.path.insert(0, str(ROOT))
     absent = [name for name in ("gtsam", "threadpoolctl", "pyarrow") if find_spec(name) is None]
@@ -60,13 +60,13 @@ def _stand_alone() -> None:
 
         import mgsgraph
 
-        found = importlib.util.spec_from_file_location(
+        spec = importlib.util.spec_from_file_location(
             "mgsgraph.factors", ROOT / "factors" / "__init__.py", submodule_search_locations=[str(ROOT / "factors")]
         )
-        assert found is not None
-        assert found.loader is not None
-        sys.modules["mgsgraph.factors"] = mgsgraph.factors = importlib.util.module_from_spec(found)
-        found.loader.exec_module(mgsgraph.factors)
+        assert spec is not None
+        assert spec.loader is not None
+        sys.modules["mgsgraph.factors"] = mgsgraph.factors = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(mgsgraph.factors)
 
 
 def _name_without_arrow() -> None:
@@ -85,7 +85,7 @@ def _name_without_arrow() -> None:
     Names.first_repeated = None  # type: ignore[assignment]
 
 
-_stand_alone()
+_prepare_imports()
 
 import numpy as np  # noqa: E402
 from peer_blocks import chain, kaguya  # noqa: E402
@@ -113,7 +113,7 @@ BOUNDS = {"L": 0.020, "XL": 0.040, "Kaguya": 0.060, "ten XL": 0.12}
 
 @dataclass
 class Times:
-    """Of one problem; s, but for what is said otherwise."""
+    """Of one problem, in s unless stated otherwise."""
 
     size: str
     images: int
@@ -132,17 +132,17 @@ class Times:
     costs: float = 0.0
     """One sweep for costs alone."""
     covariances: float = 0.0
-    """Of all points, with their way to the host."""
+    """Of all points, with the copy to the host."""
 
 
 def synchronise() -> None:
-    """Wait until the device has done all that it was told."""
+    """Wait until the device has finished."""
     if not SIMULATED:
         cuda.synchronize()
 
 
 def median(job: Callable[[], Any], runs: int) -> float:
-    """Median time of a job, s, all that the device does for it over."""
+    """Median time of a job in s, until the device has finished."""
     times = []
     for _ in range(runs):
         synchronise()
@@ -154,14 +154,14 @@ def median(job: Callable[[], Any], runs: int) -> float:
 
 
 def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
-    """All about one problem."""
+    """Times of one problem."""
     begin = time.perf_counter()
     problem, _ = SIZES[size]()
     net, settings = network(problem, line)
-    made = time.perf_counter()
+    built = time.perf_counter()
     layout = lay_out(net, settings)
     laid = time.perf_counter()
-    found = Times(size, len(net.images), len(net.points), net.rays.point.size, made - begin, laid - made)
+    times = Times(size, len(net.images), len(net.points), net.rays.point.size, built - begin, laid - built)
     del problem
     sweeper, start = GpuSweeper(find_gpu(), layout, deterministic), np.zeros(layout.columns)
 
@@ -169,18 +169,18 @@ def timed(size: str, line: Any, runs: int, deterministic: bool) -> Times:
         graph = BundleGraph(layout, layout.rows, sweeper)
         return levenberg_marquardt(BundleProblem(graph), start, settings, lambda _: None)
 
-    found.first, found.adjusted, outcome = median(adjust, 1), median(adjust, runs), adjust()
-    found.cost, found.iterations = outcome.cost_final, len(outcome.history)
+    times.first, times.adjusted, outcome = median(adjust, 1), median(adjust, runs), adjust()
+    times.cost, times.iterations = outcome.cost_final, len(outcome.history)
     last = sweeper.reduction(layout, layout.rows, outcome.state, SYSTEM, None)
-    again = (layout, layout.rows, outcome.state)
-    found.system = median(lambda: sweeper.reduction(*again, SYSTEM, last), runs)
-    found.costs = median(lambda: sweeper.reduction(*again, COSTS, last), runs)
+    inputs = (layout, layout.rows, outcome.state)
+    times.system = median(lambda: sweeper.reduction(*inputs, SYSTEM, last), runs)
+    times.costs = median(lambda: sweeper.reduction(*inputs, COSTS, last), runs)
     unit = np.zeros(layout.blocks.target.size)
-    found.covariances = median(lambda: sweeper.covariances(*again, unit, last.points), runs)
-    return found
+    times.covariances = median(lambda: sweeper.covariances(*inputs, unit, last.points), runs)
+    return times
 
 
-def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
+def page(times: list[Times], line: str, deterministic: bool, runs: int) -> str:
     """The table of a run, in Markdown."""
     head = [
         "problem", "images / points / rays", "made, laid out, s", "first, s", "adjustment, s",
@@ -194,13 +194,11 @@ def page(found: list[Times], line: str, deterministic: bool, runs: int) -> str:
             f"{1e3 * t.system:.2f}", f"{1e3 * t.costs:.2f}", f"{1e3 * t.covariances:.2f}",
             f"{BOUNDS[t.size]}" if t.size in BOUNDS else "",
         ]
-        for t in found
+        for t in times
     ]  # fmt: skip
     order = "in a fixed order" if deterministic else "by atomic additions"
-    said = (
-        f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
-    )
-    return "\n".join(["# Times on a GPU", "", *table(head, rows), "", said, ""])
+    caption = f"{find_gpu().name}. {line.capitalize()} line, sums {order}, medians of {runs} runs. {machine()}"
+    return "\n".join(["# Times on a GPU", "", *table(head, rows), "", caption, ""])
 
 
 def main() -> int:
@@ -212,25 +210,25 @@ def main() -> int:
     parser.add_argument("--deterministic", action="store_true", help="sums in a fixed order")
     parser.add_argument("--out", type=Path, help="page in Markdown")
     parser.add_argument("--json", type=Path, help="the same figures")
-    chosen = parser.parse_args()
-    sizes = chosen.sizes or (["S"] if SIMULATED else [size for size in SIZES if size != "S"])
+    options = parser.parse_args()
+    sizes = options.sizes or (["S"] if SIMULATED else [size for size in SIZES if size != "S"])
     for size in sizes:
         if size not in SIZES:
             parser.error(f"{size}: expected some of {', '.join(SIZES)}")
 
     def run() -> int:
-        require_writable(chosen.out, chosen.json)
+        require_writable(options.out, options.json)
         find_gpu()
-        found = list[Times]()
+        results = list[Times]()
         for size in sizes:
-            found.append(timed(size, chosen.line, chosen.runs, chosen.deterministic))
-            print(json.dumps(asdict(found[-1])), flush=True)  # should a larger one fail
-        text = page(found, chosen.line, chosen.deterministic, chosen.runs)
+            results.append(timed(size, options.line, options.runs, options.deterministic))
+            print(json.dumps(asdict(results[-1])), flush=True)  # in case a larger one fails
+        text = page(results, options.line, options.deterministic, options.runs)
         print(text)
-        if chosen.out is not None:
-            write_text(text, chosen.out)
-        if chosen.json is not None:
-            write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n", chosen.json)
+        if options.out is not None:
+            write_text(text, options.out)
+        if options.json is not None:
+            write_text(json.dumps([asdict(times) for times in results], indent=1) + "\n", options.json)
         return 0
 
     return status(parser.prog, run)

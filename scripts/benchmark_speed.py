@@ -63,7 +63,7 @@ _REMEDY = "build it with the peer's build.sh"
 
 
 MEGABYTE = 2.0**20
-"""bytes; as the peer counts its own."""
+"""bytes; as the peer counts its memory."""
 
 
 STAGES = ("read", "network", "set_up", "solve", "covariance")
@@ -92,7 +92,7 @@ class Ratio:
     value: float
     """of the medians."""
     least: float
-    """of the repeats, each with its own neighbours in time."""
+    """least, over the repeats."""
     most: float
     """the same."""
 
@@ -101,7 +101,7 @@ class Ratio:
 
 
 def middle(runs: Sequence[Mapping[str, Any]], key: str) -> float:
-    """Median over the repeats; NaN where the figure isn't there."""
+    """Median over the repeats; NaN where the figure is missing."""
     values = [float(run[key]) for run in runs if key in run]
     return median(values) if values else math.nan
 
@@ -123,24 +123,24 @@ def cost_difference(runs: Runs) -> float:
     """Largest relative difference of our final cost from one of the peer's; NaN without the peer."""
     peers = [middle(runs[variant], "cost_final") for variant in VARIANTS if runs.get(variant)]
     ours = middle(runs[OURS], "cost_final")
-    return max((abs(ours - one) / one for one in peers), default=math.nan)
+    return max((abs(ours - peer) / peer for peer in peers), default=math.nan)
 
 
 def metrics(size: str, runs: Runs) -> dict[str, float]:
-    """Everything of one size that a baseline may hold a run to, by name."""
-    found = {
+    """All figures of one size that a baseline may limit, by name."""
+    figures = {
         f"{size}: iterations": middle(runs[OURS], "iterations"),
         f"{size}: bytes per observation": middle(runs[OURS], "bytes_per_observation"),
         f"{size}: share that converged": sum(bool(run["converged"]) for run in runs[OURS]) / len(runs[OURS]),
     }
     solves = {variant: ratio(runs, variant, "seconds_solve") for variant in VARIANTS}
-    found |= {f"{size}: solve, {variant} / {OURS}": one.value for variant, one in solves.items() if one}
+    figures |= {f"{size}: solve, {variant} / {OURS}": solve.value for variant, solve in solves.items() if solve}
     if any(solves.values()):
-        found[f"{size}: solve, best / {OURS}"] = min(one.value for one in solves.values() if one)
-        found[f"{size}: cost, relative difference"] = cost_difference(runs)
+        figures[f"{size}: solve, best / {OURS}"] = min(solve.value for solve in solves.values() if solve)
+        figures[f"{size}: cost, relative difference"] = cost_difference(runs)
     if covariance := ratio(runs, "custom", "seconds_covariance"):
-        found[f"{size}: covariance, custom / {OURS}"] = covariance.value
-    return found
+        figures[f"{size}: covariance, custom / {OURS}"] = covariance.value
+    return figures
 
 
 # --- the baseline
@@ -148,14 +148,14 @@ def metrics(size: str, runs: Runs) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """What one figure is held to."""
+    """The limit of one figure."""
 
     direction: str
     """higher: higher is better; lower: lower is."""
     required: float | None = None
-    """The issue's own demand; no tolerance."""
+    """Required value; no tolerance."""
     value: float | None = None
-    """What was reached when the baseline was made."""
+    """Value when the baseline was made."""
     tolerance: float = 0.25
     """Share of `value` by which a figure may be worse: times scatter on shared machines."""
 
@@ -181,8 +181,8 @@ def read_baseline(path: Path) -> dict[str, Limit]:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"no baseline ({' '.join(str(error).split())[:100]})") from None
     for name, limit in limits.items():
-        numbers = [one for one in (limit.required, limit.value, limit.tolerance) if one is not None]
-        fine = all(isinstance(one, int | float) and math.isfinite(one) for one in numbers)
+        numbers = [value for value in (limit.required, limit.value, limit.tolerance) if value is not None]
+        fine = all(isinstance(value, int | float) and math.isfinite(value) for value in numbers)
         if limit.direction not in ("higher", "lower") or not fine or len(numbers) < 2:
             expected = "a direction, higher or lower, and a finite number required or reached"
             raise InputError(f"{path}, {name}", f"{line_of(limit)}", expected)
@@ -191,30 +191,30 @@ def read_baseline(path: Path) -> dict[str, Limit]:
 
 def line_of(limit: Limit) -> dict[str, Any]:
     """A limit as the file holds it."""
-    whole = {"direction": limit.direction, "required": limit.required, "value": limit.value}
-    return {key: one for key, one in whole.items() if one is not None} | {"tolerance": limit.tolerance}
+    line = {"direction": limit.direction, "required": limit.required, "value": limit.value}
+    return {key: value for key, value in line.items() if value is not None} | {"tolerance": limit.tolerance}
 
 
-def judged(limits: Mapping[str, Limit], found: Mapping[str, float], sizes: Sequence[str]) -> list[str]:
+def judged(limits: Mapping[str, Limit], values: Mapping[str, float], sizes: Sequence[str]) -> list[str]:
     """Sentences, one for each figure of these sizes that fails; InputError where one wasn't measured."""
-    mine = {name: limit for name, limit in limits.items() if name.split(":")[0] in sizes}
-    if not mine:
+    chosen = {name: limit for name, limit in limits.items() if name.split(":")[0] in sizes}
+    if not chosen:
         raise InputError("gate", f"no line of the baseline for {', '.join(sizes)}", "a size that it holds")
-    for name in [one for one in mine if one not in found][:1]:
+    for name in [key for key in chosen if key not in values][:1]:
         raise InputError(f"gate, {name}", "not measured", "the peer in the same run", "name it with --peer")
     return [
-        f"FAILED {name}: {found[name]:.4g}, at {'most' if limit.direction == 'lower' else 'least'} {limit.bound():.4g}"
-        for name, limit in mine.items()
-        if not limit.holds(found[name])
+        f"FAILED {name}: {values[name]:.4g}, at {'most' if limit.direction == 'lower' else 'least'} {limit.bound():.4g}"
+        for name, limit in chosen.items()
+        if not limit.holds(values[name])
     ]
 
 
-def update_baseline(path: Path, found: Mapping[str, float]) -> None:
-    """Put what was reached into the lines that the baseline has; do so deliberately, on a quiet machine."""
+def update_baseline(path: Path, figures: Mapping[str, float]) -> None:
+    """Write the values of this run into the baseline's lines; only on a quiet machine."""
     limits = read_baseline(path)
-    anew = {name: replace(limit, value=found.get(name, limit.value)) for name, limit in limits.items()}
+    updated = {name: replace(limit, value=figures.get(name, limit.value)) for name, limit in limits.items()}
     note = json.loads(path.read_text(encoding="utf-8")).get("note", "")
-    write_json({"note": note, "metrics": {name: line_of(limit) for name, limit in anew.items()}}, path)
+    write_json({"note": note, "metrics": {name: line_of(limit) for name, limit in updated.items()}}, path)
 
 
 # --- one run, of ours and of the peer's
@@ -235,13 +235,13 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
     read = time.perf_counter() - start
     adjust_network(*network(chain(2, 40, shots=5)[0], line))
     start = time.perf_counter()
-    taken, settings = network(problem, line)
-    made = time.perf_counter() - start
+    net, settings = network(problem, line)
+    built = time.perf_counter() - start
     rays, points, images = problem.u.size, problem.places.shape[0], problem.orientation.shape[0]
     del problem
     forget_peak()
     before = resident()
-    solution = adjust_network(taken, settings, str(path))
+    solution = adjust_network(net, settings, str(path))
     peak = highest()
     stages = {f"seconds_{name.replace(' ', '_')}": value for name, value in solution.seconds.items()}
     return {
@@ -257,7 +257,7 @@ def run_once(path: Path, line: Line = "measured") -> dict[str, Any]:
         "cost_initial": solution.cost_initial,
         "cost_final": solution.cost_final,
         "seconds_read": read,
-        "seconds_network": made,
+        "seconds_network": built,
         **stages,
         "seconds_per_iteration": stages["seconds_solve"] / max(solution.iterations, 1),
         "peak_memory_mb": peak / MEGABYTE,
@@ -283,9 +283,9 @@ def highest() -> float:
 
 
 def forget_peak() -> None:
-    """Let the highest memory begin anew, so that reading the input doesn't hide the adjustment; Linux only.
+    """Reset the highest memory, so that reading the input doesn't hide the adjustment; Linux only.
 
-    What the input's making has freed goes back to the system first: used again, it would not count.
+    Memory freed after reading the input is returned to the system first: reused, it would not count.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
@@ -305,22 +305,22 @@ def require_peer(program: Path) -> None:
 
 
 def run_peer(program: Path, problem: Path, variant: str, threads: int) -> dict[str, Any]:
-    """Figures of one run; InputError when the program fails or says something else than the peer's line of JSON."""
+    """Figures of one run; InputError when the program fails or doesn't print the peer's line of JSON."""
     command = [str(program), str(problem), *VARIANTS[variant], *TOLERANCE, "--threads", str(threads)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, errors="replace")
     except OSError as error:
         raise InputError(str(program), f"can't be run ({error.strerror or error})", remedy=_REMEDY) from None
     try:
-        said = json.loads(done.stdout)
-        figures: dict[str, Any] = {ours: float(said[theirs]) for theirs, ours in _KEYS.items()}
+        answer = json.loads(done.stdout)
+        figures: dict[str, Any] = {ours: float(answer[theirs]) for theirs, ours in _KEYS.items()}
     except (ValueError, KeyError, TypeError):
         last = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()[-1][:200]
         found = f"exit status {done.returncode}, saying {last!r}"
         raise InputError(f"{program}, {variant}", found, "one line of JSON with its figures", _REMEDY) from None
-    figures["converged"] = said.get("termination") == "CONVERGENCE"
-    if "cov_schur_t" in said:
-        figures["seconds_covariance"] = float(said["cov_schur_t"])
+    figures["converged"] = answer.get("termination") == "CONVERGENCE"
+    if "cov_schur_t" in answer:
+        figures["seconds_covariance"] = float(answer["cov_schur_t"])
     return figures
 
 
@@ -328,7 +328,7 @@ def run_peer(program: Path, problem: Path, variant: str, threads: int) -> dict[s
 
 
 def programs(peer: Path | None) -> list[str]:
-    """What runs in every repeat."""
+    """Programs that run in every repeat."""
     return [OURS, *(VARIANTS if peer else ())]
 
 
@@ -347,75 +347,75 @@ def ours(problem: Path, line: str, threads: int) -> dict[str, Any]:
 
 
 def repeated(
-    size: str, problem: Path, peer: Path | None, wanted: argparse.Namespace
+    size: str, problem: Path, peer: Path | None, options: argparse.Namespace
 ) -> dict[str, list[dict[str, Any]]]:
     """Figures of all programs on one file, repeats interleaved; each repeat begins with another program."""
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name in programs(peer)}
-    for turn in range(wanted.repeat):
+    for turn in range(options.repeat):
         order = programs(peer)
         for name in order[turn % len(order) :] + order[: turn % len(order)]:
             if turn and (size, name) in ONCE:
                 continue
-            show(f"{size}: {name}, {turn + 1} of {wanted.repeat}")
+            show(f"{size}: {name}, {turn + 1} of {options.repeat}")
             if name == OURS or peer is None:
-                runs[name].append(ours(problem, wanted.line, wanted.threads))
+                runs[name].append(ours(problem, options.line, options.threads))
             else:
-                runs[name].append(run_peer(peer, problem, name, wanted.threads))
+                runs[name].append(run_peer(peer, problem, name, options.threads))
     show("")
     return runs
 
 
-def problem_file(size: str, wanted: argparse.Namespace, scratch: Path) -> Path:
+def problem_file(size: str, options: argparse.Namespace, scratch: Path) -> Path:
     """The file of a size: the one in --work, or a new one."""
-    path = (wanted.work or scratch) / f"{size}.bin"
+    path = (options.work or scratch) / f"{size}.bin"
     if path.is_file():
         read_problem(path)
     else:
         show(f"{size}: making it")
-        write_problem(made(size, wanted.shared)[0], path)
+        write_problem(made(size, options.shared)[0], path)
     return path
 
 
-def measure(wanted: argparse.Namespace) -> int:
-    """All sizes, the page, and the """
-    sizes = wanted.sizes or list(SIZES)
-    if wanted.peer:
-        require_peer(wanted.peer)
-    if (wanted.gate or wanted.update_baseline) and not wanted.peer:
+def measure(options: argparse.Namespace) -> int:
+    """Run all sizes, write the page, judge the figures; the exit status."""
+    sizes = options.sizes or list(SIZES)
+    if options.peer:
+        require_peer(options.peer)
+    if (options.gate or options.update_baseline) and not options.peer:
         raise InputError("gate", "no peer to compare with", "its program", "build it and name it with --peer")
-    limits = read_baseline(wanted.baseline) if wanted.gate or wanted.update_baseline else {}
+    limits = read_baseline(options.baseline) if options.gate or options.update_baseline else {}
     results = {}
     with tempfile.TemporaryDirectory() as folder:
         for size in sizes:
-            results[size] = repeated(size, problem_file(size, wanted, Path(folder)), wanted.peer, wanted)
-    found = {name: value for size, runs in results.items() for name, value in metrics(size, runs).items()}
-    text = page(results, wanted.repeat, wanted.threads)
+            results[size] = repeated(size, problem_file(size, options, Path(folder)), options.peer, options)
+    figures = {name: value for size, runs in results.items() for name, value in metrics(size, runs).items()}
+    text = page(results, options.repeat, options.threads)
     print(text)
-    if wanted.markdown:
-        write_text(text, wanted.markdown)
-    if wanted.json:
-        write_json({"runs": results, "metrics": found}, wanted.json)
-    if wanted.update_baseline:
-        update_baseline(wanted.baseline, found)
-    failed = judged(limits, found, sizes) if wanted.gate else []
+    if options.markdown:
+        write_text(text, options.markdown)
+    if options.json:
+        write_json({"runs": results, "metrics": figures}, options.json)
+    if options.update_baseline:
+        update_baseline(options.baseline, figures)
+    failed = judged(limits, figures, sizes) if options.gate else []
     failed += [
         f"FAILED {size}: ours did not converge ({runs[OURS][0]['message']})"
         for size, runs in results.items()
-        if not all(one["converged"] for one in runs[OURS])
+        if not all(run["converged"] for run in runs[OURS])
     ]
-    print("\n".join(failed or (["The gate is passed."] if wanted.gate else [])))
+    print("\n".join(failed or (["The gate is passed."] if options.gate else [])))
     return 1 if failed else 0
 
 
-def one_problem(wanted: argparse.Namespace) -> int:
+def one_problem(options: argparse.Namespace) -> int:
     """One file, once, its figures as JSON."""
-    figures = run_once(wanted.problem, wanted.line)
-    if wanted.json:
-        write_json(figures, wanted.json)
+    figures = run_once(options.problem, options.line)
+    if options.json:
+        write_json(figures, options.json)
     else:
         print(json.dumps(figures, indent=1))
     if not figures["converged"]:
-        print(f"benchmark speed: {wanted.problem}: {figures['message']}", file=sys.stderr)
+        print(f"benchmark speed: {options.problem}: {figures['message']}", file=sys.stderr)
     return 0 if figures["converged"] else 1
 
 
@@ -439,11 +439,11 @@ def stage_table(results: Mapping[str, Runs]) -> list[str]:
     head = ("size", "images", "points", "observations", *(stage.replace("_", " ") for stage in STAGES), "iterations")
     rows = []
     for size, runs in results.items():
-        mine = runs[OURS]
-        counts = (f"{mine[0][key]:,}" for key in ("images", "points", "observations"))
-        seconds = (number(middle(mine, f"seconds_{stage}")) for stage in STAGES)
-        last = (f"{middle(mine, 'iterations'):g}", number(middle(mine, "seconds_per_iteration")))
-        memory = (f"{middle(mine, 'peak_memory_mb'):.0f}", f"{middle(mine, 'bytes_per_observation'):.0f}")
+        own_runs = runs[OURS]
+        counts = (f"{own_runs[0][key]:,}" for key in ("images", "points", "observations"))
+        seconds = (number(middle(own_runs, f"seconds_{stage}")) for stage in STAGES)
+        last = (f"{middle(own_runs, 'iterations'):g}", number(middle(own_runs, "seconds_per_iteration")))
+        memory = (f"{middle(own_runs, 'peak_memory_mb'):.0f}", f"{middle(own_runs, 'bytes_per_observation'):.0f}")
         rows.append((size, *counts, *seconds, *last, *memory))
     return table((*head, "s / iteration", "highest MB", "memory, B / obs."), rows)
 
@@ -453,7 +453,7 @@ def ratio_table(results: Mapping[str, Runs]) -> list[str]:
     rows = []
     for size, runs in results.items():
         solves = [ratio(runs, variant, "seconds_solve") for variant in VARIANTS]
-        cells = [str(one) if one else "-" for one in (*solves, ratio(runs, "custom", "seconds_covariance"))]
+        cells = [str(value) if value else "-" for value in (*solves, ratio(runs, "custom", "seconds_covariance"))]
         rows.append((size, *cells))
     return table(("size", *(f"{variant}, solve" for variant in VARIANTS), "custom, covariance"), rows)
 
@@ -461,14 +461,14 @@ def ratio_table(results: Mapping[str, Runs]) -> list[str]:
 def cost_table(results: Mapping[str, Runs]) -> list[str]:
     """Solve seconds and iterations of every program; covariance; final cost and its difference."""
     rows = []
-    for size, runs in results.items():
+    for size, by_program in results.items():
         cells = [size]
         for name in (OURS, *VARIANTS):
-            mine = runs.get(name, ())
-            cells.append(f"{number(middle(mine, 'seconds_solve'))} ({middle(mine, 'iterations'):g})" if mine else "-")
-        cells += [number(middle(runs.get(name, ()), "seconds_covariance")) for name in (OURS, "custom")]
-        difference = cost_difference(runs)
-        cells += [f"{middle(runs[OURS], 'cost_final'):.12g}", "-" if math.isnan(difference) else f"{difference:.1e}"]
+            runs = by_program.get(name, ())
+            cells.append(f"{number(middle(runs, 'seconds_solve'))} ({middle(runs, 'iterations'):g})" if runs else "-")
+        cells += [number(middle(by_program.get(name, ()), "seconds_covariance")) for name in (OURS, "custom")]
+        gap = cost_difference(by_program)
+        cells += [f"{middle(by_program[OURS], 'cost_final'):.12g}", "-" if math.isnan(gap) else f"{gap:.1e}"]
         rows.append(tuple(cells))
     names = (f"{name}, solve (iterations)" for name in (OURS, *VARIANTS))
     return table(("size", *names, f"{OURS}, covariance", "custom, covariance", "cost", "relative difference"), rows)
@@ -477,11 +477,11 @@ def cost_table(results: Mapping[str, Runs]) -> list[str]:
 # --- the command line
 
 
-def speed(parser: OneLine, given: list[str]) -> int:
+def speed(parser: OneLine, arguments: list[str]) -> int:
     """Seconds, memory and cost of this program on problems of the peer's model, beside the C++ peer in the same run.
 
-    Every run is a process of its own, and every repeat runs all programs in turn, so that what else the machine does
-    hits all alike; figures are medians over the repeats, ratios the peer's seconds over ours. Not in the figures:
+    Every run is a process of its own, and every repeat runs all programs in turn, so that other load of the machine
+    affects all of them; figures are medians over the repeats, ratios the peer's seconds over ours. Not in the figures:
     compiling the kernel, or loading it from its cache. A tiny problem of the same kind is adjusted first, so that the
     file's own adjustment finds everything compiled, as a second adjustment in one session would.
     """
@@ -498,20 +498,20 @@ def speed(parser: OneLine, given: list[str]) -> int:
     parser.add_argument("--update-baseline", action="store_true", help="put them into it; do so deliberately")
     parser.add_argument("--baseline", type=Path, default=BASELINE)
     parser.add_argument("--problem", type=Path, help="one file of the peer's format, in place of sizes")
-    wanted = parser.parse_args(given)
-    for size in wanted.sizes:
+    options = parser.parse_args(arguments)
+    for size in options.sizes:
         if size not in SIZES:
             parser.error(f"no size {size!r}; there are {', '.join(SIZES)}")
-    if len(set(wanted.sizes)) < len(wanted.sizes):
+    if len(set(options.sizes)) < len(options.sizes):
         parser.error("a size named twice")
-    if wanted.sizes and wanted.problem:
+    if options.sizes and options.problem:
         parser.error("sizes and --problem exclude one another")
-    if (wanted.gate or wanted.update_baseline) and (wanted.problem or wanted.line != "measured"):
+    if (options.gate or options.update_baseline) and (options.problem or options.line != "measured"):
         parser.error("the gate judges sizes, in the peer's form")
-    os.environ["NUMBA_NUM_THREADS"] = str(wanted.threads)  # before anything imports numba
+    os.environ["NUMBA_NUM_THREADS"] = str(options.threads)  # before anything imports numba
 
     def job() -> int:
-        require_writable(wanted.json, wanted.markdown)
-        return one_problem(wanted) if wanted.problem else measure(wanted)
+        require_writable(options.json, options.markdown)
+        return one_problem(options) if options.problem else measure(options)
 
     return status(parser.prog, job)

@@ -42,7 +42,7 @@ from networks import network as network_of_pair
 from redraw import redraw
 
 PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
-"""Limits, and sigmas of the observation by which planted rays are off."""
+"""Limits, and errors of planted rays in sigmas of the observation."""
 RATE = 0.02
 """Share of the rays that are off, one of a point at most."""
 POWERS = 0.80, 0.95
@@ -52,7 +52,7 @@ TUKEY = tuple(f"{case}, tukey" for case in ("pair", "gusev", "eos", "isidis", "s
 GROSS, MORE = 0.3, (0.4, 0.5, 0.6, 0.7)
 """Shares of the ties' rays that are far off: in each draw, and in every fourth."""
 FAR = 100.0, 900.0
-"""px, by which, in a random direction."""
+"""px, least and largest such error, in a random direction."""
 
 
 def network_of(case: str, seed: int) -> tuple[Network, SolverSettings]:
@@ -79,12 +79,12 @@ def chances(clean: Solution, limit: float, rows: Index, errors: Array) -> Array:
     """Probability (b,) that the test of each ray is beyond a limit, by the redundancy that it has in clean data."""
     at = at_solution(clean)
     numbers = swept(at, np.zeros(0, dtype=np.int64))[0][judged(at.layout).place[rows]]
-    left = np.empty((rows.size, 2, 2))
-    left[:, [0, 1], [0, 1]] = 1.0 - numbers[:, SHARE]
-    left[:, 0, 1] = left[:, 1, 0] = -numbers[:, BETWEEN]
-    values = np.linalg.eigvalsh(left)
+    remaining = np.empty((rows.size, 2, 2))
+    remaining[:, [0, 1], [0, 1]] = 1.0 - numbers[:, SHARE]
+    remaining[:, 0, 1] = remaining[:, 1, 0] = -numbers[:, BETWEEN]
+    values = np.linalg.eigvalsh(remaining)
     dimensions = np.count_nonzero(values > UNCONTROLLED, axis=1)
-    shift = np.einsum("bi,bij,bj->b", errors, left, errors)
+    shift = np.einsum("bi,bij,bj->b", errors, remaining, errors)
     limits = np.array([critical_value(limit, d) for d in range(3)])[dimensions]
     return np.where(dimensions > 0, ncx2.sf(limits, np.maximum(dimensions, 1), shift), 0.0)
 
@@ -95,22 +95,22 @@ def of_clean(network: Network, settings: SolverSettings) -> Array:
     assert solution.rays_rejected is not None
     assert solution.ranges_rejected is not None
     marks = solution.rays_rejected, solution.ranges_rejected
-    return np.array([number for one in marks for number in (one.size, one.sum())], dtype=np.float64)
+    return np.array([number for mask in marks for number in (mask.size, mask.sum())], dtype=np.float64)
 
 
 def of_planted(clean: Solution, limit: float, size: float, seed: int) -> Array:
-    """Planted, found, expected, variance of that; of each power how many, and found; beside it, elsewhere."""
+    """Numbers planted, found, expected, and its variance; by power; false rejections at those points, and elsewhere."""
     network, settings = clean.network, replace(clean.settings, reject=limit)
     wrong, rows, errors = planted(network, size, np.random.default_rng([seed, 22]))
     chance = chances(clean, limit, rows, errors)
-    gone = adjust_network(wrong, settings).rays_rejected
-    assert gone is not None
-    found, others = gone[rows], gone.copy()
-    others[rows] = False
+    rejected = adjust_network(wrong, settings).rays_rejected
+    assert rejected is not None
+    caught, not_planted = rejected[rows], rejected.copy()
+    not_planted[rows] = False
     beside = np.isin(network.rays.point, network.rays.point[rows])
-    strong = [one[chance >= power].sum() for power in POWERS for one in (np.ones(rows.size), found, chance)]
-    sums = rows.size, found.sum(), chance.sum(), np.sum(chance * (1.0 - chance))
-    return np.array([*sums, *strong, np.sum(others & beside), np.sum(others & ~beside)], dtype=np.float64)
+    strong = [values[chance >= power].sum() for power in POWERS for values in (np.ones(rows.size), caught, chance)]
+    sums = rows.size, caught.sum(), chance.sum(), np.sum(chance * (1.0 - chance))
+    return np.array([*sums, *strong, np.sum(not_planted & beside), np.sum(not_planted & ~beside)], dtype=np.float64)
 
 
 def with_truth(case: str, seed: int) -> tuple[Network, Array, SolverSettings]:
@@ -126,7 +126,7 @@ def with_truth(case: str, seed: int) -> tuple[Network, Array, SolverSettings]:
 
 def far_off(network: Network, share: float, rng: np.random.Generator) -> tuple[Network, Index]:
     """The network with a share of its ties' rays elsewhere in their images; which."""
-    rays, size = network.rays, np.array([(one.lines, one.samples) for one in network.images], dtype=np.float64)
+    rays, size = network.rays, np.array([(image.lines, image.samples) for image in network.images], dtype=np.float64)
     ties = np.flatnonzero((network.points.classes == PointClass.TIE)[rays.point])
     rows, places = rng.choice(ties, round(share * ties.size), replace=False), rays.places.copy()
     angle, most = rng.uniform(0.0, 2.0 * np.pi, rows.size), size[rays.image[rows]] - 1.0
@@ -139,35 +139,35 @@ def far_off(network: Network, share: float, rng: np.random.Generator) -> tuple[N
 def error_ratios(
     network: Network, truth: Array, settings: SolverSettings, share: float, seed: int, losses: tuple[Loss, ...]
 ) -> list[float]:
-    """Root mean square error of ties whose rays are all good over that of adjustments, with some losses, that are told
-    the blunders; 1e9 where a point, or the adjustment, is lost.
+    """Root mean square error of ties whose rays are all good, over that of adjustments (with some losses) that know
+    the blunders; 1e9 where the adjustment fails or a point has no place.
     """
     wrong, rows = far_off(network, share, np.random.default_rng([seed, 23]))
-    every, good = all_rows(wrong), (network.points.classes == PointClass.TIE) & ~network.undetermined
+    full, good = all_rows(wrong), (network.points.classes == PointClass.TIE) & ~network.undetermined
     good[network.rays.point[rows]] = False
     rays = np.isin(np.arange(network.rays.point.size), rows, invert=True)
-    left_in = replace(every, rays=rays)
+    left_in = replace(full, rays=rays)
     try:
-        told = [adjust_network(wrong, replace(settings, loss=loss, starts=0), left_in=left_in) for loss in losses]
-        found = adjust_network(wrong, settings)
+        informed = [adjust_network(wrong, replace(settings, loss=loss, starts=0), left_in=left_in) for loss in losses]
+        solution = adjust_network(wrong, settings)
     except MgsgraphError:
         return [1e9 for _ in losses]
-    good &= np.all([one.determined for one in told], axis=0)
-    mine, *known = (np.sqrt(np.sum((one.places - truth)[good] ** 2)) for one in (found, *told))
-    return [float(mine / one) if found.converged and np.isfinite(mine) else 1e9 for one in known]
+    good &= np.all([result.determined for result in informed], axis=0)
+    error, *best = (np.sqrt(np.sum((result.places - truth)[good] ** 2)) for result in (solution, *informed))
+    return [float(error / least) if solution.converged and np.isfinite(error) else 1e9 for least in best]
 
 
 def with_tukey(case: str, seed: int) -> Draw:
     """Rays and ranges of clean data, and those without weight; ratios of errors; steps and seconds beside Huber's."""
     network, truth, settings = with_truth(case, seed)
-    clean, others = adjust_network(network, settings), adjust_network(network, replace(settings, loss="huber"))
-    lost = np.concatenate([clean.rays_rejected, clean.ranges_rejected])
+    clean, huber = adjust_network(network, settings), adjust_network(network, replace(settings, loss="huber"))
+    rejected = np.concatenate([clean.rays_rejected, clean.ranges_rejected])
     turn = seed % len(MORE)
     ratios = error_ratios(network, truth, settings, GROSS, seed, ("tukey", "none"))
     ratios += error_ratios(network, truth, settings, MORE[turn], seed, ("tukey",))
-    seconds = [one.seconds["solve"] for one in (clean, others)]
-    return {"lost": [lost.size, int(lost.sum())], "turn": turn, "ratios": ratios,
-            "converged": clean.converged, "steps": [len(one.history) for one in (clean, others)], "seconds": seconds}
+    seconds = [solution.seconds["solve"] for solution in (clean, huber)]
+    return {"lost": [rejected.size, int(rejected.sum())], "turn": turn, "ratios": ratios,
+            "converged": clean.converged, "steps": [len(s.history) for s in (clean, huber)], "seconds": seconds}
 
 
 def one_draw(case: str, seed: int) -> Draw:
@@ -180,54 +180,54 @@ def one_draw(case: str, seed: int) -> Draw:
     return {"clean": good.tolist(), "turn": turn, "planted": of_planted(clean, *PLANTED[turn], seed).tolist()}
 
 
-def clean_row(case: str, every: list[Draw]) -> list[str]:
-    """What a limit of four sigmas takes of clean data."""
-    rays, gone, ranges, gone_too = np.sum([draw["clean"] for draw in every], axis=0)
-    of_ranges = f"{gone_too:.0f} of {ranges:.0f}" if ranges else "-"
+def clean_row(case: str, draws: list[Draw]) -> list[str]:
+    """Measurements of clean data that a limit of four sigmas rejects."""
+    rays, rejected, ranges, ranges_rejected = np.sum([draw["clean"] for draw in draws], axis=0)
+    of_ranges = f"{ranges_rejected:.0f} of {ranges:.0f}" if ranges else "-"
     expected = f"{rays * 6.334e-5:.1f}"
-    return [case, str(len(every)), f"{rays:.0f}", f"{gone:.0f}", f"{gone / rays:.4%}", expected, of_ranges]
+    return [case, str(len(draws)), f"{rays:.0f}", f"{rejected:.0f}", f"{rejected / rays:.4%}", expected, of_ranges]
 
 
-def planted_row(case: str, turn: int, every: list[Draw]) -> list[str]:
-    """What is found of blunders of one size."""
-    sums = np.sum([draw["planted"] for draw in every if draw["turn"] == turn] or np.zeros((1, 12)), axis=0)
-    count, found, expected, variance, *strong, beside, elsewhere = sums
+def planted_row(case: str, turn: int, draws: list[Draw]) -> list[str]:
+    """Blunders of one size that are found."""
+    sums = np.sum([draw["planted"] for draw in draws if draw["turn"] == turn] or np.zeros((1, 12)), axis=0)
+    count, caught, expected, variance, *strong, beside, elsewhere = sums
     half = Z99 * np.sqrt(variance)
     of_powers = [
-        f"{gone:.0f} of {number:.0f}, {gone / number:.1%} ({wanted / number:.1%})" if number else "none"
-        for number, gone, wanted in (strong[:3], strong[3:])
+        f"{hits:.0f} of {number:.0f}, {hits / number:.1%} ({expected_hits / number:.1%})" if number else "none"
+        for number, hits, expected_hits in (strong[:3], strong[3:])
     ]  # fmt: skip
     band = f"{expected:.0f} ({expected - half:.0f} .. {expected + half:.0f})"
-    counts = f"{count:.0f}", f"{found:.0f}"
+    counts = f"{count:.0f}", f"{caught:.0f}"
     ends = f"{beside:.0f}", f"{elsewhere:.0f}"
     return [case, *(f"{value:g}" for value in PLANTED[turn]), *counts, band, *of_powers, *ends]
 
 
-def tukey_row(case: str, every: list[Draw]) -> list[str]:
-    """What Tukey's loss loses, and its errors."""
-    rows, lost = np.sum([draw["lost"] for draw in every], axis=0)
-    ratios = np.array([draw["ratios"] for draw in every])
-    turns = np.array([draw["turn"] for draw in every])
-    cells = [f"{root_mean_square(one):.3f}, {np.median(one):.3f}, {one.max():.3g}, {np.sum(one > 1.05)}"
-             for one in ratios.T[:2]]  # fmt: skip
+def tukey_row(case: str, draws: list[Draw]) -> list[str]:
+    """Measurements that Tukey's loss rejects, and its errors."""
+    rows, rejected = np.sum([draw["lost"] for draw in draws], axis=0)
+    ratios = np.array([draw["ratios"] for draw in draws])
+    turns = np.array([draw["turn"] for draw in draws])
+    cells = [f"{root_mean_square(values):.3f}, {np.median(values):.3f}, {values.max():.3g}, {np.sum(values > 1.05)}"
+             for values in ratios.T[:2]]  # fmt: skip
     more = [ratios[turns == turn, 2] for turn in range(len(MORE))]
-    beyond = [f"{np.sum(one > 1.05)} of {one.size}" if one.size else "-" for one in more]
-    steps = np.mean([draw["steps"] for draw in every], axis=0)
-    slower = np.median([one / other for one, other in (draw["seconds"] for draw in every)])
-    return [case.split(",")[0], str(len(every)), f"{rows:.0f}", f"{lost:.0f}, {lost / rows:.3%}",
+    beyond = [f"{np.sum(values > 1.05)} of {values.size}" if values.size else "-" for values in more]
+    steps = np.mean([draw["steps"] for draw in draws], axis=0)
+    slower = np.median([tukey / huber for tukey, huber in (draw["seconds"] for draw in draws)])
+    return [case.split(",")[0], str(len(draws)), f"{rows:.0f}", f"{rejected:.0f}, {rejected / rows:.3%}",
             *cells, *beyond,
             f"{steps[0]:.0f} ({steps[1]:.0f})", f"{slower:.1f}"]
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """The tables of the cases."""
-    of = {case: cases(every, case) for case in names_of(every)}
+    of = {case: cases(draws, case) for case in names_of(draws)}
     if any(case in TUKEY for case in of):
         head = ("case", "draws", "measurements", "lost", "told", "told, least squares",
                 *(f"{share:.0%}" for share in MORE), "steps (huber)", "time / huber")
-        return {"tukey": table(head, [tukey_row(case, mine) for case, mine in of.items()])}
-    clean = [clean_row(case, mine) for case, mine in of.items()]
-    wrong = [planted_row(case, turn, mine) for case, mine in of.items() for turn in range(len(PLANTED))]
+        return {"tukey": table(head, [tukey_row(case, of_case) for case, of_case in of.items()])}
+    clean = [clean_row(case, of_case) for case, of_case in of.items()]
+    wrong = [planted_row(case, turn, of_case) for case, of_case in of.items() for turn in range(len(PLANTED))]
     heads = "case", "limit", "sigmas", "planted", "found", "expected", "80 %", "95 %", "beside it", "elsewhere"
     return {
         "clean": table(("case", "draws", "rays", "rejected", "share", "expected", "ranges rejected"), clean),

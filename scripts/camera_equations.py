@@ -51,15 +51,15 @@ class Variant(NamedTuple):
 
     name: str
     keywords: dict[str, Any]
-    """naif_keywords that are other ones."""
+    """naif_keywords that differ."""
     edit: Callable[[dict[str, Any]], None] = lambda isd: None
-    """What it is known to write otherwise."""
+    """The known difference."""
     why: str = ""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """An image: its optics, lines, and what turns and moves."""
+    """An image: its optics, lines, frames and bodies."""
 
     camera: str
     name: str
@@ -72,7 +72,7 @@ class Scene:
     code: int
     """The instrument's."""
     frames: tuple[str, str]
-    """That which C-kernels turn, and the camera's."""
+    """The frame of the C-kernels, and the camera's."""
     body: str
     fixed: str
     platform: str = ""
@@ -89,7 +89,7 @@ class Scene:
 
     def time(self, line: float) -> float:
         """s TDB past J2000 at which a line's top edge is read."""
-        first, start, period = [one for one in self.rates if one[0] <= line][-1]
+        first, start, period = [rate for rate in self.rates if rate[0] <= line][-1]
         return start + (line - first) * period
 
     def turn(self, time: float, frame: str) -> Vector:
@@ -113,27 +113,27 @@ class Scene:
         return pool(f"BODY{spice.bods2c(self.body)}_RADII")
 
     def ground(self, line: float, sample: float) -> Vector:
-        """m, body-fixed: the equations."""
+        """m, body-fixed, by the equations."""
         time = self.time(line)
         turn = self.body_turn(time)
-        place, way = turn @ self.state(time)[:3], turn @ self.turn(time, self.frames[1]).T @ self.optics.look(sample)
-        return np.array(spice.surfpt(place, way, *self.radii())) * 1e3
+        place, ray = turn @ self.state(time)[:3], turn @ self.turn(time, self.frames[1]).T @ self.optics.look(sample)
+        return np.array(spice.surfpt(place, ray, *self.radii())) * 1e3
 
     def rotation(self, times: Vector, frame: str, bias: float = 0.0) -> dict[str, Any]:
         """A table of quaternions and angular velocities, as ALE has it."""
-        both = [spice.xf2rav(spice.sxform("J2000", frame, one + bias)) for one in times]
+        turns = [spice.xf2rav(spice.sxform("J2000", frame, time + bias)) for time in times]
         return {
             "reference_frame": 1, "ephemeris_times": times.tolist(),
-            "quaternions": [spice.m2q(turn).tolist() for turn, _ in both],
-            "angular_velocities": [np.asarray(rate).tolist() for _, rate in both],
+            "quaternions": [spice.m2q(turn).tolist() for turn, _ in turns],
+            "angular_velocities": [np.asarray(rate).tolist() for _, rate in turns],
         }  # fmt: skip
 
     def pointing(self, times: Vector) -> dict[str, Any]:
         """The camera's table."""
         mount = spice.pxform(*self.frames, self.rates[0][1])
-        said = self.rotation(times, self.frames[0], self.bias) | {"constant_rotation": mount.ravel().tolist()}
-        return said | {"time_dependent_frames": [spice.namfrm(self.frames[0]), 1],
-                       "constant_frames": [spice.namfrm(one) for one in self.frames[::-1]]}  # fmt: skip
+        table = self.rotation(times, self.frames[0], self.bias) | {"constant_rotation": mount.ravel().tolist()}
+        return table | {"time_dependent_frames": [spice.namfrm(self.frames[0]), 1],
+                       "constant_frames": [spice.namfrm(frame) for frame in self.frames[::-1]]}  # fmt: skip
 
     def spinning(self, times: Vector) -> dict[str, Any]:
         """The body's table."""
@@ -141,18 +141,18 @@ class Scene:
 
     def places(self, times: Vector, keywords: dict[str, Any]) -> Vector:
         """States (n, 6), corrected for aberration as keywords ask and as ALE does (base/data_naif.py)."""
-        said = {key.split("_", 1)[1]: value for key, value in keywords.items() if key.startswith(f"INS{self.code}_")}
-        swapped = str(said.get("SWAP_OBSERVER_TARGET", "FALSE")).upper() == "TRUE"
-        if said.get("LIGHTTIME_CORRECTION", "LT+S") == "NONE":
-            return np.array([self.state(one) for one in times])
+        words = {key.split("_", 1)[1]: value for key, value in keywords.items() if key.startswith(f"INS{self.code}_")}
+        swapped = str(words.get("SWAP_OBSERVER_TARGET", "FALSE")).upper() == "TRUE"
+        if words.get("LIGHTTIME_CORRECTION", "LT+S") == "NONE":
+            return np.array([self.state(time) for time in times])
         target, observer = (self.body, self.spacecraft) if swapped else (self.spacecraft, self.body)
-        if str(said.get("LT_SURFACE_CORRECT", "FALSE")).upper() == "TRUE":
+        if str(words.get("LT_SURFACE_CORRECT", "FALSE")).upper() == "TRUE":
             saved = 0.5 * (self.radii()[0] + self.radii()[2]) / LIGHT
-            late = [one - spice.spkezr(target, one, "J2000", "LT+S", observer)[1] + saved for one in times]
-            both = zip(late, times, strict=True)
-            states = [barycentric(target, then) - barycentric(observer, now) for then, now in both]
+            late = [time - spice.spkezr(target, time, "J2000", "LT+S", observer)[1] + saved for time in times]
+            pairs = zip(late, times, strict=True)
+            states = [barycentric(target, emitted) - barycentric(observer, received) for emitted, received in pairs]
         else:
-            states = [spice.spkezr(target, one, "J2000", "LT+S", observer)[0] for one in times]
+            states = [spice.spkezr(target, time, "J2000", "LT+S", observer)[0] for time in times]
         return np.array(states) * (-1.0 if swapped else 1.0)
 
     def support_data(self, variant: Variant) -> dict[str, Any]:
@@ -204,16 +204,16 @@ def pool(name: str) -> Vector:
 
 def pool_of(pattern: str) -> dict[str, Any]:
     """Variables of the pool as ALE copies them: one number or word as it is, several as a list."""
-    found = dict[str, Any]()
+    variables = dict[str, Any]()
     try:
         names = spice.gnpool(pattern, 0, 400)
     except spice.exceptions.NotFoundError:
-        return found
+        return variables
     for name in names:
         _, kind = spice.dtpool(name)
         values = list(spice.gcpool(name, 0, 40)) if kind == "C" else pool(name).tolist()
-        found[name] = values[0] if len(values) == 1 else values
-    return found
+        variables[name] = values[0] if len(values) == 1 else values
+    return variables
 
 
 @contextmanager

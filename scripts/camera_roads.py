@@ -31,57 +31,57 @@ HEAD = (
 
 
 class Row(NamedTuple):
-    """Largest differences in pixels of 25 places; NaN where a road is not there."""
+    """Largest differences in pixels of 25 places; NaN where a path is missing."""
 
     camera: str
     image: str
     label: float
     support: float
-    both: float
+    between: float
     why: str
 
 
 def rows(name: str, data: Path) -> list[Row]:
-    """Of one camera, by its name in CAMERAS: as it is, then its variants."""
-    make, folder, others = CAMERAS[name]
-    kernels = kernels_of(data, folder, *others) if folder else []
+    """Rows of one camera, by its name in CAMERAS: the scene, then its variants."""
+    make, folder, more = CAMERAS[name]
+    kernels = kernels_of(data, folder, *more) if folder else []
     with tempfile.TemporaryDirectory() as place:
         with furnished(kernels):
             scene = make(data, Path(place))
             places = [(line, sample) for line in np.linspace(0.5, scene.size[0] - 0.5, 5)
                       for sample in np.linspace(0.5, scene.size[1] - 0.5, 5)]  # fmt: skip
-            own = np.array([scene.ground(*one) for one in places])
+            exact = np.array([scene.ground(*pixel) for pixel in places])
             steps = np.array([
                 [scene.ground(line + 0.5, sample) - scene.ground(line - 0.5, sample),
                  scene.ground(line, sample + 0.5) - scene.ground(line, sample - 0.5)] for line, sample in places
             ])  # fmt: skip
-            every = [] if "MOC-WA" in scene.camera else [Variant("", without(scene.code)), *scene.variants]
-            support = [(one, scene.support_data(one)) for one in every]
+            variants = [] if "MOC-WA" in scene.camera else [Variant("", without(scene.code)), *scene.variants]
+            support = [(v, scene.support_data(v)) for v in variants]
         label = by_label(scene, [*kernels, *scene.kernels])
 
-        def pixels(one: Vector, other: Vector) -> float:
-            both = zip(steps, one - other, strict=True)
-            return float(np.max([np.linalg.norm(np.linalg.lstsq(step.T, off, rcond=None)[0]) for step, off in both]))
+        def pixels(first: Vector, second: Vector) -> float:
+            pairs = zip(steps, first - second, strict=True)
+            return float(np.max([np.linalg.norm(np.linalg.lstsq(step.T, off, rcond=None)[0]) for step, off in pairs]))
 
         def grounds(image: PushbroomImage) -> Vector:
             return np.asarray(image.image_to_ground(*np.array(places).T)[0])
 
-        labelled = grounds(label) if label else np.full_like(own, np.nan)
-        found = []
+        labelled = grounds(label) if label else np.full_like(exact, np.nan)
+        compared = []
         for variant, isd in support or [(Variant("", {}), None)]:
-            theirs = np.full_like(own, np.nan)
+            theirs = np.full_like(exact, np.nan)
             if isd is not None:
                 path = Path(place) / "image.json"
                 path.write_text(json.dumps(isd))
                 theirs = grounds(read_isd(path, "image"))
             title = ", ".join(filter(None, [scene.name, variant.name]))
-            largest = [pixels(labelled, own), pixels(theirs, own), pixels(labelled, theirs)]
-            found.append(Row(scene.camera, title, *largest, variant.why if variant.name else scene.why))
-    return found
+            largest = [pixels(labelled, exact), pixels(theirs, exact), pixels(labelled, theirs)]
+            compared.append(Row(scene.camera, title, *largest, variant.why if variant.name else scene.why))
+    return compared
 
 
 def by_label(scene: Scene, kernels: Sequence[Path]) -> PushbroomImage | None:
-    """The program's road; None where there is none."""
+    """The image as the program reads it from its label; None without a label."""
     if scene.label is None:
         return None
     if isinstance(scene, Tabled):
@@ -90,15 +90,15 @@ def by_label(scene: Scene, kernels: Sequence[Path]) -> PushbroomImage | None:
 
 
 def cell(pixels: float) -> str:
-    """px, in two digits; nothing for a road that is not there."""
+    """px, in two digits; empty where a path is missing."""
     return "" if np.isnan(pixels) else f"{pixels:.2g} px"
 
 
 def made(data: Path, names: Sequence[str]) -> Blocks:
     """The table."""
-    every = [row for name in names for row in rows(name, data)]
+    compared = [row for name in names for row in rows(name, data)]
     return {"camera_roads": table(HEAD, [
-        [row.camera, row.image, cell(row.label), cell(row.support), cell(row.both), row.why] for row in every
+        [row.camera, row.image, cell(row.label), cell(row.support), cell(row.between), row.why] for row in compared
     ])}  # fmt: skip
 
 

@@ -25,14 +25,14 @@ HRSC_TIMES = ((255744599.02748165, 0.012800790786743165, 1), (255744684.33197814
 
 
 def without(code: int) -> dict[str, Any]:
-    """That positions are geometric."""
+    """Keywords for geometric positions."""
     return {f"INS{code}_LIGHTTIME_CORRECTION": "NONE"}
 
 
 def apparent(code: int) -> Variant:
-    """Positions as ALE asks SPICE for them where an addendum says nothing else."""
-    said = {} if code == -131351 else {f"INS{code}_LIGHTTIME_CORRECTION": "LT+S"}
-    return Variant("positions LT+S", said, why="made geometric, the Sun's own motion left out")
+    """Positions as ALE asks SPICE for them by default."""
+    keywords = {} if code == -131351 else {f"INS{code}_LIGHTTIME_CORRECTION": "LT+S"}
+    return Variant("positions LT+S", keywords, why="made geometric, the Sun's own motion left out")
 
 
 def moc_of_ale(isd: dict[str, Any]) -> None:
@@ -69,7 +69,7 @@ def by_keywords(code: int, **more: Any) -> Optics:
     usual: dict[str, Callable[[], Any]] = {
         "focal": lambda: pool(f"INS{code}_FOCAL_LENGTH")[0], "lines": lambda: pool(f"INS{code}_ITRANSL"),
         "samples": lambda: pool(f"INS{code}_ITRANSS"),
-        "origin": lambda: tuple(float(pool(f"INS{code}_BORESIGHT_{one}")[0]) for one in ("LINE", "SAMPLE")),
+        "origin": lambda: tuple(float(pool(f"INS{code}_BORESIGHT_{axis}")[0]) for axis in ("LINE", "SAMPLE")),
     }  # fmt: skip
     return Optics(**{key: more[key] if key in more else make() for key, make in usual.items()} | more)
 
@@ -80,15 +80,15 @@ def radial(code: int) -> dict[str, Any]:
 
     def undistort(x: float, y: float) -> tuple[float, float]:
         square = x * x + y * y
-        kept = 1.0 - (k[0] + square * (k[1] + square * k[2]))
-        return x * kept, y * kept
+        factor = 1.0 - (k[0] + square * (k[1] + square * k[2]))
+        return x * factor, y * factor
 
     return {"undistort": undistort, "model": {"radial": {"coefficients": k}}}
 
 
 def kaguya(code: int, signed: bool) -> dict[str, Any]:
     """ISIS KaguyaTcCameraDistortionMap (the radius) and KaguyaMiCameraDistortionMap (y with its sign)."""
-    a, b, shift = (pool(f"INS{code}_{one}") for one in ("DISTORTION_COEF_X", "DISTORTION_COEF_Y", "BORESIGHT"))
+    a, b, shift = (pool(f"INS{code}_{name}") for name in ("DISTORTION_COEF_X", "DISTORTION_COEF_Y", "BORESIGHT"))
 
     def undistort(x: float, y: float) -> tuple[float, float]:
         powers = (y if signed else np.hypot(x, y)) ** np.arange(a.size)
@@ -98,24 +98,24 @@ def kaguya(code: int, signed: bool) -> dict[str, Any]:
     return {"undistort": undistort, "model": {"kaguyalism": model}}
 
 
-def words(label: Path, key: str) -> str:
-    """What a label says of a key, without quotes and units."""
-    found = re.search(rf"^\s*{re.escape(key)}\s*=\s*(.*)$", label.read_text(errors="ignore"), re.MULTILINE)
-    assert found is not None, f"{label}: no {key}"
-    return re.sub(r"<.*>|[\"()]", "", found[1]).strip()
+def entry(label: Path, key: str) -> str:
+    """Value of a label's key, without quotes and units."""
+    match = re.search(rf"^\s*{re.escape(key)}\s*=\s*(.*)$", label.read_text(errors="ignore"), re.MULTILINE)
+    assert match is not None, f"{label}: no {key}"
+    return re.sub(r"<.*>|[\"()]", "", match[1]).strip()
 
 
-def seen(label: Path, key: str) -> float:
+def number(label: Path, key: str) -> float:
     """A number of a label."""
-    return float(words(label, key))
+    return float(entry(label, key))
 
 
-def kernels_of(data: Path, folder: str, *others: str) -> list[Path]:
-    """All of a folder in the order of loading, the addendum after the instrument kernel; then `others`."""
+def kernels_of(data: Path, folder: str, *more: str) -> list[Path]:
+    """All of a folder in the order of loading, the addendum after the instrument kernel; then `more`."""
     kinds = (".tls", ".tsc", ".tpc", ".tf", ".ti", ".bsp", ".bc")
-    found = [path for path in sorted((data / folder).iterdir()) if path.suffix.lower() in kinds]
-    found.sort(key=lambda path: (kinds.index(path.suffix.lower()), "ddendum" in path.name))
-    return found + [data / other for other in others]
+    kernels = [path for path in sorted((data / folder).iterdir()) if path.suffix.lower() in kinds]
+    kernels.sort(key=lambda path: (kinds.index(path.suffix.lower()), "ddendum" in path.name))
+    return kernels + [data / name for name in more]
 
 
 MOON = (
@@ -125,8 +125,8 @@ MOON = (
 
 def ctx(data: Path, _: Path) -> Scene:
     label = data / "mro_ctx_b10" / "B10_013341_1010_XN_79S172W_pds3.lbl"
-    start = spice.scs2e(-74, words(label, "SPACECRAFT_CLOCK_START_COUNT"))
-    rate = (0.0, start, seen(label, "LINE_EXPOSURE_DURATION") * 1e-3)
+    start = spice.scs2e(-74, entry(label, "SPACECRAFT_CLOCK_START_COUNT"))
+    rate = (0.0, start, number(label, "LINE_EXPOSURE_DURATION") * 1e-3)
     return Scene(
         "MRO CTX", "B10_013341", by_keywords(-74021, **radial(-74021)), (400, 5000), [rate], "-74", -74021,
         ("MRO_SPACECRAFT", "MRO_CTX"), "MARS", "IAU_MARS", "MARS_RECONNAISSANCE_ORBITER", "CONTEXT CAMERA", label=label,
@@ -136,8 +136,8 @@ def ctx(data: Path, _: Path) -> Scene:
 
 def lroc(data: Path, _: Path) -> Scene:
     label = data / "lro_nac_m103595705" / "M103595705LE_pds3.lbl"
-    preroll = spice.scs2e(-85, words(label, "LRO:SPACECRAFT_CLOCK_PREROLL_COUNT"))
-    period = seen(label, "LINE_EXPOSURE_DURATION") * 1e-3 * 1.0045
+    preroll = spice.scs2e(-85, entry(label, "LRO:SPACECRAFT_CLOCK_PREROLL_COUNT"))
+    period = number(label, "LINE_EXPOSURE_DURATION") * 1e-3 * 1.0045
     k = float(pool("INS-85600_OD_K")[0])
     optics = by_keywords(
         -85600, undistort=lambda x, y: (x, y / (1.0 + k * y * y)), model={"lrolrocnac": {"coefficients": [k]}}
@@ -151,7 +151,7 @@ def lroc(data: Path, _: Path) -> Scene:
 
 def moc_narrow(data: Path, _: Path) -> Scene:
     label = data / "mgs_moc_m0402852" / "m0402852_isis.lbl"
-    start, period = spice.scs2e(-94, words(label, "SpacecraftClockCount")), seen(label, "LineExposureDuration") * 1e-3
+    start, period = spice.scs2e(-94, entry(label, "SpacecraftClockCount")), number(label, "LineExposureDuration") * 1e-3
     optics = by_keywords(-94031, origin=(0.0, 1024.5), summing=8.0, model={"radial": {"coefficients": [0.0] * 3}})
     return Scene(
         "MGS MOC-NA", "M04/02852", optics, (1536, 256), [(0.0, start, 8.0 * period)], "-94", -94031,
@@ -213,8 +213,8 @@ def moc_wide(_: Path, folder: Path) -> Scene:
 
 def terrain(data: Path, _: Path) -> Scene:
     label = data / "kaguya_tc" / "TC1S2B0_01_06691S820E0465_pds3.lbl"
-    start = spice.sct2e(-131, seen(label, "CORRECTED_SC_CLOCK_START_COUNT"))
-    rate = (0.0, start, seen(label, "CORRECTED_SAMPLING_INTERVAL") * 1e-3)
+    start = spice.sct2e(-131, number(label, "CORRECTED_SC_CLOCK_START_COUNT"))
+    rate = (0.0, start, number(label, "CORRECTED_SAMPLING_INTERVAL") * 1e-3)
     return Scene(
         "Kaguya TC1", "S820E0465", by_keywords(-131351, **kaguya(-131351, signed=False)), (400, 3208), [rate], "-131",
         -131351, ("SELENE_M_SPACECRAFT", "LISM_TC1_HEAD"), "MOON", "MOON_ME", "SELENE", "TERRAIN CAMERA 1", label=label,
@@ -263,10 +263,10 @@ End
 """
 
 
-def made_up(folder: Path, name: str, size: tuple[int, int], target: str, start: float, code: int, said: str) -> Path:
+def label_of(folder: Path, name: str, size: tuple[int, int], target: str, start: float, code: int, rows: str) -> Path:
     """The label of an ISIS cube, with keywords of its instrument, separated by semicolons."""
     path = folder / f"{name}.lbl"
-    utc, rows = spice.et2utc(start, "ISOC", 6), said.replace("; ", "\n")
+    utc, rows = spice.et2utc(start, "ISOC", 6), rows.replace("; ", "\n")
     path.write_text(CUBE.format(lines=size[0], samples=size[1], target=target, utc=utc, words=rows, code=code))
     return path
 
@@ -274,7 +274,7 @@ def made_up(folder: Path, name: str, size: tuple[int, int], target: str, start: 
 def constants(folder: Path, name: str, code: int, **values: Any) -> Path:
     """A text kernel of an instrument's constants."""
     path = folder / name
-    rows = "".join(f"INS{code}_{key} = ( {' '.join(f'{one!r}' for one in value)} )\n" for key, value in values.items())
+    rows = "".join(f"INS{code}_{key} = ( {' '.join(f'{v!r}' for v in value)} )\n" for key, value in values.items())
     path.write_text(f"KPL/IK\n\\begindata\n{rows}\\begintext\n")
     spice.furnsh(str(path))
     return path
@@ -286,13 +286,13 @@ def hirise(_: Path, folder: Path) -> Scene:
     count, delays, binned = spice.sce2s(-74999, near), 64, 2
     line = (74.0 + 337.0 / 16.0) * 1e-6
     start = spice.scs2e(-74999, count)
-    said = f"InstrumentId = HIRISE; ObservationStartCount = X; SpacecraftClockStartCount = {count.strip()}; " \
+    keywords = f"InstrumentId = HIRISE; ObservationStartCount = X; SpacecraftClockStartCount = {count.strip()}; " \
         f"DeltaLineTimerCount = 337; Summing = {binned}; Tdi = {delays}; CpmmNumber = 8; CcdId = RED5; " \
         "ChannelNumber = 0"
-    across, along, bent = (-1000.86, -0.0087, -83.333), (7457.9, 83.3333, -0.0087), (-0.0048509, 2.41312e-07, -1.62e-13)
+    across, along, odk = (-1000.86, -0.0087, -83.333), (7457.9, 83.3333, -0.0087), (-0.0048509, 2.41312e-07, -1.62e-13)
     files = [
         constants(folder, "hirise5.ti", -74605, ITRANSS=across, ITRANSL=along),
-        constants(folder, "hirise.ti", -74699, FOCAL_LENGTH=(11994.9988,), OD_K=bent),
+        constants(folder, "hirise.ti", -74699, FOCAL_LENGTH=(11994.9988,), OD_K=odk),
     ]
     late = line * (0.5 * (binned - 1) - 0.5 * (delays - 1))
     optics = by_keywords(
@@ -302,7 +302,7 @@ def hirise(_: Path, folder: Path) -> Scene:
     return Scene(
         "MRO HiRISE RED5", "label made up, orbit of MRO", optics, size, [(0.0, start + late, line * binned)], "-74",
         -74699, ("MRO_SPACECRAFT", "MRO_HIRISE_OPTICAL_AXIS"), "MARS", "IAU_MARS", "MARS_RECONNAISSANCE_ORBITER",
-        "HIRISE", label=made_up(folder, "hirise", size, "Mars", start, -74605, said), kernels=files,
+        "HIRISE", label=label_of(folder, "hirise", size, "Mars", start, -74605, keywords), kernels=files,
     )  # fmt: skip
 
 
@@ -315,9 +315,9 @@ def multiband(_: Path, folder: Path) -> Scene:
         CENTER=(481.5, 1.0), BORESIGHT=(-0.0725, 0.0214, 65.4), DISTORTION_COEF_X=(-9.6e-4, 9.8e-4, 8.6e-6),
         DISTORTION_COEF_Y=(-1.4e-3, 2.4e-3, 2.7e-6),
     )  # fmt: skip
-    said = f"InstrumentId = MI-VIS; CorrectedSamplingInterval = {period * 1e3} <msec>"
-    label = made_up(folder, "mi", size, "Moon", near, code, said)
-    start = spice.str2et(words(label, "StartTime"))
+    keywords = f"InstrumentId = MI-VIS; CorrectedSamplingInterval = {period * 1e3} <msec>"
+    label = label_of(folder, "mi", size, "Moon", near, code, keywords)
+    start = spice.str2et(entry(label, "StartTime"))
     return Scene(
         "Kaguya MI-VIS MV2", "label and constants made up, orbit of S820E0465",
         by_keywords(code, origin=(0.0, 481.5), **kaguya(code, signed=True)), size, [(0.0, start, period)], "-131", code,
@@ -348,7 +348,7 @@ def odyssey(data: Path, folder: Path) -> list[Path]:
     frame.write_text(THEMIS_FRAME)
     clock.write_text(re.sub(r"_94\b", "_53", (data / "mgs_moc_m0402852" / "MGS_SCLKSCET.00061.tsc").read_text()))
     times = np.arange(-11224100.0, -11223900.0, 2.0)
-    states = np.array([spice.spkezr("-94", one, "J2000", "NONE", "MARS")[0] for one in times])
+    states = np.array([spice.spkezr("-94", time, "J2000", "NONE", "MARS")[0] for time in times])
     orbit.unlink(missing_ok=True)
     file = spice.spkopn(str(orbit), "odyssey", 0)
     spice.spkw13(file, -53, 499, "J2000", times[0], times[-1], "odyssey", 11, times.size, states, times)
@@ -364,10 +364,10 @@ def themis(data: Path, folder: Path) -> Scene:
     files.append(constants(folder, "themis.ti", -53031, ITRANSL=(0.0, 20.0, 0.0), ITRANSS=(0.0, 0.0, 20.0)))
     count = spice.sce2s(-53, -11224040.0)
     start, row = spice.scs2e(-53, count), 50.5
-    said = f"InstrumentId = THEMIS_IR; SpacecraftClockCount = {count.strip()}; TimeDelayIntegration = ENABLED; " \
+    keywords = f"InstrumentId = THEMIS_IR; SpacecraftClockCount = {count.strip()}; TimeDelayIntegration = ENABLED; " \
         "SpacecraftClockOffset = 0.5 <seconds>; SpatialSumming = 1"
     k, a1, a2 = 0.994260, 0.00447623, 0.00107556
-    x, y = ([float(power == one) * value for power in range(10)] for one, value in ((1, k), (2, 1.0 + a1)))
+    x, y = ([float(power == exponent) * value for power in range(10)] for exponent, value in ((1, k), (2, 1.0 + a1)))
     y[5] = a2
     optics = by_keywords(
         -53031, focal=203.9213, origin=(0.0, 160.5 - 0.005), offset=120.5 - row - 0.089,
@@ -378,7 +378,7 @@ def themis(data: Path, folder: Path) -> Scene:
         "Odyssey THEMIS-IR band 3", "label made up, orbit of MGS", optics, size,
         [(0.0, start + 0.5 + (row - 0.5) * period, period)], "-53", -53031, ("MGS_SPACECRAFT", "M01_THEMIS_IR"), "MARS",
         "IAU_MARS", "MARS ODYSSEY", "MARS ODYSSEY", kernels=files,
-        label=made_up(folder, "themis", size, "Mars", start, -53031, said),
+        label=label_of(folder, "themis", size, "Mars", start, -53031, keywords),
         variants=[Variant("as ALE has it", without(-53031), themis_of_ale, "202.059 mm, no distortion: put right")],
     )  # fmt: skip
 
@@ -416,13 +416,13 @@ class Gimballed(Scene):
         return np.array([3396.19, 3396.19, 3376.2])
 
     def pointing(self, times: Vector) -> dict[str, Any]:
-        rates = [(self.angle(one)[1] * np.array([0.0, -np.sin(1.62), np.cos(1.62)])).tolist() for one in times]
-        turns = [spice.m2q(self.turn(one, "")).tolist() for one in times]
+        rates = [(self.angle(time)[1] * np.array([0.0, -np.sin(1.62), np.cos(1.62)])).tolist() for time in times]
+        turns = [spice.m2q(self.turn(time, "")).tolist() for time in times]
         return {"reference_frame": 1, "ephemeris_times": times.tolist(), "quaternions": turns,
                 "angular_velocities": rates, "constant_rotation": np.eye(3).ravel().tolist()}  # fmt: skip
 
     def spinning(self, times: Vector) -> dict[str, Any]:
-        turns = [spice.m2q(self.body_turn(one)).tolist() for one in times]
+        turns = [spice.m2q(self.body_turn(time)).tolist() for time in times]
         return {"reference_frame": 1, "ephemeris_times": times.tolist(), "quaternions": turns,
                 "angular_velocities": [[0.0, 0.0, 7.088e-5]] * times.size}  # fmt: skip
 
@@ -447,13 +447,13 @@ class Tabled(Scene):
 
     def at(self, name: str, time: float) -> Vector:
         """Rotation between samples, at a uniform rate about one axis (ISIS SpiceRotation)."""
-        said = self.table(name)
-        times = np.array(said["ephemeris_times"])
+        table = self.table(name)
+        times = np.array(table["ephemeris_times"])
         k = int(np.clip(np.searchsorted(times, time) - 1, 0, times.size - 2))
-        first, second = (np.array(spice.q2m(said["quaternions"][j])) for j in (k, k + 1))
+        first, second = (np.array(spice.q2m(table["quaternions"][j])) for j in (k, k + 1))
         axis, angle = spice.raxisa(second @ first.T)
         share = (time - times[k]) / (times[k + 1] - times[k])
-        constant = np.array(said.get("constant_rotation", np.eye(3).ravel())).reshape(3, 3)
+        constant = np.array(table.get("constant_rotation", np.eye(3).ravel())).reshape(3, 3)
         return np.asarray(constant @ spice.axisar(axis, angle * share) @ first)
 
     def turn(self, time: float, frame: str) -> Vector:
@@ -467,8 +467,8 @@ class Tabled(Scene):
 
     def apparent(self, time: float) -> Vector:
         """km, by Hermite's cubic (ISIS SpicePosition)."""
-        said = self.table("instrument_position")
-        times, places, speeds = (np.array(said[one]) for one in ("ephemeris_times", "positions", "velocities"))
+        table = self.table("instrument_position")
+        times, places, speeds = (np.array(table[key]) for key in ("ephemeris_times", "positions", "velocities"))
         k = int(np.clip(np.searchsorted(times, time) - 1, 0, times.size - 2))
         length = times[k + 1] - times[k]
         u = (time - times[k]) / length
@@ -481,10 +481,10 @@ class Tabled(Scene):
         moving, light = -np.mean(self.table("sun_position")["velocities"], axis=0), 0.0
         place = self.apparent(time)
         for _ in range(6):
-            seen = self.apparent(time + light)
-            place = seen + 0.0
+            apparent = self.apparent(time + light)
+            place = apparent + 0.0
             for _ in range(6):
-                place = seen - (spice.stelab(place, moving) - place)
+                place = apparent - (spice.stelab(place, moving) - place)
             light = float(np.linalg.norm(place)) / LIGHT
         return np.concatenate([place + moving * light, moving])
 
@@ -494,13 +494,13 @@ def cube(name: str) -> Callable[[Path, Path], Scene]:
 
     def scene(data: Path, _: Path) -> Scene:
         label = data / "mgs_moc_wa_three" / f"{name}.pvl"
-        across, down = seen(label, "CrosstrackSumming"), seen(label, "DowntrackSumming")
+        across, down = number(label, "CrosstrackSumming"), number(label, "DowntrackSumming")
         start = json.loads(label.with_suffix(".isd").read_text())["instrument_position"]["ephemeris_times"][0]
-        rate = (0.0, start, seen(label, "LineExposureDuration") * 1e-3 * down)
-        optics = replace(wide_optics(summing=across), first=seen(label, "FirstLineSample"))
+        rate = (0.0, start, number(label, "LineExposureDuration") * 1e-3 * down)
+        optics = replace(wide_optics(summing=across), first=number(label, "FirstLineSample"))
         return Tabled(
-            "MGS MOC-WA red", f"{words(label, 'ProductId')} (cube)", optics,
-            (int(seen(label, "Lines")), int(seen(label, "Samples"))), [rate], "", -94032, ("", ""), "MARS", "",
+            "MGS MOC-WA red", f"{entry(label, 'ProductId')} (cube)", optics,
+            (int(number(label, "Lines")), int(number(label, "Samples"))), [rate], "", -94032, ("", ""), "MARS", "",
             label=label, why="by its cube's tables, at whose samples the equations ask, too",
         )  # fmt: skip
 
@@ -515,4 +515,4 @@ CAMERAS: dict[str, tuple[Callable[[Path, Path], Scene], str, Sequence[str]]] = {
     "hrsc": (hrsc, "mex_hrsc_h5270", ()), "terrain": (terrain, "kaguya_tc", MOON),
     "multiband": (multiband, "kaguya_tc", MOON), "crism": (crism, "", ()),
 }  # fmt: skip
-"""Makers of scenes, folders of their kernels, and further ones."""
+"""Functions that make scenes, folders of their kernels, and further kernels."""

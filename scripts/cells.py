@@ -21,7 +21,7 @@ from study import (
     Draw,
     cases,
     degrees_of_points,
-    degrees_together,
+    joint_degrees,
     names_of,
     nees_cell,
     number,
@@ -51,14 +51,14 @@ from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_
 from mgsgraph.simulation.sites import SITE_NAMES
 
 HEIGHT_SIGMA = 5.0
-"""m, a-priori sigma of the model's height as a whole, from which it is drawn."""
+"""m, a-priori sigma of the model's height offset, which is drawn."""
 STEP, NOISE, WINDOW = 14.0, 0.1, 42.0
 """pixels between matches and of their noise; m, width of a matching window."""
 REACH = 1000.0
-"""m, up to which shifts are searched."""
+"""m, largest shift that is searched."""
 KINDS = {"terrain": 3, "ties": 3, "profiles": 2, "laser": 3}
 """Degrees of freedom of each normalised error."""
-WAYS = ("ties", "cells")
+METHODS = ("ties", "cells")
 HEAD = (
     "site", "by", "draws", "not converged", *KINDS, "95 %", "model, m", "ties, m", "laser, m", "seconds",
 )  # fmt: skip
@@ -79,7 +79,7 @@ def one_draw(name: str, seed: int) -> Draw:
 
 
 def drawn_case(name: str, seed: int, folder: Path) -> tuple[Case, "Truth", SimulatedSite, np.random.Generator]:
-    """A case in the mission's formats, what it should find, the site, and the generator for its matches.
+    """A case in the mission's formats, its truth, the site, and the generator for its matches.
 
     Raises InputError where a profile misses its image.
     """
@@ -106,14 +106,14 @@ def shown(
     """m, footprint of each profile; and the surfaces of dense matches of the true ground."""
     matches = true_matches(site.terrain, *(image.true for image in site.images), STEP, NOISE, rng)
     footprints = [case.footprints[name] for name in profile_names(posterior.network)]
-    sizes = [*((size, False) for size in set(footprints)), *((one.footprint, True) for _, one in models)]
+    sizes = [*((size, False) for size in set(footprints)), *((model.footprint, True) for _, model in models)]
     return footprints, [
         averaged_pair(posterior, matches, (0, 1), size, matches.spacing, WINDOW, cells) for size, cells in sizes
     ]
 
 
 class Truth:
-    """What an adjustment should find."""
+    """The true values that an adjustment estimates."""
 
     def __init__(self, site: SimulatedSite, lift: float) -> None:
         self._points = dict(zip(site.ties.ids, site.true_ties, strict=True))
@@ -121,7 +121,7 @@ class Truth:
         for image in site.images:
             profile = image.settings.profile
             self._shifts[profile] = -image.profile.shift
-            names = [f"{profile}:{one}" for one in shot_names(image)]
+            names = [f"{profile}:{shot}" for shot in shot_names(image)]
             self._points |= dict(zip(names, image.profile.true_footprints, strict=True))
         self._model = -np.append(grid_shift(site.terrain), lift)
 
@@ -130,15 +130,15 @@ class Truth:
         network = solution.network
         model, of_model = model_shift(solution)
         members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
-        (ties, of_ties), (laser, of_laser) = (self.errors(solution, mine) for mine in members)
+        (ties, of_ties), (laser, of_laser) = (self.errors(solution, group) for group in members)
         assert network.shifts is not None
         chosen = [(p, name) for p, name in enumerate(network.shifts.names) if name in self._shifts]
         shifts = np.array([solution.shifts[p] - self._shifts[name] for p, name in chosen])
         of_shifts = np.array([solution.shift_covariance(p) for p, _ in chosen])
-        each = nees(ties, of_ties)
+        of_each_tie = nees(ties, of_ties)
         squares = {
             "terrain": nees((model - self._model[: model.size])[None], of_model[None]) * KINDS["terrain"] / model.size,
-            "ties": each, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
+            "ties": of_each_tie, "profiles": nees(shifts, of_shifts), "laser": nees(laser, of_laser),
         }  # fmt: skip
         first = len(network.images)
         profiles = solution.joint_covariance.of([first + p for p, _ in chosen])
@@ -146,10 +146,10 @@ class Truth:
             "converged": solution.converged,
             "degrees": {
                 "terrain": model.size, "ties": degrees_of_points(solution, members[0]),
-                "profiles": degrees_together(profiles, 2), "laser": degrees_of_points(solution, members[1]),
+                "profiles": joint_degrees(profiles, 2), "laser": degrees_of_points(solution, members[1]),
             },
             "nees": {kind: float(values.mean()) / KINDS[kind] for kind, values in squares.items()},
-            "inside": float(np.mean(each < INSIDE)),
+            "inside": float(np.mean(of_each_tie < INSIDE)),
             "model": float(np.linalg.norm(model[:2] - self._model[:2])),
             "ties": float(np.sqrt(np.mean(np.sum(ties**2, axis=1)))),
             "laser": float(np.sqrt(np.mean(np.sum(laser**2, axis=1)))),
@@ -173,7 +173,7 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
     if network.terrain_moves:
         last = len(network.shift_names) - 1
         return solution.shift_values[last], solution.shift_spread(last)
-    (k,) = (k for k, one in enumerate(network.shared) if one.kind is SharedKind.PROFILE_HEIGHT)
+    (k,) = (k for k, shared in enumerate(network.shared) if shared.kind is SharedKind.PROFILE_HEIGHT)
     assert network.shifts is not None
     p = network.shifts.names.index(network.shared[k].profile)
     first, second = len(network.images) + p, solution.shared_variable(k)
@@ -184,22 +184,22 @@ def model_shift(solution: Solution) -> tuple[Array, Array]:
     return np.append(solution.shifts[p], solution.shared[k][0]), spread
 
 
-def row(site: str, way: str, every: list[Draw]) -> list[str]:
+def row(site: str, method: str, draws: list[Draw]) -> list[str]:
     """Of one site, by tie points or by cells."""
-    mine = [draw[way] for draw in every]
-    cells = [nees_cell(*([one[key][kind] for one in mine] for key in ("nees", "degrees"))) for kind in KINDS]
-    errors = [float(np.sqrt(np.mean([one[name] ** 2 for one in mine]))) for name in ("model", "ties", "laser")]
+    results = [draw[method] for draw in draws]
+    cells = [nees_cell(*([result[key][kind] for result in results] for key in ("nees", "degrees"))) for kind in KINDS]
+    errors = [float(np.sqrt(np.mean([result[name] ** 2 for result in results]))) for name in ("model", "ties", "laser")]
     return [
-        site, way, str(len(mine)), str(sum(not one["converged"] for one in mine)), *cells,
-        f"{100.0 * np.mean([one['inside'] for one in mine]):.1f}", *(number(error) for error in errors),
-        number(float(np.mean([draw["seconds"] for draw in every]))),
+        site, method, str(len(results)), str(sum(not result["converged"] for result in results)), *cells,
+        f"{100.0 * np.mean([result['inside'] for result in results]):.1f}", *(number(error) for error in errors),
+        number(float(np.mean([draw["seconds"] for draw in draws]))),
     ]  # fmt: skip
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """The table."""
-    rows = [row(site, way, cases(every, site)) for site in names_of(every) for way in WAYS]
-    return {"cells": [*table(HEAD, rows), "", refusals(every)]}
+    rows = [row(site, method, cases(draws, site)) for site in names_of(draws) for method in METHODS]
+    return {"cells": [*table(HEAD, rows), "", refusals(draws)]}
 
 
 if __name__ == "__main__":

@@ -13,19 +13,19 @@ from xml.etree import ElementTree
 
 KEPT = Path(__file__).resolve().parents[1] / "tests" / "durations.json"
 LEAST = 5e-4
-"""Share below which a test is not kept."""
+"""Share below which a test is not stored."""
 GROWN, FACTOR = 1e-3, 1.5
-"""By what share, and how many times, one has grown that is named."""
+"""Least growth of a test that is reported: share, and factor."""
 SLOWEST = 20
 
 
 def durations(path: Path) -> Counter[str]:
     """Seconds of each test (all its cases, with what sets them up) by file and name."""
-    found = Counter[str]()
+    seconds = Counter[str]()
     for case in ElementTree.parse(path).iter("testcase"):
         name = case.attrib["name"].partition("[")[0]
-        found[f"{case.attrib['classname'].replace('.', '/')}.py::{name}"] += float(case.attrib["time"])
-    return found
+        seconds[f"{case.attrib['classname'].replace('.', '/')}.py::{name}"] += float(case.attrib["time"])
+    return seconds
 
 
 def main() -> int:
@@ -33,23 +33,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("junit", type=Path)
     parser.add_argument("--write", action="store_true", help="keep the shares of this run")
-    wanted = parser.parse_args()
-    seconds = durations(wanted.junit)
-    whole = seconds.total()
-    shares = {name: round(took / whole, 6) for name, took in seconds.most_common() if took > LEAST * whole}
-    kept = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    options = parser.parse_args()
+    seconds = durations(options.junit)
+    total = seconds.total()
+    shares = {name: round(took / total, 6) for name, took in seconds.most_common() if took > LEAST * total}
+    stored = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
     grown = [
         name for name, share in shares.items()
-        if share - kept.get(name, 0.0) > GROWN and share > FACTOR * kept.get(name, 0.0)
+        if share - stored.get(name, 0.0) > GROWN and share > FACTOR * stored.get(name, 0.0)
     ]  # fmt: skip
-    print(f"{len(seconds)} tests, {whole:.0f} s; slowest:")
+    print(f"{len(seconds)} tests, {total:.0f} s; slowest:")
     for name, took in seconds.most_common(SLOWEST):
-        print(f"  {took:6.1f} s {100.0 * took / whole:5.1f} %  {name}")
+        print(f"  {took:6.1f} s {100.0 * took / total:5.1f} %  {name}")
     for name in grown:
-        print(f"grown from {100.0 * kept.get(name, 0.0):.2f} to {100.0 * shares[name]:.2f} % of the whole: {name}")
-    if wanted.write:
+        print(f"grown from {100.0 * stored.get(name, 0.0):.2f} to {100.0 * shares[name]:.2f} % of the whole: {name}")
+    if options.write:
         KEPT.write_text(json.dumps(shares, indent=0) + "\n", encoding="utf-8")
-    return int(bool(grown) and not wanted.write)
+    return int(bool(grown) and not options.write)
 
 
 if __name__ == "__main__":

@@ -44,21 +44,21 @@ def ground(name: str) -> SiteTerrain:
 
 
 def one_draw(name: str, seed: int, terrain: SiteTerrain | None = None) -> Draw:
-    """Of each kind of error the sum of their squares over their sigmas, and how many there are."""
-    found = dict[str, tuple[float, int]]()
+    """Sum of squares over sigmas, and number, of each kind of error."""
+    sums = dict[str, tuple[float, int]]()
     for kind, errors in _normalised(simulate_site(name, seed, OPTIONS, replace(terrain or ground(name), seed=seed))):
-        squares, count = found.get(kind, (0.0, 0))
-        found[kind] = squares + float(np.square(errors).sum()), count + errors.size
-    return {"squares": found}
+        squares, count = sums.get(kind, (0.0, 0))
+        sums[kind] = squares + float(np.square(errors).sum()), count + errors.size
+    return {"squares": sums}
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """The table."""
-    sites, cells = names_of(every), dict[str, list[str]]()
+    sites, cells = names_of(draws), dict[str, list[str]]()
     for site in sites:
-        mine = [draw["squares"] for draw in cases(every, site)]
-        for kind in mine[0]:
-            squares, count = (sum(draw[kind][k] for draw in mine) for k in (0, 1))
+        of_site = [draw["squares"] for draw in cases(draws, site)]
+        for kind in of_site[0]:
+            squares, count = (sum(draw[kind][k] for draw in of_site) for k in (0, 1))
             cells.setdefault(kind, []).append(within(squares / count, chi_square_band(count)))
     return {"errors": table(("error", *sites), [[kind, *row] for kind, row in cells.items()])}
 

@@ -44,32 +44,32 @@ class Fault(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What the tests of a fault have shown: which of them failed, or how they ended otherwise."""
+    """Result of a fault's tests: which of them failed, or how they ended."""
 
     caught: bool
     seconds: float
-    said: str
+    message: str
 
 
 def read_faults(names: Sequence[str] = ()) -> list[Fault]:
     """All faults, or those of some names."""
-    every = {one["name"]: Fault(**one) for one in tomllib.loads(FAULTS.read_text(encoding="utf-8"))["fault"]}
-    if unknown := sorted(set(names) - set(every)):
-        sys.exit(f"no fault is called {', '.join(unknown)}; there are {', '.join(every)}")
-    return [every[name] for name in names or every]
+    faults = {entry["name"]: Fault(**entry) for entry in tomllib.loads(FAULTS.read_text(encoding="utf-8"))["fault"]}
+    if unknown := sorted(set(names) - set(faults)):
+        sys.exit(f"no fault is called {', '.join(unknown)}; there are {', '.join(faults)}")
+    return [faults[name] for name in names or faults]
 
 
 def tracked() -> Iterable[str]:
     """Files of the checkout that belong to it, and what Python and numba have compiled of them."""
-    words = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    found = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\0")
-    folders = sorted({str(Path(name).parent / "__pycache__") for name in found if name.endswith(".py")})
-    compiled = [str(path.relative_to(ROOT)) for one in folders for path in (ROOT / one).glob("*") if path.is_file()]
-    return (name for name in (*found, *compiled) if name and (ROOT / name).exists())
+    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split("\0")
+    folders = sorted({str(Path(name).parent / "__pycache__") for name in names if name.endswith(".py")})
+    compiled = [str(path.relative_to(ROOT)) for name in folders for path in (ROOT / name).glob("*") if path.is_file()]
+    return (name for name in (*names, *compiled) if name and (ROOT / name).exists())
 
 
 def copied(source: Path, names: Iterable[str], folder: Path) -> Path:
-    """A folder's files in a new one, links as links, with their times: else kernels would be compiled anew. The package
+    """A folder's files in a new one, links as links, with their times: else kernels are compiled again. The package
     is imported by a link beside the copy, since tests take their own checkout off the path.
     """
     copy = folder / "checkout"
@@ -84,7 +84,7 @@ def copied(source: Path, names: Iterable[str], folder: Path) -> Path:
 
 
 def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
-    """Exit status, output and s of Python with a copy's package; what takes too long is ended, with status -1."""
+    """Exit status, output and s of Python with a copy's package; status -1 after a timeout."""
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     environment |= {"PYTHONPATH": str(copy.parent / "path"), "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "200"}
     began, how = time.monotonic(), {"cwd": copy, "env": environment, "timeout": LONGEST, "check": False}
@@ -96,7 +96,7 @@ def run(copy: Path, *arguments: str) -> tuple[int, str, float]:
 
 
 def tried(fault: Fault, plain: Path) -> Outcome:
-    """The fault in a copy of its own: caught where one of its tests fails, not where pytest ends otherwise."""
+    """The fault in a copy of its own: caught if one of its tests fails; other errors of pytest do not count."""
     with tempfile.TemporaryDirectory(prefix="mgsgraph-fault-") as folder:
         names = [str(path.relative_to(plain)) for path in plain.rglob("*") if path.is_symlink() or path.is_file()]
         copy = copied(plain, names, Path(folder))
@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="faults at a time")
     parser.add_argument("--json", type=Path, help="file for the outcomes")
     options = parser.parse_args()
-    faults = sorted(read_faults(options.names), key=lambda one: (not one.compiles, not one.slow))
+    faults = sorted(read_faults(options.names), key=lambda fault: (not fault.compiles, not fault.slow))
     outcomes, began = dict[str, Outcome](), time.monotonic()
     with tempfile.TemporaryDirectory(prefix="mgsgraph-faults-") as folder:
         plain = copied(ROOT, tracked(), Path(folder))
@@ -127,21 +127,21 @@ def main() -> None:
         if not package.startswith(f"{folder}/path/"):
             sys.exit(f"Not the copy's package is imported: {package}")
         print(f"Package: {package}", flush=True)
-        status, output, seconds = run(plain, *PYTEST, "-m", "", *sorted({test for one in faults for test in one.tests}))
+        status, output, seconds = run(plain, *PYTEST, "-m", "", *sorted({t for fault in faults for t in fault.tests}))
         if status != 0:
             sys.exit(f"{output}\nTests fail without any fault.")
         print(f"{seconds:6.1f} s  without a fault: passed", flush=True)
         with ThreadPoolExecutor(options.jobs) as pool:
-            for fault, found in zip(faults, pool.map(lambda one: tried(one, plain), faults), strict=True):
-                outcomes[fault.name] = found
-                verdict = "caught" if found.caught else "NOT caught"
-                print(f"{found.seconds:6.1f} s  {fault.name}: {verdict} ({found.said})", flush=True)
+            for fault, outcome in zip(faults, pool.map(lambda f: tried(f, plain), faults), strict=True):
+                outcomes[fault.name] = outcome
+                verdict = "caught" if outcome.caught else "NOT caught"
+                print(f"{outcome.seconds:6.1f} s  {fault.name}: {verdict} ({outcome.message})", flush=True)
         if options.json:
-            record = {name: one._asdict() for name, one in outcomes.items()}
+            record = {name: outcome._asdict() for name, outcome in outcomes.items()}
             options.json.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         print(f"{time.monotonic() - began:.0f} s in all")
-    print(f"{sum(one.caught for one in outcomes.values())} of {len(outcomes)} faults caught")
-    sys.exit(not all(one.caught for one in outcomes.values()))
+    print(f"{sum(outcome.caught for outcome in outcomes.values())} of {len(outcomes)} faults caught")
+    sys.exit(not all(outcome.caught for outcome in outcomes.values()))
 
 
 if __name__ == "__main__":

@@ -34,8 +34,8 @@ class Source(NamedTuple):
     sha256: str
 
     def check(self, path: Path) -> None:
-        """Raise InputError for another content."""
-        require((found := sha256_of(path)) == self.sha256, str(path), f"SHA-256 {found}", self.sha256)
+        """Raise InputError if the content differs."""
+        require((digest := sha256_of(path)) == self.sha256, str(path), f"SHA-256 {digest}", self.sha256)
 
 
 def sources(page: Path) -> Iterator[Source]:
@@ -44,16 +44,16 @@ def sources(page: Path) -> Iterator[Source]:
 
 
 def fetch_case(case: Path, out: Path, remote: Remote) -> Path:
-    """Bring what is missing of a case's files; the case file beside them."""
+    """Fetch the missing files of a case; write the case file beside them."""
     text = read_text(case)
-    for one in sources(case.with_name("README.md")):
-        path = out / one.folder / one.name
-        if f"{SHARED}{one.folder}/" in text and not (path.is_file() and sha256_of(path) == one.sha256):
-            remote.download(one.url, path, partial(Source.check, one))
-            print(f"- {one.folder}/{one.name}: fetched, SHA-256 as expected")
-    made = out / case.name
-    write_file(made, text.replace(SHARED, ""))
-    return made
+    for source in sources(case.with_name("README.md")):
+        path = out / source.folder / source.name
+        if f"{SHARED}{source.folder}/" in text and not (path.is_file() and sha256_of(path) == source.sha256):
+            remote.download(source.url, path, partial(Source.check, source))
+            print(f"- {source.folder}/{source.name}: fetched, SHA-256 as expected")
+    copy = out / case.name
+    write_file(copy, text.replace(SHARED, ""))
+    return copy
 
 
 def main(arguments: list[str] | None = None, cases: Path = CASES) -> int:
@@ -62,14 +62,14 @@ def main(arguments: list[str] | None = None, cases: Path = CASES) -> int:
     names = sorted(path.stem for path in cases.glob("*.toml"))
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(names)}; all when absent")
     parser.add_argument("--out", type=Path, default=CASES / "data", help="folder (scripts/cases/data)")
-    asked = parser.parse_args(arguments)
-    if unknown := sorted(set(asked.cases) - set(names)):
+    options = parser.parse_args(arguments)
+    if unknown := sorted(set(options.cases) - set(names)):
         parser.error(f"{unknown[0]}: no such case; one of {', '.join(names)}")
     try:
         remote = Remote(say=print)
         try:
-            for name in asked.cases or names:
-                print(f"The case is {fetch_case(cases / f'{name}.toml', asked.out, remote)}")
+            for name in options.cases or names:
+                print(f"The case is {fetch_case(cases / f'{name}.toml', options.out, remote)}")
         finally:
             remote.close()
     except InputError as error:

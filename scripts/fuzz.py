@@ -60,7 +60,7 @@ EXAMPLES = 100
 
 
 class End(StrEnum):
-    """What became of a file."""
+    """How reading a file ended."""
 
     READ = "read"
     REFUSED = "clear error"
@@ -78,7 +78,7 @@ GOOD = (End.READ, End.REFUSED)
 
 
 class Outcome(NamedTuple):
-    """An end, the words about it, and what was read, as places and plain values."""
+    """An end, its message, and what was read, as paths and plain values."""
 
     end: End
     words: str = ""
@@ -89,7 +89,7 @@ class Outcome(NamedTuple):
 
 
 def flat(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """All values in a record by their places in it."""
+    """All values in a record by their paths in it."""
     if isinstance(value, np.ndarray):
         yield f"{where}#", (value.shape, value.dtype.str, value.tobytes() if value.dtype != object else repr(value))
         if value.dtype.kind in "fc" and not np.all(np.isfinite(value)):
@@ -99,11 +99,11 @@ def flat(value: Any, where: str = "", depth: int = 0) -> Iterator[tuple[str, Any
     elif value is None or depth > 12 or isinstance(value, (str, bytes, int, Enum, PurePath, np.generic)):
         yield where, repr(value) if depth <= 12 else type(value).__name__
     elif isinstance(value, dict):
-        for key, one in value.items():
-            yield from flat(one, f"{where}.{key}", depth + 1)
+        for key, item in value.items():
+            yield from flat(item, f"{where}.{key}", depth + 1)
     elif isinstance(value, (list, tuple, set, frozenset)) and not hasattr(value, "_fields"):
-        for k, one in enumerate(sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value):
-            yield from flat(one, f"{where}[{k}]", depth + 1)
+        for k, item in enumerate(sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value):
+            yield from flat(item, f"{where}[{k}]", depth + 1)
         yield where, len(value)
     elif not callable(value) or dataclasses.is_dataclass(value):
         yield where, type(value).__name__
@@ -115,12 +115,12 @@ def _names(value: Any) -> tuple[str, ...]:
     if isinstance(value, msgspec.Struct):
         return value.__struct_fields__
     if dataclasses.is_dataclass(value):
-        return tuple(one.name for one in dataclasses.fields(value))
+        return tuple(field.name for field in dataclasses.fields(value))
     return getattr(value, "_fields", ()) or tuple(getattr(value, "__dict__", ()))
 
 
-def _odd(read: dict[str, Any]) -> set[str]:
-    """Where numbers are not finite; indices are left out."""
+def _not_finite(read: dict[str, Any]) -> set[str]:
+    """Paths of numbers that are not finite, without indices."""
     return {re.sub(r"\[\d+\]", "[]", where) for where, value in read.items() if value == "nan"}
 
 
@@ -128,35 +128,35 @@ def _odd(read: dict[str, Any]) -> set[str]:
 
 
 def outcome(reader: Reader, data: bytes) -> Outcome:
-    """What becomes of a content that stands in its file's place."""
+    """How reading ends when a file has this content."""
     folder = Path(_ROOM.name) / str(os.getpid()) / re.sub(r"\W", "_", reader.name)
     seed = _seed(reader)
-    _lay(folder, {**seed.files, seed.main: data})
-    before, told, said = _listing(folder), os.memfd_create("told"), [os.memfd_create(name) for name in ("out", "err")]
+    _write_files(folder, {**seed.files, seed.main: data})
+    before, end, streams = _listing(folder), os.memfd_create("told"), [os.memfd_create(name) for name in ("out", "err")]
     child = os.fork()
     if child == 0:
         try:
-            _settle_down(reader, said)
-            _tell(reader, folder / seed.main, told)
+            _isolate(reader, streams)
+            _report(reader, folder / seed.main, end)
         finally:
             os._exit(0)
     ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what it has begun itself
-    answer, out, err = (_text(one) for one in (told, *said))
-    words = err.decode(errors="replace")
+        os.killpg(child, signal.SIGKILL)  # its own child processes
+    answer, out, err = (_text(file) for file in (end, *streams))
+    errors = err.decode(errors="replace")
     if ended < 0:
         name = signal.Signals(-ended).name
-        return Outcome(End.HANG if name == "SIGALRM" else End.SIGNAL, f"{name} {words[-300:]}")
+        return Outcome(End.HANG if name == "SIGALRM" else End.SIGNAL, f"{name} {errors[-300:]}")
     by_itself = Outcome(End.READ if reader.read is obeyed else End.SIGNAL, str(ended))
-    found: Outcome = pickle.loads(answer) if answer else by_itself
+    result: Outcome = pickle.loads(answer) if answer else by_itself
     if reader.read is obeyed:
-        found = _of_command(found, words)
-    elif found.end in GOOD and (out or err):
-        found = Outcome(End.PRINTED, (out + err).decode(errors="replace")[:300])
-    if found.end is End.REFUSED and (left := sorted(set(before.items()) ^ set(_listing(folder).items()))):
-        return Outcome(End.WRITTEN, f"{left[:3]}; {found.words}")
-    return found
+        result = _of_command(result, errors)
+    elif result.end in GOOD and (out or err):
+        result = Outcome(End.PRINTED, (out + err).decode(errors="replace")[:300])
+    if result.end is End.REFUSED and (changed := sorted(set(before.items()) ^ set(_listing(folder).items()))):
+        return Outcome(End.WRITTEN, f"{changed[:3]}; {result.words}")
+    return result
 
 
 @cache
@@ -164,8 +164,8 @@ def _seed(reader: Reader) -> Seed:
     return reader.seed()
 
 
-def _lay(folder: Path, files: dict[str, bytes]) -> None:
-    """A folder with the files, and with what is no file."""
+def _write_files(folder: Path, files: dict[str, bytes]) -> None:
+    """Write the files into a folder; for commands also pipes, links and broken files."""
     shutil.rmtree(folder, ignore_errors=True)
     for name, content in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +180,7 @@ def _lay(folder: Path, files: dict[str, bytes]) -> None:
 
 
 def _listing(folder: Path) -> dict[str, int]:
-    """Files by name with their sizes; what SQLite keeps beside a database is left out."""
+    """Files by name with their sizes; SQLite's journals are left out."""
     return {
         str(path.relative_to(folder)): path.lstat().st_size if path.is_file() and not path.is_symlink() else -1
         for path in folder.rglob("*") if not path.name.endswith(("-wal", "-shm", "-journal"))
@@ -194,10 +194,10 @@ def _text(memory: int) -> bytes:
     return text
 
 
-def _settle_down(reader: Reader, said: list[int]) -> None:
-    """Nothing to read, printing into memory, a time and little memory; what is begun ends with this process."""
+def _isolate(reader: Reader, streams: list[int]) -> None:
+    """No input, output into memory, limits of time and memory; child processes end with this one."""
     os.setpgid(0, 0)
-    for number, stream in enumerate((os.open(os.devnull, os.O_RDONLY), *said)):
+    for number, stream in enumerate((os.open(os.devnull, os.O_RDONLY), *streams)):
         os.dup2(stream, number)
     sys.stdout = os.fdopen(1, "w", closefd=False, errors="backslashreplace")
     sys.stderr = os.fdopen(2, "w", closefd=False, buffering=1, errors="backslashreplace")
@@ -212,63 +212,63 @@ def _settle_down(reader: Reader, said: list[int]) -> None:
     signal.setitimer(signal.ITIMER_REAL, reader.patience)
 
 
-def _tell(reader: Reader, path: Path, told: int) -> None:
+def _report(reader: Reader, path: Path, end: int) -> None:
     try:
-        found = Outcome(End.READ, "", dict(flat(reader.read(path))))
-    except SystemExit as left:
-        found = Outcome(End.READ, str(left.code or 0))
+        result = Outcome(End.READ, "", dict(flat(reader.read(path))))
+    except SystemExit as ended:
+        result = Outcome(End.READ, str(ended.code or 0))
     except BaseException as error:
-        found = _of_error(error, str(path.parents[1]))
+        result = _of_error(error, str(path.parents[1]))
     sys.stdout.flush()
-    os.write(told, pickle.dumps(found))
+    os.write(end, pickle.dumps(result))
 
 
 def _of_error(error: BaseException, folder: str) -> Outcome:
-    """What an error is to a user."""
+    """How an error ends for a user."""
     text, causes = str(error), [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and len(causes) < 20:
         causes.append(cause)
-    frames = [one for one in traceback.extract_tb(error.__traceback__) if "/mgsgraph/" in one.filename]
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "/mgsgraph/" in frame.filename]
     place = f"{frames[-1].filename.split('/mgsgraph/')[-1]}:{frames[-1].name}:{frames[-1].lineno}" if frames else "?"
-    said = f"{type(error).__name__} at {place}: {ascii(text)[:300]}"
-    if any(isinstance(one, MemoryError) for one in causes):
-        return Outcome(End.MEMORY, said)
+    message = f"{type(error).__name__} at {place}: {ascii(text)[:300]}"
+    if any(isinstance(c, MemoryError) for c in causes):
+        return Outcome(End.MEMORY, message)
     if not isinstance(error, MgsgraphError):
-        return Outcome(End.RAISED, said)
-    whole = not isinstance(error, InputError) or (error.where and error.found)
-    clear = text.isprintable() and len(text) < LONGEST and folder in text and whole
-    return Outcome(End.REFUSED if clear else End.UNCLEAR, said)
+        return Outcome(End.RAISED, message)
+    complete = not isinstance(error, InputError) or (error.where and error.found)
+    clear = text.isprintable() and len(text) < LONGEST and folder in text and complete
+    return Outcome(End.REFUSED if clear else End.UNCLEAR, message)
 
 
-def _of_command(found: Outcome, err: str) -> Outcome:
-    """What a command's exit status and its words are to a user."""
+def _of_command(result: Outcome, err: str) -> Outcome:
+    """How a command ends for a user, by its exit status and messages."""
     lines = [line for line in err.splitlines() if line.strip()]
-    if found.end is not End.READ:
-        return found
+    if result.end is not End.READ:
+        return result
     if "Traceback" in err:
         return Outcome(End.RAISED, err[-300:])
-    if found.words == "2":
+    if result.words == "2":
         clear = len(lines) == 1 and len(err) < 2 * LONGEST and lines[0].expandtabs().isprintable()
         return Outcome(End.REFUSED if clear else End.UNCLEAR, ascii(err)[:300])
-    if found.words not in ("0", "1"):  # 130: broken off by the clock
-        return Outcome(End.HANG if found.words == "130" else End.UNCLEAR, f"exit status {found.words}")
-    return Outcome(End.PRINTED, err[:300]) if "Warning" in err else found
+    if result.words not in ("0", "1"):  # 130: stopped by the alarm
+        return Outcome(End.HANG if result.words == "130" else End.UNCLEAR, f"exit status {result.words}")
+    return Outcome(End.PRINTED, err[:300]) if "Warning" in err else result
 
 
 @cache
 def sound(reader: Reader) -> dict[str, Any]:
-    """What is read of the undamaged file; nothing where it is refused."""
+    """Content of the undamaged file; empty where it is refused."""
     return outcome(reader, _seed(reader).files[_seed(reader).main]).read or {}
 
 
 def judged(reader: Reader, data: bytes) -> Outcome:
-    """The same, of a reading also whether it is one that can be."""
-    found, right = outcome(reader, data), sound(reader)
-    if found.end is not End.READ or reader.read is obeyed:
-        return found
-    if new := sorted(one for one in _odd(found.read or {}) - _odd(right) if not one.endswith(reader.gaps)):
+    """As `outcome`; it also judges whether a result is possible."""
+    result, right = outcome(reader, data), sound(reader)
+    if result.end is not End.READ or reader.read is obeyed:
+        return result
+    if new := sorted(p for p in _not_finite(result.read or {}) - _not_finite(right) if not p.endswith(reader.gaps)):
         return Outcome(End.WRONG, f"{new[:5]} are not finite")
-    return Outcome(End.WRONG, "another result") if reader.same and found.read != right else found
+    return Outcome(End.WRONG, "another result") if reader.same and result.read != right else result
 
 
 # --- many
@@ -277,45 +277,45 @@ Found = tuple[Counter[str], dict[str, Any] | None]
 _HUNTS: list[Callable[[], Found]] = []
 
 
-def hunt(reader: Reader, seconds: float, kept: Path | None = None) -> Found:
-    """Files of a reader for some seconds; how they ended, and the smallest that ended badly."""
+def hunt(reader: Reader, seconds: float, examples: Path | None = None) -> Found:
+    """Try damaged files of a reader for some seconds; how they ended, and the smallest that ended badly."""
     seed, ends, until = _seed(reader), Counter[str](), time.monotonic() + seconds
-    whole, bad = seed.files[seed.main], list[tuple[bytes, Outcome]]()
-    database = None if kept is None else DirectoryBasedExampleDatabase(kept / re.sub(r"\W", "_", reader.name))
+    original, bad = seed.files[seed.main], list[tuple[bytes, Outcome]]()
+    database = None if examples is None else DirectoryBasedExampleDatabase(examples / re.sub(r"\W", "_", reader.name))
 
     @settings(
         max_examples=EXAMPLES, deadline=None, database=database, derandomize=False, report_multiple_bugs=False,
         suppress_health_check=list(HealthCheck), verbosity=Verbosity.quiet,
     )  # fmt: skip
-    @given(edited(whole, reader.form))
+    @given(edited(original, reader.form))
     def trial(data: bytes) -> None:
         if time.monotonic() > until and not bad:
             return
-        found = judged(reader, data)
-        ends[found.end] += 1
-        if found.end not in GOOD:
-            bad.append((data, found))
-            raise AssertionError(found.end)
+        result = judged(reader, data)
+        ends[result.end] += 1
+        if result.end not in GOOD:
+            bad.append((data, result))
+            raise AssertionError(result.end)
 
     try:
         while time.monotonic() < until:
             trial()
     except AssertionError:
-        data, found = bad[-1]  # Hypothesis runs the smallest once more
-        head, tail = _alike(whole, data), _alike(whole[::-1], data[::-1])
-        tail = min(tail, min(len(whole), len(data)) - head)
-        edit = [head, len(whole) - tail, [[data[head : len(data) - tail].hex(), 1]]]
-        return ends, {"reader": reader.name, "end": str(found.end), "key": found.words, "edits": [edit]}
+        data, result = bad[-1]  # Hypothesis runs the smallest once more
+        head, tail = _common_start(original, data), _common_start(original[::-1], data[::-1])
+        tail = min(tail, min(len(original), len(data)) - head)
+        edit = [head, len(original) - tail, [[data[head : len(data) - tail].hex(), 1]]]
+        return ends, {"reader": reader.name, "end": str(result.end), "key": result.words, "edits": [edit]}
     return ends, None
 
 
-def _alike(one: bytes, other: bytes) -> int:
+def _common_start(left: bytes, right: bytes) -> int:
     """Number of first bytes that are the same."""
-    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+    return next((k for k, (a, b) in enumerate(zip(left, right, strict=False)) if a != b), min(len(left), len(right)))
 
 
 def _hunted(number: int) -> Found:
-    return _HUNTS[number]()  # of before the fork: readers hold functions, which can't be sent
+    return _HUNTS[number]()  # from before the fork: readers hold functions, which can't be sent
 
 
 def main() -> None:
@@ -325,21 +325,21 @@ def main() -> None:
     parser.add_argument("--minutes", type=positive, default=10.0)
     parser.add_argument("--jobs", type=at_least(1), default=os.cpu_count() or 1)
     parser.add_argument("--kept", type=Path, default=Path(".hypothesis/fuzz"), help="folder of Hypothesis' examples")
-    wanted = parser.parse_args()
+    options = parser.parse_args()
 
     def job() -> int:
-        readers = every(wanted.reader)
-        seconds = 60.0 * wanted.minutes * wanted.jobs / max(len(readers), 1)
-        if any(one.read is obeyed for one in readers):
+        readers = every(options.reader)
+        seconds = 60.0 * options.minutes * options.jobs / max(len(readers), 1)
+        if any(reader.read is obeyed for reader in readers):
             load()
-        for one in readers:
-            _seed(one)  # once, for all processes
-        _HUNTS.extend(partial(hunt, one, seconds, wanted.kept) for one in readers)
-        with ProcessPoolExecutor(wanted.jobs, get_context("fork")) as pool:
-            found = list(pool.map(_hunted, range(len(readers))))
-        rows = [[one.name, *(f"{ends[end]:,}" for end in End)] for one, (ends, _) in zip(readers, found, strict=True)]
+        for reader in readers:
+            _seed(reader)  # once, for all processes
+        _HUNTS.extend(partial(hunt, reader, seconds, options.kept) for reader in readers)
+        with ProcessPoolExecutor(options.jobs, get_context("fork")) as pool:
+            hunts = list(pool.map(_hunted, range(len(readers))))
+        rows = [[r.name, *(f"{ends[end]:,}" for end in End)] for r, (ends, _) in zip(readers, hunts, strict=True)]
         print("\n".join(table(("reader", *End), rows)))
-        findings = [finding for _, finding in found if finding is not None]
+        findings = [finding for _, finding in hunts if finding is not None]
         print("\n".join(json.dumps(finding) for finding in findings))
         return int(bool(findings))
 

@@ -24,13 +24,13 @@ NUMBERS = (
     b"9" * 400, b"7" * 5000, b"0x10", b"1_000", "١٢".encode(), b"1,5", b"true", b"null", b"[]", b"{}", b"2147483648",
     b"-2147483649", b"9223372036854775808", b"1e19", b"99999999999", b"1d5", b"1e", b"++1", b"1 km", b'"1"',
 )  # fmt: skip
-"""What may stand in a number's place."""
+"""Texts that replace a number."""
 NAMES = (
     b"", b"..", b"../../../../etc/passwd", b"/dev/zero", b"/", b"a" * 300, b"a\0b", b"\xff\xfe", b"\x1b[31m",
     "\u202e".encode(), b"\xed\xa0\x80", b"<script>", b"None", b"%s%n", b"/vsizip/x.zip/y", b"Moon", b"' OR 1=1", b"\\",
     b"\n", b"#", b"a=b", b"2#1111#", b'"', b"{", b"(", b"=", b"NULL", b"\0", b"\x85", "\u2028".encode(), b"\r",
 )  # fmt: skip
-"""What may stand in a name's place."""
+"""Texts that replace a name."""
 LONG = tuple(
     piece * times
     for times in (101, 1200, 20_000)
@@ -52,7 +52,7 @@ _UNITS = (b" <km>", b" <m>", b" <ms>", b" <seconds>", b" <degrees>", b" <>", b" 
 _ENCODINGS = ("utf-16", "utf-8-sig", "utf-32", "utf-7", "cp037")
 _CODES = ("B", "<H", ">H", "<i", ">i", "<q", "<f", ">f", "<d", ">d")
 _REACH = 4096
-"""bytes at both ends of a file that are met as often as all the others: there its structure stands."""
+"""bytes at both ends of a file, which hold its structure: they are edited as often as all others."""
 Change = Callable[[bytes], SearchStrategy[bytes]]
 
 
@@ -64,17 +64,17 @@ def place(size: int) -> SearchStrategy[int]:
 
 @st.composite
 def bit(draw: DrawFn, data: bytes) -> bytes:
-    """A bit flipped, as a disk does it."""
-    at, which = draw(place(len(data))), draw(st.integers(0, 7))
-    return data[:at] + bytes(one ^ 1 << which for one in data[at : at + 1]) + data[at + 1 :]
+    """A flipped bit, as by a disk error."""
+    at, position = draw(place(len(data))), draw(st.integers(0, 7))
+    return data[:at] + bytes(byte ^ 1 << position for byte in data[at : at + 1]) + data[at + 1 :]
 
 
 @st.composite
 def stretch(draw: DrawFn, data: bytes) -> bytes:
-    """Bytes left out, put in, repeated, blanked; the file cut short or made longer."""
+    """Bytes removed, inserted, repeated, blanked; the file cut short or made longer."""
     at, size = draw(place(len(data))), draw(st.sampled_from((0, 1, 2, 4, 8, 40, 512, len(data))))
     piece = data[at : at + min(size, 1000)]
-    fixed = b"", piece * 2, piece * 100, *(one * len(piece) for one in (b"\0", b"\xff", b" "))
+    fixed = b"", piece * 2, piece * 100, *(filler * len(piece) for filler in (b"\0", b"\xff", b" "))
     new = draw(st.sampled_from(fixed) | st.binary(max_size=16))
     return data[:at] + new + data[at + size :]
 
@@ -98,7 +98,7 @@ def field(draw: DrawFn, data: bytes) -> bytes:
 
 @lru_cache(maxsize=8)
 def _spans(data: bytes, pattern: re.Pattern[bytes], group: int = 0) -> list[tuple[int, int]]:
-    return [found.span(group) for found in pattern.finditer(data)]
+    return [match.span(group) for match in pattern.finditer(data)]
 
 
 def _scaled(token: bytes, times: float) -> bytes:
@@ -113,12 +113,12 @@ def token(draw: DrawFn, data: bytes) -> bytes:
     """A number or name of a text replaced, left out, repeated, in another unit, nested deeply or made long."""
     if not (spans := _spans(data, _TOKEN)):
         return draw(stretch(data))
-    (start, stop), (other, end) = draw(st.sampled_from(spans)), draw(st.sampled_from(spans))
+    (start, stop), (begin, end) = draw(st.sampled_from(spans)), draw(st.sampled_from(spans))
     old = data[start:stop]
     new = draw(st.one_of(
         st.sampled_from(NUMBERS), st.sampled_from(NAMES), st.sampled_from(TIMES).map(lambda times: _scaled(old, times)),
-        st.sampled_from((data[other:end], old + old)), st.sampled_from(LONG),
-        st.sampled_from(NAMES).map(lambda one: old[:1] + one + old[1:]),
+        st.sampled_from((data[begin:end], old + old)), st.sampled_from(LONG),
+        st.sampled_from(NAMES).map(lambda name: old[:1] + name + old[1:]),
     ))  # fmt: skip
     return data[:start] + new + data[stop:]
 
@@ -128,10 +128,10 @@ def value(draw: DrawFn, data: bytes) -> bytes:
     """The value of a key of PVL, TOML or a text kernel: another's, a list, in other quotation marks or units."""
     if not (spans := _spans(data, _VALUE, 1)):
         return draw(token(data))
-    (start, stop), (other, end) = draw(st.sampled_from(spans)), draw(st.sampled_from(spans))
+    (start, stop), (begin, end) = draw(st.sampled_from(spans)), draw(st.sampled_from(spans))
     old = data[start:stop]
     new = draw(st.sampled_from((
-        data[other:end], b"(" + old + b", " + old + b")", b'"' + old + b'"', old.strip(b'"'),
+        data[begin:end], b"(" + old + b", " + old + b")", b'"' + old + b'"', old.strip(b'"'),
         *(old + unit for unit in _UNITS),
     )))  # fmt: skip
     return data[:start] + new + data[stop:]
@@ -142,24 +142,24 @@ def line(draw: DrawFn, data: bytes) -> bytes:
     """A line left out, repeated or elsewhere."""
     lines = data.split(b"\n")
     k, to = (draw(st.integers(0, len(lines) - 1)) for _ in range(2))
-    one = lines.pop(k)
-    lines[to:to] = [one] * draw(st.sampled_from((0, 1, 2, 300)))
+    moved = lines.pop(k)
+    lines[to:to] = [moved] * draw(st.sampled_from((0, 1, 2, 300)))
     return b"\n".join(lines)
 
 
 @st.composite
 def whole(draw: DrawFn, data: bytes) -> bytes:
     """Other ends of lines, another delimiter or another encoding."""
-    ends = *((b"\n", one) for one in (b"\r\n", b"\r", b"", b"\n\n")), *((b",", one) for one in (b";", b"\t", b",,"))
-    other = [data.replace(*pair) for pair in ends]
-    return draw(st.sampled_from([*other, *(data.decode("latin-1").encode(one, "replace") for one in _ENCODINGS)]))
+    ends = *((b"\n", mark) for mark in (b"\r\n", b"\r", b"", b"\n\n")), *((b",", mark) for mark in (b";", b"\t", b",,"))
+    texts = [data.replace(*pair) for pair in ends]
+    return draw(st.sampled_from([*texts, *(data.decode("latin-1").encode(name, "replace") for name in _ENCODINGS)]))
 
 
-def _places(content: Any, way: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+def _places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     pairs = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    for key, one in pairs:
-        yield (*way, key)
-        yield from _places(one, (*way, key))
+    for key, item in pairs:
+        yield (*path, key)
+        yield from _places(item, (*path, key))
 
 
 @st.composite
@@ -172,15 +172,15 @@ def json_value(draw: DrawFn, data: bytes) -> bytes:
         return draw(token(data))
     if not (places := list(_places(content))):
         return draw(token(data))
-    *way, last = draw(st.sampled_from(places))
+    *path, last = draw(st.sampled_from(places))
     inner = content
-    for key in way:
+    for key in path:
         inner = inner[key]
     old = inner[last]
-    others = [old[:-1], old + old] if isinstance(old, list) else []
-    others += [old * times for times in TIMES] if isinstance(old, float) else []
+    replacements = [old[:-1], old + old] if isinstance(old, list) else []
+    replacements += [old * times for times in TIMES] if isinstance(old, float) else []
     if draw(st.booleans()):
-        inner[last] = draw(st.sampled_from((*others, *VALUES)))
+        inner[last] = draw(st.sampled_from((*replacements, *VALUES)))
     else:
         del inner[last]
     return data[:head] + json.dumps(content, indent=1).encode()
@@ -188,7 +188,7 @@ def json_value(draw: DrawFn, data: bytes) -> bytes:
 
 @st.composite
 def member(draw: DrawFn, data: bytes) -> bytes:
-    """A member of a NumPy archive: its numbers, shape and type, or its name; the archive is whole."""
+    """A member of a NumPy archive: its numbers, shape and type, or its name; the archive stays valid."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
@@ -196,7 +196,7 @@ def member(draw: DrawFn, data: bytes) -> bytes:
         return draw(stretch(data))
     name = draw(st.sampled_from(sorted(members) or ["x"]))
     old = members.pop(name, b"")
-    head = token(old[:128]).map(lambda said: said[:128].ljust(128) + old[128:])  # of an array: its shape and type
+    head = token(old[:128]).map(lambda text: text[:128].ljust(128) + old[128:])  # of an array: its shape and type
     new = draw(st.none() | field(old) | stretch(old) | head)
     if new is not None:
         members[draw(st.sampled_from((name, name, name, "../x.npy", "record.npy", "a" * 300)))] = new
@@ -209,16 +209,16 @@ def member(draw: DrawFn, data: bytes) -> bytes:
 
 @st.composite
 def cell(draw: DrawFn, data: bytes) -> bytes:
-    """A cell or row of a database that is whole; mostly without its checksum, as a killed writer leaves it."""
+    """A cell or row of a valid database; mostly without its checksum, as a killed writer leaves it."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as base:
         try:
             base.deserialize(data)
             names = base.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite%'")
             tables = [(name, base.execute(f'SELECT rowid, * FROM "{name}"').fetchall()) for (name,) in names.fetchall()]
-            table, rows = draw(st.sampled_from([one for one in tables if one[1]] or [("", [])]))
+            table, rows = draw(st.sampled_from([entry for entry in tables if entry[1]] or [("", [])]))
             if not rows:
                 return draw(stretch(data))
-            columns = [one[1] for one in base.execute(f'PRAGMA table_info("{table}")')]
+            columns = [info[1] for info in base.execute(f'PRAGMA table_info("{table}")')]
             row, column = draw(st.sampled_from(rows)), draw(st.integers(0, len(columns) - 1))
             odd = st.sampled_from((None, "", "text", b"", b"\0" * 8, -1, 0, 2**62, 1e308, "[1]", "{}", "[" * 1200))
             old = row[column + 1]
@@ -244,7 +244,7 @@ def bomb() -> bytes:
 
 
 def packed(data: bytes) -> SearchStrategy[bytes]:
-    """What gzip has packed, damaged and packed again; or a bomb."""
+    """Content of a gzip file, damaged and packed again; or a bomb."""
     try:
         content = gzip.decompress(data) if len(data) < 1_000_000 else b""
     except (OSError, EOFError, zlib.error):
@@ -266,21 +266,21 @@ WORDS = (
 
 @st.composite
 def words(draw: DrawFn, data: bytes) -> bytes:
-    """A command line, as JSON: a word replaced, left out, twice or longer, or an option of the verb more."""
+    """A command line, as JSON: a word replaced, removed, repeated or longer, or one more option of the verb."""
     from mgsgraph.cli import group
 
-    said: list[str] = json.loads(data)
-    command = group.get_command(None, said[0])  # type: ignore[arg-type]
+    line: list[str] = json.loads(data)
+    command = group.get_command(None, line[0])  # type: ignore[arg-type]
     assert command is not None
-    known = [one for one in command.params if one.opts[0].startswith("-")]
-    options = [(max(one.opts, key=len), getattr(one, "is_flag", False)) for one in known]
-    odd, k = draw(st.sampled_from((*PATHS, *WORDS))), draw(st.integers(1, len(said)))
+    parameters = [parameter for parameter in command.params if parameter.opts[0].startswith("-")]
+    options = [(max(parameter.opts, key=len), getattr(parameter, "is_flag", False)) for parameter in parameters]
+    odd, k = draw(st.sampled_from((*PATHS, *WORDS))), draw(st.integers(1, len(line)))
     name, flag = draw(st.sampled_from([*options, (odd, True)]))
     option = [name] if flag else [name, odd]
-    old = said[k : k + 1]
+    old = line[k : k + 1]
     longer = [word + more for word in old for more in ("\x1b[1m", "\udcff", "/", "=", " ", "x" * 2000)][:6]
-    said[k : k + 1] = draw(st.sampled_from(([odd], [], old * 2, [*old, *option], *([word] for word in longer))))
-    return json.dumps(said).encode()
+    line[k : k + 1] = draw(st.sampled_from(([odd], [], old * 2, [*old, *option], *([word] for word in longer))))
+    return json.dumps(line).encode()
 
 
 FORMS: dict[str, tuple[Change, ...]] = {
@@ -289,11 +289,11 @@ FORMS: dict[str, tuple[Change, ...]] = {
     "json": (json_value, json_value, token, line, whole, stretch), "npz": (member, member, stretch, bit),
     "sqlite": (cell, cell, stretch, bit), "gzip": (packed, packed, stretch), "words": (words,), "bit": (bit,),
 }  # fmt: skip
-"""What is done to files of a form."""
+"""Edits of files of a form."""
 
 
 def edited(sound: bytes, form: str) -> SearchStrategy[bytes]:
-    """The file with one piece of damage, or with two; but for single bits."""
+    """The file with one edit, or two; single bits only once."""
 
     def once(data: bytes) -> SearchStrategy[bytes]:
         return st.one_of(*(change(data) for change in FORMS[form]))

@@ -29,7 +29,7 @@ _SHOTS = (".ranges", ".spacecraft", ".areoid_radii", ".off_nadir", ".pulses", ".
 def every(only: Sequence[str] = ()) -> list[Reader]:
     """All readers, or those whose names hold one of some words."""
     rows = (
-        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *_networks(), *_altimetry(), *_kept(),
+        *_cases(), *_images(), *_kernels(), *_pictures(), *_terrain(), *_networks(), *_altimetry(), *_with_checksums(),
         *_archives(), *_real_files(), *_commands(),
     )  # fmt: skip
     return [row for row in rows if not only or any(word in row.name for word in only)]
@@ -171,7 +171,7 @@ def _networks() -> Iterator[Reader]:
     pair, written = ("one", "two"), seeds.written_network
     ground = asp.DOCUMENTED + "\n" + asp.DOCUMENTED.replace("5 23.7", "6 23.8") + "\n"
     rows = "".join(f"p{k},{10 + k},{20 - k},33900{k}0.5\n" for k in range(6))
-    said = "".join(f'p{k},accept,"good, {k}"\n' for k in range(6))
+    decisions = "".join(f'p{k},accept,"good, {k}"\n' for k in range(6))
 
     def of_pvl(path: Path) -> object:
         return read_network(path), read_control_network(path)
@@ -199,7 +199,7 @@ def _networks() -> Iterator[Reader]:
     yield Reader("NVM's offsets", nvm_beside, lambda: text("a_offsets.txt", asp.OFFSETS, **{"a.nvm": asp.NVM}), "csv")
     places = partial(text, "places.csv", "id,longitude_deg,latitude_deg,radius_m\n" + rows)
     yield Reader("table of places", lambda path: read_places(path, MARS, "ground"), places, "csv")
-    verdicts = partial(text, "verdicts.csv", "# network 0123456789abcdef\nid,verdict,note\n" + said)
+    verdicts = partial(text, "verdicts.csv", "# network 0123456789abcdef\nid,verdict,note\n" + decisions)
     yield Reader("verdicts", read_verdicts, verdicts, "csv")
 
 
@@ -232,8 +232,8 @@ def _altimetry() -> Iterator[Reader]:
     yield Reader("altimetry cloud, LOLA", lambda path: read_altimetry_cloud(path), binary, "bytes", gaps=_SHOTS)
 
 
-def _kept() -> Iterator[Reader]:
-    """What has checksums: a flipped bit is refused, or nobody reads it."""
+def _with_checksums() -> Iterator[Reader]:
+    """Formats with checksums: a flipped bit is refused, or not read."""
     from mgsgraph.case.reading import window_beside
     from mgsgraph.errors import require
     from mgsgraph.export.network_content import source_networks
@@ -305,7 +305,7 @@ def _archives() -> Iterator[Reader]:
     from mgsgraph.fetch.search import read_index
 
     addresses = "".join(f'{name} = "https://example.org/{name}/"\n' for name in ("images", "kernels", "pedr"))
-    said = json.dumps({"url": "http://x.org/a", "total": 9, "etag": '"1"', "modified": ""})
+    state = json.dumps({"url": "http://x.org/a", "total": 9, "etag": '"1"', "modified": ""})
 
     def index(folder: Path) -> None:
         images = [(f"E02/0{k}", "MOC-NA") for k in range(1001, 1004)]
@@ -322,7 +322,7 @@ def _archives() -> Iterator[Reader]:
         return camera_focal_length(path.parents[len(Path(_INSTRUMENT).parts) - 1])
 
     yield Reader("mirrors", Archives.read, partial(text, "mirrors.toml", addresses), "pvl")
-    yield Reader("part of fetch", part, lambda: text("a.img.part.json", said, **{"a.img.part": b"abc"}), "json")
+    yield Reader("part of fetch", part, lambda: text("a.img.part.json", state, **{"a.img.part": b"abc"}), "json")
     yield Reader("index of a volume", rows, lambda: made("imgindx.tab", index), "csv")
     yield Reader("index's label", rows, lambda: made("imgindx.lbl", index), "pvl")
     kernel = "KPL/IK\n\\begindata\nINS-94031_PIXEL_SIZE = ( 0.000013 )\n\\begintext\n"
@@ -335,8 +335,8 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 _LABEL = "m0402852_isis.lbl"
 
 
-def _beside(folder: str, main: str, *others: str) -> Seed:
-    return Seed({name: (DATA / folder / name).read_bytes() for name in (main, *others)}, main)
+def _beside(folder: str, main: str, *names: str) -> Seed:
+    return Seed({name: (DATA / folder / name).read_bytes() for name in (main, *names)}, main)
 
 
 def _begin(folder: str, name: str, lines: int) -> Seed:
@@ -351,7 +351,7 @@ def _packed(folder: str, name: str, lines: int) -> Seed:
 
 
 def _real_files() -> Iterator[Reader]:
-    """None where there are no such files."""
+    """No reader where the files are missing."""
     if not DATA.is_dir():
         return
     import mgs
@@ -383,9 +383,9 @@ def _real_files() -> Iterator[Reader]:
     shots = partial(_packed, hadley, "RDR_hadley_LOLA.csv.gz", 12)
     yield Reader("real shots, packed", read_shots, shots, "gzip", gaps=_SHOTS)
     for name in ("m0402852.ale_1.bsp", "mgs_sc_map2_1_sliced_-94000.bc", _LABEL):
-        others = [one for one in (_LABEL, *kernels) if one != name]
+        names = [file for file in (_LABEL, *kernels) if file != name]
         kind = "label of MOC" if name == _LABEL else f"binary kernel, {Path(name).suffix}"
-        yield Reader(f"real {kind}", image, partial(_beside, m04, name, *others), "pvl" if name == _LABEL else "bytes")
+        yield Reader(f"real {kind}", image, partial(_beside, m04, name, *names), "pvl" if name == _LABEL else "bytes")
 
 
 # --- command lines
@@ -422,10 +422,10 @@ last three are refused: the pair has no pixels.
 def _commands() -> Iterator[Reader]:
     """Every verb with odd words, and some with damaged files."""
     for verb, (line, more) in _LINES.items():
-        if verb == "studio":  # with odd words it would serve
+        if verb == "studio":  # it would start a server
             continue
-        said = partial(_command_seed, verb, line, more, seeds.WORDS)
-        yield Reader(f"mgsgraph {verb}", seeds.obeyed, said, "words", patience=60.0)
+        seed = partial(_command_seed, verb, line, more, seeds.WORDS)
+        yield Reader(f"mgsgraph {verb}", seeds.obeyed, seed, "words", patience=60.0)
     damaged = (
         ("check", "case.toml", "pvl"), ("adjust", "network.pvl", "pvl"), ("adjust", "lidar.json", "json"),
         ("check", "image_A.isd", "json"), ("project status", *_PROJECT, "sqlite"),
@@ -435,19 +435,19 @@ def _commands() -> Iterator[Reader]:
         ("studio", "verdicts.csv", "csv"), ("new", "network.pvl", "pvl"),
     )  # fmt: skip
     for verb, name, form in damaged:
-        said = partial(_command_seed, verb, *_LINES[verb], name)
+        seed = partial(_command_seed, verb, *_LINES[verb], name)
         kind = ", a bit" if form == "bit" else ""
-        yield Reader(f"mgsgraph {verb}, damaged {Path(name).name}{kind}", seeds.obeyed, said, form, patience=60.0)
+        yield Reader(f"mgsgraph {verb}, damaged {Path(name).name}{kind}", seeds.obeyed, seed, form, patience=60.0)
 
 
 def _command_seed(verb: str, line: str, more: tuple[str, ...], main: str) -> Seed:
     places = "".join(f"p{k},{k},{k},3390000.5\n" for k in range(4))
-    own = {
+    texts = {
         "places.csv": "id,longitude_deg,latitude_deg,radius_m\n" + places,
         "candidates.toml": 'format = 1\n[[control]]\nname = "far"\nlongitude_deg = 0.0\nlatitude_deg = 0.0\n'
         "radius_m = 3.39e6\n",
         "verdicts.csv": "id,verdict,note\nTIE00001,reject,bad\n", "shots.csv": seeds.profile_csv(),
     }  # fmt: skip
     folder = seeds.worked_folder() if more else seeds.pair_folder()
-    files = {name: own[name].encode() if name in own else (folder / name).read_bytes() for name in (*seeds.PAIR, *more)}
+    files = {k: texts[k].encode() if k in texts else (folder / k).read_bytes() for k in (*seeds.PAIR, *more)}
     return Seed({seeds.WORDS: json.dumps([*verb.split(), *line.split()]).encode()} | files, main)

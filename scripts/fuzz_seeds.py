@@ -32,20 +32,20 @@ class Seed(NamedTuple):
 
 
 class Reader(NamedTuple):
-    """A way into the program."""
+    """A function that reads a file, or a command."""
 
     name: str
     read: Callable[[Path], Any]
     seed: Callable[[], Seed]
-    """Of its sound files, written when they are wanted."""
+    """Its valid files, written on request."""
     form: str
-    """Of its damage, of `fuzz_edits.FORMS`."""
+    """Kind of edits, of `fuzz_edits.FORMS`."""
     gaps: tuple[str, ...] = ()
-    """Ends of the places where what is read may have gaps (NaN): posts that are missing."""
+    """Ends of the paths where the result may have gaps (NaN), such as missing posts."""
     same: bool = False
-    """Whether all that is not refused must be read as of the sound file."""
+    """Whether each file that is not refused must give the valid file's result."""
     patience: float = 10.0
-    """s that it may take."""
+    """s, time limit."""
 
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -57,7 +57,7 @@ def of_tests(path: str) -> SimpleNamespace:
 
 
 def made(main: str, write: Callable[[Path], Any]) -> Seed:
-    """What a function writes into a folder."""
+    """Files that a function writes into a folder."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write(folder)
@@ -70,14 +70,14 @@ def folder_seed(folder: Path, main: str) -> Seed:
     return Seed({main: files[main]} | files, main)
 
 
-def text(name: str, content: str | bytes, **others: str | bytes) -> Seed:
+def text(name: str, content: str | bytes, **beside: str | bytes) -> Seed:
     """One file, and files beside it."""
-    files = {name: content} | others
-    return Seed({key: one.encode() if isinstance(one, str) else one for key, one in files.items()}, name)
+    files = {name: content} | beside
+    return Seed({key: data.encode() if isinstance(data, str) else data for key, data in files.items()}, name)
 
 
 def commanded(*arguments: object) -> None:
-    """`mgsgraph` with these arguments; exit status 1 is that of a doubtful result."""
+    """`mgsgraph` with these arguments; exit status 1 means a doubtful result."""
     words = [sys.executable, "-m", "mgsgraph", *map(str, arguments)]
     done = subprocess.run(words, stdout=subprocess.DEVNULL, check=False)
     if done.returncode not in (0, 1):
@@ -90,7 +90,7 @@ WORDS = "words.json"
 
 
 def obeyed(path: Path) -> None:
-    """The command line beside or above a file; ends the process, as a command does."""
+    """Run the command line beside or above a file; this ends the process."""
     from mgsgraph.cli import main
 
     os.chdir(next(folder for folder in path.parents if (folder / WORDS).exists()))
@@ -127,11 +127,11 @@ def worked_folder() -> Path:
     return folder
 
 
-def of_pair(main: str, *others: str) -> Seed:
+def of_pair(main: str, *beside: str) -> Seed:
     """Files of the pair: one that is damaged, and those that it needs."""
-    worked = any("/" in name for name in (main, *others))
+    worked = any("/" in name for name in (main, *beside))
     folder = worked_folder() if worked else pair_folder()
-    return Seed({name: (folder / name).read_bytes() for name in (main, *others)}, main)
+    return Seed({name: (folder / name).read_bytes() for name in (main, *beside)}, main)
 
 
 def case_seed(main: str = "case.toml") -> Seed:
@@ -152,8 +152,8 @@ def site_seed() -> dict[str, bytes]:
         write_site(simulate_site("eos", 1, SimulationOptions(pictures=False)), folder)
         files = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix not in (".json", ".pvl")}
     short = {".img": lambda content: content[: 1 << 13], ".b": short_profile}
-    kept = {name for name in files if not name.endswith(".img") or name.startswith("E")}
-    return {name: short.get(Path(name).suffix, bytes)(files[name]) for name in kept}
+    names = {name for name in files if not name.endswith(".img") or name.startswith("E")}
+    return {name: short.get(Path(name).suffix, bytes)(files[name]) for name in names}
 
 
 def short_profile(content: bytes, frames: int = 4) -> bytes:
@@ -164,15 +164,15 @@ def short_profile(content: bytes, frames: int = 4) -> bytes:
     rows = len(content) // FRAME.itemsize - 10
     label = content[: 10 * FRAME.itemsize]
     for key, old, new in ((b"FILE_RECORDS", rows + 10, records), (b"ROWS", rows, frames)):
-        said = key + b" = " + str(old).encode()
-        assert said in label
-        label = label.replace(said, (key + b" = " + str(new).encode()).ljust(len(said)))
+        entry = key + b" = " + str(old).encode()
+        assert entry in label
+        label = label.replace(entry, (key + b" = " + str(new).encode()).ljust(len(entry)))
     return label + content[10 * FRAME.itemsize : records * FRAME.itemsize]
 
 
-def of_site(main: str, *others: str) -> Seed:
+def of_site(main: str, *beside: str) -> Seed:
     files = site_seed()
-    return Seed({name: files[name] for name in (main, *others)}, main)
+    return Seed({name: files[name] for name in (main, *beside)}, main)
 
 
 def kernels_seed(main: str) -> Seed:
@@ -214,9 +214,9 @@ def lola_records(count: int = 3) -> bytes:
 
 def lola_label(name: str = "LOLARDR_092490702.DAT", rows: int = 3) -> str:
     table = f'OBJECT = TABLE\nROWS = {rows}\n^STRUCTURE = "LOLARDR.FMT"\nEND_OBJECT = TABLE\nEND\n'
-    said = 'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"\n'
+    data_set = 'DATA_SET_ID = "LRO-L-LOLA-3-RDR-V1.0"\n'
     head = f'PDS_VERSION_ID = PDS3\nRECORD_TYPE = FIXED_LENGTH\n^TABLE = "{name}"\n'
-    return (head + said + table).replace("\n", "\r\n")
+    return (head + data_set + table).replace("\n", "\r\n")
 
 
 def mla_table() -> str:

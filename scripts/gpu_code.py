@@ -23,16 +23,16 @@ MISSING = 3
 
 @dataclass(frozen=True)
 class Code:
-    """What became of a kernel."""
+    """A compiled kernel."""
 
     name: str
     seconds: float
-    """To compile it."""
+    """s, to compile it."""
     registers: int
     stack: int
     """Bytes of local memory."""
     spilled: int
-    """Bytes stored for want of registers."""
+    """Bytes stored because registers are full."""
     shared: int
     """Bytes."""
 
@@ -71,7 +71,7 @@ def signatures() -> dict[str, tuple[Any, Any]]:
 
 
 def without_a_device(capability: tuple[int, int]) -> None:
-    """Let numba-cuda compile device functions where there is no device that it could ask for its capability."""
+    """Let numba-cuda compile device functions without a device that tells its capability."""
     from numba.cuda import dispatcher
 
     dispatcher.get_current_device = lambda: SimpleNamespace(compute_capability=capability)
@@ -88,10 +88,10 @@ def compiled(name: str, kernel: Any, arguments: Any, capability: tuple[int, int]
     source.write_text(text, encoding="ascii")
     architecture = f"-arch=sm_{capability[0]}{capability[1]}"
     command = ["ptxas", "-v", architecture, str(source), "-o", str(folder / "code")]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stderr
 
     def number(pattern: str) -> int:
-        return sum(int(found) for found in re.findall(pattern, said))
+        return sum(int(match) for match in re.findall(pattern, output))
 
     return Code(
         name, seconds, number(r"Used (\d+) registers"), number(r"(\d+) bytes stack frame"),

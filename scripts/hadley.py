@@ -43,7 +43,7 @@ SIGMA = 0.3
 """px, of a tie's measure in each direction."""
 LEVEL, RELIEF, LOOSE = 1_736_930.0, 1000.0, 20e3
 """m: mean radius of LOLA's shots in NAC-L, sigma of a tie's radius about it (their scatter is 558 m, the fixed points
-are 2 km apart), and sigma of its horizontal place: as good as unknown."""
+are 2 km apart), and sigma of its horizontal place (practically free)."""
 PRIORS = (0.1, 1.0, 10.0)
 """mrad, a-priori sigmas of R's boresight about each axis."""
 HEAD = ("lines of L", "ties", "median, m", "scatter, m", "sigma of one, m", "nearest shot, km away", "its median, m")
@@ -51,7 +51,7 @@ STRETCHES = ((0, 10_000), (10_000, 20_000), (20_000, 28_000), (28_000, 30_500), 
              (45_000, 52_224))  # fmt: skip
 """Lines of NAC-L by which heights are compared."""
 NEAR = 9e3
-"""m from a tie, beyond which a shot says nothing of its height."""
+"""m, largest distance from a tie of a shot that is compared with it."""
 
 
 class Rig(NamedTuple):
@@ -70,10 +70,10 @@ def read_rig(data: Path, boresight: float = 1.0) -> Rig:
     folder = data / "lro_nac_hadley"
     images = tuple(read_isis_cube(folder / f"observationImage{name[-1]}.pvl", name) for name in SIDES)
     ties = read_control_network(folder / "observationPair.net")
-    which = np.array([SIDES.index(name) for name in ties.measure_image])
+    image_of = np.array([SIDES.index(name) for name in ties.measure_image])
     left = images[0]
     fixed = ties.kinds == PointKind.FIXED
-    its = which == 0
+    its = image_of == 0
     places = ties.places.copy()
     ground, _ = left.image_to_ground(*ties.measures[its].T, LEVEL - left.body.equatorial)
     places[ties.measure_point[its]] = ground
@@ -89,7 +89,7 @@ def read_rig(data: Path, boresight: float = 1.0) -> Rig:
     )  # fmt: skip
     network = Network(
         images=images, priors=(OrientationPrior(ERRORS.sigmas),) * 2, held=np.zeros(2, dtype=bool), points=points,
-        rays=ImageRays(ties.measure_point, which, ties.measures, np.full(ties.measures.shape, SIGMA)),
+        rays=ImageRays(ties.measure_point, image_of, ties.measures, np.full(ties.measures.shape, SIGMA)),
         ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
         shared=(_boresight(boresight),), passes=(joined("2009-07-13", images, 0, ERRORS),),
     )  # fmt: skip
@@ -111,27 +111,27 @@ def adjusted(network: Network) -> Solution:
 
 
 def residual_rows(rig: Rig) -> list[list[str]]:
-    """Residuals of each way to adjust, by image."""
+    """Residuals of each variant of the adjustment, by image."""
     loose = ERRORS.sigmas.copy()
     loose[0, 3:] = np.hypot(loose[0, 3:], 1.0 * MRAD)
     alone = replace(rig.network, passes=(), shared=(), priors=(rig.network.priors[0], OrientationPrior(loose)))
-    ways = {
+    variants = {
         "before adjustment": None,
         "rig: one trajectory, one boresight": rig.network,
         "each image its own polynomials": alone,
         "one trajectory, mounting as the kernels have it": replace(rig.network, shared=()),
         "rig, radii of the points free": free_radii(rig),
-        "the same, nodes every 3 s": replace(free_radii(rig), passes=(_closer(rig.network.passes[0]),)),
+        "the same, nodes every 3 s": replace(free_radii(rig), passes=(_denser(rig.network.passes[0]),)),
     }
     rows, before = [], adjusted(rig.network)
-    for way, network in ways.items():
+    for label, network in variants.items():
         solution = before if network is None else adjusted(network)
         residuals = solution.residuals_before if network is None else solution.residuals
         for j, side in enumerate("LR"):
             its = residuals[solution.network.rays.image == j]
             size = np.linalg.norm(its, axis=1)
             rows.append([
-                way if side == "L" else "", side, *(number(float(v)) for v in np.sqrt(np.mean(its**2, axis=0))),
+                label if side == "L" else "", side, *(number(float(v)) for v in np.sqrt(np.mean(its**2, axis=0))),
                 number(float(np.sqrt(np.mean(size**2)))), number(float(np.median(size))), number(float(size.max())),
                 "-" if network is None or side == "R" else f"{solution.sigma0:.3f}",
                 "-" if network is None or side == "R" else f"{solution.fit.degrees_of_freedom:.0f}",
@@ -139,12 +139,12 @@ def residual_rows(rig: Rig) -> list[list[str]]:
     return rows
 
 
-def _closer(one: Pass) -> Pass:
+def _denser(rig_pass: Pass) -> Pass:
     """The pass with nodes every 3 s, which depart from bias and drift."""
     sigmas = ERRORS.sigmas
-    own = np.array([1.0] * 3 + [5e-6] * 3)
-    nodes = evenly_spaced("lagrange", one.nodes.epoch, one.nodes.coverage, 3.0)
-    return replace(one, nodes=nodes, prior=NodePrior(own, sigmas[0], sigmas[1], 3.0))
+    node_sigmas = np.array([1.0] * 3 + [5e-6] * 3)
+    nodes = evenly_spaced("lagrange", rig_pass.nodes.epoch, rig_pass.nodes.coverage, 3.0)
+    return replace(rig_pass, nodes=nodes, prior=NodePrior(node_sigmas, sigmas[0], sigmas[1], 3.0))
 
 
 # --- what is found
@@ -168,12 +168,12 @@ def boresight_rows(rig: Rig) -> list[list[str]]:
 def correlations(rig: Rig) -> tuple[list[list[str]], float]:
     """Correlations of R's boresight with the pass's attitude coefficients; and of its y (pitch) with its z."""
     solution = adjusted(rig.network)
-    first, (one, node) = rig.network.first_shared, rig.network.numbered_passes[0]
+    first, (rig_pass, node) = rig.network.first_shared, rig.network.numbered_passes[0]
     covariance = solution.joint_covariance.of([first, *range(node, node + 4)])
-    inverse = np.kron(np.linalg.inv(powers(one.nodes)), np.eye(6))
-    whole = np.zeros((27, 27))
-    whole[:3, :3], whole[3:, 3:] = np.eye(3), inverse
-    covariance = whole @ covariance @ whole.T
+    inverse = np.kron(np.linalg.inv(powers(rig_pass.nodes)), np.eye(6))
+    transform = np.zeros((27, 27))
+    transform[:3, :3], transform[3:, 3:] = np.eye(3), inverse
+    covariance = transform @ covariance @ transform.T
     sigmas = np.sqrt(np.diagonal(covariance))
     matrix = covariance / np.outer(sigmas, sigmas)
     prior, rows = ERRORS.sigmas.ravel(), []
@@ -202,7 +202,7 @@ def seam(rig: Rig) -> tuple[float, float]:
 
 
 class Control(NamedTuple):
-    """What LOLA's shots could be as control."""
+    """LOLA's shots as possible control."""
 
     left: int
     """Shots in NAC-L's footprint."""
@@ -238,7 +238,7 @@ def lola(rig: Rig, shots: AltimeterShots) -> Control:
 
 
 def free_radii(rig: Rig) -> Network:
-    """The rig with nothing said of the ties' places."""
+    """The rig without a-priori places of the ties."""
     points = rig.network.points
     free = points.kinds != PointKind.FIXED
     loose = replace(
@@ -266,13 +266,13 @@ def height_rows(rig: Rig, shots: AltimeterShots) -> tuple[list[list[str]], float
     nearest, heights = away.argmin(axis=0), np.linalg.norm(shots.footprints, axis=1) - LEVEL
     rows = []
     for first, last in STRETCHES:
-        mine = (lines >= first) & (lines < last) & free
-        found, beside = radii[point[mine]] - LEVEL, away[:, mine].min(axis=0)
+        inside = (lines >= first) & (lines < last) & free
+        rig_heights, beside = radii[point[inside]] - LEVEL, away[:, inside].min(axis=0)
         near = beside < NEAR
         rows.append([
-            f"{first:,} to {last:,}", f"{mine.sum()}", f"{np.median(found):.0f}", f"{found.std():.0f}",
-            f"{np.median(sigmas[point[mine]]):.0f}", f"{np.median(beside) / 1e3:.1f}",
-            f"{np.median(heights[nearest[mine]][near]):.0f}" if near.any() else "-",
+            f"{first:,} to {last:,}", f"{inside.sum()}", f"{np.median(rig_heights):.0f}", f"{rig_heights.std():.0f}",
+            f"{np.median(sigmas[point[inside]]):.0f}", f"{np.median(beside) / 1e3:.1f}",
+            f"{np.median(heights[nearest[inside]][near]):.0f}" if near.any() else "-",
         ])  # fmt: skip
     return rows, float(np.median(sigmas[point[free]]))
 
@@ -292,7 +292,7 @@ def tables(data: Path) -> Blocks:
     offset = ["a-priori sigma, mrad", "axis", "value, mrad", "sigma, mrad", "posterior over prior", "value, m",
               "sigma, m"]  # fmt: skip
     attitude = ["attitude of the pass", "prior, mrad", "posterior over prior", "with x", "with y", "with z"]
-    known = [
+    values = [
         ["correlation of R's y and z", f"{pitch:.3f}"],
         ["sigma along the track at the seam, and at R's far edge", f"{near:.2f} and {far:.1f} m"],
     ]
@@ -306,7 +306,7 @@ def tables(data: Path) -> Blocks:
     ]  # fmt: skip
     return {
         "residuals": table(head, residual_rows(rig)), "boresight": table(offset, boresight_rows(rig)),
-        "known": table(("", "value"), known), "correlations": table(attitude, rows), "heights": table(HEAD, stretches),
+        "known": table(("", "value"), values), "correlations": table(attitude, rows), "heights": table(HEAD, stretches),
         "lola": table(("", "value"), of_lola),
     }  # fmt: skip
 

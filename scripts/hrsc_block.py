@@ -41,20 +41,20 @@ def one_draw(case: str, seed: int) -> Draw:
     """
     begin, block = time.perf_counter(), simulate_hrsc_block(CASES[case], seed)
     steps = adjust_in_two_steps(block.network, SolverSettings(reject=0.0))
-    both = steps.free, steps.fitted
-    points = [nees((one.places - block.true_points)[one.determined], one.covariances[one.determined]) for one in both]
+    solutions = steps.free, steps.fitted
+    points = [nees((s.places - block.true_points)[s.determined], s.covariances[s.determined]) for s in solutions]
     true = np.concatenate([block.true_nodes(k) for k in range(len(block.network.passes))])
-    errors = [np.zeros_like(true), *(np.concatenate(one.nodes) for one in both)]
+    errors = [np.zeros_like(true), *(np.concatenate(solution.nodes) for solution in solutions)]
     joints = (steps.rays_alone.joint, steps.free.joint_covariance, steps.fitted.joint_covariance)
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     merit = two_step_statistics(steps).whole
     freedom = sum(6 * len(strip.nodes) for strip in block.network.passes)
     return {
-        "nodes": [sum(_of_nodes(block, one)) / freedom for one in both], "freedom": freedom,
+        "nodes": [sum(_of_nodes(block, solution)) / freedom for solution in solutions], "freedom": freedom,
         "points": [float(part.mean()) / 3.0 for part in points],
-        "points_freedom": [degrees_of_points(one, np.flatnonzero(one.determined)) for one in both],
+        "points_freedom": [degrees_of_points(solution, np.flatnonzero(solution.determined)) for solution in solutions],
         "converged": bool(steps.converged),
-        "errors": [root_mean_square((found - true)[:, ATTITUDE], 0).tolist() for found in errors],
+        "errors": [root_mean_square((error - true)[:, ATTITUDE], 0).tolist() for error in errors],
         "stated": [_stated(*pair).tolist() for pair in zip(networks, joints, strict=True)],
         "mean": merit.mean.tolist(), "poses": merit.poses.tolist(), "heights": np.asarray(merit.heights.rms).tolist(),
         "seconds": time.perf_counter() - begin,
@@ -74,36 +74,36 @@ def _stated(network: Network, joint: JointCovariance | None) -> Array:
 
 def _of_nodes(block: SimulatedBlock, solution: Solution) -> list[float]:
     """Normalised squares of the errors of each strip's nodes."""
-    found = []
+    squares = []
     for k, (strip, first) in enumerate(block.network.numbered_passes):
         error = (solution.nodes[k] - block.true_nodes(k)).ravel()
         # the block without terrain has fewer variables before the strips
         first += int(solution.network.first_of_passes[0] - block.network.first_of_passes[0])
         covariance = solution.joint_covariance.of(range(first, first + len(strip.nodes)))
-        found.append(float(error @ np.linalg.solve(covariance, error)))
-    return found
+        squares.append(float(error @ np.linalg.solve(covariance, error)))
+    return squares
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """Both tables."""
-    mine = cases(every, names_of(every)[-1])
-    converged, seconds = sum(draw["converged"] for draw in mine), np.mean([draw["seconds"] for draw in mine])
-    end = f"{converged} of {len(mine)} blocks converged in both steps; {seconds:.0f} s a block."
-    return {"merit": merit_table(mine), "nees": [*nees_table(mine), "", end]}
+    of_case = cases(draws, names_of(draws)[-1])
+    converged, seconds = sum(draw["converged"] for draw in of_case), np.mean([draw["seconds"] for draw in of_case])
+    end = f"{converged} of {len(of_case)} blocks converged in both steps; {seconds:.0f} s a block."
+    return {"merit": merit_table(of_case), "nees": [*nees_table(of_case), "", end]}
 
 
-def merit_table(every: list[Draw]) -> list[str]:
+def merit_table(draws: list[Draw]) -> list[str]:
     """Sigmas of points and attitude, and heights, at the three stages."""
     mean, poses, heights, stated, errors = (
-        np.array([draw[key] for draw in every]) for key in ("mean", "poses", "heights", "stated", "errors")
+        np.array([draw[key] for draw in draws]) for key in ("mean", "poses", "heights", "stated", "errors")
     )
     cells = [[f"sigma of points in {axis}, m", *_stages(mean[:, :, k])] for k, axis in enumerate(POINT_AXES)]
     for k, axis in enumerate(POSE_AXES):
         unit, scale = ("m", 1.0) if k < 3 else ("mgon", MGON)
         cells.append([f"sigma of {axis}, mean over the middle image's lines, {unit}", *_stages(poses[:, :, k] / scale)])
-        for what, values in (("sigma", stated), ("error", errors)) if k >= 3 else ():
-            whole = root_mean_square(values[:, :, k - 3] / scale, 0)[None]
-            cells.append([f"{what} of {axis} at the nodes, rms, {unit}", *_stages(whole)])
+        for quantity, values in (("sigma", stated), ("error", errors)) if k >= 3 else ():
+            rms = root_mean_square(values[:, :, k - 3] / scale, 0)[None]
+            cells.append([f"{quantity} of {axis} at the nodes, rms, {unit}", *_stages(rms)])
     cells.append(["rms of heights above the terrain, m", *_stages(heights)])
     return table(["", *(stage.replace("_", " ") for stage in STAGES), "factor, step 1", "factor, step 2"], cells)
 
@@ -116,12 +116,12 @@ def _stages(values: Array) -> list[str]:
     return [*texts, *(number(mean[0] / mean[k]) for k in (1, 2))]
 
 
-def nees_table(every: list[Draw]) -> list[str]:
-    """NEES of the nodes of all strips, and of the points of a block, which err together."""
+def nees_table(draws: list[Draw]) -> list[str]:
+    """NEES of the nodes of all strips, and of the points of a block, whose errors are correlated."""
     rows = []
     for step in (0, 1):
-        nodes, points, freedom = ([draw[key][step] for draw in every] for key in ("nodes", "points", "points_freedom"))
-        cells = nees_cell(nodes, every[0]["freedom"]), nees_cell(points, freedom)
+        nodes, points, freedom = ([draw[key][step] for draw in draws] for key in ("nodes", "points", "points_freedom"))
+        cells = nees_cell(nodes, draws[0]["freedom"]), nees_cell(points, freedom)
         rows.append([STAGES[step + 1].replace("_", " "), *cells])
     return table(["", "nodes", "points"], rows)
 

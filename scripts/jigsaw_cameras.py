@@ -27,7 +27,7 @@ GROUND = -900.0
 
 
 class Jigsaw(NamedTuple):
-    """What a version of ISIS expects; published/jigsaw.toml says what is what."""
+    """Published results of a version of ISIS; published/jigsaw.toml explains the fields."""
 
     mean: float
     largest: float
@@ -38,8 +38,8 @@ class Jigsaw(NamedTuple):
 
 _TEXT = (Path(__file__).parent / "published" / "jigsaw.toml").read_text(encoding="utf-8")
 PUBLISHED = {
-    version: Jigsaw(**{key: np.array(value) if isinstance(value, list) else value for key, value in told.items()})
-    for version, told in tomllib.loads(_TEXT).items()
+    version: Jigsaw(**{key: np.array(value) if isinstance(value, list) else value for key, value in entries.items()})
+    for version, entries in tomllib.loads(_TEXT).items()
 }
 
 
@@ -102,7 +102,7 @@ def rig_residuals(solution: Solution, ties: TiePoints) -> Array:
 
 
 class Seen(NamedTuple):
-    """What jigsaw's adjusted cameras see here."""
+    """Residuals of jigsaw's adjusted cameras in this program."""
 
     fixed: dict[str, Array]
     """(2, 2) px by point: residuals of a fixed point in L and in R, along x and y of each focal plane."""
@@ -116,10 +116,10 @@ class Seen(NamedTuple):
     """px, the largest one of these."""
 
 
-def jigsaw_cameras(images: list[PushbroomImage], ties: TiePoints, told: Jigsaw, off: float = 0.0) -> Seen:
-    """ISIS's adjusted cameras in this geometry; `off`: samples by which measures are moved, to see what that does."""
+def jigsaw_cameras(images: list[PushbroomImage], ties: TiePoints, jigsaw: Jigsaw, off: float = 0.0) -> Seen:
+    """ISIS's adjusted cameras in this geometry; `off`: samples by which measures are moved, for comparison."""
     moved = replace(ties, measures=ties.measures + np.array([0.0, off]))
-    cameras = [with_angles(*one) for one in zip(images, told.ascension, told.declination, strict=True)]
+    cameras = [with_angles(*values) for values in zip(images, jigsaw.ascension, jigsaw.declination, strict=True)]
     residuals = jigsaw_residuals(cameras, moved, meeting(cameras, moved))
     its = [measures_of(ties, image) for image in images]
     fixed = {}
@@ -153,9 +153,9 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
     for j, image in enumerate(images):
         its = measures_of(ties, image)
         at = ties.measure_point[its]
-        seen, by_point = image.ground_to_image(places[at], start=ties.measures[its, 0])
-        turned = image.by_correction(places[at], seen, none)[:, :, 3:5]
-        powers = polynomial(image.normalised(seen[:, 0]), DEGREE)[0]
+        pixels, by_point = image.ground_to_image(places[at], start=ties.measures[its, 0])
+        turned = image.by_correction(places[at], pixels, none)[:, :, 3:5]
+        powers = polynomial(image.normalised(pixels[:, 0]), DEGREE)[0]
         rows = 2 * its[:, None] + np.arange(2)
         cameras[rows, j * width : (j + 1) * width] = np.einsum("krc,kp->krpc", turned, powers).reshape(-1, 2, width)
         level = np.swapaxes(east_north_up(places[at])[:, :2], 1, 2)
@@ -164,8 +164,8 @@ def determined(images: list[PushbroomImage], ties: TiePoints) -> tuple[Array, Ar
     across, _ = np.linalg.qr(points)
     cameras /= np.linalg.norm(cameras, axis=0)
     spectrum = np.linalg.svd(cameras - across @ (across.T @ cameras), compute_uv=False)
-    whole = np.hstack([points, cameras])
-    inverse = np.linalg.pinv(whole, rcond=1e-14)
+    design = np.hstack([points, cameras])
+    inverse = np.linalg.pinv(design, rcond=1e-14)
     sigmas = np.linalg.norm(inverse, axis=1)[: points.shape[1]].reshape(-1, 2)
     return spectrum, np.median(sigmas, axis=0)
 

@@ -30,13 +30,13 @@ from mgsgraph.units import DEG, MRAD
 FREQUENCY, BAND = 2.0, 0.25
 """Hz of the vibration; and what share of it to either side counts as its ripple."""
 _BIN = 16
-"""Lines whose height errors are one mean."""
+"""Lines whose height errors are averaged."""
 _SUN = 0.9
 """rad, of the Sun from the zenith, in the west."""
 _CELLS, _SPACING = 8000, 80.0
 """For ties, two to a post of control; m between matches of the terrain model."""
 _NEAR, _ROUNDS = 20.0, 4
-"""m between which the ground's slopes are taken; rounds in which a model is laid on the ground."""
+"""m between which the ground's slopes are taken; rounds in which a model is fitted to the ground."""
 CASES = {"before": "polynomials of degree 3", "after": "slow process and vibrations"}
 
 
@@ -45,7 +45,7 @@ class Judged(NamedTuple):
 
     errors: Array
     """(n,) m, of heights."""
-    left: Array
+    rest: Array
     """(n,) m, without displacements that are cubic polynomials of time."""
     sigmas: Array
     """(n,) m, stated."""
@@ -53,24 +53,24 @@ class Judged(NamedTuple):
     """m, amplitude about the frequency along the flight."""
 
 
-def write_pair(mine: SimulatedCtxPair, folder: Path) -> None:
+def write_pair(pair: SimulatedCtxPair, folder: Path) -> None:
     """Support data, pictures and terrain model."""
-    assert mine.network.surface is not None
-    images, grid = mine.network.images, mine.network.surface.grid
-    write_texts(folder, {image_file(one): json_text(support_data(one)) for one in images})
-    zenith = mine.true_points.mean(axis=0) / np.linalg.norm(mine.true_points.mean(axis=0))
+    assert pair.network.surface is not None
+    images, grid = pair.network.images, pair.network.surface.grid
+    write_texts(folder, {image_file(image): json_text(support_data(image)) for image in images})
+    zenith = pair.true_points.mean(axis=0) / np.linalg.norm(pair.true_points.mean(axis=0))
     east = np.cross([0.0, 0.0, 1.0], zenith)
     sun = np.cos(_SUN) * zenith - np.sin(_SUN) * east / np.linalg.norm(east)
-    for k, (image, true) in enumerate(zip(images, mine.truth, strict=True)):
-        picture = render(image, mine.terrain, true.correction, sun, np.random.default_rng([23, k]), between=8)
+    for k, (image, true) in enumerate(zip(images, pair.truth, strict=True)):
+        picture = render(image, pair.terrain, true.correction, sun, np.random.default_rng([23, k]), between=8)
         cv2.imwrite(str(folder / f"{image.name[-1]}.png"), picture)
     layout = MegdrLayout(grid.radii.shape, grid.first_longitude, grid.first_latitude, grid.longitude_step, 3396000.0)
     write_megdr(folder, "megr", layout, [np.asarray(grid.radii, dtype=np.float64)])
 
 
-def case(mine: SimulatedCtxPair, settings: CtxSettings, name: str) -> str:
+def case(pair: SimulatedCtxPair, settings: CtxSettings, name: str) -> str:
     """A case file."""
-    jitter, (first, last) = settings.jitter, image_times(mine.network.images[0])
+    jitter, (first, last) = settings.jitter, image_times(pair.network.images[0])
     angle, drift = jitter.angle / MRAD, jitter.drift * PIXEL / MRAD
     slow = f"[{drift:.4f}, {drift:.4f}, 0.0001]"
     attitude = {
@@ -83,7 +83,7 @@ def case(mine: SimulatedCtxPair, settings: CtxSettings, name: str) -> str:
              f"vertical_sigma_m = {settings.control.vertical}", f"planimetric_sigma_m = {settings.control.planimetric}",
              "[orientation]", f"position_sigma_m = {jitter.position}", f"angle_sigma_mrad = {angle}",
              "degree = 0"]  # fmt: skip
-    for image in mine.network.images:
+    for image in pair.network.images:
         lines += ["[[images]]", f'name = "{image.name}"', f'isd = "{image_file(image)}"',
                   f'pixels = "{image.name[-1]}.png"', "[[passes]]", f'name = "{image.name}"',
                   f'images = ["{image.name}"]', 'vibrations = "estimated"' if name == "after" else "",
@@ -92,7 +92,7 @@ def case(mine: SimulatedCtxPair, settings: CtxSettings, name: str) -> str:
     return "\n".join([*lines, ""])
 
 
-def judge(path: Path, mine: SimulatedCtxPair) -> Judged:
+def judge(path: Path, pair: SimulatedCtxPair) -> Judged:
     """Heights of a model against the ground at the same places."""
     import rasterio
     from rasterio.warp import transform
@@ -100,29 +100,29 @@ def judge(path: Path, mine: SimulatedCtxPair) -> Judged:
     with rasterio.open(path) as file:
         height, sigma = (file.read(band).astype(np.float64) for band in (1, 2))
         crs, place = file.crs, file.transform
-    radius, known = float(crs.to_dict()["R"]), np.nonzero(np.isfinite(height))
-    plane, heights = np.column_stack(place * (known[1] + 0.5, known[0] + 0.5)), height[known]
+    radius, valid = float(crs.to_dict()["R"]), np.nonzero(np.isfinite(height))
+    plane, heights = np.column_stack(place * (valid[1] + 0.5, valid[0] + 0.5)), height[valid]
 
     def lon_lat(at: Array) -> list[Array]:
-        every = transform(crs, f"+proj=longlat +R={radius} +no_defs", at[:, 0].tolist(), at[:, 1].tolist())
-        return [np.array(one) * DEG for one in every]
+        converted = transform(crs, f"+proj=longlat +R={radius} +no_defs", at[:, 0].tolist(), at[:, 1].tolist())
+        return [np.array(values) * DEG for values in converted]
 
     def truth(at: Array) -> Array:
-        return np.asarray(mine.terrain.ground_radius(*lon_lat(at)) - radius)
+        return np.asarray(pair.terrain.ground_radius(*lon_lat(at)) - radius)
 
-    image = mine.network.images[0]
-    pixels = image.ground_to_image(mine.terrain.on_ground(*lon_lat(plane)), mine.truth[0].correction)[0]
+    image = pair.network.images[0]
+    pixels = image.ground_to_image(pair.terrain.on_ground(*lon_lat(plane)), pair.truth[0].correction)[0]
     u, across = 2.0 * pixels[:, 0] / image.lines - 1.0, 2.0 * pixels[:, 1] / image.samples - 1.0
     powers = np.polynomial.legendre.legvander(u, 3)
     level, moved = np.column_stack([powers, across[:, None] * powers, across**2]), np.zeros((4, 2))
     for _ in range(_ROUNDS):
-        there = plane - powers @ moved
-        slopes = [(truth(there + by) - truth(there - by)) / (2.0 * _NEAR) for by in _NEAR * np.eye(2)]
-        off, design = heights - truth(there), np.column_stack([level, *(-powers * one[:, None] for one in slopes)])
-        found = np.linalg.lstsq(design, off)[0]
-        moved = moved + found[level.shape[1] :].reshape(2, 4).T
-    left = off - level @ found[: level.shape[1]]
-    return Judged(heights - truth(plane), left, sigma[known], ripple(pixels[:, 0], left, image.timing.periods[0]))
+        shifted = plane - powers @ moved
+        slopes = [(truth(shifted + by) - truth(shifted - by)) / (2.0 * _NEAR) for by in _NEAR * np.eye(2)]
+        off, design = heights - truth(shifted), np.column_stack([level, *(-powers * s[:, None] for s in slopes)])
+        solution = np.linalg.lstsq(design, off)[0]
+        moved = moved + solution[level.shape[1] :].reshape(2, 4).T
+    rest = off - level @ solution[: level.shape[1]]
+    return Judged(heights - truth(plane), rest, sigma[valid], ripple(pixels[:, 0], rest, image.timing.periods[0]))
 
 
 def ripple(lines: Array, errors: Array, period: float) -> float:
@@ -146,34 +146,34 @@ def main() -> int:
     parser.add_argument("--samples", type=at_least(300), default=5000)
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
     parser.add_argument("--out", type=Path, default=DOCS / "jitter_dem.md")
-    given = parser.parse_args()
+    options = parser.parse_args()
 
-    def made() -> dict[str, list[str]]:
-        began, settings = time.perf_counter(), CtxSettings(lines=given.lines, samples=given.samples, ties=1500)
-        mine = simulate_ctx_pair(settings, given.seed)
+    def make() -> dict[str, list[str]]:
+        began, settings = time.perf_counter(), CtxSettings(lines=options.lines, samples=options.samples, ties=1500)
+        pair = simulate_ctx_pair(settings, options.seed)
         with tempfile.TemporaryDirectory() as aside:
-            work = given.work or Path(aside)
-            write_pair(mine, work)
+            work = options.work or Path(aside)
+            write_pair(pair, work)
             for name in CASES:
-                (work / f"{name}.toml").write_text(case(mine, settings, name), encoding="utf-8")
+                (work / f"{name}.toml").write_text(case(pair, settings, name), encoding="utf-8")
             steps = [step(f"mgsgraph match before.toml --out MATCHES --cells {_CELLS} --no-figures", [], work)]
             for name in CASES:
                 steps.append(step(f"mgsgraph adjust {name}.toml --ties MATCHES/network.pvl --out {name}", [], work))
                 dense = f"--case {name}.toml --out DEM_{name} --spacing {_SPACING} --no-figures"
                 steps.append(step(f"mgsgraph dem {name} {dense}", [], work))
-            for one in steps:
-                print(f"$ {one.command}    # {one.seconds:.0f} s\n{one.said}", file=sys.stderr)
-            judged = {name: judge(work / f"DEM_{name}" / "dem.tif", mine) for name in CASES}
-        rows = [[CASES[name], str(one.errors.size), f"{one.ripple:.2f}",
-                 *(f"{root_mean_square(of):.2f}" for of in (one.left, one.errors, one.sigmas, one.errors / one.sigmas))]
-                for name, one in judged.items()]  # fmt: skip
+            for done in steps:
+                print(f"$ {done.command}    # {done.seconds:.0f} s\n{done.output}", file=sys.stderr)
+            judged = {name: judge(work / f"DEM_{name}" / "dem.tif", pair) for name in CASES}
+        rows = [[CASES[name], str(j.errors.size), f"{j.ripple:.2f}",
+                 *(f"{root_mean_square(of):.2f}" for of in (j.rest, j.errors, j.sigmas, j.errors / j.sigmas))]
+                for name, j in judged.items()]  # fmt: skip
         head = ("orientation", "posts", "ripple at 2 Hz, m", "error without shift and cubic, m rms", "error, m rms",
                 "stated sigma, m rms", "error by sigma")  # fmt: skip
         share = judged["before"].ripple / judged["after"].ripple
-        said = f"The ripple is cut {share:.1f} times. {time.perf_counter() - began:.0f} s in all."
-        return {"dem": [*table(head, rows), "", said]}
+        sentence = f"The ripple is cut {share:.1f} times. {time.perf_counter() - began:.0f} s in all."
+        return {"dem": [*table(head, rows), "", sentence]}
 
-    return write_page(parser, given.out, "jitter_dem.md", made)
+    return write_page(parser, options.out, "jitter_dem.md", make)
 
 
 if __name__ == "__main__":

@@ -50,12 +50,12 @@ from profiles import with_profile
 TEMPORARY = "tmp"
 """Folder of a trial that stands for the system's temporary files."""
 TABLES = ("image", "shared", "bundle", "bundle_image", "packed", "grid", "profile")
-"""Of a project, all that is no time and no name of a machine."""
+"""Columns of a project that hold neither times nor names of machines."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 _CAUGHT = (signal.SIGTERM, signal.SIGINT)
-"""Signals that the program handles, once it has begun; sooner they end it as they end any process."""
+"""Signals that the program handles, once it has started; before that they end it at once."""
 _LATE = 1.1
-"""Shares of a command's seconds until which it is killed."""
+"""Latest kill, as a share of a command's seconds."""
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _EVENTS = ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.truncate")
 
@@ -67,11 +67,11 @@ class Verb(NamedTuple):
     arguments: str
     """In the folder of a trial; ADDRESS is that of the archive."""
     made: str
-    """What it makes there, whose state is that before or that after; earlier ones are there in half of the trials."""
+    """Its output there, in the state before or after; half of the trials begin with an earlier one."""
     several: bool = False
-    """Whether it makes several things one after the other, each of them whole."""
+    """Whether it has several outputs in sequence, each of them atomic."""
     earlier: bool = True
-    """Whether it replaces an earlier one; else it starts without."""
+    """Whether it replaces an earlier output; else it starts without one."""
     share: int = 6
     """Of all kills, beside those of other commands."""
 
@@ -90,8 +90,8 @@ class Ended(NamedTuple):
     """Negative: by that signal."""
     seconds: float
     events: int
-    """Files of its that it opened to write, renamed, made or removed."""
-    said: str
+    """Number of files that it opened to write, renamed, made or removed."""
+    text: str
     """On standard error."""
 
 
@@ -107,8 +107,8 @@ class Blow(NamedTuple):
 
 def run(arguments: list[str], work: Path, blow: Blow | None = None) -> Ended:
     """A command in the folder `work`, forked from this process, which has everything imported."""
-    count, said = mmap.mmap(-1, 8), work.parent / "said"
-    said.write_bytes(b"")
+    count, output = mmap.mmap(-1, 8), work.parent / "said"
+    output.write_bytes(b"")
     environment = os.environ | {"TMPDIR": str(work / TEMPORARY), "COLUMNS": "110"}
     signal.pthread_sigmask(signal.SIG_BLOCK, _CAUGHT)
     child = os.fork()
@@ -116,7 +116,7 @@ def run(arguments: list[str], work: Path, blow: Blow | None = None) -> Ended:
         for number in _CAUGHT:  # as in a process that has not yet come to the program's own handlers
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _CAUGHT)
-        command_server.become(str(work), dict(environment), [os.devnull, str(said)])
+        command_server.become(str(work), dict(environment), [os.devnull, str(output)])
         tempfile.tempdir = None
         sys.addaudithook(_counting(count, blow, str(work)))
         command_server.obey(arguments)
@@ -124,11 +124,11 @@ def run(arguments: list[str], work: Path, blow: Blow | None = None) -> Ended:
     began = time.perf_counter()
     status = _waited(child, began, blow)
     (events,) = struct.unpack("q", count[:])
-    return Ended(status, time.perf_counter() - began, events, said.read_text(errors="replace"))
+    return Ended(status, time.perf_counter() - began, events, output.read_text(errors="replace"))
 
 
 def _waited(child: int, began: float, blow: Blow | None) -> int:
-    """The exit status of a process, which is killed on the way if it is to be."""
+    """The exit status of a process, which is killed at a time, if one is given."""
     struck = blow is None or blow.seconds is None
     while True:
         ended, status = os.waitpid(child, os.WNOHANG if not struck else 0)
@@ -141,13 +141,13 @@ def _waited(child: int, began: float, blow: Blow | None) -> int:
 
 
 def _counting(count: mmap.mmap, blow: Blow | None, work: str) -> Callable[[str, tuple[object, ...]], None]:
-    """An audit hook that counts what is done to files of a trial, and strikes."""
+    """An audit hook that counts changes of a trial's files, and kills the process."""
 
-    def hook(event: str, given: tuple[object, ...]) -> None:
+    def hook(event: str, arguments: tuple[object, ...]) -> None:
         if event not in _EVENTS and event != "open":
             return
-        path = os.fsdecode(given[0]) if isinstance(given[0], str | bytes | os.PathLike) else "/"
-        writes = event != "open" or bool(isinstance(given[2], int) and given[2] & _WRITING)
+        path = os.fsdecode(arguments[0]) if isinstance(arguments[0], str | bytes | os.PathLike) else "/"
+        writes = event != "open" or bool(isinstance(arguments[2], int) and arguments[2] & _WRITING)
         if not writes or (path.startswith("/") and not path.startswith(work)):
             return
         (events,) = struct.unpack("q", count[:])
@@ -163,20 +163,20 @@ def _counting(count: mmap.mmap, blow: Blow | None, work: str) -> Callable[[str, 
 
 def snapshot(work: Path) -> dict[str, str]:
     """All files and folders in a folder: their digests, by their paths in it."""
-    found = {}
+    digests = {}
     for path in sorted(work.rglob("*")):
         name = path.relative_to(work).as_posix()
         if path.is_symlink() or not path.is_file():
-            found[name] = "folder" if path.is_dir() else "odd"
+            digests[name] = "folder" if path.is_dir() else "odd"
         elif path.name == PROJECT and "unfinished" not in name:
-            found[name] = project_state(path.parent)
+            digests[name] = project_state(path.parent)
         else:
-            found[name] = sha256(path.read_bytes()).hexdigest()
-    return found
+            digests[name] = sha256(path.read_bytes()).hexdigest()
+    return digests
 
 
 def project_state(project: Path) -> str:
-    """All rows of a project but times, of a copy whose journal is played back."""
+    """All rows of a project without times, from a copy whose journal is applied."""
     with tempfile.TemporaryDirectory() as aside:
         copy = Path(aside) / "project"
         copy.mkdir()
@@ -212,19 +212,19 @@ class Known(NamedTuple):
     before: dict[str, str]
     after: dict[str, str]
     changing: frozenset[str]
-    """Files whose content is another in every run."""
+    """Files whose content differs in every run."""
     allowed: frozenset[str]
-    """All that may be there when a run has ended."""
+    """All files that may exist when a run has ended."""
     seconds: float
     events: int
 
 
-def judged(work: Path, now: Mapping[str, str], known: Known, several: bool) -> str:
-    """Whether what is there is the state before, after, both of them (of several things), or neither."""
-    names = (set(now) | set(known.before) | set(known.after)) & (set(known.before) | set(known.after))
-    is_before = {name for name in names if now.get(name) == known.before.get(name)}
-    is_after = {name for name in names if now.get(name) == known.after.get(name)}
-    is_after |= {name for name in names & known.changing if name in now and sound(work / name)}
+def judged(work: Path, files: Mapping[str, str], reference: Known, several: bool) -> str:
+    """Whether the files are in the state before, after, both (for several outputs), or neither."""
+    names = (set(files) | set(reference.before) | set(reference.after)) & (set(reference.before) | set(reference.after))
+    is_before = {name for name in names if files.get(name) == reference.before.get(name)}
+    is_after = {name for name in names if files.get(name) == reference.after.get(name)}
+    is_after |= {name for name in names & reference.changing if name in files and sound(work / name)}
     if is_before == names:
         return "before"
     if is_after == names:
@@ -237,7 +237,7 @@ def judged(work: Path, now: Mapping[str, str], known: Known, several: bool) -> s
 
 @contextmanager
 def inputs() -> Iterator[tuple[Path, str]]:
-    """A folder with all that the commands need, and the address of the archive."""
+    """A folder with all inputs of the commands, and the address of the archive."""
     reading, writing = os.pipe()
     server = os.fork()
     if server == 0:
@@ -246,7 +246,7 @@ def inputs() -> Iterator[tuple[Path, str]]:
             os.write(writing, archive.address.encode())
             signal.pause()
     address = os.read(reading, 200).decode()
-    folder = Path(tempfile.mkdtemp(prefix="kills-"))  # no TemporaryDirectory: forks would take it away at their end
+    folder = Path(tempfile.mkdtemp(prefix="kills-"))  # no TemporaryDirectory: forks would remove it at their end
     try:
         (folder / "base").mkdir()
         _fill(folder / "base")
@@ -263,10 +263,10 @@ def _fill(base: Path) -> None:
     shutil.copytree(base / "pair", base / "profile")
     with_profile(base / "profile" / case.name)
     (base / "places.csv").write_text("line,sample\n100,20\n500,30\n")
-    made = strip(4)
-    write_strip(made, base / "strip")
+    simulated = strip(4)
+    write_strip(simulated, base / "strip")
     table = '\n[[passes]]\nname = "{0}"\nimages = ["{0}"]\nprior = {{}}\n'
-    tables = "".join(table.format(one.name) for one in made.images)
+    tables = "".join(table.format(image.name) for image in simulated.images)
     with (base / "strip" / "case.toml").open("a", encoding="utf-8") as file:
         file.write(tables)
     _site(base)
@@ -280,21 +280,21 @@ def _fill(base: Path) -> None:
 
 
 def _plan(folder: Path) -> None:
-    """A case of four images, and one that might be taken besides."""
-    made = strip(5)
-    write_strip(made.upto(4), folder)
-    write_texts(folder, {image_file(made.images[4]): json_text(support_data(made.images[4]))})
+    """A case of four images, and one candidate image."""
+    simulated = strip(5)
+    write_strip(simulated.upto(4), folder)
+    write_texts(folder, {image_file(simulated.images[4]): json_text(support_data(simulated.images[4]))})
     orientation = (
         f"position_sigma_m = {float(NOISE.position)!r}\nangle_sigma_mrad = {float(NOISE.angle / MRAD)!r}\n"
         f"trend = {[float(factor) for factor in NOISE.trend]}\n"
     )
-    image = f'[[images]]\nname = "{made.images[4].name}"\nisd = "{image_file(made.images[4])}"\n'
+    image = f'[[images]]\nname = "{simulated.images[4].name}"\nisd = "{image_file(simulated.images[4])}"\n'
     text = f"format = 1\n[orientation]\n{orientation}\n{image}"
     (folder / "candidates.toml").write_text(text, encoding="utf-8")
 
 
 def _site(base: Path) -> None:
-    """The small pair with pictures: with the ties that are found in it, adjusted, and without any."""
+    """The small pair with pictures: with matched ties, adjusted, and without ties."""
     case = matched.write(base / "site")
     text = case.read_text(encoding="utf-8")
     head, _, rest = text.partition("[ties]")
@@ -306,28 +306,28 @@ def _site(base: Path) -> None:
 
 
 def done(work: Path, line: str) -> Ended:
-    """A command that has to end well."""
+    """Run a command that must succeed."""
     ended = run(line.split(), work)
-    if ended.status not in (0, 1) or "error" in ended.said:
-        raise SystemExit(f"mgsgraph {line}: exit status {ended.status}: {ended.said}")
+    if ended.status not in (0, 1) or "error" in ended.text:
+        raise SystemExit(f"mgsgraph {line}: exit status {ended.status}: {ended.text}")
     return ended
 
 
 def learned(line: str, base: Path, aside: Path) -> Known | None:
-    """What undisturbed runs do: the first, another from the same beginning, and one after the first. None where the
+    """States of undisturbed runs: the first, another from the same state, and one after the first. None where the
     first changes nothing.
     """
-    work, other = fresh(base, aside / "one"), fresh(base, aside / "other")
+    work, second = fresh(base, aside / "one"), fresh(base, aside / "other")
     before = snapshot(work)
     ended = done(work, line)
     after = snapshot(work)
     if after == before:
         return None
-    done(other, line)
-    differs = frozenset(name for name, digest in snapshot(other).items() if after.get(name) != digest)
+    done(second, line)
+    differs = frozenset(name for name, digest in snapshot(second).items() if after.get(name) != digest)
     run(line.split(), work)
-    again = snapshot(work)
-    return Known(before, after, differs, frozenset((*before, *after, *again)), ended.seconds, ended.events)
+    third = snapshot(work)
+    return Known(before, after, differs, frozenset((*before, *after, *third)), ended.seconds, ended.events)
 
 
 def fresh(base: Path, work: Path) -> Path:
@@ -338,7 +338,7 @@ def fresh(base: Path, work: Path) -> Path:
 
 
 class Row(NamedTuple):
-    """What came of all kills of a command."""
+    """Results of all kills of a command."""
 
     known: Known
     counts: Counter[str]
@@ -346,43 +346,43 @@ class Row(NamedTuple):
 
 
 def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: random.Random) -> Row:
-    """Kill a command so many times."""
+    """Kill a command `kills` times."""
     line = verb.arguments.replace("ADDRESS", address)
     starts = [_cut(base, aside / "without", verb)]
     if verb.earlier:
         starts.append(fresh(starts[0], aside / "with"))
         done(starts[1], line)
         _age(starts[1], verb)
-    known = [one for start in starts if (one := learned(line, start, aside)) is not None]
-    if not known:
+    references = [reference for start in starts if (reference := learned(line, start, aside)) is not None]
+    if not references:
         raise SystemExit(f"{verb.name} changes nothing even when nobody kills it")
     counts, wrong = Counter[str](), list[str]()
     for number in range(kills):
-        one = known[number % len(known)]
-        by_clock = rng.random() < 0.5 or not one.events
-        blow = Blow(rng.choice(SIGNALS), rng.uniform(0.0, _LATE * one.seconds) if by_clock else None,
-                    None if by_clock else rng.randrange(one.events))  # fmt: skip
-        work = fresh(starts[number % len(known)], aside / "one")
+        reference = references[number % len(references)]
+        by_clock = rng.random() < 0.5 or not reference.events
+        blow = Blow(rng.choice(SIGNALS), rng.uniform(0.0, _LATE * reference.seconds) if by_clock else None,
+                    None if by_clock else rng.randrange(reference.events))  # fmt: skip
+        work = fresh(starts[number % len(references)], aside / "one")
         ended = run(line.split(), work, blow)
-        now = snapshot(work)
-        state = judged(work, now, one, verb.several)
+        files = snapshot(work)
+        state = judged(work, files, reference, verb.several)
         counts[signal.Signals(blow.signal).name] += 1
         counts[state] += 1
-        counts["left"] += bool(set(now) - set(one.before) - set(one.after))
+        counts["left"] += bool(set(files) - set(reference.before) - set(reference.after))
         run(line.split(), work)
-        behind = sorted(set(snapshot(work)) - one.allowed)
+        behind = sorted(set(snapshot(work)) - reference.allowed)
         counts["behind"] += bool(behind)
-        unbegun = ended.status == -blow.signal and not ended.events and state == "before" and not ended.said
-        clean = unbegun or (ended.status in (0, 1, 130, -signal.SIGKILL) and "Traceback" not in ended.said)
+        unbegun = ended.status == -blow.signal and not ended.events and state == "before" and not ended.text
+        clean = unbegun or (ended.status in (0, 1, 130, -signal.SIGKILL) and "Traceback" not in ended.text)
         counts["unclean"] += not clean
-        counts["untrue"] += state == "after" and "nothing was written" in ended.said
+        counts["untrue"] += state == "after" and "nothing was written" in ended.text
         if state == "BETWEEN" or behind or not clean:
-            wrong.append(f"{verb.name}: {blow}: {state}; status {ended.status}; left {behind[:3]}; {ended.said[-300:]}")
-    return Row(known[0], counts, wrong)
+            wrong.append(f"{verb.name}: {blow}: {state}; status {ended.status}; left {behind[:3]}; {ended.text[-300:]}")
+    return Row(references[0], counts, wrong)
 
 
 def _cut(base: Path, target: Path, verb: Verb) -> Path:
-    """The inputs that a command names, which are copied sooner than all."""
+    """Copy only the inputs that a command names, which is faster."""
     shutil.rmtree(target, ignore_errors=True)
     (target / TEMPORARY).mkdir(parents=True)
     for name in {word.split("=")[-1].split("/")[0] for word in verb.arguments.split()}:
@@ -394,7 +394,7 @@ def _cut(base: Path, target: Path, verb: Verb) -> Path:
 
 
 def _age(work: Path, verb: Verb) -> None:
-    """Make an earlier result tell from a new one, where it is of the same content: by a file's last bytes."""
+    """Make an earlier result differ from a new one of the same content: change a file's last bytes."""
     for path in [work / verb.made] if (work / verb.made).is_file() else sorted((work / verb.made).glob("*.csv"))[:1]:
         if path.suffix in (".csv", ".html", ".toml"):
             path.write_bytes(path.read_bytes() + b"\n")
@@ -406,13 +406,13 @@ def main() -> None:
     parser.add_argument("--kills", type=at_least(1), default=500, help="in all, spread over the commands")
     parser.add_argument("--seed", type=at_least(0), default=1)
     parser.add_argument("--only", nargs="*", metavar="COMMAND", help="these alone, by the table's names")
-    given = parser.parse_args()
-    verbs = [verb for verb in VERBS if given.only is None or verb.name in given.only]
+    options = parser.parse_args()
+    verbs = [verb for verb in VERBS if options.only is None or verb.name in options.only]
     command_server.load()
-    rows, rng = dict[str, Row](), random.Random(given.seed)
+    rows, rng = dict[str, Row](), random.Random(options.seed)
     with inputs() as (base, address):
         for number, verb in enumerate(verbs):
-            kills = kills_of(given.kills, [one.share for one in verbs], number)
+            kills = kills_of(options.kills, [v.share for v in verbs], number)
             show(f"{verb.name}: {kills} kills")
             if kills:
                 rows[verb.name] = trials(verb, kills, base, address, base.parent, rng)
@@ -441,7 +441,7 @@ def page(rows: Mapping[str, Row]) -> list[str]:
 
 
 def _cells(counts: Counter[str], keys: tuple[str, ...]) -> list[str]:
-    signals = [counts[one.name] for one in dict.fromkeys(SIGNALS)]
+    signals = [counts[kind.name] for kind in dict.fromkeys(SIGNALS)]
     return [str(sum(signals)), ", ".join(map(str, signals)), *(str(counts[key]) for key in keys)]
 
 

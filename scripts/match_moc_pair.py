@@ -46,13 +46,13 @@ E02, M01 = "E0201461", "M0100115"
 MIDDLE = np.array([141.5485, 34.2905]) * DEG
 """rad, longitude and latitude of M01/00115's middle (footprint in NASA Ames StereoPipeline, TestPEDR)."""
 UNKNOWN = np.array([[500.0] * 3 + [0.02] * 3] * 3)
-"""m and rad, of the resected orientation beforehand."""
+"""m and rad, a-priori sigmas of the resected orientation."""
 RESECTED = np.array([[1.0], [0.1], [0.01]]) * np.array([20.0] * 3 + [5e-5] * 3)
-"""m and rad, of both orientations after it: what matching is told."""
+"""m and rad, sigmas of both orientations after it, for matching."""
 TIE_SIGMA, HEIGHT_SIGMA = 2.0, 100.0
 """px of the ties in the resection (ground off MOLA's grid of 15 km); m, of that ground."""
 NEAR, FEWEST = 60.0, 8
-"""px of E02 about a tie within which matches tell where it is in M01, and how many there have to be."""
+"""px of E02, radius around a tie whose matches give its place in M01; least number of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,8 +108,8 @@ def read_ties(path: Path) -> Ties:
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
             places.setdefault(row["id"], {})[row["product"]] = float(row["line"]) - 0.5, float(row["sample"]) - 0.5
-    both = {name: found for name, found in places.items() if {E02, M01} <= found.keys()}
-    return Ties(list(both), *(np.array([found[image] for found in both.values()]) for image in (E02, M01)))
+    common = {name: pixels for name, pixels in places.items() if {E02, M01} <= pixels.keys()}
+    return Ties(list(common), *(np.array([pixels[image] for pixels in common.values()]) for image in (E02, M01)))
 
 
 # --- M01/00115, of which nothing but the label is known
@@ -144,18 +144,18 @@ def nominal_image(label: LineScanLabel, like: PushbroomImage) -> PushbroomImage:
 
 def resected(image: PushbroomImage, points: Array, places: Array) -> OrientationCorrection:
     """The correction that brings ground points (n, 3) to image places (n, 2): least squares with a wide prior."""
-    found = np.zeros(UNKNOWN.size)
+    x = np.zeros(UNKNOWN.size)
 
-    def seen(unknowns: Array) -> Array:
+    def projected(unknowns: Array) -> Array:
         correction = OrientationCorrection((unknowns * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
         return image.ground_to_image(points, correction)[0].ravel() / TIE_SIGMA
 
     for _ in range(8):
-        now = seen(found)
-        columns = [(seen(found + 1e-4 * one) - now) / 1e-4 for one in np.eye(found.size)]
-        design = np.concatenate([np.stack(columns, axis=1), np.eye(found.size)])
-        found = found + np.linalg.lstsq(design, np.append(places.ravel() / TIE_SIGMA - now, -found), rcond=None)[0]
-    return OrientationCorrection((found * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
+        before = projected(x)
+        columns = [(projected(x + 1e-4 * unit) - before) / 1e-4 for unit in np.eye(x.size)]
+        design = np.concatenate([np.stack(columns, axis=1), np.eye(x.size)])
+        x = x + np.linalg.lstsq(design, np.append(places.ravel() / TIE_SIGMA - before, -x), rcond=None)[0]
+    return OrientationCorrection((x * UNKNOWN.ravel()).reshape(UNKNOWN.shape))
 
 
 # --- E02/01461, of which there is a map
@@ -195,7 +195,7 @@ def into_camera(image: PushbroomImage, apparent: PushbroomImage, grid: MapGrid, 
     corners = apparent.ground_to_image(on_ground(ground, grid.directions(edges)))[0]
     low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     lines, samples = (high - low).astype(int)
-    rows, columns = (one.ravel() for one in np.mgrid[:lines, :samples] + 0.5)
+    rows, columns = (values.ravel() for values in np.mgrid[:lines, :samples] + 0.5)
     places = grid.places(ground.meet(*apparent.sightlines(low[0] + rows, low[1] + columns)))
     # cubic: the camera's pixels are smaller than the map's
     grey = map_coordinates(spline_filter(pixels, mode="mirror"), (places - 0.5).T, prefilter=False, mode="mirror")
@@ -218,7 +218,7 @@ def on_ground(ground: Ground, directions: Array) -> Array:
 
 
 class Comparison(NamedTuple):
-    """Where the matches around it put a tie in M01, against where the given network does."""
+    """Place of a tie in M01 by the matches around it, against the given network."""
 
     name: str
     matches: int
@@ -226,15 +226,15 @@ class Comparison(NamedTuple):
     off: Array
     """(2,) px, line and sample: by the matches, minus given."""
     parted: Array
-    """(2,) px, across and along the way that the place would take with another height."""
+    """(2,) px, across and along the motion of the place with height."""
     scatter: float
     """px, of the matches about their surface, rms of a coordinate."""
     model: float
-    """m above MOLA's grid, the terrain model of the map that explains what is off along that way."""
+    """m above MOLA's grid, height of the map's terrain model that explains the difference along it."""
 
 
-def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, way: Array) -> list[Comparison]:
-    """At each tie a surface through the matches near it; `way` (n, 2) px per m is how M01's places move with height."""
+def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, slope: Array) -> list[Comparison]:
+    """At each tie a surface through the matches near it; `slope` (n, 2) px per m: how M01's places move with height."""
     reference = matches.reference
     e02, m01 = matches.ties.measures[reference] + window.corner, matches.ties.measures[~reference]
     rows = list[Comparison]()
@@ -249,15 +249,15 @@ def compared(matches: Matches, window: CameraWindow, ties: Ties, inside: Mask, w
         fitted = np.linalg.lstsq(design, m01[near], rcond=None)[0]
         rest = m01[near] - design @ fitted
         off = fitted[0] - ties.m01[k]
-        parted = by_parallax(off[None], way[k : k + 1])[0]
-        scatter, per_metre = float(np.sqrt(np.sum(rest**2) / (2 * count - 8))), float(np.linalg.norm(way[k]))
+        parted = by_parallax(off[None], slope[k : k + 1])[0]
+        scatter, per_metre = float(np.sqrt(np.sum(rest**2) / (2 * count - 8))), float(np.linalg.norm(slope[k]))
         rows.append(Comparison(ties.names[k], count, off, parted, scatter, -float(parted[1]) / per_metre))
     return rows
 
 
-def by_parallax(off: Array, way: Array) -> Array:
-    """(n, 2) px, differences (n, 2) across and along the way (n, 2) that places take with height."""
-    along = way / np.linalg.norm(way, axis=1, keepdims=True)
+def by_parallax(off: Array, slope: Array) -> Array:
+    """(n, 2) px, differences (n, 2) across and along the motion (n, 2) of places with height."""
+    along = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     across = np.column_stack([-along[:, 1], along[:, 0]])
     return np.column_stack([np.einsum("ni,ni->n", off, across), np.einsum("ni,ni->n", off, along)])
 
@@ -268,25 +268,25 @@ def text(values: Array | float) -> str:
 
 
 class Trial(NamedTuple):
-    """All that is said of a run."""
+    """Results of a run."""
 
     ties: Ties
     inside: Mask
     """(n,) which of them the crop shows."""
     off: Array
     """(n, 2) px, ties' places in M01 minus where the resected orientation sees them."""
-    way: Array
+    slope: Array
     """(n, 2) px per m, how these places move when the ground is higher on the ray of E02."""
     matches: Matches
     comparisons: list[Comparison]
     samples_per_metre: float
-    """By which the crop's places in E02 move with the height of the terrain model that its map was made over."""
+    """Motion of the crop's places in E02 with the height of its map's terrain model."""
     seconds: float
     """Of matching."""
 
 
 def trial(data: Path, settings: MatchSettings) -> Trial:
-    """Everything, from the files on."""
+    """The whole trial, from the files on."""
     pair = data / "mgs_moc_pair"
     cube, plain = pair / f"{E02}.tiny.cub", pair / f"{M01}.img"
     image, apparent = read_isis_cube(cube), read_isis_cube(cube, apparent=True)
@@ -298,16 +298,16 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     size = np.array(window.pixels.shape)
     inside = np.all((local > 0.0) & (local < size), axis=1)
     inside[inside] = np.isfinite(window.pixels[tuple(local[inside].astype(int).T)])
-    other = nominal_image(read_line_scan_label(plain), image)
-    correction = resected(other, points[~inside], ties.m01[~inside])
-    seen = other.ground_to_image(points, correction)[0]
+    m01 = nominal_image(read_line_scan_label(plain), image)
+    correction = resected(m01, points[~inside], ties.m01[~inside])
+    predicted = m01.ground_to_image(points, correction)[0]
     up = points / np.linalg.norm(points, axis=1, keepdims=True)
     rays = image.sightlines(*ties.e02.T)[1]
     higher = points + rays / np.einsum("ni,ni->n", rays, up)[:, None]  # by a metre, up the ray of E02
-    way = other.ground_to_image(higher, correction)[0] - seen
+    slope = m01.ground_to_image(higher, correction)[0] - predicted
     prior = OrientationPrior(RESECTED)
     scene = Scene(
-        (Picture(window.image, window.pixels, prior), Picture(other, read_moc_pixels(plain), prior, correction)), ground
+        (Picture(window.image, window.pixels, prior), Picture(m01, read_moc_pixels(plain), prior, correction)), ground
     )
     begin = time.perf_counter()
     matches = match_scene(scene, settings, progress=lambda what, done, most: show(f"{what} {done} of {most}"))
@@ -315,7 +315,7 @@ def trial(data: Path, settings: MatchSettings) -> Trial:
     show("")
     lifted = np.abs(image.ground_to_image(points + up)[0] - ties.e02)[:, 1]
     return Trial(
-        ties, inside, ties.m01 - seen, way, matches, compared(matches, window, ties, inside, way),
+        ties, inside, ties.m01 - predicted, slope, matches, compared(matches, window, ties, inside, slope),
         float(np.median(lifted)), seconds,
     )  # fmt: skip
 
@@ -333,16 +333,16 @@ def ground_about(image: PushbroomImage, grid: MapGrid, shape: tuple[int, ...], d
 HEAD = ("tie", "matches", "scatter", "line / sample", "across / along", "model / ground, m")
 
 
-def tables(found: Trial) -> Blocks:
+def tables(result: Trial) -> Blocks:
     """Figures, and a table of the ties."""
-    matches, inside, others = found.matches, found.inside, ~found.matches.reference
-    sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[others])), axis=0)
-    before = by_parallax(found.off, found.way)
-    heights = (before[:, 1] / np.linalg.norm(found.way, axis=1))[inside]
-    parted = np.array([row.parted for row in found.comparisons if np.isfinite(row.scatter)]).reshape(-1, 2)
+    matches, inside, in_m01 = result.matches, result.inside, ~result.matches.reference
+    sigmas = np.median(np.sqrt(np.linalg.eigvalsh(matches.covariances[in_m01])), axis=0)
+    before = by_parallax(result.off, result.slope)
+    heights = (before[:, 1] / np.linalg.norm(result.slope, axis=1))[inside]
+    parted = np.array([row.parted for row in result.comparisons if np.isfinite(row.scatter)]).reshape(-1, 2)
     rows = [
         [row.name, f"{row.matches}", text(row.scatter), text(row.off), text(row.parted), f"{row.model:.0f} / {up:.0f}"]
-        for row, up in zip(found.comparisons, heights, strict=True)
+        for row, up in zip(result.comparisons, heights, strict=True)
     ]
     steps = ", ".join(f"{name} {count}" for name, count in matches.losses._asdict().items())
     return {"figures": [
@@ -350,11 +350,11 @@ def tables(found: Trial) -> Blocks:
         "* Resection of M01 by those outside, rms across / along the parallax: "
         f"{text(rms(before[~inside], 0))} px; those in the crop, with it: {text(rms(before[inside], 0))} px.",
         f"* Matches: {len(matches.ties.ids)} in {matches.cells[0]} of {matches.cells[1]} cells of {matches.cell:.0f} m "
-        f"({steps}); {found.seconds:.1f} s.",
+        f"({steps}); {result.seconds:.1f} s.",
         f"* Their stated sigmas (px of M01, axes of the ellipse, median): {text(sigmas)}; correlation, median: "
-        f"{np.median(matches.correlation[others]):.3f}; coplanarity, rms: {text(rms(matches.misfit[others], 0))} m.",
+        f"{np.median(matches.correlation[in_m01]):.3f}; coplanarity, rms: {text(rms(matches.misfit[in_m01], 0))} m.",
         f"* Agreement with the ties, rms across / along the parallax: {text(rms(parted, 0))} px.",
-        f"* 100 m of the map's terrain model are {100.0 * found.samples_per_metre:.1f} samples of E02.",
+        f"* 100 m of the map's terrain model are {100.0 * result.samples_per_metre:.1f} samples of E02.",
     ], "ties": table(HEAD, rows)}  # fmt: skip
 
 

@@ -33,7 +33,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 from mgsgraph.text import root_mean_square as rms
 
 BLUNDER = 1.0
-"""pixels in line or sample beyond which a match is called a blunder."""
+"""pixels in line or sample beyond which a match is a blunder."""
 HEAD = ("site", "seed", "seconds", "points", "cells", "rms error, px", "mean error, px", "stated / true", "NEES / 2",
         "blunders")  # fmt: skip
 
@@ -77,47 +77,47 @@ def ground_of(matches: Matches, site: SimulatedSite) -> Array:
     ground = np.empty((len(ties.ids), 3))
     names = np.array(ties.measure_image)
     for name, image in truth.items():
-        mine = np.flatnonzero(matches.reference & (names == name))
-        ground[ties.measure_point[mine]] = site.terrain.intersect(*image.sightlines(*ties.measures[mine].T))
+        rows = np.flatnonzero(matches.reference & (names == name))
+        ground[ties.measure_point[rows]] = site.terrain.intersect(*image.sightlines(*ties.measures[rows].T))
     return ground
 
 
 def chained(path: Path, network: Path, site: SimulatedSite, matches: Matches) -> Draw:
     """Both adjustments compared."""
-    given, matched = read_case(path), read_case(path, ties=network)
-    first, second = (adjust_network(case.network, case.settings, case.name) for case in (given, matched))
+    by_hand, matched = read_case(path), read_case(path, ties=network)
+    first, second = (adjust_network(case.network, case.settings, case.name) for case in (by_hand, matched))
     row = {name: i for i, name in enumerate(second.network.points.ids)}
-    mine = np.array([row[name] for name in matches.ties.ids])
-    off = second.places[mine] - ground_of(matches, site)
-    sigmas = np.sqrt(np.diagonal(second.covariances[mine], axis1=1, axis2=2))
+    rows = np.array([row[name] for name in matches.ties.ids])
+    off = second.places[rows] - ground_of(matches, site)
+    sigmas = np.sqrt(np.diagonal(second.covariances[rows], axis1=1, axis2=2))
     return {
-        "between": apart(first, second), "sigma0": float(second.sigma0), "off": rms(off, 0).tolist(),
+        "between": largest_difference(first, second), "sigma0": float(second.sigma0), "off": rms(off, 0).tolist(),
         "scaled": rms(off / sigmas, 0).tolist(),
     }  # fmt: skip
 
 
-def apart(first: Solution, second: Solution) -> float:
+def largest_difference(first: Solution, second: Solution) -> float:
     """Largest difference of two orientations in sigmas of the first."""
     worst = 0.0
     for j in range(len(first.network.images)):
-        one, other = orientation_profile(first, j), orientation_profile(second, j)
-        position = (other.position_after - one.position_after) / one.position_sigma
-        turn = (other.angles_after - one.angles_after) / one.angles_sigma
+        before, after = orientation_profile(first, j), orientation_profile(second, j)
+        position = (after.position_after - before.position_after) / before.position_sigma
+        turn = (after.angles_after - before.angles_after) / before.angles_sigma
         worst = max(worst, float(np.abs(position).max()), float(np.abs(turn).max()))
     return worst
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """Both tables."""
     matches, chains = list[list[str]](), list[list[str]]()
-    for one in every:
-        begin = [one["case"], str(one["seed"])]
-        parts = {key: " / ".join(map(number, one[key])) for key in ("rms", "mean", "ratio", "off", "scaled")}
+    for draw in draws:
+        begin = [draw["case"], str(draw["seed"])]
+        parts = {key: " / ".join(map(number, draw[key])) for key in ("rms", "mean", "ratio", "off", "scaled")}
         matches.append([
-            *begin, number(one["seconds"]), str(one["points"]), one["cells"], parts["rms"], parts["mean"],
-            parts["ratio"], number(one["nees"]), str(one["blunders"]),
+            *begin, number(draw["seconds"]), str(draw["points"]), draw["cells"], parts["rms"], parts["mean"],
+            parts["ratio"], number(draw["nees"]), str(draw["blunders"]),
         ])  # fmt: skip
-        chains.append([*begin, number(one["between"]), number(one["sigma0"]), parts["off"], parts["scaled"]])
+        chains.append([*begin, number(draw["between"]), number(draw["sigma0"]), parts["off"], parts["scaled"]])
     head = ("site", "seed", "between", "sigma0", "points, m", "by sigma")
     return {"matches": table(HEAD, matches), "chain": table(head, chains)}
 

@@ -24,7 +24,7 @@ from mgsgraph.case.reading import read_case
 ROOT = Path(mgsgraph.__file__).resolve().parents[1]
 END = "sweep_all"
 Station = tuple[str, str, set[str]]
-"""File, function, digests of what is in what it made."""
+"""File, function, digests of the values in its result."""
 
 
 class Arrived(BaseException):
@@ -52,11 +52,11 @@ def digests(value: Any, depth: int = 0) -> set[str]:
 
 
 def stations(case: Path) -> list[Station]:
-    """What makes something new, in the order in which it ends, up to the first sweep."""
-    found: list[Station] = []
+    """Functions that return new values, in the order of their ends, up to the first sweep."""
+    passed: list[Station] = []
     begun: list[tuple[Any, list[str]]] = []
 
-    def given(frame: Any) -> list[Any]:
+    def inputs(frame: Any) -> list[Any]:
         code = frame.f_code
         return [frame.f_locals.get(name) for name in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]]
 
@@ -66,17 +66,17 @@ def stations(case: Path) -> list[Station]:
             return
         place = str(Path(code.co_filename).relative_to(ROOT)), code.co_name
         if event == "call" and code.co_name == END:
-            found.append((*place, digests(given(frame))))
+            passed.append((*place, digests(inputs(frame))))
             raise Arrived
         if event == "call":
-            begun.append((frame, [digests(value) if hasattr(value, "tobytes") else set() for value in given(frame)]))
+            begun.append((frame, [digests(value) if hasattr(value, "tobytes") else set() for value in inputs(frame)]))
         elif event == "return" and begun and begun[-1][0] is frame:
-            values, (_, before) = given(frame), begun.pop()
-            made = set() if any(result is value for value in values) else digests(result)
-            made = made.union(*(digests(value) - old for value, old in zip(values, before, strict=True) if old))
-            made |= digests(values[0]) if code.co_name in {"__init__", "__post_init__"} else set()
-            if not any(one.f_code.co_name.startswith("require_") for one, _ in begun):
-                found.append((*place, made))
+            values, (_, before) = inputs(frame), begun.pop()
+            new = set() if any(result is value for value in values) else digests(result)
+            new = new.union(*(digests(value) - old for value, old in zip(values, before, strict=True) if old))
+            new |= digests(values[0]) if code.co_name in {"__init__", "__post_init__"} else set()
+            if not any(caller.f_code.co_name.startswith("require_") for caller, _ in begun):
+                passed.append((*place, new))
 
     sys.setprofile(follow)
     try:
@@ -86,39 +86,39 @@ def stations(case: Path) -> list[Station]:
         pass
     finally:
         sys.setprofile(None)
-    return found
+    return passed
 
 
 def room(file: str) -> str:
     return "/".join(Path(file).parts[:2])
 
 
-np.empty = np.zeros  # memory that nothing is written to yet is no measurement
+np.empty = np.zeros  # uninitialized memory is no measurement
 
 
 def main(case: Path, file: str, offset: int, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "case"
         shutil.copytree(case.parent, copy)
-        stations(copy / case.name)  # what is imported or kept for later is not to differ
-        one = stations(copy / case.name)
+        stations(copy / case.name)  # imports and caches shall not differ
+        plain = stations(copy / case.name)
         changed = bytearray((copy / file).read_bytes())
         changed[offset : offset + len(content)] = content
         (copy / file).write_bytes(changed)
-        other = stations(copy / case.name)
-    others, times = defaultdict[tuple[str, str, int], set[str]](set), Counter[tuple[str, str]]()
-    for *there, made in other:
-        others[*there, times[*there]] = made
-        times[*there] += 1
+        altered = stations(copy / case.name)
+    unchanged, times = defaultdict[tuple[str, str, int], set[str]](set), Counter[tuple[str, str]]()
+    for *station, digests_found in altered:
+        unchanged[*station, times[*station]] = digests_found
+        times[*station] += 1
     times.clear()
-    seen, rooms, stays = set[str](), [""], list[tuple[str, list[str]]]()
-    for place, function, made in one:
-        new = made - others[place, function, times[place, function]] - seen
+    reported, rooms, stays = set[str](), [""], list[tuple[str, list[str]]]()
+    for place, function, digests_found in plain:
+        new = digests_found - unchanged[place, function, times[place, function]] - reported
         times[place, function] += 1
-        if not new or any((place, function) == (there, one) for there, names in stays for one in names):
-            seen |= new
+        if not new or any((place, function) == (stay, name) for stay, names in stays for name in names):
+            reported |= new
             continue
-        seen |= new
+        reported |= new
         if not stays or stays[-1][0] != place:
             stays.append((place, []))
         stays[-1][1].append(function)

@@ -47,24 +47,24 @@ from redraw import Draw, redraw
 
 BLOCK = StripSettings(images=6, ties=200, shots=30)
 EDGE = 10.0
-"""pixels from an image's edges, within which places in it are asked for."""
+"""pixels, least distance of queried places from an image's edges."""
 POINTS, LINES, PIXELS, NEW = 12, 3, 4, 3
-"""Items that one seed asks for, evenly spread: points and pairs of them, lines of each image, projections, new places.
+"""Items of one seed, evenly spread: points and pairs of them, lines of each image, projections, new places.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CaseSettings:
-    """A network to be drawn, and how the adjustment is told of it."""
+    """A network to draw, and the sigmas that the adjustment assumes."""
 
     ground: SiteName | None
     """Which site; None for the block."""
     surface: bool = False
     """Whether its tie points lie on the terrain model."""
     prior: float = 1.0
-    """Factor of the a-priori sigmas of the orientation, of draws and adjustment alike."""
+    """Factor of the a-priori sigmas of the orientation, of both draws and adjustment."""
     stated: float = 1.0
-    """Factor of the measures' sigmas that the adjustment is told; 1 is honest, less is a planted fault."""
+    """Factor of the measures' sigmas that the adjustment assumes; below 1 it is a planted fault."""
 
 
 CASES: dict[str, CaseSettings] = {
@@ -87,7 +87,7 @@ def prepared(name: str) -> tuple[Network, SolverSettings]:
             site = simulate_site(case.ground, 1, SimulationOptions("published", pictures=False))
             path = write_site(site, Path(folder))
         read = read_case(path)
-    priors = tuple(OrientationPrior(one.sigmas * case.prior) for one in read.network.priors)
+    priors = tuple(OrientationPrior(prior.sigmas * case.prior) for prior in read.network.priors)
     surface = read.network.surface if case.surface else None
     return replace(read.network, priors=priors, surface=surface), read.settings
 
@@ -101,11 +101,11 @@ def one_seed(case: str, seed: int) -> Drawn:
     draw = redraw(network, np.random.default_rng(seed), settings.angles)
     solution = adjust_network(with_stated_sigmas(draw.network, stated), settings)
     rng = np.random.default_rng([seed, 2])
-    asked = questions(Posterior.of(solution), draw, stated, rng)
+    by_kind = questions(Posterior.of(solution), draw, stated, rng)
     squares, errors = {}, {}
-    for kind, answers in asked.items():
-        error = np.array([one for one, _ in answers])
-        covariance = np.array([one for _, one in answers])
+    for kind, answers in by_kind.items():
+        error = np.array([offset for offset, _ in answers])
+        covariance = np.array([spread for _, spread in answers])
         squares[kind] = nees(error, covariance).round(5).tolist()
         errors[kind] = (error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))).round(5).tolist()
     return {"converged": solution.converged, "squares": squares, "errors": errors}
@@ -129,7 +129,7 @@ def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Ge
     """All kinds of questions to one posterior; keys as in KINDS."""
     network = posterior.network
     ties, laser = (np.flatnonzero(network.points.classes == kind) for kind in (PointClass.TIE, PointClass.LASER))
-    both = np.concatenate([evenly(ties, POINTS // 2), evenly(laser, POINTS // 2)])
+    some = np.concatenate([evenly(ties, POINTS // 2), evenly(laser, POINTS // 2)])
     shown = inside(network)
     positions, pointings = poses(posterior, draw)
     return {
@@ -137,7 +137,7 @@ def questions(posterior: Posterior, draw: Draw, stated: float, rng: np.random.Ge
         "footprint": [of_point(posterior, draw, i) for i in evenly(laser, POINTS)],
         "position": positions,
         "pointing": pointings,
-        "height difference": [of_heights(posterior, draw, i, j) for i, j in zip(both, np.roll(both, -1), strict=True)],
+        "height difference": [of_heights(posterior, draw, i, j) for i, j in zip(some, np.roll(some, -1), strict=True)],
         "projection": of_projections(posterior, draw, evenly(np.flatnonzero(shown), PIXELS)),
         "new place": list(new_places(posterior, draw, np.setdiff1d(ties, network.rays.point[~shown]), stated, rng)),
     }
@@ -157,36 +157,36 @@ def evenly(items: Index, count: int) -> Index:
 
 def of_point(posterior: Posterior, draw: Draw, i: int) -> tuple[Array, Array]:
     """East, north, up of a ground point, m."""
-    found = posterior.point(posterior.network.points.ids[i])
-    return east_north_up(found.position[None])[0] @ (found.position - draw.places[i]), found.east_north_up
+    estimate = posterior.point(posterior.network.points.ids[i])
+    return east_north_up(estimate.position[None])[0] @ (estimate.position - draw.places[i]), estimate.east_north_up
 
 
 def of_heights(posterior: Posterior, draw: Draw, i: int, j: int) -> tuple[Array, Array]:
-    """How much higher one point is than another, m."""
+    """Height difference of two points, m."""
     ids = posterior.network.points.ids
-    found = posterior.difference(ids[i], ids[j])
+    estimate = posterior.difference(ids[i], ids[j])
     true = np.linalg.norm(draw.places[j]) - np.linalg.norm(draw.places[i])
-    return np.array([found.height - true]), np.array([[found.height_sigma**2]])
+    return np.array([estimate.height - true]), np.array([[estimate.height_sigma**2]])
 
 
 def of_projections(posterior: Posterior, draw: Draw, rays: Index) -> Answers:
     """Line and sample at which the points of some rays truly fall in their images, px."""
     network = posterior.network
     points, images = network.rays.point[rays], network.rays.image[rays]
-    truth = seen(network, draw, draw.places[points], images)
-    found = [
+    truth = true_pixels(network, draw, draw.places[points], images)
+    estimates = [
         posterior.projection(network.points.ids[i], network.images[j].name) for i, j in zip(points, images, strict=True)
     ]
-    return [(one.pixel - true, one.covariance) for one, true in zip(found, truth, strict=True)]
+    return [(estimate.pixel - true, estimate.covariance) for estimate, true in zip(estimates, truth, strict=True)]
 
 
-def seen(network: Network, draw: Draw, places: Array, images: Index) -> Array:
+def true_pixels(network: Network, draw: Draw, places: Array, images: Index) -> Array:
     """(n, 2) px: where true places (n, 3) fall in images (n,) truly oriented."""
-    found = np.empty((images.size, 2))
+    pixels = np.empty((images.size, 2))
     for j in np.unique(images).tolist():
-        mine = images == j
-        found[mine] = network.images[j].ground_to_image(places[mine], draw.corrections[j])[0]
-    return found
+        of_image = images == j
+        pixels[of_image] = network.images[j].ground_to_image(places[of_image], draw.corrections[j])[0]
+    return pixels
 
 
 def poses(posterior: Posterior, draw: Draw) -> tuple[Answers, Answers]:
@@ -199,24 +199,24 @@ def poses(posterior: Posterior, draw: Draw) -> tuple[Answers, Answers]:
         image = posterior.network.images[j]
         lines = np.linspace(0.0, float(image.lines), LINES)
         truth = image.pose(lines, draw.corrections[j])
-        for k, found in enumerate(posterior.poses(image.name, lines)):
-            moved, turned = pose_errors(found, truth, k)
-            positions.append((moved, found.flight[:3, :3]))
-            pointings.append((turned, found.flight[3:, 3:]))
+        for k, estimate in enumerate(posterior.poses(image.name, lines)):
+            moved, turned = pose_errors(estimate, truth, k)
+            positions.append((moved, estimate.flight[:3, :3]))
+            pointings.append((turned, estimate.flight[3:, 3:]))
     return positions, pointings
 
 
-def pose_errors(found: PoseEstimate, truth: Pose, k: int) -> tuple[Array, Array]:
+def pose_errors(estimate: PoseEstimate, truth: Pose, k: int) -> tuple[Array, Array]:
     """Errors of a pose against the k-th true one: (3,) m along, across, radial; (3,) rad of roll, pitch, yaw."""
-    axes = flight_axes(found.position, found.velocity)
-    turned = -rotation.logarithm((found.matrix @ truth.matrix[k].T)[None])[0]
-    return axes @ (found.position - truth.position[k]), camera_axes(found.matrix @ axes[0]) @ turned
+    axes = flight_axes(estimate.position, estimate.velocity)
+    turned = -rotation.logarithm((estimate.matrix @ truth.matrix[k].T)[None])[0]
+    return axes @ (estimate.position - truth.position[k]), camera_axes(estimate.matrix @ axes[0]) @ turned
 
 
 def new_places(
     posterior: Posterior, draw: Draw, ties: Index, stated: float, rng: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
-    """Places half-way between two tie points that two images or more share: measured anew in these with noise of their
+    """Places half-way between two tie points that two images or more share: measured in these with noise of their
     own, and intersected. East, north, up, m.
     """
     network = posterior.network
@@ -227,21 +227,21 @@ def new_places(
     images, starts, sigmas = list[int](), list[int](), list[float]()
     for i in evenly(ties, NEW):
         partners = ties[np.count_nonzero(sees[ties] & sees[i], axis=1) >= 2]
-        other = int(rng.choice(partners[partners != i]))
+        partner = int(rng.choice(partners[partners != i]))
         starts.append(len(images))
-        for j in np.flatnonzero(sees[i] & sees[other]).tolist():
-            trues.append(0.5 * (draw.places[i] + draw.places[other]))
+        for j in np.flatnonzero(sees[i] & sees[partner]).tolist():
+            trues.append(0.5 * (draw.places[i] + draw.places[partner]))
             images.append(j)
             sigmas.append(float(rays.sigmas[(rays.point == i) & (rays.image == j)][0, 0]))
             noises.append(rng.standard_normal(2) * sigmas[-1] / stated)
-    measured = seen(network, draw, np.array(trues), np.array(images)) + np.array(noises)
+    measured = true_pixels(network, draw, np.array(trues), np.array(images)) + np.array(noises)
     pixels = [
         Pixel(network.images[j].name, float(line), float(sample), sigma)
         for j, (line, sample), sigma in zip(images, measured, sigmas, strict=True)
     ]
     for start, end in zip(starts, [*starts[1:], len(images)], strict=True):
-        found = posterior.intersection(pixels[start:end])
-        yield east_north_up(found.position[None])[0] @ (found.position - trues[start]), found.east_north_up
+        estimate = posterior.intersection(pixels[start:end])
+        yield east_north_up(estimate.position[None])[0] @ (estimate.position - trues[start]), estimate.east_north_up
 
 
 if __name__ == "__main__":

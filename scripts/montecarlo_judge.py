@@ -26,11 +26,11 @@ KINDS: dict[str, tuple[str, ...]] = {
     "projection": ("line", "sample"),
     "new place": _PLACE,
 }
-"""What the posterior is asked, and the components in which bias is told."""
+"""Kinds of queries to the posterior, and the components of their errors."""
 LEVELS = (0.68, 0.95, 0.99)
 """Probabilities of the ellipsoids."""
 CHANCE = 0.01
-"""Of an honest posterior outside any one limit."""
+"""That a consistent posterior is outside any one limit."""
 ASTRAY = 1e-8
 """Chance of an error that can only come from another minimum of the cost, or from a fault."""
 CHECKS = 2 * len(LEVELS) + 3
@@ -89,21 +89,21 @@ class Judged:
     @property
     def outside(self) -> list[str]:
         """Which checks fail, in words."""
-        found = []
+        failed = []
         for k, level in enumerate(LEVELS):
             low, high = self.limits[k]
             if not low <= self.inside[k] <= high:
-                found.append(f"{level:.0%} ellipsoid too {'small' if self.inside[k] < low else 'large'} (by lot)")
+                failed.append(f"{level:.0%} ellipsoid too {'small' if self.inside[k] < low else 'large'} (by lot)")
             if abs(self.share[k] - level) > self.band[k]:
-                found.append(f"{level:.0%} ellipsoid too {'small' if self.share[k] < level else 'large'} (all items)")
+                failed.append(f"{level:.0%} ellipsoid too {'small' if self.share[k] < level else 'large'} (all items)")
         mean, low, high = self.lot_nees
         if not low <= mean <= high:
-            found.append(f"sigmas too {'small' if mean > high else 'large'} (NEES by lot)")
+            failed.append(f"sigmas too {'small' if mean > high else 'large'} (NEES by lot)")
         if abs(self.nees - 1.0) > self.nees_band:
-            found.append(f"sigmas too {'small' if self.nees > 1.0 else 'large'} (NEES of all items)")
+            failed.append(f"sigmas too {'small' if self.nees > 1.0 else 'large'} (NEES of all items)")
         if abs(self.bias[self.worst]) > self.bias_limit * self.error[self.worst]:
-            found.append(f"biased ({self.components[self.worst]})")
-        return found
+            failed.append(f"biased ({self.components[self.worst]})")
+        return failed
 
     @property
     def strain(self) -> float:
@@ -125,7 +125,7 @@ class Judged:
 
 
 def astray(draw: Draw) -> bool:
-    """Whether some item's error has a chance below ASTRAY: of 200 honest seeds hardly ever one."""
+    """Whether some item's error has a chance below ASTRAY: hardly ever in 200 seeds."""
     return any(
         bool(np.any(np.array(squares) > chi_square_radius(1.0 - ASTRAY, len(KINDS[kind])) ** 2))
         for kind, squares in draw["squares"].items()
@@ -133,9 +133,9 @@ def astray(draw: Draw) -> bool:
 
 
 def breaking_strain(seeds: int) -> float:
-    """Standard errors that no check of a whole case goes beyond by chance: CHANCE for all of them together.
+    """Standard errors that a check of a case exceeds by chance only with the probability CHANCE for all checks.
 
-    The checks of a row that break a limit come in company: only this tells a fault from an unlucky set of draws.
+    Checks of a row are correlated: only this limit separates a fault from an unlucky set of draws.
     """
     of_bias = sum(len(components) for components in KINDS.values())
     return student(CHANCE / (len(KINDS) * (len(LEVELS) + 2) + of_bias), seeds - 1)
@@ -144,13 +144,13 @@ def breaking_strain(seeds: int) -> float:
 def judged(case: str, kind: str, draws: Sequence[Draw]) -> Judged:
     """One kind of question over all draws, two or more, of one case."""
     seeds, dimension = len(draws), len(KINDS[kind])
-    squares = np.array([one["squares"][kind] for one in draws])
-    lots = [np.random.default_rng([one["seed"], 1]).integers(squares.shape[1]) for one in draws]
+    squares = np.array([draw["squares"][kind] for draw in draws])
+    lots = [np.random.default_rng([draw["seed"], 1]).integers(squares.shape[1]) for draw in draws]
     lot = squares[np.arange(seeds), lots]
     limit = np.array([chi_square_radius(level, dimension) ** 2 for level in LEVELS])
     shares = np.mean(squares[:, :, None] < limit, axis=1)
     levels = np.array(LEVELS)
-    errors = np.array([np.mean(one["errors"][kind], axis=0) for one in draws])
+    errors = np.array([np.mean(draw["errors"][kind], axis=0) for draw in draws])
     # few seeds may all have all items inside: the scatter is never below that of items which share nothing
     scatter = np.maximum(shares.std(axis=0, ddof=1), np.sqrt(levels * (1.0 - levels) / squares.shape[1]))
     wide = student(CHANCE, seeds - 1) / math.sqrt(seeds)
@@ -180,28 +180,28 @@ def binomial_limits(seeds: int, level: float, chance: float = CHANCE) -> tuple[i
 # --- tables
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """Made parts of the page."""
-    found = {case: [judged(case, kind, cases(every, case)) for kind in KINDS] for case in names_of(every)}
-    of_cases = [line for case, rows in found.items() for line in (f"## {case.capitalize()}", "", *case_table(rows), "")]
-    return {"summary": summary(found, every), "cases": of_cases}
+    by_case = {case: [judged(case, kind, cases(draws, case)) for kind in KINDS] for case in names_of(draws)}
+    lines = [line for case, rows in by_case.items() for line in (f"## {case.capitalize()}", "", *case_table(rows), "")]
+    return {"summary": summary(by_case, draws), "cases": lines}
 
 
-def summary(found: Mapping[str, Sequence[Judged]], every: Sequence[Draw]) -> list[str]:
+def summary(by_case: Mapping[str, Sequence[Judged]], draws: Sequence[Draw]) -> list[str]:
     """One line for each case."""
     rows = []
-    for case, kinds in found.items():
-        count, outside = CHECKS * len(kinds), sum(len(one.outside) for one in kinds)
-        shares = [sum(one.share[k] for one in kinds) / len(kinds) for k in range(len(LEVELS))]
+    for case, kinds in by_case.items():
+        count, outside = CHECKS * len(kinds), sum(len(kind.outside) for kind in kinds)
+        shares = [sum(kind.share[k] for kind in kinds) / len(kinds) for k in range(len(LEVELS))]
         coverage = ", ".join(f"{100.0 * share:.1f}" for share in shares)
-        mine = cases(every, case)
-        away = sum(not draw["converged"] for draw in mine)
-        lot = sum(not low <= n <= high for one in kinds for n, (low, high) in zip(one.inside, one.limits, strict=True))
+        of_case = cases(draws, case)
+        away = sum(not draw["converged"] for draw in of_case)
+        broken = sum(not low <= n <= high for k in kinds for n, (low, high) in zip(k.inside, k.limits, strict=True))
         rows.append((
-            case, str(len(mine)), str(away), str(sum(map(astray, mine))), coverage,
-            f"{lot} of {len(LEVELS) * len(kinds)}",
+            case, str(len(of_case)), str(away), str(sum(map(astray, of_case))), coverage,
+            f"{broken} of {len(LEVELS) * len(kinds)}",
             f"{outside} of {count}", f"{CHANCE * count:.1f}",
-            f"{max(one.strain for one in kinds):.1f} ({breaking_strain(len(mine)):.1f})", verdict(case, kinds),
+            f"{max(kind.strain for kind in kinds):.1f} ({breaking_strain(len(of_case)):.1f})", verdict(case, kinds),
         ))  # fmt: skip
     levels = ", ".join(f"{level:.0%}" for level in LEVELS)
     return table(
@@ -211,8 +211,8 @@ def summary(found: Mapping[str, Sequence[Judged]], every: Sequence[Draw]) -> lis
 
 
 def verdict(case: str, kinds: Sequence[Judged]) -> str:
-    """Sentence for a case, by the limit for all its checks together."""
-    sound = max(one.strain for one in kinds) <= breaking_strain(kinds[0].seeds)
+    """Sentence for a case, by the joint limit of all its checks."""
+    sound = max(kind.strain for kind in kinds) <= breaking_strain(kinds[0].seeds)
     if case.endswith("planted"):
         return "The planted fault is not seen." if sound else "The planted fault is seen."
     return "The posterior is honest." if sound else "The posterior is not honest here; see below."

@@ -79,18 +79,18 @@ def one_draw(case: str, seed: int) -> Draw:
     pairs[1] = pairs[1] and as_polynomials(network, *pairs[1])
     shared = [shared_nees(*pair) if pair else float("nan") for pair in pairs]
     members = [solution.members(kind) for kind in (PointClass.TIE, PointClass.LASER)]
-    points = [nees((solution.places - draw.places)[one], solution.covariances[one]) for one in members]
+    points = [nees((solution.places - draw.places)[group], solution.covariances[group]) for group in members]
     freedom = solution.fit.degrees_of_freedom
-    names = [*(image.name for image in network.images), *network.shift_names, *(one.name for one in network.shared)]
-    truth = [*(one.coefficients for one in draw.own), *draw.shifts, *draw.shared]
+    names = [*(image.name for image in network.images), *network.shift_names, *(u.name for u in network.shared)]
+    truth = [*(correction.coefficients for correction in draw.own), *draw.shifts, *draw.shared]
     ratio = Posterior.of(solution).likelihood.ratio({names[k]: truth[k] for k in errors if k < passes})
     shared.append(ratio.squares / ratio.degrees if ratio.degrees else float("nan"))
-    of_points = [float(one.mean()) / 3.0 if one.size else float("nan") for one in points]
+    of_points = [float(squares.mean()) / 3.0 if squares.size else float("nan") for squares in points]
     return {
         "values": [*shared, *of_points, solution.fit.squares / freedom],
         "degrees": [
             *(pair[0].size if pair else 0 for pair in pairs), ratio.degrees,
-            *(degrees_of_points(solution, one) if one.size else 0 for one in members), freedom,
+            *(degrees_of_points(solution, group) if group.size else 0 for group in members), freedom,
         ],
         "linear": solution.linearity.ratio if solution.linearity else None, "converged": solution.converged,
         "seconds": time.perf_counter() - begin,
@@ -107,22 +107,22 @@ def errors_of(solution: Solution, draw: Redrawn) -> dict[int, Array]:
         for j in np.flatnonzero(network.with_polynomial).tolist()
     }
     pairs = zip((*solution.shifts, *solution.shared), (*draw.shifts, *draw.shared), strict=True)
-    errors |= {first + k: found - true for k, (found, true) in enumerate(pairs)}
-    for nodes, (one, variable) in zip(solution.nodes, network.numbered_passes, strict=True):
-        true = draw.own[one.images[0]].coefficients[-len(one.nodes) :]
+    errors |= {first + k: estimate - true for k, (estimate, true) in enumerate(pairs)}
+    for nodes, (pass_, variable) in zip(solution.nodes, network.numbered_passes, strict=True):
+        true = draw.own[pass_.images[0]].coefficients[-len(pass_.nodes) :]
         errors |= {variable + k: off for k, off in enumerate(nodes - true)}
     return errors
 
 
 def as_polynomials(network: Network, error: Array, covariance: Array) -> tuple[Array, Array]:
-    """Errors of the nodes of all passes and their covariance; of passes that are polynomials in place of nodes their
-    coefficients, without those that are held.
+    """Errors of the nodes of all passes and their covariance; for passes that are polynomials, of their coefficients
+    in place of nodes, without held ones.
     """
     if not isinstance(network.passes[0].prior, PolynomialPrior):
         return error, covariance
-    whole = block_diag(*(np.kron(np.linalg.inv(powers(one.nodes)), np.eye(6)) for one in network.passes))
-    free = np.concatenate([polynomial_sigmas(one).ravel() for one in network.passes]) > 0.0
-    return (whole @ error)[free], (whole @ covariance @ whole.T)[np.ix_(free, free)]
+    transform = block_diag(*(np.kron(np.linalg.inv(powers(pass_.nodes)), np.eye(6)) for pass_ in network.passes))
+    free = np.concatenate([polynomial_sigmas(pass_).ravel() for pass_ in network.passes]) > 0.0
+    return (transform @ error)[free], (transform @ covariance @ transform.T)[np.ix_(free, free)]
 
 
 def shared_nees(error: Array, covariance: Array) -> float:
@@ -130,23 +130,23 @@ def shared_nees(error: Array, covariance: Array) -> float:
     return float(nees(error[None], covariance[None])[0]) / error.size
 
 
-def row(case: str, every: list[Draw]) -> list[str]:
+def row(case: str, draws: list[Draw]) -> list[str]:
     """Means of all draws, with their bands but for the papers' case."""
-    values, degrees = (np.array([draw[key] for draw in every]) for key in ("values", "degrees"))
+    values, degrees = (np.array([draw[key] for draw in draws]) for key in ("values", "degrees"))
     cells = [number(mean) for mean in values.mean(axis=0).tolist()]
     if not case.endswith("papers"):
         cells = list(map(nees_cell, values.T.tolist(), degrees.T.tolist()))
-    ratios = np.array([draw["linear"] for draw in every if draw["linear"] is not None])
+    ratios = np.array([draw["linear"] for draw in draws if draw["linear"] is not None])
     good = int(np.sum((ratios <= LINEAR) & (ratios >= 1.0 / LINEAR)))
     linear = f"{ratios.mean():.2f}, {good} of {ratios.size}" if ratios.size else "-"
-    failures, seconds = (sum(not draw["converged"] for draw in every), np.mean([draw["seconds"] for draw in every]))
-    return [*case.split(", "), str(len(every)), *cells, linear, str(failures), f"{seconds:.1f}"]
+    failures, seconds = (sum(not draw["converged"] for draw in draws), np.mean([draw["seconds"] for draw in draws]))
+    return [*case.split(", "), str(len(draws)), *cells, linear, str(failures), f"{seconds:.1f}"]
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """The table."""
     head = ("site", "case", "N", *COLUMNS, "linear", "not converged", "s per draw")
-    return {"nees": table(head, [row(case, cases(every, case)) for case in names_of(every)])}
+    return {"nees": table(head, [row(case, cases(draws, case)) for case in names_of(draws)])}
 
 
 if __name__ == "__main__":

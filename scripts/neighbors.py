@@ -37,7 +37,7 @@ from mgsgraph.simulation.sites import SITE_NAMES
 CASES = tuple(f"{name}, {drawn}" for name in (*SITE_NAMES, "HRSC strip") for drawn in ("model", "exact"))
 STATED = ("ties", "heights", "means of 30", "squares")
 FORMS = ("groups", "independent")
-"""How a network states what neighbors have in common: by groups; by larger sigmas of independent rows."""
+"""How a network states common errors of neighbors: by groups; by larger sigmas of independent rows."""
 _GAP = 20.0
 """m, sigma of the heights between two tracks."""
 _MEANS = 3
@@ -50,44 +50,44 @@ class Correlated(NamedTuple):
     network: Network
     """With groups of neighbors."""
     settings: SolverSettings
-    """How it is adjusted."""
+    """Of its adjustment."""
     rays: list[tuple[Index, Array]]
     """Rays of each image, and a root of the exact covariance of their errors in whole sigmas."""
     heights: tuple[Index, Array]
     """The same of points with heights above the terrain model, m."""
 
-    def exact(self, network: Network, rng: np.random.Generator, wanted: int) -> Array:
+    def exact(self, network: Network, rng: np.random.Generator, columns: int) -> Array:
         """Errors of moving averages over windows, and of heights by the exact covariance (`redraw.Noise`)."""
-        found = common_noise(replace(network, common_rays=None, common_heights=None), rng, wanted)
-        for mine, root in self.rays if wanted == 2 else ():
-            found[mine] = root @ rng.standard_normal((mine.size, 2)) * network.ray_sigmas[mine]
-        if wanted == 1:
-            mine, root = self.heights
-            found[mine, 0] = root @ rng.standard_normal(mine.size)
-        return found
+        noise = common_noise(replace(network, common_rays=None, common_heights=None), rng, columns)
+        for rows, root in self.rays if columns == 2 else ():
+            noise[rows] = root @ rng.standard_normal((rows.size, 2)) * network.ray_sigmas[rows]
+        if columns == 1:
+            rows, root = self.heights
+            noise[rows, 0] = root @ rng.standard_normal(rows.size)
+        return noise
 
 
 @lru_cache(maxsize=len(CASES))
 def correlated(name: str) -> Correlated:
-    """Of a site or the strip."""
+    """The network of a site or of the strip."""
     if name == "HRSC strip":
         network, settings = simulate_hrsc_block(replace(STRIP, terrain=TerrainErrors()), 1).network, SolverSettings()
     else:
         network, settings = prepared(f"{name}, rigorous")
     network, places = network.independent, redraw(network, np.random.default_rng(0), settings.angles).places
     ties = network.points.classes[network.rays.point] == PointClass.TIE
-    seen = [np.flatnonzero(ties & (network.rays.image == j)) for j in np.unique(network.rays.image[ties])]
-    side = 2.0 * float(np.median(np.concatenate([_nearest(network.rays.places[mine], np.inf) for mine in seen])))
+    by_image = [np.flatnonzero(ties & (network.rays.image == j)) for j in np.unique(network.rays.image[ties])]
+    side = 2.0 * float(np.median(np.concatenate([_nearest(network.rays.places[rows], np.inf) for rows in by_image])))
     rays, common = common_matches(network.rays, np.where(ties, side, 0.0), np.ones(ties.size))
     windows = np.ones(ties.size), np.full(ties.size, side)
-    roots = [(mine, _root(network.rays.places, [windows], mine)) for mine in seen]
+    roots = [(rows, _root(network.rays.places, [windows], rows)) for rows in by_image]
     surface = network.surface
     assert surface is not None
     on = np.flatnonzero(np.isfinite(surface.sigmas))
     shape, reach = surface.grid.radii.shape, float(np.median(_nearest(places[on], 2)))
     grid = replace(surface.grid, gaps=Gaps(np.full(shape, _GAP), np.full(shape, reach)))
     sigmas = np.where(np.isfinite(surface.sigmas), grid.height_sigmas(places), np.inf)
-    parts = [(one / sigmas, SPHERE * far) for one, far in grid.parts_of_sigmas(places)]
+    parts = [(sigma / sigmas, SPHERE * distance) for sigma, distance in grid.parts_of_sigmas(places)]
     of_heights = sigmas[on][:, None] * _root(places, parts, on)
     surface, heights = common_heights(replace(surface, grid=grid, sigmas=sigmas), places)
     network = replace(network, rays=rays, surface=surface, common_rays=common, common_heights=heights)
@@ -99,9 +99,9 @@ def _nearest(places: Array, norm: float) -> Array:
     return np.asarray(cKDTree(places).query(places, 2, p=norm)[0][:, 1])
 
 
-def _root(places: Array, parts: Sequence[tuple[Array, Array]], mine: Index) -> Array:
+def _root(places: Array, parts: Sequence[tuple[Array, Array]], rows: Index) -> Array:
     """Root of the correlation of some rows."""
-    values, vectors = np.linalg.eigh(correlation(places, parts, mine[:, None], mine))
+    values, vectors = np.linalg.eigh(correlation(places, parts, rows[:, None], rows))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
@@ -111,11 +111,11 @@ def one_draw(case: str, seed: int) -> Draw:
     prepared_case = correlated(name)
     network, noise = prepared_case.network, prepared_case.exact if drawn == "exact" else common_noise
     draw = redraw(network, np.random.default_rng(seed), prepared_case.settings.angles, noise=noise)
-    begin, found = time.perf_counter(), dict[str, list[float]]()
-    for form, one in zip(FORMS, (draw.network, draw.network.independent), strict=True):
-        solution = adjust_network(one, prepared_case.settings)
-        found[form] = [*_of_points(solution, draw.places), solution.fit.squares / solution.fit.degrees_of_freedom]
-    return {"values": found, "groups": sum(one.widths.size for one, _, _ in network.common),
+    begin, values = time.perf_counter(), dict[str, list[float]]()
+    for form, stated in zip(FORMS, (draw.network, draw.network.independent), strict=True):
+        solution = adjust_network(stated, prepared_case.settings)
+        values[form] = [*_of_points(solution, draw.places), solution.fit.squares / solution.fit.degrees_of_freedom]
+    return {"values": values, "groups": sum(group.widths.size for group, _, _ in network.common),
             "seconds": time.perf_counter() - begin}  # fmt: skip
 
 
@@ -133,17 +133,17 @@ def _of_points(solution: Solution, truth: Array) -> list[float]:
     return [float(nees(error, covariance).mean()) / 3.0, float(heights.mean()), float(np.mean(means))]
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """A table of each form."""
     blocks = dict[str, list[str]]()
     for form in FORMS:
         rows = list[list[str]]()
-        for case in names_of(every):
-            mine = cases(every, case)
-            values = np.array([draw["values"][form] for draw in mine])
+        for case in names_of(draws):
+            of_case = cases(draws, case)
+            values = np.array([draw["values"][form] for draw in of_case])
             cells = [nees_cell(column) for column in values.T.tolist()]
-            seconds = np.mean([draw["seconds"] for draw in mine])
-            rows.append([*case.split(", "), str(len(mine)), str(mine[0]["groups"]), *cells, number(seconds)])
+            seconds = np.mean([draw["seconds"] for draw in of_case])
+            rows.append([*case.split(", "), str(len(of_case)), str(of_case[0]["groups"]), *cells, number(seconds)])
         blocks[form] = table(("site", "drawn", "N", "groups", *STATED, "s per draw, both forms"), rows)
     return blocks
 

@@ -58,7 +58,7 @@ _WIDER = """() => {
     }
     return out.slice(0, 3);
 }"""
-"""What lies beyond the right edge and in nothing that scrolls."""
+"""Elements beyond the right edge that do not scroll."""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 
@@ -89,7 +89,7 @@ def demo(browser: Browser, work: Path) -> None:
 
 
 def save(picture: Image.Image, name: str) -> None:
-    """What pages need of it, as wide as they need it: pictures in JPEG, drawings in 128 colours."""
+    """Save a picture for a page, in its width: photographs as JPEG, drawings in 128 colors."""
     picture = picture.convert("RGB")
     if picture.width > WIDTH:
         picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
@@ -155,8 +155,8 @@ def tell_outside(request: Request) -> None:
 
 def picture_of(page: Page, path: Path, width: int, scale: float) -> Image.Image:
     page.goto(path.as_uri())
-    for found in page.evaluate(_WIDER):
-        print(f"{width} px, {path.name}: {found}")
+    for element in page.evaluate(_WIDER):
+        print(f"{width} px, {path.name}: {element}")
     picture = Image.open(BytesIO(page.screenshot(full_page=True)))
     picture = picture.crop((0, 0, width, min(picture.height, _TALLEST)))
     return picture.convert("RGB").resize((round(width * scale), round(picture.height * scale)))
@@ -168,8 +168,8 @@ def contact_sheets(pictures: list[Image.Image], columns: int, begin: Path) -> No
         sheet, heights = Image.new("RGB", (columns * width, _SHEET), "grey"), [0] * columns
         while pictures and min(heights) + pictures[0].height <= _SHEET:
             column = heights.index(min(heights))
-            sheet.paste(one := pictures.pop(0), (column * width, heights[column]))
-            heights[column] += one.height + 8
+            sheet.paste(picture := pictures.pop(0), (column * width, heights[column]))
+            heights[column] += picture.height + 8
         sheet.crop((0, 0, sheet.width, max(heights))).save(f"{begin}_{count}.png")
         count += 1
 

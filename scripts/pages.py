@@ -88,34 +88,34 @@ _ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
 
 
 def pages() -> dict[Path, str]:
-    """What should stand in each page."""
+    """Expected text of each page."""
     return {
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
-        DOCS / "case_file.md": f"{_by_hand('case_file.md', _KEYS)}\n{keys_markdown()}",
-        DOCS / "files.md": _by_hand("files.md", _COLUMNS) + columns_markdown(),
-        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _kept("input_keys.md", _LIES),
-        DOCS / "solution_npz.md": _by_hand("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
+        DOCS / "case_file.md": f"{_before_mark('case_file.md', _KEYS)}\n{keys_markdown()}",
+        DOCS / "files.md": _before_mark("files.md", _COLUMNS) + columns_markdown(),
+        DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _after_mark("input_keys.md", _LIES),
+        DOCS / "solution_npz.md": _before_mark("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
 
-def _by_hand(page: str, mark: str) -> str:
+def _before_mark(page: str, mark: str) -> str:
     """Text of a page down to the mark."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[:2])
 
 
-def _kept(page: str, mark: str) -> str:
+def _after_mark(page: str, mark: str) -> str:
     """The part of a page from the mark on."""
     return "".join((DOCS / page).read_text(encoding="utf-8").partition(mark)[1:])
 
 
 def input_keys_markdown() -> str:
-    """A table for each format, and the keys that nothing could be held against."""
+    """A table for each format, and the keys that could not be compared."""
     lines: list[str] = []
     for name, keys in FORMATS.items():
         lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
         lines += ["| key | use | meaning | held against |", "|---|---|---|---|"]
-        lines += [f"| `{_cell(one.name)}` | {one.use} | {_cell(one.meaning)} | {_cell(one.same_as)} |" for one in keys]
-        alone = [f"`{_cell(one.name)}`" for one in keys if one.use == Use.READ and not one.same_as]
+        lines += [f"| `{_cell(key.name)}` | {key.use} | {_cell(key.meaning)} | {_cell(key.same_as)} |" for key in keys]
+        alone = [f"`{_cell(key.name)}`" for key in keys if key.use == Use.READ and not key.same_as]
         lines += ["", f"Without a second statement: {', '.join(alone)}."] if alone else []
     return "\n".join(lines) + "\n"
 
@@ -123,26 +123,26 @@ def input_keys_markdown() -> str:
 def commands_markdown() -> str:
     """A section for each verb."""
     lines: list[str] = []
-    with click.Context(group, info_name="mgsgraph") as whole:
+    with click.Context(group, info_name="mgsgraph") as context:
         for name in VERBS:
             command: click.Command | None = group
             for word in name.split():
                 assert isinstance(command, click.Group)
-                command = command.get_command(whole, word)
+                command = command.get_command(context, word)
             assert command is not None
-            lines += _verb(name, command, whole)
+            lines += _verb(name, command, context)
     return "\n".join(lines) + "\n"
 
 
-def _verb(name: str, command: click.Command, whole: click.Context) -> list[str]:
-    with click.Context(command, info_name=name, parent=whole) as ctx:
+def _verb(name: str, command: click.Command, parent: click.Context) -> list[str]:
+    with click.Context(command, info_name=name, parent=parent) as ctx:
         usage = command.collect_usage_pieces(ctx)
-        options = [record for one in command.params if (record := one.get_help_record(ctx)) and record[1]]
+        options = [record for parameter in command.params if (record := parameter.get_help_record(ctx)) and record[1]]
     lines = ["", f"## `mgsgraph {name}`", "", f"`mgsgraph {name} {' '.join(usage)}`"]
     lines += ["", *_marked(inspect.cleandoc(command.help or "")).splitlines(), ""]
     if options:
         lines += ["| option | what it does |", "|---|---|"]
-    return lines + [f"| `{_cell(option)}` | {_cell(_marked(said))} |" for option, said in options]
+    return lines + [f"| `{_cell(option)}` | {_cell(_marked(meaning))} |" for option, meaning in options]
 
 
 def _marked(text: str) -> str:
@@ -170,7 +170,7 @@ prior = {}
 [solver]
 reject = 4.0
 """
-"""What a small simulated case gets, so that every table has something in it."""
+"""Options of a small simulated case in which every table has rows."""
 
 
 def columns_markdown() -> str:
@@ -250,7 +250,7 @@ def _section(file: str, table: Table) -> list[str]:
 
 
 def _row(column: Column) -> str:
-    names = ", ".join(f"`{one.name()}`" for one in column.split)
+    names = ", ".join(f"`{part.name()}`" for part in column.split)
     unit = column.unit if isinstance(column.unit, str) else "in `unit`"
     return f"| {names} | {unit} | {column.meaning} |".replace("|  |", "| |")
 
@@ -282,12 +282,12 @@ class ArrayRow(NamedTuple):
 
     @property
     def group(self) -> str:
-        """Which table it stands in."""
-        return max((one for one in GROUPS if not one or self.path.startswith(f"{one}.")), key=len)
+        """Group of its table."""
+        return max((name for name in GROUPS if not name or self.path.startswith(f"{name}.")), key=len)
 
     @property
     def line(self) -> str:
-        """In the table of its group."""
+        """Its row in the table of its group."""
         name = self.path.removeprefix(f"{self.group}.") if self.group else self.path
         numbers = f"{' or '.join(self.scalars)} {self.shape}"
         return f"| `{name}` | {numbers} | {self.unit} | {self.meaning.replace('|', chr(92) + '|')} |"
@@ -295,56 +295,56 @@ class ArrayRow(NamedTuple):
 
 def array_rows() -> list[ArrayRow]:
     """All of them, in the order of the record; those of the same name and meaning, once."""
-    found = [
+    general = [
         ArrayRow("format", ("int64",), "()", "-", f"Version of this layout: {FORMAT}."),
         ArrayRow("record", ("uint8",), "(b,)", "-",
                  "JSON in UTF-8: all that is no array, and where the arrays belong."),
     ]  # fmt: skip
     merged = dict[tuple[str, str, str, str], list[str]]()
-    for path, scalar, said in _walk(Solution, "", ""):
-        shape, unit, meaning = _parts(said, scalar)
+    for path, scalar, text in _walk(Solution, "", ""):
+        shape, unit, meaning = _parts(text, scalar)
         scalars = merged.setdefault((path, shape, unit, meaning), [])
         scalars += [scalar] if scalar not in scalars else []
-    return [*found, *(ArrayRow(path, tuple(scalars), *rest) for (path, *rest), scalars in merged.items())]
+    return [*general, *(ArrayRow(path, tuple(scalars), *rest) for (path, *rest), scalars in merged.items())]
 
 
 def array_tables() -> list[str]:
     """Markdown: a heading and a table for each group that there is."""
-    found, lines = array_rows(), list[str]()
+    rows, lines = array_rows(), list[str]()
     for name in GROUPS:
         title = f"Arrays of `{name}`" if name else "Arrays of the solution itself"
-        mine = [row.line for row in found if row.group == name]
-        lines += [f"## {title}", "", _ARRAY_HEAD, "|---|---|---|---|", *mine, ""]
+        of_group = [row.line for row in rows if row.group == name]
+        lines += [f"## {title}", "", _ARRAY_HEAD, "|---|---|---|---|", *of_group, ""]
     return lines[:-1]
 
 
-def _walk(kind: Any, path: str, said: str) -> Iterator[tuple[str, str, str]]:
+def _walk(kind: Any, path: str, text: str) -> Iterator[tuple[str, str, str]]:
     """Path, type and meaning of the arrays in a value of a declared type."""
     origin, options = get_origin(kind), get_args(kind)
     if scalar := array_scalar(kind):
-        yield path, scalar.__name__, said
+        yield path, scalar.__name__, text
     elif origin in (Union, types.UnionType):
-        for one in options:
-            if one is not type(None):
-                yield from _walk(one, path, said)
+        for member in options:
+            if member is not type(None):
+                yield from _walk(member, path, text)
     elif origin is tuple and options[0] is str:
-        yield path, "str", said
+        yield path, "str", text
     elif origin is tuple or origin is Mapping:
-        yield from _walk(options[0 if origin is tuple else 1], f"{path}.*", said)
+        yield from _walk(options[0 if origin is tuple else 1], f"{path}.*", text)
     elif is_dataclass(kind) and isinstance(kind, type):
-        said_of, hints = meanings(kind), get_type_hints(kind)
+        texts, hints = meanings(kind), get_type_hints(kind)
         for field in fields(kind):
             below = f"{path}.{field.name}" if path else field.name
-            yield from _walk(hints[field.name], below, said_of.get(field.name, ""))
+            yield from _walk(hints[field.name], below, texts.get(field.name, ""))
     else:
-        for one in kinds_of(kind):
-            yield from _walk(one, path, said)
+        for member in kinds_of(kind):
+            yield from _walk(member, path, text)
 
 
-def _parts(said: str, scalar: str) -> tuple[str, str, str]:
+def _parts(text: str, scalar: str) -> tuple[str, str, str]:
     """Shape, unit and meaning of a field that is described as "(n, 3) m, body-fixed"."""
-    shape = _SHAPE.match(said)
-    rest = said[shape.end() :] if shape else said
+    shape = _SHAPE.match(text)
+    rest = text[shape.end() :] if shape else text
     unit = _UNIT.match(rest) if scalar.startswith("float") else None  # numbers of points and bytes have none
     later = _LATER.search(rest) if scalar.startswith("float") else None
     rest = rest[unit.end() :] if unit else rest

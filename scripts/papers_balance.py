@@ -57,7 +57,7 @@ class ImageRow(NamedTuple):
 
 
 class Published(NamedTuple):
-    """What the papers print of a site; their file says which table is which."""
+    """Published values of a site; their file names the tables."""
 
     ties: int
     base_to_height: float
@@ -81,8 +81,8 @@ def published(site: dict[str, Any]) -> Published:
     return Published(
         site["ties"], site["base_to_height"], tuple(ImageRow(*row) for row in site["images"]),
         tuple(Scatter(*pair) for pair in site["orientation"]), *scatters,
-        {name: Scatter(*one["tie_corrections"]) for name, one in papers.items()},
-        {name: Sigmas(**one["sigmas"]) for name, one in papers.items()},
+        {name: Scatter(*paper["tie_corrections"]) for name, paper in papers.items()},
+        {name: Sigmas(**paper["sigmas"]) for name, paper in papers.items()},
     )  # fmt: skip
 
 
@@ -103,13 +103,13 @@ def squares(printed: Scatter) -> Array:
 
 def information(site: str) -> Array:
     """(2, 2) pixels^-2, N / sigma^2 of the footprints in the left and right image, x and y."""
-    told = PUBLISHED[site]
-    return np.abs(told.ties * np.array(told.tie_residuals.mean) / np.array(told.mola_pixels.mean)).reshape(2, 2)
+    row = PUBLISHED[site]
+    return np.abs(row.ties * np.array(row.tie_residuals.mean) / np.array(row.mola_pixels.mean)).reshape(2, 2)
 
 
-def implied_sigmas(site: str, seen: Sequence[int]) -> Array:
-    """(2, 2) pixels, for `seen` footprints in the left and the right image."""
-    return np.sqrt(np.array(seen)[:, None] / information(site))
+def implied_sigmas(site: str, counts: Sequence[int]) -> Array:
+    """(2, 2) pixels, for `counts` footprints in the left and the right image."""
+    return np.sqrt(np.array(counts)[:, None] / information(site))
 
 
 def shots(site: str) -> int:
@@ -117,7 +117,7 @@ def shots(site: str) -> int:
     return sum(row.shots for row in PUBLISHED[site].images)
 
 
-def seen_in(network: Network) -> tuple[int, int]:
+def counts_in(network: Network) -> tuple[int, int]:
     """Back-projected footprints in the left and the right image."""
     laser = _footprint_rays(network)
     left, right = (int(np.sum(laser & (network.rays.image == j))) for j in (0, 1))
@@ -133,8 +133,8 @@ def weighed(network: Network, sigmas: Array) -> Network:
     the 1 px that is the papers' unit of weight, whatever their noise.
     """
     rays = network.rays
-    mine = np.where(_footprint_rays(network)[:, None], sigmas[rays.image], 1.0)
-    return replace(network, rays=replace(rays, sigmas=mine))
+    ray_sigmas = np.where(_footprint_rays(network)[:, None], sigmas[rays.image], 1.0)
+    return replace(network, rays=replace(rays, sigmas=ray_sigmas))
 
 
 def sigma0_of_measurements(solution: Solution) -> float:
@@ -146,40 +146,40 @@ def sigma0_of_measurements(solution: Solution) -> float:
     return float(np.sqrt(sum(float((part**2).sum()) for part in rows) / freedom))
 
 
-def implied_sigma0(site: str, sigmas: Array, seen: Sequence[int], measurements: bool = True) -> float:
-    """sigma0 of the published residuals with (2, 2) pixels of the footprints' sigmas, `seen` in the two images.
+def implied_sigma0(site: str, sigmas: Array, counts: Sequence[int], measurements: bool = True) -> float:
+    """sigma0 of the published residuals with (2, 2) pixels of the footprints' sigmas, `counts` in the two images.
 
     With `measurements` as PE&RS counts; otherwise with the weighted parameters' rows, whose residuals are next to none.
     """
-    told, ties, number = PUBLISHED[site], PUBLISHED[site].ties, shots(site)
-    whole = float((np.array(seen)[:, None] * squares(told.mola_pixels) / sigmas**2).sum())
-    whole += ties * float(squares(told.tie_residuals).sum()) + number * _RANGE_SQUARES
-    freedom = 2 * sum(seen) + 4 * ties + number - 3 * (number + ties)
-    return float(np.sqrt(whole / (freedom - UNKNOWNS if measurements else freedom + 3 * number)))
+    row, ties, number = PUBLISHED[site], PUBLISHED[site].ties, shots(site)
+    total = float((np.array(counts)[:, None] * squares(row.mola_pixels) / sigmas**2).sum())
+    total += ties * float(squares(row.tie_residuals).sum()) + number * _RANGE_SQUARES
+    freedom = 2 * sum(counts) + 4 * ties + number - 3 * (number + ties)
+    return float(np.sqrt(total / (freedom - UNKNOWNS if measurements else freedom + 3 * number)))
 
 
 def tie_noise() -> float:
     """pixels, of a tie along the flight, where one row of a pair is redundant: pooled residuals of the three sites."""
-    whole = sum(one.ties * float(squares(one.tie_residuals).sum()) for one in PUBLISHED.values())
-    return float(np.sqrt(whole / sum(one.ties for one in PUBLISHED.values())))
+    total = sum(site.ties * float(squares(site.tie_residuals).sum()) for site in PUBLISHED.values())
+    return float(np.sqrt(total / sum(site.ties for site in PUBLISHED.values())))
 
 
 # --- tables
 
 
 def balance_table(networks: dict[str, Network]) -> list[str]:
-    """What the balance gives for each site, and which sigma0 follows from the published residuals."""
+    """Results of the balance for each site, and sigma0 from the published residuals."""
     rows = []
     for site, network in networks.items():
-        seen, whole = seen_in(network), (shots(site),) * 2
-        stated, implied = np.full((2, 2), STATED_SIGMA), [implied_sigmas(site, each) for each in (seen, whole)]
+        counts, all_shots = counts_in(network), (shots(site),) * 2
+        stated, implied = np.full((2, 2), STATED_SIGMA), [implied_sigmas(site, n) for n in (counts, all_shots)]
         rows.append((
-            site, " ".join(map(str, seen)), " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
-            *(" ".join(f"{value:.0f}" for value in each.ravel()) for each in implied),
-            f"{implied_sigma0(site, implied[0], seen):.3f}", f"{implied_sigma0(site, implied[1], whole):.3f}",
-            f"{implied_sigma0(site, implied[1], whole, measurements=False):.3f}",
-            f"{implied_sigma0(site, stated, whole):.3f}",
-            f"{implied_sigma0(site, stated, whole, measurements=False):.3f}",
+            site, " ".join(map(str, counts)), " ".join(f"{value:.2f}" for value in (information(site) ** -0.5).ravel()),
+            *(" ".join(f"{value:.0f}" for value in sigmas.ravel()) for sigmas in implied),
+            f"{implied_sigma0(site, implied[0], counts):.3f}", f"{implied_sigma0(site, implied[1], all_shots):.3f}",
+            f"{implied_sigma0(site, implied[1], all_shots, measurements=False):.3f}",
+            f"{implied_sigma0(site, stated, all_shots):.3f}",
+            f"{implied_sigma0(site, stated, all_shots, measurements=False):.3f}",
             f"{PUBLISHED[site].sigmas['PE&RS'].sigma0:.3f}",
         ))  # fmt: skip
     head = (

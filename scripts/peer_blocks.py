@@ -20,7 +20,7 @@ from mgsgraph.units import ARCMIN, DEG
 PEER_SIZES = ("S", "M", "L", "XL")
 SIZES = (*PEER_SIZES, "Kaguya")
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "peer"
-"""Where the peer's generator is looked for."""
+"""Folder of the peer's generator."""
 TREND = np.array([1.0, 0.1, 0.01])
 """A-priori sigmas of the terms 1, u, u^2, in those of the constant one."""
 SHOTS, SHOT_PIXELS, SHOT_SIGMA = 125, 30.0, 10.0
@@ -66,7 +66,7 @@ TERRAIN_CAMERA = Camera(72.5, 0.007, 100e3, 48.28e3, 100.0, 3.0 * ARCMIN)
 
 
 def made(size: str, shared: Path, seed: int | None = None) -> tuple[PeerProblem, Truth]:
-    """The problem of a size, and its truth; InputError where the peer's generator is wanted and not there."""
+    """The problem of a size, and its truth; InputError where the peer's generator is needed and missing."""
     if size == "Kaguya":
         return kaguya(0 if seed is None else seed)
     return peer_size(size, shared, seed)
@@ -172,18 +172,18 @@ def chain(images: int, ties: int, seed: int = 0, shots: int = SHOTS) -> tuple[Pe
     roll = np.where(np.arange(images) % 2 == 1, tilt, 0.0)
     orientation, prior, sigmas = flown(MOC, np.column_stack([x, np.zeros(images)]), roll, np.zeros(images), rng)
     first = rng.integers(0, images - 1, ties)
-    seen = 2 + ((rng.random(ties) < 1.0 / 3.0) & (first < images - 2)).astype(np.int64)
+    views = 2 + ((rng.random(ties) < 1.0 / 3.0) & (first < images - 2)).astype(np.int64)
     reach = _MARGIN * MOC.half_length
-    low, high = x[first + seen - 1] - reach, x[first] + reach
-    own = np.repeat(np.arange(images), shots)
+    low, high = x[first + views - 1] - reach, x[first] + reach
+    owner = np.repeat(np.arange(images), shots)
     spread = np.linspace(-0.93, 0.93, shots) * MOC.half_length
     along = np.concatenate([low + (high - low) * rng.random(ties), (x[:, None] + spread).ravel()])
-    across = np.concatenate([rng.uniform(-1700.0, 1700.0, ties), rng.uniform(-150.0, 150.0, own.size)])
+    across = np.concatenate([rng.uniform(-1700.0, 1700.0, ties), rng.uniform(-150.0, 150.0, owner.size)])
     truth = Truth(orientation, np.column_stack([along, across, relief(along, across)]))
-    image = np.concatenate([np.repeat(first, seen) + _within(seen), np.column_stack([own, own ^ 1]).ravel()])
-    point = np.concatenate([np.repeat(np.arange(ties), seen), np.repeat(ties + np.arange(own.size), 2)])
-    there = image < images  # the last image of an odd number has no partner
-    return drawn(f"chain of {images} images", MOC, truth, prior, sigmas, ties, image[there], point[there], own, rng)
+    image = np.concatenate([np.repeat(first, views) + _within(views), np.column_stack([owner, owner ^ 1]).ravel()])
+    point = np.concatenate([np.repeat(np.arange(ties), views), np.repeat(ties + np.arange(owner.size), 2)])
+    exists = image < images  # the last image of an odd number has no partner
+    return drawn(f"chain of {images} images", MOC, truth, prior, sigmas, ties, image[exists], point[exists], owner, rng)
 
 
 def _within(counts: Index) -> Index:
@@ -216,44 +216,44 @@ def kaguya(seed: int = 0) -> tuple[PeerProblem, Truth]:
     seen_from = np.array([inside[:, views == view].any(axis=1) for view in range(50)])
     chosen = np.flatnonzero(seen_from.sum(axis=0) >= 2)[:points]
     point, image = np.nonzero(inside[chosen])
-    kept = _thinned(point, views[image], measures, rng)
+    rays = _thinned(point, views[image], measures, rng)
     ground = candidates[chosen]
     truth = Truth(orientation, np.column_stack([ground, relief(*ground.T)]))
     none = np.zeros(0, dtype=np.int64)
-    return drawn("Kaguya-sized block", camera, truth, prior, sigmas, points, image[kept], point[kept], none, rng)
+    return drawn("Kaguya-sized block", camera, truth, prior, sigmas, points, image[rays], point[rays], none, rng)
 
 
 def _thinned(point: Index, view: Index, count: int, rng: np.random.Generator) -> Index:
     """`count` of the rays of points (k,) in views (k,), in order; each point keeps two, of two views if it has them."""
     chance = rng.random(point.size)
     by_view = np.lexsort((chance, view, point))
-    again = np.empty_like(point)  # first, second .. ray of its point in this view
-    again[by_view] = _within(np.unique(np.stack([point, view], axis=1)[by_view], axis=0, return_counts=True)[1])
-    order = np.lexsort((chance, again, point))
+    repeat = np.empty_like(point)  # first, second .. ray of its point in this view
+    repeat[by_view] = _within(np.unique(np.stack([point, view], axis=1)[by_view], axis=0, return_counts=True)[1])
+    order = np.lexsort((chance, repeat, point))
     spare = order[_within(np.bincount(point)) >= 2]
-    lost = point.size - count
-    if not 0 <= lost <= spare.size:
+    dropped = point.size - count
+    if not 0 <= dropped <= spare.size:
         raise InputError("Kaguya-sized block", f"{point.size} rays, {spare.size} to spare", f"{count} measures")
-    return np.setdiff1d(np.arange(point.size), rng.choice(spare, lost, replace=False))
+    return np.setdiff1d(np.arange(point.size), rng.choice(spare, dropped, replace=False))
 
 
 def drawn(
     name: str, camera: Camera, truth: Truth, prior: Array, sigmas: Array, ties: int, image: Index, point: Index,
-    own: Index, rng: np.random.Generator,
+    owner: Index, rng: np.random.Generator,
 ) -> tuple[PeerProblem, Truth]:  # fmt: skip
     """Observations of a truth: rays sorted by point, ties first; a shot's ray in its own image comes first."""
     pixels = np.where(point < ties, 1.0, SHOT_PIXELS)
     u, y = measured(camera, truth, image, point, pixels, rng)
-    shot = ties + np.arange(own.size)
+    shot = ties + np.arange(owner.size)
     at = np.searchsorted(point, shot)
-    distance = project(truth.orientation, own, u[at], truth.places[shot], camera.focal)[1]
-    footprints = truth.places[shot] + rng.normal(0.0, SHOT_SIGMA, (own.size, 3))
+    distance = project(truth.orientation, owner, u[at], truth.places[shot], camera.focal)[1]
+    footprints = truth.places[shot] + rng.normal(0.0, SHOT_SIGMA, (owner.size, 3))
     guess = truth.places[:ties] + rng.normal(0.0, GUESS, (ties, 3))
     fields: dict[str, Any] = {
         "orientation": prior, "orientation_sigmas": sigmas, "places": np.concatenate([guess, footprints]),
         "ray_image": image, "ray_point": point, "u": u, "y": y, "sigmas": pixels,
-        "shot_point": shot, "shot_image": own, "shot_u": u[at],
-        "ranges": distance + rng.normal(0.0, SHOT_SIGMA, own.size), "range_sigmas": np.full(own.size, SHOT_SIGMA),
-        "footprints": footprints, "footprint_sigmas": np.full((own.size, 3), SHOT_SIGMA),
+        "shot_point": shot, "shot_image": owner, "shot_u": u[at],
+        "ranges": distance + rng.normal(0.0, SHOT_SIGMA, owner.size), "range_sigmas": np.full(owner.size, SHOT_SIGMA),
+        "footprints": footprints, "footprint_sigmas": np.full((owner.size, 3), SHOT_SIGMA),
     }  # fmt: skip
     return PeerProblem(name, ties, camera.focal_mm, camera.pixel_mm, **fields), truth

@@ -76,7 +76,7 @@ class PeerProblem:
     y: Array
     """(k,) pixels, measured sample from the principal point."""
     sigmas: Array
-    """(k,) pixels, of line and sample alike."""
+    """(k,) pixels, of both line and sample."""
     shot_point: Index
     """(r,) point of each shot, no point twice."""
     shot_image: Index
@@ -93,10 +93,10 @@ class PeerProblem:
     """(r, 3) m."""
 
     def __post_init__(self) -> None:
-        m, n, k, r = (np.shape(one)[0] for one in (self.orientation, self.places, self.ray_image, self.shot_point))
-        for what, value, unit in (("focal length", self.focal_mm, "mm"), ("pixel", self.pixel_mm, "mm")):
+        m, n, k, r = (np.shape(array)[0] for array in (self.orientation, self.places, self.ray_image, self.shot_point))
+        for quantity, value, unit in (("focal length", self.focal_mm, "mm"), ("pixel", self.pixel_mm, "mm")):
             if not (np.isfinite(value) and value > 0.0):
-                raise InputError(f"{self.source}, {what}", f"{value} {unit}", "a positive number")
+                raise InputError(f"{self.source}, {quantity}", f"{value} {unit}", "a positive number")
         if not (m > 0 and n > 0 and 0 <= self.ties <= n):
             raise InputError(self.source, f"{m} images, {n} points, {self.ties} of them ties", "some of each")
         shapes = {
@@ -104,7 +104,7 @@ class PeerProblem:
             "sigmas": (k,), "shot_u": (r,), "ranges": (r,), "range_sigmas": (r,), "footprints": (r, 3),
             "footprint_sigmas": (r, 3),
         }  # fmt: skip
-        checked = {name: frozen(getattr(self, name), f"{self.source}, {name}", one) for name, one in shapes.items()}
+        checked = {name: frozen(getattr(self, name), f"{self.source}, {name}", shape) for name, shape in shapes.items()}
         indices = {"ray_image": (k, m), "ray_point": (k, n), "shot_image": (r, m), "shot_point": (r, n)}
         assign(self, **checked)
         for name, (size, upper) in indices.items():
@@ -162,7 +162,7 @@ def _sections(images: int, points: int, rays: int, shots: int) -> Iterator[tuple
 
 
 def read_problem(path: str | Path) -> PeerProblem:
-    """Read a file of the peer's format; InputError when it is foreign, cut short or holds what can't be."""
+    """Read a file of the peer's format; InputError for another format, a truncated file or impossible values."""
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -194,10 +194,10 @@ def _count(shape: tuple[int, ...]) -> int:
 
 
 def write_problem(problem: PeerProblem, path: str | Path) -> None:
-    """Write a problem in the peer's format; whole or not at all."""
+    """Write a problem in the peer's format, atomically."""
     path = Path(path)
     images, points, rays, shots = (
-        one.shape[0] for one in (problem.orientation, problem.places, problem.u, problem.ranges)
+        array.shape[0] for array in (problem.orientation, problem.places, problem.u, problem.ranges)
     )
     head = (_MAGIC, images, points, rays, shots, problem.ties, problem.focal_mm, problem.pixel_mm)
     with fresh_file(path) as aside, aside.open("wb") as file:
@@ -232,12 +232,12 @@ def line_motion(orientation: Array, image: Index, u: Array, places: Array, focal
 
 def residuals(problem: PeerProblem, orientation: Array, places: Array) -> dict[str, Array]:
     """The peer's residuals over sigma: image (k, 2), range (r,), ground (r, 3), prior (m, 6, 3)."""
-    seen, _ = project(orientation, problem.ray_image, problem.u, places[problem.ray_point], problem.focal)
-    seen[:, 1] += problem.y
+    image, _ = project(orientation, problem.ray_image, problem.u, places[problem.ray_point], problem.focal)
+    image[:, 1] += problem.y
     shot = places[problem.shot_point]
     _, distance = project(orientation, problem.shot_image, problem.shot_u, shot, problem.focal)
     return {
-        "image": seen / problem.sigmas[:, None],
+        "image": image / problem.sigmas[:, None],
         "range": (problem.ranges - distance) / problem.range_sigmas,
         "ground": (shot - problem.footprints) / problem.footprint_sigmas,
         "prior": (orientation - problem.orientation) / problem.orientation_sigmas,
@@ -246,7 +246,7 @@ def residuals(problem: PeerProblem, orientation: Array, places: Array) -> dict[s
 
 def cost(problem: PeerProblem, orientation: Array, places: Array) -> float:
     """Half the sum of squares of all residuals."""
-    return 0.5 * sum(float(np.vdot(one, one)) for one in residuals(problem, orientation, places).values())
+    return 0.5 * sum(float(np.vdot(values, values)) for values in residuals(problem, orientation, places).values())
 
 
 # --- the same as a network
@@ -295,8 +295,8 @@ def network(problem: PeerProblem, line: Line) -> tuple[Network, SolverSettings]:
     held = np.zeros(m, dtype=bool)
     rays = image_rays(problem, line)
     ranges = Ranges(problem.shot_point, problem.shot_image, problem.shot_u, problem.ranges, problem.range_sigmas)
-    made = Network(images, priors, held, ground_points(problem, n), rays, ranges)
-    return made, SolverSettings(line=line, angles="opk-peer", cost_tolerance=1e-10)
+    block = Network(images, priors, held, ground_points(problem, n), rays, ranges)
+    return block, SolverSettings(line=line, angles="opk-peer", cost_tolerance=1e-10)
 
 
 def interior(problem: PeerProblem) -> InteriorOrientation:

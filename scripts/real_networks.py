@@ -48,34 +48,34 @@ planimetric_sigma_m = 0.001
 
 
 class Agreement(NamedTuple):
-    """How places that ISIS computed in one image agree with those in the others."""
+    """Agreement of ISIS's places in one image with those in the others."""
 
     meet: float
     """px, rms of all rays about the place where those of a point meet."""
-    apart: float
+    distance: float
     """m, largest distance of two rays of a point on the ellipsoid."""
 
 
 @dataclass(frozen=True)
 class InverseByIsis:
-    """What ISIS has for the way from ground to image: for MOC's red wide angle a polynomial of its own, which is not
-    the inverse of that for the way back (MocWideAngleDistortionMap::SetUndistortedFocalPlane); turned round exactly.
+    """ISIS's projection from ground to image: for MOC's red wide angle it has another polynomial, which is not the
+    inverse of that from image to ground (MocWideAngleDistortionMap::SetUndistortedFocalPlane); inverted exactly.
     """
 
     focal_length: float
     """m."""
 
     def undistort(self, place: Array) -> tuple[Array, Array]:
-        """Ideal places (n, 2) in m of distorted places (n, 2) in m, and their Jacobians (n, 2, 2), without the bending
-        of the scale along the radius: for steps, not for steps' lengths.
+        """Ideal places (n, 2) in m of distorted places (n, 2) in m, and their Jacobians (n, 2, 2), without the change
+        of the scale along the radius: good for directions of steps, not for their lengths.
         """
         odd = np.zeros(12)
         odd[1::2] = 0.9995458, -0.4237090, 0.2810857, -0.1697522, 0.068131536, -0.012665644
         polynomial = np.polynomial.Polynomial(odd)
         radius = np.linalg.norm(place, axis=1)
-        angle = wanted = np.arctan2(radius, self.focal_length)
+        angle = distorted = np.arctan2(radius, self.focal_length)
         for _ in range(20):
-            angle = angle - (polynomial(angle) - wanted) / polynomial.deriv()(angle)
+            angle = angle - (polynomial(angle) - distorted) / polynomial.deriv()(angle)
         scale = np.where(radius > 0.0, self.focal_length * np.tan(angle) / np.maximum(radius, 1e-12), 1.0 / odd[1])
         return place * scale[:, None], scale[:, None, None] * np.eye(2)
 
@@ -105,12 +105,12 @@ PLANTED: dict[str, Fault] = {
     "times one line off": _of_times(1.0, 0.0),
     "line period 0.1 % longer": _of_times(0.0, 1e-3),
 }
-"""What the agreement would show."""
+"""Faults that the agreement would show."""
 _by_isis = _of_optics(distortion=lambda interior: InverseByIsis(interior.focal_length))
 
 
 def by_isis(planted: Fault = lambda image: image) -> Fault:
-    """With ISIS's polynomial for the way from ground to image, and something wrong."""
+    """With ISIS's polynomial from ground to image, and a fault."""
     return lambda image: planted(_by_isis(image))
 
 
@@ -122,8 +122,8 @@ def wide_agreement(data: Path, apparent: bool, planted: Fault = lambda image: im
     places, on_ellipsoid, off = meeting(images, ties), np.empty((len(ties.measure_image), 3)), list[Array]()
     for image in images:
         its = measures_of(ties, image)
-        seen, _ = image.ground_to_image(places[ties.measure_point[its]], start=ties.measures[its, 0])
-        off.append(seen - ties.measures[its])
+        pixels, _ = image.ground_to_image(places[ties.measure_point[its]], start=ties.measures[its, 0])
+        off.append(pixels - ties.measures[its])
         on_ellipsoid[its] = image.image_to_ground(*ties.measures[its].T)[0]
     pairs = [
         np.linalg.norm(on_ellipsoid[k] - on_ellipsoid[m])
@@ -137,7 +137,7 @@ def wide_agreement(data: Path, apparent: bool, planted: Fault = lambda image: im
 def _round_trip(image: PushbroomImage, pixels: Array) -> float:
     """px, largest difference that ISIS's two polynomials make at pixels (n,) of the detector."""
     samples = pixels - image.interior.first[1]
-    places = [one.interior.focal_plane(samples)[0] for one in (image, _by_isis(image))]
+    places = [camera.interior.focal_plane(samples)[0] for camera in (image, _by_isis(image))]
     return float(np.abs(places[0] - places[1]).max() * np.linalg.norm(image.interior.to_pixel[0, 1:]))
 
 
@@ -170,41 +170,41 @@ def main() -> int:
     """Exit status."""
     parser = command(__doc__)
     parser.add_argument("--out", type=Path, default=DOCS / "real_networks.md", help="the page")
-    given = parser.parse_args()
-    return write_page(parser, given.out, "real_networks.md", lambda: {**rig_page(DATA), **wide_page(DATA)})
+    options = parser.parse_args()
+    return write_page(parser, options.out, "real_networks.md", lambda: {**rig_page(DATA), **wide_page(DATA)})
 
 
 def rig_page(data: Path) -> Blocks:
     """Tables on LROC."""
     images, ties = read_rig(data)
-    told, older = PUBLISHED.values()
-    seen, half = (jigsaw_cameras(images, ties, told, off) for off in (0.0, 0.5))
+    newer, older = PUBLISHED.values()
+    cameras, half = (jigsaw_cameras(images, ties, newer, off) for off in (0.0, 0.5))
     ours = adjusted(CASES / "jigsaw_nac.toml")
-    own = rig_residuals(ours.solution, ties)
-    size, across = np.linalg.norm(own, axis=1), float(np.sqrt(np.mean(own[:, 1] ** 2)))
-    mean = told.places[0]
-    fixed = seen.fixed | {f"{name}, half a sample off": part for name, part in half.fixed.items()}
+    residuals = rig_residuals(ours.solution, ties)
+    size, across = np.linalg.norm(residuals, axis=1), float(np.sqrt(np.mean(residuals[:, 1] ** 2)))
+    mean = newer.places[0]
+    fixed = cameras.fixed | {f"{name}, half a sample off": part for name, part in half.fixed.items()}
     versions = [[f"mean {axis}, km", f"{new:.5f}", f"{old:.5f}", f"{(new - old) * KM:.0f} m"]
                 for axis, new, old in zip("XYZ", mean, older.places[0], strict=True)]
     versions += [[f"first angle of L, s^{k}, deg", f"{new:.5f}", f"{old:.5f}", f"{new - old:.3f} deg"]
-                 for k, (new, old) in enumerate(zip(told.ascension[0], older.ascension[0], strict=True))]
-    versions += [["mean residual, px", f"{told.mean:.6f}", f"{older.mean:.6f}", f"{told.mean - older.mean:.6f} px"]]
+                 for k, (new, old) in enumerate(zip(newer.ascension[0], older.ascension[0], strict=True))]
+    versions += [["mean residual, px", f"{newer.mean:.6f}", f"{older.mean:.6f}", f"{newer.mean - older.mean:.6f} px"]]
     compared = [
         [name, f"{a:.5f}", f"{b:.5f}", f"{a - b:+.5f}"] for name, a, b in (
-            ("mean residual, radii free, px", size.mean(), seen.mean),
-            ("largest residual, radii free, px", size.max(), seen.largest),
-            ("residuals along y, rms, px", across, seen.sample_rms),
+            ("mean residual, radii free, px", size.mean(), cameras.mean),
+            ("largest residual, radii free, px", size.max(), cameras.largest),
+            ("residuals along y, rms, px", across, cameras.sample_rms),
         )
-    ] + [["mean residual, radii held, px", "-", f"{told.mean:.5f}", ""], ["adjusted places", "-", "as above", ""]]
+    ] + [["mean residual, radii held, px", "-", f"{newer.mean:.5f}", ""], ["adjusted places", "-", "as above", ""]]
     return {
         "fixed": table(("fixed point", "L x", "L y", "R x", "R y"), [
             [name, *(f"{value:.3f}" for value in part.ravel())] for name, part in fixed.items()
         ]),
         "agree": table(("", "px"), [
             ["L and R at the fixed points, largest difference",
-             f"{max(np.abs(np.diff(part, axis=0)).max() for part in seen.fixed.values()):.3f}"],
-            ["residuals along y, rms", f"{seen.sample_rms:.3f}"],
-            ["their means times 1, s, s^2, s^3", ", ".join(f"{value:.4f}" for value in seen.moments)],
+             f"{max(np.abs(np.diff(part, axis=0)).max() for part in cameras.fixed.values()):.3f}"],
+            ["residuals along y, rms", f"{cameras.sample_rms:.3f}"],
+            ["their means times 1, s, s^2, s^3", ", ".join(f"{value:.4f}" for value in cameras.moments)],
         ]),
         "determined": determined_table(*determined(images, ties), float(np.linalg.norm(mean - older.places[0]))),
         "versions": table(("", "ISIS 8 and 9", "an older ISIS", "difference"), versions),
@@ -215,7 +215,7 @@ def rig_page(data: Path) -> Blocks:
 
 
 def determined_table(spectrum: Array, sigma: Array, moved: float) -> list[str]:
-    """What is determined, and what is not."""
+    """Determined and undetermined parameters."""
     return table(("", "value"), [
         ["singular values: first, twelfth", f"{spectrum[0]:.2f}, {spectrum[11]:.2f}"],
         ["thirteenth, last", f"{spectrum[12]:.1e}, {spectrum[15]:.1e}"],
@@ -224,12 +224,12 @@ def determined_table(spectrum: Array, sigma: Array, moved: float) -> list[str]:
     ])  # fmt: skip
 
 
-def geodesy_table(ours: Adjusted, whole: int) -> list[str]:
+def geodesy_table(ours: Adjusted, integers: int) -> list[str]:
     """The adjustment of the rig, for a geodesist."""
     of_rays = controlled(ours.solution)
     return table(("", "value"), [
         ["degrees of freedom, sigma0", f"{ours.solution.fit.degrees_of_freedom}, {ours.solution.sigma0:.2f}"],
-        ["measures on whole pixels", str(whole)],
+        ["measures on whole pixels", str(integers)],
         ["sigma of a height, median", f"{ours.sigmas[2] / KM:.0f} km"],
         ["image coordinates controlled by nothing",
          f"{int(np.sum(np.isinf(of_rays.detectable)))} of {of_rays.detectable.size}"],
@@ -238,8 +238,8 @@ def geodesy_table(ours: Adjusted, whole: int) -> list[str]:
 
 def controlled(solution: Solution) -> ScalarMeasures:
     """How image coordinates are controlled."""
-    every = reliability(solution).measures
-    return every.part(0, int(np.count_nonzero(every.kind == MeasureKind.RAY)))
+    measures = reliability(solution).measures
+    return measures.part(0, int(np.count_nonzero(measures.kind == MeasureKind.RAY)))
 
 
 def opened(ties: TiePoints) -> list[list[str]]:
@@ -269,7 +269,7 @@ def _write_sphere(path: Path) -> None:
 
 def wide_page(data: Path) -> Blocks:
     """Tables on MOC."""
-    rows = [[name, f"{one.meet:.5f}", f"{one.apart:.1f}"] for name, one in (
+    rows = [[name, f"{agreement.meet:.5f}", f"{agreement.distance:.1f}"] for name, agreement in (
         ("apparent, as ISIS takes them", wide_agreement(data, True)), ("geometric", wide_agreement(data, False)),
         ("apparent, ISIS's way from ground to image", wide_agreement(data, True, by_isis())),
         *((f"the same, {name}", wide_agreement(data, True, by_isis(fault))) for name, fault in PLANTED.items()),
@@ -278,10 +278,10 @@ def wide_page(data: Path) -> Blocks:
     near, far = (_round_trip(image, np.linspace(*ends, 200)) for ends in ((674.0, 2674.0), (0.0, 3349.0)))
     alone, mola = (adjusted(CASES / f"moc_wa_three{end}.toml") for end in ("", "_mola"))
     results = [
-        [name, *(f"{value:.4f}" for value in one.residuals), f"{one.solution.sigma0:.4f}",
-         str(one.solution.fit.degrees_of_freedom), f"{controlled(one.solution).redundancy.sum():.0f}",
-         *(f"{value:.0f}" for value in (*one.sigmas, *one.heights))]
-        for name, one in (("alone", alone), ("on MOLA's grid", mola))
+        [name, *(f"{value:.4f}" for value in result.residuals), f"{result.solution.sigma0:.4f}",
+         str(result.solution.fit.degrees_of_freedom), f"{controlled(result.solution).redundancy.sum():.0f}",
+         *(f"{value:.0f}" for value in (*result.sigmas, *result.heights))]
+        for name, result in (("alone", alone), ("on MOLA's grid", mola))
     ]  # fmt: skip
     shift = float(np.abs(np.concatenate(mola.solution.shift_values)).max())
     head = ("", "lines, px", "samples, px", "sigma0", "degrees of freedom", "of them the rays'", "sigma east, m",

@@ -58,9 +58,9 @@ def scatter(values: Array) -> Scatter:
     return Scatter(tuple(values.mean(axis=0).tolist()), tuple(values.std(axis=0).tolist()))
 
 
-def cells(found: Scatter, digits: int = 2) -> tuple[str, ...]:
+def cells(pairs: Scatter, digits: int = 2) -> tuple[str, ...]:
     """Mean / RMSE, as in the papers."""
-    return tuple(f"{mean:.{digits}f} / {spread:.{digits}f}" for mean, spread in zip(*found, strict=True))
+    return tuple(f"{mean:.{digits}f} / {spread:.{digits}f}" for mean, spread in zip(*pairs, strict=True))
 
 
 # --- Table 1
@@ -69,24 +69,24 @@ def cells(found: Scatter, digits: int = 2) -> tuple[str, ...]:
 def properties(result: Result) -> list[str]:
     """Table 1: simulated beside published, from the simulated images themselves."""
     rows = []
-    for j, (image, wanted) in enumerate(zip(result.simulated.images, PUBLISHED[result.site].images, strict=True)):
-        found, size = image.true, line_and_sample(image.true)
-        emission = emission_angle(found) / DEG
+    for j, (image, printed) in enumerate(zip(result.simulated.images, PUBLISHED[result.site].images, strict=True)):
+        camera, size = image.true, line_and_sample(image.true)
+        emission = emission_angle(camera) / DEG
         profile = result.case.profiles[j]
         rows += [
-            (found.name, "simulated", f"{emission:.2f}", f"{1e3 * image.settings.period:.4f}",
-             f"{found.lines} x {found.samples}", f"{size[0]:.2f} ({size[1]:.2f})", str(profile.times.size),
+            (camera.name, "simulated", f"{emission:.2f}", f"{1e3 * image.settings.period:.4f}",
+             f"{camera.lines} x {camera.samples}", f"{size[0]:.2f} ({size[1]:.2f})", str(profile.times.size),
              f"{profile.spacing:.0f}"),
-            ("", "published", f"{wanted.emission_deg:.2f}", f"{wanted.exposure_ms:.4f}",
-             f"{wanted.lines} x {wanted.samples}", f"{wanted.pixel_m:.2f}", str(wanted.shots),
-             f"{wanted.spacing_m:.0f}"),
+            ("", "published", f"{printed.emission_deg:.2f}", f"{printed.exposure_ms:.4f}",
+             f"{printed.lines} x {printed.samples}", f"{printed.pixel_m:.2f}", str(printed.shots),
+             f"{printed.spacing_m:.0f}"),
         ]  # fmt: skip
     head = (
         "image", "", "emission (deg)", "exposure (ms)", "lines x samples", "m per line (sample)", "shots", "m apart",
     )  # fmt: skip
     ties = int(np.sum(result.solution.network.points.classes == PointClass.TIE))
-    ratio, wanted_ratio = base_to_height(result.true), PUBLISHED[result.site].base_to_height
-    end = f"Tie points {ties} (published {PUBLISHED[result.site].ties}); base to height {ratio:.2f} ({wanted_ratio})."
+    ratio, printed_ratio = base_to_height(result.true), PUBLISHED[result.site].base_to_height
+    end = f"Tie points {ties} (published {PUBLISHED[result.site].ties}); base to height {ratio:.2f} ({printed_ratio})."
     return [*table(head, rows), "", end]
 
 
@@ -125,7 +125,7 @@ def orientation_differences(image: PushbroomImage, spice: PushbroomImage, result
     lines = np.linspace(0.0, float(image.lines), PLACES)
     correction = None
     if result is not None:
-        names = [one.name for one in result.solution.network.images]
+        names = [image.name for image in result.solution.network.images]
         correction = result.solution.correction(names.index(image.name))
     after, before = image.pose(lines, correction), spice.pose(lines)
     turned = rotation.omega_phi_kappa(after.matrix) - rotation.omega_phi_kappa(before.matrix)
@@ -135,8 +135,8 @@ def orientation_differences(image: PushbroomImage, spice: PushbroomImage, result
 def differences(result: Result) -> tuple[list[Array], list[Array]]:
     """Of each image: refined minus SPICE, and truth minus SPICE."""
     images = result.solution.network.images
-    refined = [orientation_differences(*one, result) for one in zip(images, result.nominal, strict=True)]
-    true = [orientation_differences(*one) for one in zip(result.true, result.nominal, strict=True)]
+    refined = [orientation_differences(*pair, result) for pair in zip(images, result.nominal, strict=True)]
+    true = [orientation_differences(*pair) for pair in zip(result.true, result.nominal, strict=True)]
     return refined, true
 
 
@@ -145,8 +145,8 @@ def orientation_table(result: Result) -> list[str]:
     rows = []
     refined, true = differences(result)
     for j, image in enumerate(result.true):
-        wanted = PUBLISHED[result.site].orientation[j]
-        printed = Scatter(*(tuple(v if k < 3 else v * ARCSEC / ARCMIN for k, v in enumerate(part)) for part in wanted))
+        stated = PUBLISHED[result.site].orientation[j]
+        printed = Scatter(*(tuple(v if k < 3 else v * ARCSEC / ARCMIN for k, v in enumerate(part)) for part in stated))
         for name, values in (("papers' case", refined[j]), ("injected", true[j])):
             in_units = values / np.array([1.0, 1.0, 1.0, ARCMIN, ARCMIN, ARCMIN])
             rows.append((image.name if name == "papers' case" else "", name, *cells(scatter(in_units))))
@@ -160,18 +160,18 @@ def orientation_table(result: Result) -> list[str]:
 
 def corrections_of(solution: Solution, kind: PointClass) -> Scatter:
     """m: adjusted minus before; ties before are the intersection with the polynomials fitted to SPICE."""
-    mine = solution.members(kind)
-    return scatter((solution.places - solution.places_before)[mine])
+    members = solution.members(kind)
+    return scatter((solution.places - solution.places_before)[members])
 
 
 def tie_table(results: list[Result]) -> list[str]:
     """Table 3 (ties) and ISPRS Table 2 (footprints)."""
     rows = []
-    for one in results:
-        rows.append((one.site, "ties", "papers' case", *cells(corrections_of(one.solution, PointClass.TIE))))
-        rows += [("", "", name, *cells(printed)) for name, printed in PUBLISHED[one.site].tie_corrections.items()]
-        rows.append(("", "footprints", "papers' case", *cells(corrections_of(one.solution, PointClass.LASER), 3)))
-        rows.append(("", "", "ISPRS", *cells(PUBLISHED[one.site].mola_corrections, 3)))
+    for result in results:
+        rows.append((result.site, "ties", "papers' case", *cells(corrections_of(result.solution, PointClass.TIE))))
+        rows += [("", "", name, *cells(printed)) for name, printed in PUBLISHED[result.site].tie_corrections.items()]
+        rows.append(("", "footprints", "papers' case", *cells(corrections_of(result.solution, PointClass.LASER), 3)))
+        rows.append(("", "", "ISPRS", *cells(PUBLISHED[result.site].mola_corrections, 3)))
     return table(("site", "points", "mean / RMSE", "X (m)", "Y (m)", "Z (m)"), rows)
 
 
@@ -181,21 +181,21 @@ def sigmas_of(solution: Solution) -> Sigmas:
     return Sigmas(tuple(means[0]), tuple(means[1]), sigma0_of_measurements(solution))
 
 
-def scaled(found: Sigmas) -> Sigmas:
+def scaled(sigmas: Sigmas) -> Sigmas:
     """Sigmas times sigma0, as published."""
-    mola, tie = (tuple(found.sigma0 * value for value in part) for part in (found.mola, found.tie))
-    return Sigmas(mola, tie, found.sigma0)
+    mola, tie = (tuple(sigmas.sigma0 * value for value in part) for part in (sigmas.mola, sigmas.tie))
+    return Sigmas(mola, tie, sigmas.sigma0)
 
 
-def sigma_table(named: list[tuple[str, str, Solution]]) -> list[str]:
-    """Table 4: predicted sigmas (for sigma0 = 1), times sigma0, and published. `named`: site, weights, solution."""
+def sigma_table(solutions: list[tuple[str, str, Solution]]) -> list[str]:
+    """Table 4: predicted sigmas (for sigma0 = 1), times sigma0, and published. `solutions`: site, weights, solution."""
     rows = []
-    for n, (site, weights, solution) in enumerate(named):
-        found = sigmas_of(solution)
-        for one, what in ((found, "predicted"), (scaled(found), "times sigma0")):
-            three = [" ".join(f"{value:.2f}" for value in part) for part in one[:2]]
-            rows.append((site, weights, what, *three, f"{found.sigma0:.3f}", f"{solution.sigma0:.3f}"))
-        if n + 1 == len(named) or named[n + 1][0] != site:
+    for n, (site, weights, solution) in enumerate(solutions):
+        sigmas = sigmas_of(solution)
+        for values, label in ((sigmas, "predicted"), (scaled(sigmas), "times sigma0")):
+            three = [" ".join(f"{value:.2f}" for value in part) for part in values[:2]]
+            rows.append((site, weights, label, *three, f"{sigmas.sigma0:.3f}", f"{solution.sigma0:.3f}"))
+        if n + 1 == len(solutions) or solutions[n + 1][0] != site:
             for paper, printed in PUBLISHED[site].sigmas.items():
                 three = [" ".join(f"{value:.2f}" for value in part) for part in printed[:2]]
                 rows.append((site, paper, "published", *three, f"{printed.sigma0:.3f}", ""))
@@ -213,12 +213,12 @@ def image_scatter(solution: Solution, kind: PointClass, sign: float) -> Scatter:
 def residual_table(results: list[Result]) -> list[str]:
     """Table 5 (corrections of footprints) and ISPRS Table 3 (residuals of ties); x runs along the flight."""
     rows = []
-    for one in results:
+    for result in results:
         for name, kind, sign, printed in (
-            ("MOLA corrections", PointClass.LASER, -1.0, PUBLISHED[one.site].mola_pixels),
-            ("tie residuals", PointClass.TIE, 1.0, PUBLISHED[one.site].tie_residuals),
+            ("MOLA corrections", PointClass.LASER, -1.0, PUBLISHED[result.site].mola_pixels),
+            ("tie residuals", PointClass.TIE, 1.0, PUBLISHED[result.site].tie_residuals),
         ):
-            rows.append((one.site, name, "papers' case", *cells(image_scatter(one.solution, kind, sign), 3)))
+            rows.append((result.site, name, "papers' case", *cells(image_scatter(result.solution, kind, sign), 3)))
             rows.append(("", "", "published", *cells(printed, 3)))
     return table(("site", "rows", "mean / RMSE", "left x (px)", "left y (px)", "right x (px)", "right y (px)"), rows)
 
@@ -226,10 +226,10 @@ def residual_table(results: list[Result]) -> list[str]:
 def range_table(results: list[Result]) -> list[str]:
     """Residuals of the ranges, m."""
     rows = []
-    for one in results:
-        before, after = one.solution.range_residuals_before, one.solution.range_residuals
+    for result in results:
+        before, after = result.solution.range_residuals_before, result.solution.range_residuals
         rows.append((
-            one.site, f"{before.mean():.2f} / {before.std():.2f}", f"{after.mean():.4f} / {after.std():.2f}",
+            result.site, f"{before.mean():.2f} / {before.std():.2f}", f"{after.mean():.4f} / {after.std():.2f}",
             f"{np.abs(after).mean():.2f}, {np.abs(after).max():.2f}",
         ))  # fmt: skip
     head = ("site", "SPICE: mean / RMSE (m)", "adjusted: mean / RMSE (m)", "adjusted: mean modulus, largest (m)")
@@ -242,11 +242,11 @@ def range_table(results: list[Result]) -> list[str]:
 
 def along_flight(result: Result) -> tuple[float, ...]:
     """m per image: how much farther along its own flight the nominal orientation sees the tie points than the truth."""
-    found = []
+    shifts = []
     for true, nominal in zip(result.true, result.nominal, strict=True):
         places = [image.ground_to_image(result.simulated.true_ties)[0][:, 0] for image in (true, nominal)]
-        found.append(float(np.mean(places[1] - places[0]) * line_and_sample(true)[0]))
-    return tuple(found)
+        shifts.append(float(np.mean(places[1] - places[0]) * line_and_sample(true)[0]))
+    return tuple(shifts)
 
 
 def opposite_shift(correction: Scatter, site: str) -> float:
@@ -255,16 +255,16 @@ def opposite_shift(correction: Scatter, site: str) -> float:
     return abs(correction.mean[0] * left.pixel_m - correction.mean[2] * right.pixel_m)
 
 
-def shift_table(named: list[tuple[str, Result]]) -> list[str]:
-    """What Table 5 implies, what was injected and what the papers' case corrects. `named`: option, result."""
+def shift_table(results: list[tuple[str, Result]]) -> list[str]:
+    """What Table 5 implies, what was injected and what the papers' case corrects. `results`: option, result."""
     rows = []
-    for option, one in named:
-        injected = along_flight(one)
-        found = image_scatter(one.solution, PointClass.LASER, -1.0)
+    for option, result in results:
+        injected = along_flight(result)
+        correction = image_scatter(result.solution, PointClass.LASER, -1.0)
         rows.append((
-            one.site, option, f"{injected[0]:+.0f}, {injected[1]:+.0f}", f"{abs(injected[0] - injected[1]):.0f}",
-            f"{found.mean[0]:+.1f}, {found.mean[2]:+.1f}", f"{opposite_shift(found, one.site):.0f}",
-            f"{opposite_shift(PUBLISHED[one.site].mola_pixels, one.site):.0f}", f"{PAPERS['stated_shift_m']:.0f}",
+            result.site, option, f"{injected[0]:+.0f}, {injected[1]:+.0f}", f"{abs(injected[0] - injected[1]):.0f}",
+            f"{correction.mean[0]:+.1f}, {correction.mean[2]:+.1f}", f"{opposite_shift(correction, result.site):.0f}",
+            f"{opposite_shift(PUBLISHED[result.site].mola_pixels, result.site):.0f}", f"{PAPERS['stated_shift_m']:.0f}",
         ))  # fmt: skip
     head = (
         "site", "attitude-time bias", "injected left, right (m)", "between them (m)", "corrections x (px)",
@@ -281,8 +281,8 @@ def reweighted(network: Network, group: str, factor: float) -> Network:
     size, rays = factor**-0.5, network.rays
     kinds = network.points.classes[rays.point]
     if group in ("ties", "MOLA image points"):
-        mine = kinds == (PointClass.TIE if group == "ties" else PointClass.LASER)
-        return replace(network, rays=replace(rays, sigmas=np.where(mine[:, None], size * rays.sigmas, rays.sigmas)))
+        chosen = kinds == (PointClass.TIE if group == "ties" else PointClass.LASER)
+        return replace(network, rays=replace(rays, sigmas=np.where(chosen[:, None], size * rays.sigmas, rays.sigmas)))
     if group == "ranges":
         return replace(network, ranges=replace(network.ranges, sigmas=size * network.ranges.sigmas))
     if group == "MOLA ground points":
@@ -304,27 +304,27 @@ def sensitivity_table(result: Result) -> list[str]:
     most, widest = (0.0, ""), (0.0, "")
     for group in GROUPS:
         for factor in (0.5, 2.0):
-            other = adjust_network(reweighted(case.network, group, factor), case.settings)
-            moved = np.linalg.norm(other.places[ties] - reference.places[ties], axis=1)
+            changed = adjust_network(reweighted(case.network, group, factor), case.settings)
+            moved = np.linalg.norm(changed.places[ties] - reference.places[ties], axis=1)
             most = max(most, (float(moved.max()), group))
-            change = factors(sigmas_of(other).tie, sigmas_of(reference).tie)
+            change = factors(sigmas_of(changed).tie, sigmas_of(reference).tie)
             widest = max(widest, (max(change), group))
-            rows.append(("", group, f"{factor:g}", f"{moved.mean():.1f} / {moved.max():.1f}", *_summary(other)))
+            rows.append(("", group, f"{factor:g}", f"{moved.mean():.1f} / {moved.max():.1f}", *_summary(changed)))
     head = (
         "site", "rows", "weight x", "ties move, mean / largest (m)", "tie sigmas X Y Z (m)", "MOLA sigmas X Y Z (m)",
         "MOLA corrections x (px)", "sigma0",
     )  # fmt: skip
-    told = (
+    summary = (
         f"Tie points move by at most {most[0]:.1f} m ({most[1]}), their sigmas change by at most a factor of "
         f"{widest[0]:.2f} ({widest[1]})."
     )
-    return [*table(head, rows), "", told]
+    return [*table(head, rows), "", summary]
 
 
 def _summary(solution: Solution) -> tuple[str, ...]:
-    found, image = sigmas_of(solution), image_scatter(solution, PointClass.LASER, -1.0)
-    three = [" ".join(f"{value:.1f}" for value in part) for part in (found.tie, found.mola)]
-    return (*three, f"{image.mean[0]:+.1f}, {image.mean[2]:+.1f}", f"{found.sigma0:.3f}")
+    sigmas, image = sigmas_of(solution), image_scatter(solution, PointClass.LASER, -1.0)
+    three = [" ".join(f"{value:.1f}" for value in part) for part in (sigmas.tie, sigmas.mola)]
+    return (*three, f"{image.mean[0]:+.1f}, {image.mean[2]:+.1f}", f"{sigmas.sigma0:.3f}")
 
 
 # --- what is required
@@ -332,32 +332,32 @@ def _summary(solution: Solution) -> tuple[str, ...]:
 
 def requirements(results: list[Result]) -> list[str]:
     """Each requirement with its figures, and by how much it is missed where it is."""
-    said = []
-    for one in results:
-        found, printed = scaled(sigmas_of(one.solution)), PUBLISHED[one.site].sigmas["PE&RS"]
-        of_sigma0 = found.sigma0 / printed.sigma0 - 1.0
-        off = [mine / theirs - 1.0 for mine, theirs in zip(found.mola, printed.mola, strict=True)]
-        times = factors(found.tie, printed.tie)
-        shown, told = ", ".join(f"{100.0 * value:+.1f}%" for value in off), ", ".join(f"{v:.2f}" for v in times)
-        said += [
-            f"* {one.site}, sigma0 within 15%: {_verdict(abs(of_sigma0), 0.15)} ({found.sigma0:.3f}, "
+    lines = []
+    for result in results:
+        sigmas, printed = scaled(sigmas_of(result.solution)), PUBLISHED[result.site].sigmas["PE&RS"]
+        of_sigma0 = sigmas.sigma0 / printed.sigma0 - 1.0
+        off = [ours / theirs - 1.0 for ours, theirs in zip(sigmas.mola, printed.mola, strict=True)]
+        times = factors(sigmas.tie, printed.tie)
+        shown, times_shown = ", ".join(f"{100.0 * value:+.1f}%" for value in off), ", ".join(f"{v:.2f}" for v in times)
+        lines += [
+            f"* {result.site}, sigma0 within 15%: {_verdict(abs(of_sigma0), 0.15)} ({sigmas.sigma0:.3f}, "
             f"{100.0 * of_sigma0:+.1f}%).",
-            f"* {one.site}, MOLA sigmas within 10%: {_verdict(max(map(abs, off)), 0.1)} ({shown}).",
-            f"* {one.site}, tie sigmas within a factor of 1.5: {_verdict(max(times), 1.5)} ({told}).",
+            f"* {result.site}, MOLA sigmas within 10%: {_verdict(max(map(abs, off)), 0.1)} ({shown}).",
+            f"* {result.site}, tie sigmas within a factor of 1.5: {_verdict(max(times), 1.5)} ({times_shown}).",
         ]
-    for one in (one for one in results if one.site == "gusev"):
-        x = image_scatter(one.solution, PointClass.LASER, -1.0).mean
-        fits, (left, right) = -28.0 <= x[0] <= -20.0 and 20.0 <= x[2] <= 30.0, along_flight(one)
-        said.append(
+    for result in (result for result in results if result.site == "gusev"):
+        x = image_scatter(result.solution, PointClass.LASER, -1.0).mean
+        fits, (left, right) = -28.0 <= x[0] <= -20.0 and 20.0 <= x[2] <= 30.0, along_flight(result)
+        lines.append(
             f"* gusev, MOLA image corrections along the flight -20..-28 and +20..+30 px: {'yes' if fits else 'NO'} "
             f"({x[0]:+.1f} and {x[2]:+.1f} px, with {abs(left - right):.0f} m between the images)."
         )
-    return said
+    return lines
 
 
-def factors(found: tuple[float, ...], wanted: tuple[float, ...]) -> list[float]:
+def factors(values: tuple[float, ...], references: tuple[float, ...]) -> list[float]:
     """How many times larger or smaller; never below 1."""
-    return [max(mine / theirs, theirs / mine) for mine, theirs in zip(found, wanted, strict=True)]
+    return [max(value / reference, reference / value) for value, reference in zip(values, references, strict=True)]
 
 
 def _verdict(value: float, limit: float) -> str:
@@ -369,53 +369,53 @@ def _verdict(value: float, limit: float) -> str:
 STATED_BIAS = 0.95
 """s, attitude-time bias of the nadir CK that gives the 325 m of the papers' text."""
 AS_PUBLISHED = SimulationOptions(errors="published", tie_noise=balance.tie_noise(), pictures=False)
-"""Kernels as wrong as the papers found them, and ties as good."""
+"""Errors of kernels and ties as the papers state them."""
 
 
 def reproduced(site: str, seed: int, folder: Path, options: SimulationOptions) -> Result:
     """A site simulated, written, read back and adjusted with the weights that balance Table 5."""
-    one = simulate_site(site, seed, options)
-    case = read_case(write_site(one, folder, "papers"))
-    sigmas = balance.implied_sigmas(site, balance.seen_in(case.network))
+    simulated = simulate_site(site, seed, options)
+    case = read_case(write_site(simulated, folder, "papers"))
+    sigmas = balance.implied_sigmas(site, balance.counts_in(case.network))
     case = replace(case, network=balance.weighed(case.network, sigmas))
     solution = adjust(case)
     if not solution.converged:
         raise SystemExit(f"{site}: the papers' case did not converge ({solution.message})")
-    return Result(site, one, case, solution)
+    return Result(site, simulated, case, solution)
 
 
 def page(results: list[Result], seed: int, work: Path) -> Blocks:
-    """All """
+    """All parts of the page."""
     return {
         "required": requirements(results),
-        "images": [line for one in results for line in (*properties(one), "")],
-        "orientation": [line for one in results for line in (*orientation_table(one), "")],
+        "images": [line for result in results for line in (*properties(result), "")],
+        "orientation": [line for result in results for line in (*orientation_table(result), "")],
         "points": tie_table(results),
-        "sigmas": sigma_table([row for one in results for row in with_weights(one)]),
-        "balance": balance.balance_table({one.site: one.case.network for one in results}),
+        "sigmas": sigma_table([row for result in results for row in with_weights(result)]),
+        "balance": balance.balance_table({result.site: result.case.network for result in results}),
         "residuals": residual_table(results),
         "ranges": range_table(results),
-        "shift": shift_table([pair for one in results for pair in with_biases(one, seed, work)]),
-        "weights": [line for one in results for line in (*sensitivity_table(one), "")],
+        "shift": shift_table([pair for result in results for pair in with_biases(result, seed, work)]),
+        "weights": [line for result in results for line in (*sensitivity_table(result), "")],
     }
 
 
-def with_weights(one: Result) -> list[tuple[str, str, Solution]]:
+def with_weights(result: Result) -> list[tuple[str, str, Solution]]:
     """A site adjusted with the weights that balance Table 5, with those of x alone, and with those of the text."""
-    network, settings = one.case.network, one.case.settings
-    x_alone = np.repeat(balance.implied_sigmas(one.site, balance.seen_in(network))[:, :1], 2, axis=1)
+    network, settings = result.case.network, result.case.settings
+    x_alone = np.repeat(balance.implied_sigmas(result.site, balance.counts_in(network))[:, :1], 2, axis=1)
     stated = np.full((2, 2), balance.STATED_SIGMA)
-    alone, text = (adjust_network(balance.weighed(network, each), settings) for each in (x_alone, stated))
-    return [(one.site, "papers' case", one.solution), (one.site, "y as x", alone), (one.site, "30 px", text)]
+    by_x, text = (adjust_network(balance.weighed(network, sigmas), settings) for sigmas in (x_alone, stated))
+    return [(result.site, "papers' case", result.solution), (result.site, "y as x", by_x), (result.site, "30 px", text)]
 
 
-def with_biases(one: Result, seed: int, work: Path) -> list[tuple[str, Result]]:
+def with_biases(result: Result, seed: int, work: Path) -> list[tuple[str, Result]]:
     """A site with its own attitude-time bias and with that of the text."""
-    if one.site == "eos":
-        return [("the site's", one)]
+    if result.site == "eos":
+        return [("the site's", result)]
     options = replace(AS_PUBLISHED, attitude_time_bias=STATED_BIAS)
-    stated = reproduced(one.site, seed, work / f"{one.site}_stated", options)
-    return [("the site's", one), (f"{STATED_BIAS:g} s", stated)]
+    stated = reproduced(result.site, seed, work / f"{result.site}_stated", options)
+    return [("the site's", result), (f"{STATED_BIAS:g} s", stated)]
 
 
 def main() -> int:
@@ -423,14 +423,14 @@ def main() -> int:
     parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=DOCS / "papers.md")
-    wanted = parser.parse_args()
+    options = parser.parse_args()
 
     def make() -> Blocks:
         with tempfile.TemporaryDirectory() as folder:
-            results = [reproduced(site, wanted.seed, Path(folder) / site, AS_PUBLISHED) for site in wanted.sites]
-            return page(results, wanted.seed, Path(folder))
+            results = [reproduced(site, options.seed, Path(folder) / site, AS_PUBLISHED) for site in options.sites]
+            return page(results, options.seed, Path(folder))
 
-    return write_page(parser, wanted.out, "papers.md", make)
+    return write_page(parser, options.out, "papers.md", make)
 
 
 if __name__ == "__main__":

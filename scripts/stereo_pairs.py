@@ -18,7 +18,7 @@ def main(path: str | None = None) -> None:
     """Print pairs, costs, times and height sigmas."""
     if path is None:
         strip = simulate_strip(StripSettings(images=6, ties=20, shots=15))
-        images = {one.name: mgsgraph.KnownImage(one, strip.settings.noise.prior) for one in strip.images}
+        images = {image.name: mgsgraph.KnownImage(image, strip.settings.noise.prior) for image in strip.images}
         network = mgsgraph.build_network(images, [strip.ties, *strip.lasers])
     else:
         network = mgsgraph.read_case(path).network
@@ -27,8 +27,8 @@ def main(path: str | None = None) -> None:
     print(f"graph of {graph.size()} factors and {values.size()} variables in {time.perf_counter() - begun:.2f} s")
 
     begun = time.perf_counter()
-    found = mgsgraph.optimize(graph, values)
-    print(f"mgsgraph.optimize: cost {found.cost:.6f} in {time.perf_counter() - begun:.2f} s. {found.message}")
+    optimum = mgsgraph.optimize(graph, values)
+    print(f"mgsgraph.optimize: cost {optimum.cost:.6f} in {time.perf_counter() - begun:.2f} s. {optimum.message}")
 
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-14)  # GTSAM's own stop earlier, by 1e-5 of the cost
@@ -39,14 +39,14 @@ def main(path: str | None = None) -> None:
 
     solution = mgsgraph.solution_of(network, by_gtsam)
     print(f"{solution.message} sigma0 {solution.fit.sigma0:.3f}")
-    seen = [set(network.rays.point[network.rays.image == j].tolist()) for j in range(len(network.images))]
+    points_of = [set(network.rays.point[network.rays.image == j].tolist()) for j in range(len(network.images))]
     marginals = mgsgraph.Marginals(graph, by_gtsam)
-    for one, other in combinations(range(len(network.images)), 2):
-        common = sorted(seen[one] & seen[other])
+    for first, second in combinations(range(len(network.images)), 2):
+        common = sorted(points_of[first] & points_of[second])
         if common:
             heights = [height_sigma(marginals.covariance(keys.point(i)), by_gtsam.atPoint3(keys.point(i)))
                        for i in common if by_gtsam.exists(keys.point(i))]  # fmt: skip
-            names = f"{network.images[one].name} and {network.images[other].name}"
+            names = f"{network.images[first].name} and {network.images[second].name}"
             print(f"{names}: {len(common)} points in common, median sigma of height {np.median(heights):.2f} m")
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-"""Folder of the pages, where no other is named."""
+"""Default folder of the pages."""
 REMEDY = "choose a file where you may write"
 Z99 = NormalDist().inv_cdf(0.995)
 """Quantile of the normal distribution, 99 % two-sided."""
@@ -50,7 +50,7 @@ class OneLine(argparse.ArgumentParser):
 
 
 def command(description: str | None, name: str | None = None) -> OneLine:
-    """A command line, called by its name or the script's; its help is the description as it stands."""
+    """A command line, called by its name or the script's; its help is the unchanged description."""
     formatter = argparse.RawDescriptionHelpFormatter
     return OneLine(prog=name or Path(sys.argv[0]).stem, description=description, formatter_class=formatter)
 
@@ -115,100 +115,100 @@ def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: st
     return parser
 
 
-def chosen(parser: OneLine, wanted: Sequence[str]) -> list[str]:
+def chosen(parser: OneLine, selection: Sequence[str]) -> list[str]:
     """Cases that a command line asks for: by their names, or all with a word in their names."""
-    every: Sequence[str] = parser.get_default("cases")
-    words = {case: case.replace(",", "").split() for case in every}
-    found = [[word] if word in every else [case for case in every if word in words[case]] for word in wanted]
-    for word in (word for word, some in zip(wanted, found, strict=True) if not some):
-        parser.error(f"no case {word!r}; there are {'; '.join(every)}")
-    return list(dict.fromkeys(case for some in found for case in some))
+    names: Sequence[str] = parser.get_default("cases")
+    words = {case: case.replace(",", "").split() for case in names}
+    matches = [[word] if word in names else [case for case in names if word in words[case]] for word in selection]
+    for word in (word for word, some in zip(selection, matches, strict=True) if not some):
+        parser.error(f"no case {word!r}; there are {'; '.join(names)}")
+    return list(dict.fromkeys(case for some in matches for case in some))
 
 
 def run(
-    parser: OneLine, one: Callable[[str, int], Draw], judge: Callable[[list[Draw]], Blocks],
-    given: Sequence[str] | None = None,
+    parser: OneLine, one_draw: Callable[[str, int], Draw], judge: Callable[[list[Draw]], Blocks],
+    arguments: Sequence[str] | None = None,
 ) -> int:
     """Make the draws that a command line of `seeds_of` asks for, judge them, write the page; the exit status."""
-    wanted = parser.parse_args(given)
-    place = wanted.cluster or (f"local:{wanted.processes}" if wanted.processes > 1 else None)
-    orders = [(case, wanted.first + k) for case in chosen(parser, wanted.cases) for k in range(wanted.seeds)]
+    options = parser.parse_args(arguments)
+    place = options.cluster or (f"local:{options.processes}" if options.processes > 1 else None)
+    orders = [(case, options.first + k) for case in chosen(parser, options.cases) for k in range(options.seeds)]
     page = Path(parser.get_default("out")).name
-    return write_page(parser, wanted.out, page, lambda: judge(drawn(orders, one, wanted.keep, place)))
+    return write_page(parser, options.out, page, lambda: judge(drawn(orders, one_draw, options.keep, place)))
 
 
 def drawn(
-    orders: Sequence[tuple[str, int]], one: Callable[[str, int], Draw], keep: Path | None, place: str | None = None
+    orders: Sequence[tuple[str, int]], one_draw: Callable[[str, int], Draw], keep: Path | None, place: str | None = None
 ) -> list[Draw]:
-    """Draws of cases and seeds, here or at workers; those that an earlier run of this commit has kept are not made
-    again.
+    """Draws of cases and seeds, in this process or at workers; draws stored by an earlier run of this commit are
+    used again.
     """
     require_writable(keep)
     this = commit()
-    found = {order: draw for order, draw in kept(keep).items() if draw["commit"] == this}
-    due = [order for order in orders if order not in found]
-    for done, draw in enumerate(_work(due, one, place), start=1):
-        found[draw["case"], draw["seed"]] = draw | {"commit": this}
+    draws = {order: draw for order, draw in stored_draws(keep).items() if draw["commit"] == this}
+    due = [order for order in orders if order not in draws]
+    for done, draw in enumerate(_work(due, one_draw, place), start=1):
+        draws[draw["case"], draw["seed"]] = draw | {"commit": this}
         show(f"{done} of {len(due)}: {draw['case']}, seed {draw['seed']}")
         if keep is not None:
             with keep.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(draw | {"commit": this}) + "\n")
-    return [found[order] for order in orders]
+    return [draws[order] for order in orders]
 
 
 def _work(
-    orders: Sequence[tuple[str, int]], one: Callable[[str, int], Draw], place: str | None
+    orders: Sequence[tuple[str, int]], one_draw: Callable[[str, int], Draw], place: str | None
 ) -> Iterator[Draw]:
-    """Draws as they come."""
+    """Draws as they are finished."""
     if place is None or not orders:
-        yield from (_named(one, order) for order in orders)
+        yield from (_named(one_draw, order) for order in orders)
         return
     from mgsgraph.adjustment.cluster.connection import Lost, open_cluster
 
     with open_cluster(place, most=len(orders)) as cluster:
-        for number, result in cluster.each(partial(_named, _by_name(one)), orders):
+        for number, result in cluster.each(partial(_named, _by_name(one_draw)), orders):
             if isinstance(result, Lost):
                 raise SolverError("{}, seed {}: {}".format(*orders[number], result.message))
             yield result
 
 
-def _by_name(one: Any) -> Any:
-    """A function of the program that runs as workers find it: in the module of the program's name."""
-    return getattr(import_module(Path(sys.argv[0]).stem), one.__name__) if one.__module__ == "__main__" else one
+def _by_name(job: Any) -> Any:
+    """The function as workers import it: from the module of the program's name."""
+    return getattr(import_module(Path(sys.argv[0]).stem), job.__name__) if job.__module__ == "__main__" else job
 
 
-def _named(one: Callable[[str, int], Draw], order: tuple[str, int]) -> Draw:
-    return {"case": order[0], "seed": order[1]} | one(*order)
+def _named(one_draw: Callable[[str, int], Draw], order: tuple[str, int]) -> Draw:
+    return {"case": order[0], "seed": order[1]} | one_draw(*order)
 
 
-def kept(path: Path | None) -> dict[tuple[str, int], Draw]:
-    """Draws of an earlier run, by case and seed; a line that a crash has cut short is taken out of the file."""
+def stored_draws(path: Path | None) -> dict[tuple[str, int], Draw]:
+    """Draws of an earlier run, by case and seed; an incomplete last line is removed from the file."""
     if path is None or not path.exists():
         return {}
     try:
         text, _, cut = path.read_text(encoding="utf-8").rpartition("\n")
-        found = {(draw["case"], draw["seed"]): draw for draw in map(json.loads, text.splitlines()) if draw["commit"]}
+        draws = {(draw["case"], draw["seed"]): draw for draw in map(json.loads, text.splitlines()) if draw["commit"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(str(path), f"holds no kept draws ({error})", "what --keep has written", REMEDY) from None
     if cut:
         write_text(f"{text}\n" if text else "", path)
-    return found
+    return draws
 
 
-def cases(every: Sequence[Draw], case: str) -> list[Draw]:
+def cases(draws: Sequence[Draw], case: str) -> list[Draw]:
     """Draws of a case that were not refused."""
-    return [draw for draw in every if draw["case"] == case and "refused" not in draw]
+    return [draw for draw in draws if draw["case"] == case and "refused" not in draw]
 
 
-def names_of(every: Sequence[Draw]) -> list[str]:
+def names_of(draws: Sequence[Draw]) -> list[str]:
     """Cases of draws, each once."""
-    return list(dict.fromkeys(draw["case"] for draw in every))
+    return list(dict.fromkeys(draw["case"] for draw in draws))
 
 
-def refusals(every: Sequence[Draw]) -> str:
-    """A sentence on draws that are no cases."""
-    count = sum("refused" in draw for draw in every)
-    return f"Of {len(every)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
+def refusals(draws: Sequence[Draw]) -> str:
+    """A sentence on refused draws."""
+    count = sum("refused" in draw for draw in draws)
+    return f"Of {len(draws)} draws {count} are no cases: a profile is drawn so far off that it misses its image."
 
 
 # --- files and pages
@@ -216,23 +216,23 @@ def refusals(every: Sequence[Draw]) -> str:
 
 def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[], Blocks]) -> int:
     """Make the blocks of a page of docs, print them, and write the page to a file, if one is named; the exit status.
-    Whether the file can be written is asked first.
+    It first tests whether the file can be written.
     """
 
     def job() -> None:
         require_writable(path)
         blocks = make()
         show("")
-        whole = filled(page, {**blocks, "by": [made_by()]})
+        text = filled(page, {**blocks, "by": [made_by()]})
         print("\n\n".join("\n".join(block).strip() for block in [*blocks.values(), [made_by()]]))
         if path is not None:
-            write_text(whole, path)
+            write_text(text, path)
 
     return status(parser.prog, job)
 
 
 def filled(page: str, blocks: Blocks) -> str:
-    """The text of a page of docs with its made parts replaced; InputError where it has no marks of one."""
+    """The text of a page of docs with its made parts replaced; InputError where the marks of one are missing."""
     text = (DOCS / page).read_text(encoding="utf-8")
     for name, lines in blocks.items():
         before, begin, rest = text.partition(f"<!-- made: {name} -->\n")
@@ -244,7 +244,7 @@ def filled(page: str, blocks: Blocks) -> str:
 
 
 def require_writable(*paths: Path | None) -> None:
-    """Raise InputError unless files can be written here; to be asked before long work."""
+    """Raise InputError unless files can be written; for use before long work."""
     for path in paths:
         if path is None:
             continue
@@ -257,12 +257,12 @@ def require_writable(*paths: Path | None) -> None:
 
 
 def write_json(figures: Any, path: Path) -> None:
-    """Write figures as JSON, whole or not at all."""
+    """Write figures as JSON, atomically."""
     write_text(json.dumps(figures, indent=1, allow_nan=False) + "\n", path)
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file, atomically."""
     with fresh_file(path, remedy=REMEDY) as aside:
         aside.write_text(text, encoding="utf-8")
 
@@ -327,10 +327,10 @@ def student(chance: float, degrees: int) -> float:
     return float(t.isf(0.5 * chance, degrees))
 
 
-def degrees_together(covariance: Array, width: int) -> float:
+def joint_degrees(covariance: Array, width: int) -> float:
     """Degrees of freedom of the chi-square that scatters as the sum of the items' normalised squares does, for items of
     `width` components with a joint covariance (n width, n width) (Satterthwaite 1946): (n width)^2 / |R|^2, R being the
-    covariance with each item's own block whitened. n width for independent items, `width` for items that err alike.
+    covariance with each item's own block whitened. n width for independent items, `width` for fully correlated items.
     """
     from scipy.linalg import block_diag
 
@@ -349,22 +349,22 @@ def degrees_of_points(solution: "Solution", points: Index) -> float:
     at = at_solution(solution)
     width = at.layout.variables.width
     first, shared = np.cumsum(width) - width, at.joint.of(range(width.size))
-    weights, own = np.zeros_like(shared), 0.0
+    weights, single = np.zeros_like(shared), 0.0
     for i in points.tolist():
         rows = at.rows_of(i)
         carried = rows.eliminated()[0][0]
         columns = np.concatenate([first[v] + np.arange(width[v]) for v in rows.variables])
         by_sigma = np.linalg.solve(np.linalg.cholesky(solution.covariances[i]), carried)
         weights[np.ix_(columns, columns)] += by_sigma.T @ by_sigma
-        own += float(np.sum(np.square(by_sigma @ shared[np.ix_(columns, columns)] @ by_sigma.T)))
+        single += float(np.sum(np.square(by_sigma @ shared[np.ix_(columns, columns)] @ by_sigma.T)))
     product = weights @ shared
-    return float((3 * points.size) ** 2 / (np.sum(product * product.T) + 3 * points.size - own))
+    return float((3 * points.size) ** 2 / (np.sum(product * product.T) + 3 * points.size - single))
 
 
 def nees_band(values: Sequence[float], degrees: float | Sequence[float] = 0.0) -> tuple[float, float]:
     """99 % band of the mean of normalised squares, one of each draw and each per degree of freedom, if the covariances
-    are right: a chi-square's for `degrees` in each draw, of a joint covariance or of items that err together
-    (`degrees_together`, `degrees_of_points`); for 0, where nobody has said these, 1 +- Student's quantile times the
+    are right: a chi-square's for `degrees` in each draw, of a joint covariance or of correlated items
+    (`joint_degrees`, `degrees_of_points`); for 0 (unknown), 1 +- Student's quantile times the
     scatter from draw to draw.
     """
     if np.any(degrees):

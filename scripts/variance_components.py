@@ -45,16 +45,16 @@ WIDTHS = ("planted", "draws", "z mean", "z rms", "beyond", "spread", "stated", "
 @cache
 def strip() -> Network:
     """The strip's network with the sigmas that it was drawn from."""
-    made = simulate_strip(STRIP)
-    known = {image.name: KnownImage(image, NOISE.prior) for image in made.images}
-    network = build_network(known, [made.ties, *made.lasers], NOISE.tie, NOISE.shot_image)
+    simulated = simulate_strip(STRIP)
+    known_images = {image.name: KnownImage(image, NOISE.prior) for image in simulated.images}
+    network = build_network(known_images, [simulated.ties, *simulated.lasers], NOISE.tie, NOISE.shot_image)
     assert network is not None
     return network
 
 
 def planted_factors(seed: int, groups: int) -> np.ndarray:
-    """(g,) each group has each factor in every third draw, in changing company; but of the last two, position and
-    pointing, one in turn is right.
+    """(g,) each group has each factor in every third draw, in varying combinations; of the last two, position and
+    pointing, one in turn has the factor 1.
     """
     blocks = np.random.default_rng([7, seed // 3]).permuted(np.tile(FACTORS, (groups, 1)), axis=1)
     factors = np.asarray(blocks[:, seed % 3])
@@ -69,56 +69,57 @@ def one_draw(case: str, seed: int) -> Draw:
     if case == "planted":
         truth = planted_factors(seed, len(grouping.names))
         draw = redraw(scaled(network, grouping, truth), np.random.default_rng([1, seed])).network
-        found = iterated_components(scaled(draw, grouping, 1.0 / truth), settings)
-        return {"converged": found.converged, "groups": of_groups(found.components, truth)}
+        result = iterated_components(scaled(draw, grouping, 1.0 / truth), settings)
+        return {"converged": result.converged, "groups": of_groups(result.components, truth)}
     solution = adjust_network(redraw(network, np.random.default_rng([2, seed])).network, settings)
     at, fit = at_solution(solution), solution.fit
     larger = float(chi2.sf(fit.squares, fit.degrees_of_freedom))
-    found = components(at, grouping)
-    sums = found.helmert.sum(axis=1) - [one.redundancy for one in found.groups]
+    result = components(at, grouping)
+    sums = result.helmert.sum(axis=1) - [group.redundancy for group in result.groups]
     return {
-        "groups": of_groups(found, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
+        "groups": of_groups(result, np.ones(len(grouping.names))), "off": float(np.abs(sums).max()),
         "passed": bool(min(larger, 1.0 - larger) >= 0.5 * ALPHA), "larger": larger,
         "squares": float(fit.squares / fit.degrees_of_freedom), "degrees": int(fit.degrees_of_freedom),
-        "p": [float(one.p_value) for one in residual_statistics(at, grouping)],
+        "p": [float(test.p_value) for test in residual_statistics(at, grouping)],
     }  # fmt: skip
 
 
-def of_groups(found: Components, truth: np.ndarray) -> list[Draw]:
+def of_groups(estimated: Components, truth: np.ndarray) -> list[Draw]:
     """Of each group the planted factor, and where it was judged the factor's deviation from it (standard normal), ln of
     their ratio, its stated relative sigma and its degrees of freedom.
     """
     groups = []
-    for factor, one in zip(truth.tolist(), found.groups, strict=True):
-        told: Draw = {"name": one.name, "planted": factor, "rows": int(one.rows), "redundancy": float(one.redundancy)}
-        if one.judgement is Judgement.JUDGED:
-            told |= {
-                "z": float(one.deviation(factor)), "ln": float(np.log(one.factor / factor)),
-                "sigma": float(one.sigma / one.factor), "degrees": float(one.degrees),
+    for factor, group in zip(truth.tolist(), estimated.groups, strict=True):
+        record: Draw = {"name": group.name, "planted": factor, "rows": int(group.rows),
+                        "redundancy": float(group.redundancy)}  # fmt: skip
+        if group.judgement is Judgement.JUDGED:
+            record |= {
+                "z": float(group.deviation(factor)), "ln": float(np.log(group.factor / factor)),
+                "sigma": float(group.sigma / group.factor), "degrees": float(group.degrees),
             }  # fmt: skip
-        groups.append(told)
+        groups.append(record)
     return groups
 
 
-def planted_rows(every: list[Draw]) -> list[list[str]]:
+def planted_rows(draws: list[Draw]) -> list[list[str]]:
     """A row for each group and factor, and one for each group."""
-    groups = [one for draw in every for one in draw["groups"]]
+    groups = [group for draw in draws for group in draw["groups"]]
     rows = []
-    for name in dict.fromkeys(one["name"] for one in groups):
+    for name in dict.fromkeys(group["name"] for group in groups):
         for factor in (1.0, *FACTORS, None):
-            mine = [one for one in groups if one["name"] == name and factor in (None, one["planted"])]
-            if mine:
-                rows.append([name, f"{factor:g}" if factor else "all", str(len(mine)), *figures(mine)])
+            chosen = [group for group in groups if group["name"] == name and factor in (None, group["planted"])]
+            if chosen:
+                rows.append([name, f"{factor:g}" if factor else "all", str(len(chosen)), *figures(chosen)])
     return [*rows, ["all groups", "all", str(len(groups)), *figures(groups)]]
 
 
-def figures(mine: list[Draw]) -> list[str]:
-    """z, spread, stated sigma and degrees of those that were judged; how many were not."""
-    judged = [one for one in mine if "z" in one]
-    n, end = len(judged), str(len(mine) - len(judged))
+def figures(groups: list[Draw]) -> list[str]:
+    """z, spread, stated sigma and degrees of the judged groups; number of the others."""
+    judged = [group for group in groups if "z" in group]
+    n, end = len(judged), str(len(groups) - len(judged))
     if n < 2:
         return ["-"] * 6 + [end]
-    z, logs, sigmas, degrees = (np.array([one[key] for one in judged]) for key in ("z", "ln", "sigma", "degrees"))
+    z, logs, sigmas, degrees = (np.array([group[key] for group in judged]) for key in ("z", "ln", "sigma", "degrees"))
     low, high = np.sqrt(chi_square_band(n))
     beyond, allowed = int(np.count_nonzero(np.abs(z) > Z99)), int(binom.ppf(0.99, n, 0.01))
     return [
@@ -127,30 +128,30 @@ def figures(mine: list[Draw]) -> list[str]:
     ]  # fmt: skip
 
 
-def right_lines(every: list[Draw]) -> list[str]:
+def right_lines(right: list[Draw]) -> list[str]:
     """Tests and components of draws from the stated sigmas."""
-    draws, degrees = len(every), every[0]["degrees"]
+    draws, degrees = len(right), right[0]["degrees"]
     low, high = binom.ppf([0.005, 0.995], draws, ALPHA).astype(int)
-    p, rows = np.array([draw["p"] for draw in every]), []
-    for g, one in enumerate(every[0]["groups"]):
-        z = np.array([draw["groups"][g]["z"] for draw in every if "z" in draw["groups"][g]])
+    p, rows = np.array([draw["p"] for draw in right]), []
+    for g, group in enumerate(right[0]["groups"]):
+        z = np.array([draw["groups"][g]["z"] for draw in right if "z" in draw["groups"][g]])
         judged = [f"{z.mean():.2f}", f"{rms(z):.2f}"] if z.size else ["-", "-"]
         failed = f"{100 * np.mean(p[:, g] < 0.05):.0f}%" if np.all(np.isfinite(p[:, g])) else "-"
-        rows.append([one["name"], str(one["rows"]), f"{one['redundancy']:.1f}", *judged, failed])
+        rows.append([group["name"], str(group["rows"]), f"{group['redundancy']:.1f}", *judged, failed])
     return [
         f"{draws} draws. Chi-square test: p-values uniform with p = "
-        f"{kstest([draw['larger'] for draw in every], 'uniform').pvalue:.2g} (Kolmogorov & Smirnov), false alarms at "
-        f"{100 * ALPHA:g}%: {sum(not draw['passed'] for draw in every)} ({low} to {high} allowed, 99%).",
-        f"Squares over degrees of freedom: mean {np.mean([draw['squares'] for draw in every]):.4f} "
+        f"{kstest([draw['larger'] for draw in right], 'uniform').pvalue:.2g} (Kolmogorov & Smirnov), false alarms at "
+        f"{100 * ALPHA:g}%: {sum(not draw['passed'] for draw in right)} ({low} to {high} allowed, 99%).",
+        f"Squares over degrees of freedom: mean {np.mean([draw['squares'] for draw in right]):.4f} "
         f"(1 +- {Z99 * np.sqrt(2.0 / degrees / draws):.4f}, 99%). Helmert's matrix: rows add up to the redundancies "
-        f"within {max(draw['off'] for draw in every):.1e}.", "",
+        f"within {max(draw['off'] for draw in right):.1e}.", "",
         *table(("group", "rows", "redundancy", "z mean", "z rms", "p < 0.05"), rows),
     ]  # fmt: skip
 
 
-def judge(every: list[Draw]) -> Blocks:
-    """Both tables, of the cases that are there."""
-    wrong, right, blocks = cases(every, "planted"), cases(every, "right"), dict[str, list[str]]()
+def judge(draws: list[Draw]) -> Blocks:
+    """Tables of the cases that were drawn."""
+    wrong, right, blocks = cases(draws, "planted"), cases(draws, "right"), dict[str, list[str]]()
     if wrong:
         rest = sum(not draw["converged"] for draw in wrong)
         end = f"Not converged after all passes: {rest} of {len(wrong)} draws."

@@ -21,7 +21,7 @@ from packaging.version import Version
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "versions.md"
 EXTRAS = ("cluster", "cuda", "fetch", "gis", "match", "moc", "studio", "tables", "test", "docs", "dev")
-"""Whose packages stand in the table; others are made of these."""
+"""Extras whose packages the table has; other extras are unions of these."""
 
 
 class Needed(NamedTuple):
@@ -44,26 +44,26 @@ def declared() -> list[Needed]:
     """All packages of pyproject.toml; one that several extras have, once."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     groups = {"": project["dependencies"], **project["optional-dependencies"]}
-    found = dict[str, Needed]()
+    needed = dict[str, Needed]()
     for extra, texts in groups.items():
-        for one in map(Requirement, texts):
-            if one.name != project["name"] and one.name not in found:
-                (bound,) = (clause.version for clause in one.specifier if clause.operator == ">=")
-                found[one.name] = Needed(one.name, bound, extra)
-    return list(found.values())
+        for requirement in map(Requirement, texts):
+            if requirement.name != project["name"] and requirement.name not in needed:
+                (bound,) = (clause.version for clause in requirement.specifier if clause.operator == ">=")
+                needed[requirement.name] = Needed(requirement.name, bound, extra)
+    return list(needed.values())
 
 
 def table() -> list[str]:
     """Markdown."""
-    rows = [f"| {one.name} | {one.extra or '-'} | {one.lowest} | {one.here or '-'} |" for one in declared()]
+    rows = [f"| {p.name} | {p.extra or '-'} | {p.lowest} | {p.here or '-'} |" for p in declared()]
     return ["| package | extra | lowest | newest tried |", "|---|---|---|---|", *rows]
 
 
 def not_lowest() -> list[str]:
     """Installed packages of another version than the lowest, in words."""
     return [
-        f"{one.name}: {one.here} is installed, {one.lowest} is declared"
-        for one in declared() if one.here and Version(one.here) != Version(one.lowest)
+        f"{package.name}: {package.here} is installed, {package.lowest} is declared"
+        for package in declared() if package.here and Version(package.here) != Version(package.lowest)
     ]  # fmt: skip
 
 
@@ -71,13 +71,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--lowest", action="store_true", help="fail unless each is the lowest that is declared")
     options.add_argument("--page", action="store_true", help="write docs/versions.md")
-    given = options.parse_args()
-    if given.page:
+    arguments = options.parse_args()
+    if arguments.page:
         head, _, _ = PAGE.read_text(encoding="utf-8").partition("| package |")
         PAGE.write_text(head + "\n".join(table()) + "\n", encoding="utf-8")
         return
     print("\n".join(table()))
-    if given.lowest and (wrong := not_lowest()):
+    if arguments.lowest and (wrong := not_lowest()):
         sys.exit("\n".join(["Not the lowest:", *wrong]))
 
 

@@ -23,7 +23,7 @@ from mgsgraph.text import root_mean_square
 
 TIES = 800
 PLACES = 33
-"""Lines of each image at which pitch and roll are held against the truth."""
+"""Lines of each image at which pitch and roll are compared with the truth."""
 _AXES = {"x (roll)": 1, "y (pitch)": 0}
 """Which phasors of the truth."""
 _NEAR = 1.0 / 16.0
@@ -40,44 +40,44 @@ CASES = {
 }
 
 
-def one(case: str, seed: int) -> Draw:
-    """A pair: what is found of its vibration, and how well all else is known."""
+def one_draw(case: str, seed: int) -> Draw:
+    """A pair: its estimated vibration, and the errors of all other parameters."""
     settings = CASES[case]
-    mine = simulate_ctx_pair(CtxSettings(ties=TIES, jitter=settings), 100 * seed + list(CASES).index(case))
+    pair = simulate_ctx_pair(CtxSettings(ties=TIES, jitter=settings), 100 * seed + list(CASES).index(case))
     began = time.perf_counter()
-    found = estimated_vibrations(mine.network, SolverSettings(starts=0))
+    result = estimated_vibrations(pair.network, SolverSettings(starts=0))
     seconds = time.perf_counter() - began
-    lines = [each for each in found.lines if abs(each.frequency - settings.frequency) < _NEAR and settings.pitch > 0.0]
-    stated = [each for each in amplitudes(found.solution) if each.axis in _AXES and not math.isnan(each.value)]
+    lines = [each for each in result.lines if abs(each.frequency - settings.frequency) < _NEAR and settings.pitch > 0.0]
+    stated = [each for each in amplitudes(result.solution) if each.axis in _AXES and not math.isnan(each.value)]
     right = [each for each in stated if each.shown and any(each.frequency == line.frequency for line in lines)]
-    sizes = [[each.value / PIXEL, each.sigma / PIXEL, true_size(mine, each) / PIXEL] for each in right]
+    sizes = [[each.value / PIXEL, each.sigma / PIXEL, true_size(pair, each) / PIXEL] for each in right]
     return {
-        "seconds": seconds, "converged": found.converged and found.solution.converged, "found": bool(lines),
-        "false": len(found.lines) - len(lines), "amplitude": sizes, "axes": [each.axis for each in right],
+        "seconds": seconds, "converged": result.converged and result.solution.converged, "found": bool(lines),
+        "false": len(result.lines) - len(lines), "amplitude": sizes, "axes": [each.axis for each in right],
         "frequency": [(each.frequency - settings.frequency) / each.sigma for each in lines],
-        **normalised(mine, found.solution),
+        **normalised(pair, result.solution),
     }  # fmt: skip
 
 
-def true_size(mine: SimulatedCtxPair, stated: Amplitude) -> float:
+def true_size(pair: SimulatedCtxPair, stated: Amplitude) -> float:
     """rad, of the same combination of the planted vibrations."""
     images = [{"CTX/A": 0, "CTX/B": 1}[name] for name in stated.names]
-    own = [complex(*(mine.truth[k].phasors[_AXES[stated.axis]] * [1.0, -1.0])) for k in images]
-    return abs(own[0] - sum(complex(*w) * other for w, other in zip(stated.weights, own[1:], strict=True)))
+    sizes = [complex(*(pair.truth[k].phasors[_AXES[stated.axis]] * [1.0, -1.0])) for k in images]
+    return abs(sizes[0] - sum(complex(*w) * size for w, size in zip(stated.weights, sizes[1:], strict=True)))
 
 
-def normalised(mine: SimulatedCtxPair, solution: Solution) -> dict[str, float]:
+def normalised(pair: SimulatedCtxPair, solution: Solution) -> dict[str, float]:
     """Mean normalised squares of pitch, of roll and, by coordinate, of points."""
     squares = dict[str, list[float]](pitch=[], roll=[])
-    for k, image in enumerate(mine.network.images):
+    for k, image in enumerate(pair.network.images):
         profile = orientation_profile(solution, k, PLACES)
-        true = mine.truth[k].correction.at(image.moments(np.linspace(0.0, image.lines, PLACES)))[0][:, 3:]
+        true = pair.truth[k].correction.at(image.moments(np.linspace(0.0, image.lines, PLACES)))[0][:, 3:]
         errors = (profile.rotation - true) / profile.rotation_sigma
         for name, axis in (("pitch", 1), ("roll", 0)):
             squares[name].append(float(np.mean(errors[:, axis] ** 2)))
-    known = solution.determined
-    off = solution.places[known] - mine.true_points[known]
-    points = float(nees(off, solution.covariances[known]).mean()) / 3.0
+    determined = solution.determined
+    off = solution.places[determined] - pair.true_points[determined]
+    points = float(nees(off, solution.covariances[determined]).mean()) / 3.0
     return {name: float(np.mean(values)) for name, values in squares.items()} | {"points": points}
 
 
@@ -94,16 +94,16 @@ def errors_of(draws: list[Draw]) -> list[float]:
     return [(value - true) / sigma for draw in draws for value, sigma, true in draw["amplitude"]]
 
 
-def row(every: list[Draw], case: str) -> list[str]:
+def row(draws: list[Draw], case: str) -> list[str]:
     """Of the table."""
-    mine = cases(every, case)
-    stated = [each for draw in mine for each in draw["amplitude"]]
+    pairs = cases(draws, case)
+    stated = [each for draw in pairs for each in draw["amplitude"]]
     off = [abs(value - true) for value, _, true in stated]
     return [
-        case, f"{sum(draw['found'] for draw in mine)} of {len(mine)}", str(sum(draw["false"] for draw in mine)),
-        z_cell([each for draw in mine for each in draw["frequency"]]), str(len(stated)),
-        number(median(off)) if off else "-", z_cell(errors_of(mine)),
-        *(nees_cell([draw[name] for draw in mine]) for name in ("pitch", "roll", "points")),
+        case, f"{sum(draw['found'] for draw in pairs)} of {len(pairs)}", str(sum(draw["false"] for draw in pairs)),
+        z_cell([each for draw in pairs for each in draw["frequency"]]), str(len(stated)),
+        number(median(off)) if off else "-", z_cell(errors_of(pairs)),
+        *(nees_cell([draw[name] for draw in pairs]) for name in ("pitch", "roll", "points")),
     ]  # fmt: skip
 
 
@@ -113,19 +113,19 @@ HEAD = (
 )  # fmt: skip
 
 
-def judge(every: list[Draw]) -> Blocks:
-    """The table, and all together."""
-    slow = [draw["seconds"] for draw in every]
-    rest = sum(not draw["converged"] for draw in every)
-    said = (
-        f"All amplitudes: {z_cell(errors_of(every))}; frequencies "
-        f"{z_cell([each for draw in every for each in draw['frequency']])}. {rest} of {len(every)} pairs did not "
+def judge(draws: list[Draw]) -> Blocks:
+    """The table, and a sentence on all draws."""
+    slow = [draw["seconds"] for draw in draws]
+    rest = sum(not draw["converged"] for draw in draws)
+    sentence = (
+        f"All amplitudes: {z_cell(errors_of(draws))}; frequencies "
+        f"{z_cell([each for draw in draws for each in draw['frequency']])}. {rest} of {len(draws)} pairs did not "
         f"converge. A pair takes {median(slow):.1f} s (median; {max(slow):.1f} s at most)."
     )
-    return {"vibrations": [*table(HEAD, [row(every, case) for case in names_of(every)]), "", said]}
+    return {"vibrations": [*table(HEAD, [row(draws, case) for case in names_of(draws)]), "", sentence]}
 
 
 PARSER = seeds_of(__doc__, list(CASES), 20, "jitter.md")
 
 if __name__ == "__main__":
-    sys.exit(run(PARSER, one, judge))
+    sys.exit(run(PARSER, one_draw, judge))

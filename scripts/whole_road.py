@@ -39,11 +39,11 @@ ROAD = (
     "export PROJECT --to spice --out SPICE",
     "dem PROJECT --out DEM",
 )
-"""The commands; `fetch` has the mirror's address besides."""
+"""The commands; `fetch` also gets the mirror's address."""
 _BANDS = (1, 2, 3)
 """Of dem.tif: height, its sigma, the share of matching in it, m."""
 _SAMPLE, _NEAR, _ROUNDS = 20_000, 20.0, 5
-"""Posts by which a terrain model is laid on the truth, m between which slopes are taken, and rounds of moving it."""
+"""Posts by which a terrain model is fitted to the truth, m between which slopes are taken, and iterations."""
 
 
 class Step(NamedTuple):
@@ -55,7 +55,7 @@ class Step(NamedTuple):
     """s of processor time, both cores together."""
     megabytes: float
     """Peak memory of its process."""
-    said: str
+    output: str
 
 
 class Judged(NamedTuple):
@@ -66,13 +66,13 @@ class Judged(NamedTuple):
     """rms."""
     mean: float
     sigma: float
-    """rms of what is stated."""
+    """rms of the stated sigma."""
     share: float
     """rms of the error over its stated sigma."""
     moved: np.ndarray
-    """(3,) m east, north and up, by which it lies off as a whole."""
-    left: float
-    """rms, without that."""
+    """(3,) m east, north and up, its shift."""
+    residual: float
+    """rms, without the shift."""
     matching: float
     """rms of the stated sigma of matching."""
 
@@ -84,16 +84,16 @@ def main() -> int:
     parser.add_argument("--seed", type=at_least(0), default=1)
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
     parser.add_argument("--out", type=Path, default=PAGE)
-    given = parser.parse_args()
+    options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
         with tempfile.TemporaryDirectory() as aside:
-            work, site = given.work or Path(aside), simulate_site(given.site, given.seed)
-            steps = road(site, work)
+            work, site = options.work or Path(aside), simulate_site(options.site, options.seed)
+            steps = workflow(site, work)
             judged = judge(work / "DEM" / "dem.tif", site)
-        return {"commands": step_table(steps), "judged": words(judged), "said": heard(steps)}
+        return {"commands": step_table(steps), "judged": words(judged), "said": report_lines(steps)}
 
-    return write_page(parser, given.out, PAGE.name, make)
+    return write_page(parser, options.out, PAGE.name, make)
 
 
 def commands(site: SimulatedSite) -> list[str]:
@@ -102,28 +102,28 @@ def commands(site: SimulatedSite) -> list[str]:
     return [f"mgsgraph {command.format(images=images)}" for command in ROAD]
 
 
-def road(site: SimulatedSite, work: Path) -> list[Step]:
-    """All commands, in the folder `work`, out of the site's archives there."""
+def workflow(site: SimulatedSite, work: Path) -> list[Step]:
+    """Run all commands in the folder `work`, on the site's archives there."""
     archive = write_archive(site, work / "archive")
     with serving(archive) as address:
         steps = []
         for command in commands(site):
             more = ["--mirror", address] if " fetch " in command else []
             steps.append(step(command, more, work))
-            print(f"$ {command}\n{steps[-1].said}", flush=True)
+            print(f"$ {command}\n{steps[-1].output}", flush=True)
     return steps
 
 
 def step(command: str, more: list[str], folder: Path) -> Step:
-    """Run one; the script ends with its status where it fails."""
+    """Run a command; the script ends with its status where it fails."""
     arguments = [sys.executable, "-m", *shlex.split(command), *more]
     begun = time.perf_counter()
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(arguments, cwd=folder, stdout=said, stderr=subprocess.STDOUT)
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(arguments, cwd=folder, stdout=output, stderr=subprocess.STDOUT)
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-        said.seek(0)
-        text = said.read().decode()
+        output.seek(0)
+        text = output.read().decode()
     if process.returncode:
         sys.exit(f"{text}\n{command}: exit status {process.returncode}")
     busy = used.ru_utime + used.ru_stime
@@ -139,46 +139,46 @@ def judge(path: Path, site: SimulatedSite) -> Judged:
         height, sigma, matching = (file.read(band).astype(np.float64) for band in _BANDS)
         crs, place = file.crs, file.transform
     radius = float(crs.to_dict()["R"])
-    known = np.nonzero(np.isfinite(height))
-    x, y = place * (known[1] + 0.5, known[0] + 0.5)
+    valid = np.nonzero(np.isfinite(height))
+    x, y = place * (valid[1] + 0.5, valid[0] + 0.5)
 
     def truth(east: np.ndarray, north: np.ndarray) -> np.ndarray:
         places = transform(crs, f"+proj=longlat +R={radius} +no_defs", east.tolist(), north.tolist())
-        return site.terrain.ground_radius(*(np.array(one) * DEG for one in places)) - radius
+        return site.terrain.ground_radius(*(np.array(values) * DEG for values in places)) - radius
 
-    error = height[known] - truth(x, y)
+    error = height[valid] - truth(x, y)
     some = np.random.default_rng(0).choice(x.size, min(x.size, _SAMPLE), replace=False)
-    moved, left = laid_on(truth, x[some], y[some], height[known][some])
+    moved, residual = laid_on(truth, x[some], y[some], height[valid][some])
     return Judged(
-        x.size, rms(error), float(error.mean()), rms(sigma[known]), rms(error / sigma[known]), moved, left,
-        rms(matching[known][some]),
+        x.size, rms(error), float(error.mean()), rms(sigma[valid]), rms(error / sigma[valid]), moved, residual,
+        rms(matching[valid][some]),
     )  # fmt: skip
 
 
 def laid_on(
     truth: Callable[[np.ndarray, np.ndarray], np.ndarray], x: np.ndarray, y: np.ndarray, heights: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """By how much (3,) heights at places lie off the truth as a whole, and the rms of what is left then, m.
+    """Shift (3,) of heights against the truth, and the rms of the residuals, m.
 
-    What is left is without tilts and a bend along the flight, too: so far orientation polynomials of order 2 go.
+    Tilts and a curvature along the flight are removed from the residuals, too: orientation polynomials of order 2.
     """
     along, across = y / np.abs(y).max(), x / np.abs(x).max()
     shape = np.column_stack([np.ones_like(x), along, across, along**2, along * across])
     moved, level, off = np.zeros(2), np.zeros(shape.shape[1]), heights
     for _ in range(_ROUNDS):
-        there = np.column_stack([x, y]) - moved
+        shifted = np.column_stack([x, y]) - moved
         slopes = [
-            (truth(*(there + step).T) - truth(*(there - step).T)) / (2.0 * _NEAR) for step in _NEAR * np.eye(2)
+            (truth(*(shifted + step).T) - truth(*(shifted - step).T)) / (2.0 * _NEAR) for step in _NEAR * np.eye(2)
         ]
-        off, design = heights - truth(*there.T), np.column_stack([shape, *(-slope for slope in slopes)])
+        off, design = heights - truth(*shifted.T), np.column_stack([shape, *(-slope for slope in slopes)])
         level, more = np.split(np.linalg.lstsq(design, off)[0], [shape.shape[1]])
         moved = moved + more
     return np.array([*moved, level[0]]), rms(off - shape @ level)
 
 
 def step_table(steps: list[Step]) -> list[str]:
-    """What each command took."""
-    parts = [(f"`{one.command}`", one.seconds, one.busy, one.megabytes) for one in steps]
+    """Time and memory of each command."""
+    parts = [(f"`{step.command}`", step.seconds, step.busy, step.megabytes) for step in steps]
     _, seconds, busy, megabytes = zip(*parts, strict=True)
     parts.append(("all of it", sum(seconds), sum(busy), max(megabytes)))
     rows = [[name, *(f"{value:.0f}" for value in values)] for name, *values in parts]
@@ -196,10 +196,10 @@ def words(judged: Judged) -> list[str]:
     ]
 
 
-def heard(steps: list[Step]) -> list[str]:
-    """What `match` and `dem` said."""
-    said = {one.command.split()[1]: one.said.splitlines() for one in steps}
-    return [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in said[verb] if line.startswith("- ")]
+def report_lines(steps: list[Step]) -> list[str]:
+    """Lines that `match` and `dem` printed."""
+    outputs = {step.command.split()[1]: step.output.splitlines() for step in steps}
+    return [f"* *{verb}*: {line[2:]}" for verb in ("match", "dem") for line in outputs[verb] if line.startswith("- ")]
 
 
 if __name__ == "__main__":

@@ -46,9 +46,9 @@ from redraw import Change, redraw
 from redraw import Draw as Redrawn
 
 _POINTS = 60
-"""Of each class, whose errors are looked at."""
+"""Most points of each class whose errors are tested."""
 RUNS = 12_000
-"""Of so many good runs one has errors as large as count as harmful."""
+"""One of so many good runs has errors that count as harmful."""
 _SITES = {"gusev": "gusev, rigorous", "isidis": "isidis, rigorous", "eos": "eos, rigorous",
           "strip": "HRSC strip, passes"}  # fmt: skip
 _LROC = Path(__file__).parent / "cases" / "lro_nac_lola.toml"
@@ -63,38 +63,38 @@ class Kind(NamedTuple):
     unit: str
     """Of the sizes."""
     orientation: Callable[[Network, float], Change] | None = None
-    """What is wrong with nominal orientations."""
+    """The fault of nominal orientations."""
     network: Callable[[Network, float, Rng], Network] | None = None
-    """What is wrong with observations or control."""
+    """The fault of observations or control."""
     listed: tuple[str, ...] = ()
-    """Names of it among the errors that the verdict lists as possible."""
+    """Its names in the verdict's list of possible errors."""
 
 
 # --- wrong orientations
 
 
-def _constant(axis: int, every: bool) -> Callable[[Network, float], Change]:
+def _constant(axis: int, all_images: bool) -> Callable[[Network, float], Change]:
     """An error along an axis of the flight, of the first image or of all."""
 
     def wrong(network: Network, size: float) -> Change:
-        def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
-            if not (every or j == 0 or network.pass_of[j] >= 0):
-                return one
-            return _added(one, size * np.linalg.inv(flight_frame(network.images[j]).turn)[:, axis][None])
+        def change(j: int, correction: OrientationCorrection) -> OrientationCorrection:
+            if not (all_images or j == 0 or network.pass_of[j] >= 0):
+                return correction
+            return _added(correction, size * np.linalg.inv(flight_frame(network.images[j]).turn)[:, axis][None])
 
         return change
 
     return wrong
 
 
-def _clock(kinds: tuple[SharedKind, ...], every: bool) -> Callable[[Network, float], Change]:
+def _clock(kinds: tuple[SharedKind, ...], all_images: bool) -> Callable[[Network, float], Change]:
     """An error of time, of the first image or of all."""
 
     def wrong(network: Network, size: float) -> Change:
-        def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
-            if not (every or j == 0 or network.pass_of[j] >= 0):
-                return one
-            return _added(one, size * sum(image_effect(network.images[j], kind, "camera")[0] for kind in kinds))
+        def change(j: int, correction: OrientationCorrection) -> OrientationCorrection:
+            if not (all_images or j == 0 or network.pass_of[j] >= 0):
+                return correction
+            return _added(correction, size * sum(image_effect(network.images[j], kind, "camera")[0] for kind in kinds))
 
         return change
 
@@ -105,26 +105,26 @@ def _drift(axis: int) -> Callable[[Network, float], Change]:
     """An error along an axis that grows from -size to size along the first image."""
 
     def wrong(network: Network, size: float) -> Change:
-        def change(j: int, one: OrientationCorrection) -> OrientationCorrection:
+        def change(j: int, correction: OrientationCorrection) -> OrientationCorrection:
             if j or network.pass_of[j] >= 0:
-                return one
+                return correction
             rows = np.zeros((2, 6))
             rows[1] = size * np.linalg.inv(flight_frame(network.images[j]).turn)[:, axis]
-            return _added(one, rows)
+            return _added(correction, rows)
 
         return change
 
     return wrong
 
 
-def _added(one: OrientationCorrection, rows: Array) -> OrientationCorrection:
+def _added(base: OrientationCorrection, rows: Array) -> OrientationCorrection:
     """A correction with coefficients (k, 6) added, to the values of all nodes the constant ones."""
-    nodes = len(one.nodes) if one.nodes else 0
-    polynomial = one.coefficients[: len(one.coefficients) - nodes]
+    nodes = len(base.nodes) if base.nodes else 0
+    polynomial = base.coefficients[: len(base.coefficients) - nodes]
     if nodes:
-        return replace(one, coefficients=np.vstack([polynomial, one.coefficients[len(polynomial) :] + rows[0]]))
+        return replace(base, coefficients=np.vstack([polynomial, base.coefficients[len(polynomial) :] + rows[0]]))
     rows = rows[: len(polynomial)] if len(rows) > len(polynomial) else rows
-    return replace(one, coefficients=polynomial + np.pad(rows, ((0, len(polynomial) - len(rows)), (0, 0))))
+    return replace(base, coefficients=polynomial + np.pad(rows, ((0, len(polynomial) - len(rows)), (0, 0))))
 
 
 def _priors(factor_of: Callable[[float], float]) -> Callable[[Network, float, Rng], Network]:
@@ -133,17 +133,17 @@ def _priors(factor_of: Callable[[float], float]) -> Callable[[Network, float, Rn
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         factor = factor_of(size)
         return replace(
-            network, priors=tuple(replace(one, sigmas=one.sigmas * factor) for one in network.priors),
-            passes=tuple(_scaled_pass(one, factor) for one in network.passes),
+            network, priors=tuple(replace(prior, sigmas=prior.sigmas * factor) for prior in network.priors),
+            passes=tuple(_scaled_pass(pass_, factor) for pass_ in network.passes),
         )  # fmt: skip
 
     return wrong
 
 
-def _scaled_pass(one: Pass, factor: float) -> Pass:
+def _scaled_pass(pass_: Pass, factor: float) -> Pass:
     """A pass with its prior sigmas times a factor."""
-    trend = one.prior.trend_sigmas.size
-    return one.scaled(np.full(6, factor), np.full(one.widths[-1], factor) if trend else np.zeros(0))
+    trend = pass_.prior.trend_sigmas.size
+    return pass_.scaled(np.full(6, factor), np.full(pass_.widths[-1], factor) if trend else np.zeros(0))
 
 
 # --- wrong image measurements
@@ -161,11 +161,11 @@ def _moved(network: Network, rows: Index, by: Array) -> Network:
     return replace(network, rays=replace(network.rays, places=places))
 
 
-def _offset(of: tuple[float, float], every: bool = False) -> Callable[..., Network]:
+def _offset(of: tuple[float, float], all_images: bool = False) -> Callable[..., Network]:
     """Lines and samples of the first image, or of all, off by a size."""
 
     def wrong(network: Network, size: float, rng: Rng) -> Network:
-        chosen = network.rays.image <= (len(network.images) if every else 0)
+        chosen = network.rays.image <= (len(network.images) if all_images else 0)
         return _moved(network, np.flatnonzero(chosen), size * np.array(of))
 
     return wrong
@@ -174,7 +174,7 @@ def _offset(of: tuple[float, float], every: bool = False) -> Callable[..., Netwo
 def _scaled_samples(network: Network, size: float, rng: Rng) -> Network:
     """A focal length or pixel size of all images that is wrong by a factor."""
     rays = network.rays
-    middle = np.array([0.5 * one.samples for one in network.images])[rays.image]
+    middle = np.array([0.5 * image.samples for image in network.images])[rays.image]
     off = size * (rays.places[:, 1] - middle)
     return _moved(network, np.arange(off.size), np.column_stack([np.zeros(off.size), off]))
 
@@ -277,8 +277,8 @@ def _footprints(axis: int, share: float = 1.0) -> Callable[..., Network]:
     """Footprints off by a size eastward, northward or upward: another datum, areoid or radius."""
 
     def wrong(network: Network, size: float, rng: Rng) -> Network:
-        places, mine = network.points.places.copy(), _share(_laser(network), share, rng)
-        places[mine] += size * east_north_up(places[mine])[:, axis]
+        places, shots = network.points.places.copy(), _share(_laser(network), share, rng)
+        places[shots] += size * east_north_up(places[shots])[:, axis]
         return replace(network, points=replace(network.points, places=places))
 
     return wrong
@@ -289,16 +289,16 @@ def _other_profile(network: Network, size: float, rng: Rng) -> Network:
     ranges = network.ranges
     values = ranges.values.copy()
     for j in np.unique(ranges.image).tolist():
-        mine = np.flatnonzero(ranges.image == j)
-        values[mine] = np.roll(values[mine], int(size))
+        of_image = np.flatnonzero(ranges.image == j)
+        values[of_image] = np.roll(values[of_image], int(size))
     return replace(network, ranges=replace(ranges, values=values))
 
 
 def _other_image(network: Network, size: float, rng: Rng) -> Network:
     """A share of the ranges from the other image."""
     ranges, image = network.ranges, network.ranges.image.copy()
-    mine = _share(np.arange(image.size), size, rng)
-    image[mine] = 1 - image[mine]
+    swapped = _share(np.arange(image.size), size, rng)
+    image[swapped] = 1 - image[swapped]
     return replace(network, ranges=replace(ranges, image=image))
 
 
@@ -317,25 +317,25 @@ def _duplicated(of: PointClass) -> Callable[..., Network]:
 
     def wrong(network: Network, size: float, rng: Rng) -> Network:
         points, rays, ranges, n = network.points, network.rays, network.ranges, len(network.points)
-        mine = _share(np.flatnonzero(points.classes == of), size, rng)
+        doubled = _share(np.flatnonzero(points.classes == of), size, rng)
         place = np.full(n, -1)
-        place[mine] = n + np.arange(mine.size)
-        whole = np.concatenate([np.arange(n), mine])
-        ids = Names.of([*points.ids[np.arange(n)], *(f"{name} again" for name in points.ids[mine])])
+        place[doubled] = n + np.arange(doubled.size)
+        rows = np.concatenate([np.arange(n), doubled])
+        ids = Names.of([*points.ids[np.arange(n)], *(f"{name} again" for name in points.ids[doubled])])
         ray = np.concatenate([np.arange(rays.point.size), np.flatnonzero(place[rays.point] >= 0)])
         shot = np.concatenate([np.arange(ranges.point.size), np.flatnonzero(place[ranges.point] >= 0)])
-        twice, again = rays.chosen(ray), ranges.chosen(shot)
+        sights, shots = rays.chosen(ray), ranges.chosen(shot)
         first = rays.point.size, ranges.point.size
-        twice = replace(twice, point=np.append(twice.point[: first[0]], place[twice.point[first[0] :]]))
-        again = replace(again, point=np.append(again.point[: first[1]], place[again.point[first[1] :]]))
+        sights = replace(sights, point=np.append(sights.point[: first[0]], place[sights.point[first[0] :]]))
+        shots = replace(shots, point=np.append(shots.point[: first[1]], place[shots.point[first[1] :]]))
         shifts, surface = network.shifts, network.surface
         return replace(
             network,
-            points=replace(points, ids=ids, classes=points.classes[whole], kinds=points.kinds[whole],
-                           places=points.places[whole], covariances=points.covariances[whole]),
-            rays=twice, ranges=again,
-            shifts=None if shifts is None else replace(shifts, profile=shifts.profile[whole]),
-            surface=None if surface is None else replace(surface, sigmas=surface.sigmas[whole]),
+            points=replace(points, ids=ids, classes=points.classes[rows], kinds=points.kinds[rows],
+                           places=points.places[rows], covariances=points.covariances[rows]),
+            rays=sights, ranges=shots,
+            shifts=None if shifts is None else replace(shifts, profile=shifts.profile[rows]),
+            surface=None if surface is None else replace(surface, sigmas=surface.sigmas[rows]),
         )  # fmt: skip
 
     return wrong
@@ -405,13 +405,13 @@ KINDS: dict[str, Kind] = {
 _NEEDS = {"terrain": "surface", "range": "ranges", "ranges": "ranges", "footprints": "laser",
           "ground": "laser", "shots": "laser", "laser": "ranges"}  # fmt: skip
 GOOD = "nothing"
-"""What is wrong with good data."""
+"""Name of the case without a fault."""
 CASES = tuple(f"{site}, {kind}" for site in (*_SITES, "lroc") for kind in (*KINDS, GOOD))
 
 
 @cache
 def prepared(site: str) -> tuple[Network, SolverSettings]:
-    """Network and settings of a site; of the LROC pair those of the real images, drawn anew as all others."""
+    """Network and settings of a site; for the LROC pair those of the real images, with drawn errors."""
     if site in _SITES:
         return drawn_sites(_SITES[site])
     read = read_case(_LROC)
@@ -419,7 +419,7 @@ def prepared(site: str) -> tuple[Network, SolverSettings]:
 
 
 def applies(network: Network, kind: str) -> bool:
-    """Whether a case has what is wrong."""
+    """Whether a case has the data that the fault changes."""
     has = {"surface": network.surface is not None, "ranges": bool(network.ranges.point.size),
            "laser": bool(_laser(network).size)}  # fmt: skip
     return all(has[need] for word, need in _NEEDS.items() if word in kind.replace(",", "").split())
@@ -430,14 +430,14 @@ def one_draw(case: str, seed: int) -> Draw:
     site, kind = case.split(", ", 1)
     network, settings = prepared(site)
     if kind == GOOD:
-        found = verdict(adjust_network(redraw(network, np.random.default_rng(seed), settings.angles).network, settings))
-        return {"state": found.state.value, "p": {one.name: one.p_value for one in found.groups if one.tested}}
-    found = [_one(network, settings, KINDS[kind], size, seed) for size in KINDS[kind].sizes] if applies(
+        good = verdict(adjust_network(redraw(network, np.random.default_rng(seed), settings.angles).network, settings))
+        return {"state": good.state.value, "p": {g.name: g.p_value for g in good.groups if g.tested}}
+    results = [_end_of(network, settings, KINDS[kind], size, seed) for size in KINDS[kind].sizes] if applies(
         network, kind) else []  # fmt: skip
-    return {"ends": [end for end, _ in found], "nees": [values for _, values in found]}
+    return {"ends": [end for end, _ in results], "nees": [values for _, values in results]}
 
 
-def _one(network: Network, settings: SolverSettings, kind: Kind, size: float, seed: int) -> tuple[str, list[float]]:
+def _end_of(network: Network, settings: SolverSettings, kind: Kind, size: float, seed: int) -> tuple[str, list[float]]:
     rng = np.random.default_rng(seed)
     try:
         change = None if kind.orientation is None else kind.orientation(network, size)
@@ -446,32 +446,32 @@ def _one(network: Network, settings: SolverSettings, kind: Kind, size: float, se
         solution = adjust_network(wrong, settings)
     except (MgsgraphError, InputError) as error:
         return f"refused: {type(error).__name__}", []
-    found = verdict(solution)
-    if found.state is not State.VALID:
-        causes = Counter(one.cause.value for one in found.reasons)
+    judgement = verdict(solution)
+    if judgement.state is not State.VALID:
+        causes = Counter(reason.cause.value for reason in judgement.reasons)
         return f"named: {'; '.join(causes)}", []
     errors = [_errors(solution, draw, of) for of in (PointClass.TIE, PointClass.LASER)]
     values = [value for value, _ in errors if np.isfinite(value)]
     if min(chance for _, chance in errors) >= 1.0 / RUNS:
         return "harmless", values
-    if any(_covers(one, kind, size) for one in found.undetected) or _covers_sigmas(found, kind, size):
+    if any(_covers(effect, kind, size) for effect in judgement.undetected) or _covers_sigmas(judgement, kind, size):
         return "listed", values
     return "escaped", values
 
 
-def _covers(one: Undetected, kind: Kind, size: float) -> bool:
+def _covers(effect: Undetected, kind: Kind, size: float) -> bool:
     """Whether a verdict says that an error of this kind and size could remain unnoticed."""
-    return any(f"{one.what} of {one.of}".startswith(name) for name in kind.listed) and (
-        one.size >= size or one.size_without_terrain >= size
+    return any(f"{effect.what} of {effect.of}".startswith(name) for name in kind.listed) and (
+        effect.size >= size or effect.size_without_terrain >= size
     )  # fmt: skip
 
 
-def _covers_sigmas(found: Verdict, kind: Kind, factor: float) -> bool:
+def _covers_sigmas(judgement: Verdict, kind: Kind, factor: float) -> bool:
     """Whether it says that stated sigmas of these groups may be too small by a factor."""
-    level = level_of_groups(found.groups)
+    level = level_of_groups(judgement.groups)
     return any(
-        one.name.startswith(name) and one.hidden_factor(level, POWER) >= factor
-        for one in found.groups for name in kind.listed if kind.unit == "times"
+        group.name.startswith(name) and group.hidden_factor(level, POWER) >= factor
+        for group in judgement.groups for name in kind.listed if kind.unit == "times"
     )  # fmt: skip
 
 
@@ -479,65 +479,65 @@ def _errors(solution: Solution, draw: Redrawn, of: PointClass) -> tuple[float, f
     """NEES of a class of points per coordinate, and the chance of so large errors by the joint covariance."""
     at = at_solution(solution)
     n = len(draw.network.points)
-    mine = np.flatnonzero((solution.network.points.classes[:n] == of) & solution.determined[:n])
-    index = at.layout.patterns.point_index[mine]
-    mine, index = (part[at.rows.kind[index] != OUT][:: max(1, mine.size // _POINTS)] for part in (mine, index))
-    if not mine.size:
+    points = np.flatnonzero((solution.network.points.classes[:n] == of) & solution.determined[:n])
+    index = at.layout.patterns.point_index[points]
+    points, index = (part[at.rows.kind[index] != OUT][:: max(1, points.size // _POINTS)] for part in (points, index))
+    if not points.size:
         return float("nan"), 1.0
     motions = Motions(at, index)
     errors = np.einsum("nij,nj->ni", motions.whitening, (solution.places - np.pad(
-        draw.places, ((0, len(solution.places) - n), (0, 0))))[mine])  # fmt: skip
+        draw.places, ((0, len(solution.places) - n), (0, 0))))[points])  # fmt: skip
     square = float(np.sum(errors**2))
     if square < 1.2 * errors.size:
         return square / errors.size, 1.0
     through = at.joint.square_root.back(np.eye(at.joint.columns))
     shared = np.concatenate(motions.whitening @ (motions.follow @ through))
-    whole = shared @ shared.T
-    own = motions.whitening @ motions.noise @ np.swapaxes(motions.whitening, 1, 2)
-    for k in range(mine.size):
-        whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += own[k]
-    weights = np.linalg.eigvalsh(whole)
+    covariance = shared @ shared.T
+    noise = motions.whitening @ motions.noise @ np.swapaxes(motions.whitening, 1, 2)
+    for k in range(points.size):
+        covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += noise[k]
+    weights = np.linalg.eigvalsh(covariance)
     return square / errors.size, quadratic_tail(square, weights[weights > 1e-9 * weights.max()])
 
 
-def judge(every: list[Draw]) -> Blocks:
+def judge(draws: list[Draw]) -> Blocks:
     """Of good data how often they are suspect, and whether p-values are uniform; of wrong inputs how they ended."""
-    good = [draw for draw in every if draw["case"].endswith(GOOD)]
-    wrong = [draw for draw in every if not draw["case"].endswith(GOOD)]
+    good = [draw for draw in draws if draw["case"].endswith(GOOD)]
+    wrong = [draw for draw in draws if not draw["case"].endswith(GOOD)]
     return ({"good": _of_good(good)} if good else {}) | ({"wrong": _of_wrong(wrong)} if wrong else {})
 
 
-def _of_good(every: list[Draw]) -> list[str]:
+def _of_good(all_draws: list[Draw]) -> list[str]:
     """A row for each case: states, and of each group Kolmogorov and Smirnov's p-value for uniform p-values."""
     from scipy.stats import kstest
 
     rows = []
-    for case in names_of(every):
-        draws = cases(every, case)
+    for case in names_of(all_draws):
+        draws = cases(all_draws, case)
         states = Counter(draw["state"] for draw in draws)
         names = list(dict.fromkeys(name for draw in draws for name in draw["p"]))
         uniform = [f"{name} {kstest([draw['p'][name] for draw in draws if name in draw['p']], 'uniform').pvalue:.2g}"
                    for name in names]  # fmt: skip
-        counts = [str(states[one.value]) for one in State]
+        counts = [str(states[state.value]) for state in State]
         rows.append([case.split(", ")[0], str(len(draws)), *counts, "; ".join(uniform)])
-    return table(("case", "draws", *(one.value for one in State), "uniform p-values? (KS)"), rows)
+    return table(("case", "draws", *(state.value for state in State), "uniform p-values? (KS)"), rows)
 
 
-def _of_wrong(every: list[Draw]) -> list[str]:
+def _of_wrong(all_draws: list[Draw]) -> list[str]:
     """A row for each kind: at each site and size how many draws were refused, named, harmless, listed, escaped; and the
     least size that is found with 99.9 %, by theory.
     """
-    sites = list(dict.fromkeys(name.split(", ")[0] for name in names_of(every)))
+    sites = list(dict.fromkeys(name.split(", ")[0] for name in names_of(all_draws)))
     rows = []
-    for kind, one in KINDS.items():
-        cells, scale = [], ARCMIN if one.unit == "rad" else 1.0
+    for kind, wrong in KINDS.items():
+        cells, scale = [], ARCMIN if wrong.unit == "rad" else 1.0
         for site in sites:
-            draws = [draw for draw in cases(every, f"{site}, {kind}") if draw["ends"]]
+            draws = [draw for draw in cases(all_draws, f"{site}, {kind}") if draw["ends"]]
             counts = [_cell([draw["ends"][k] for draw in draws]) for k in range(3)]
-            cells.append("<br>".join([*counts, f"({_least(site, one, kind) / scale:.2g})"]) if draws else "-")
-        sizes = "<br>".join([*(f"{size / scale:g}" for size in one.sizes), "(theory)"])
-        rows.append([kind, "arcmin" if one.unit == "rad" else one.unit or "1", sizes, *cells])
-    ends = Counter(end.split(":")[0] for draw in every for end in draw["ends"])
+            cells.append("<br>".join([*counts, f"({_least(site, wrong, kind) / scale:.2g})"]) if draws else "-")
+        sizes = "<br>".join([*(f"{size / scale:g}" for size in wrong.sizes), "(theory)"])
+        rows.append([kind, "arcmin" if wrong.unit == "rad" else wrong.unit or "1", sizes, *cells])
+    ends = Counter(end.split(":")[0] for draw in all_draws for end in draw["ends"])
     total = f"{ends.total()} runs: " + ", ".join(f"{count} {end}" for end, count in ends.most_common())
     head = ("wrong input", "unit", "size", *sites)
     return [*table(head, rows), "", f"{total}."]
@@ -545,16 +545,16 @@ def _of_wrong(every: list[Draw]) -> list[str]:
 
 def _least(site: str, kind: Kind, name: str) -> float:
     """The least size that is found with `POWER`, by the verdict on good data; infinite where nothing tests it, and NaN
-    of what is no error of one number.
+    where the fault is not a single number.
     """
-    found = _good(site)
+    judgement = _good(site)
     if kind.unit == "times":
-        level = level_of_groups(found.groups)
-        factors = [one.hidden_factor(level, POWER) for one in found.groups if one.name.startswith(kind.listed or "-")]
+        level = level_of_groups(judgement.groups)
+        factors = [g.hidden_factor(level, POWER) for g in judgement.groups if g.name.startswith(kind.listed or "-")]
         return min(factors, default=float("nan"))
-    mine = [one for one in found.undetected if f"{one.what} of {one.of}".startswith(kind.listed or "-")]
-    single = [one.size for one in mine if (one.of == "all images") == ("one image" not in name)]
-    return min(single or [one.size for one in mine], default=float("nan"))
+    listed = [e for e in judgement.undetected if f"{e.what} of {e.of}".startswith(kind.listed or "-")]
+    single = [effect.size for effect in listed if (effect.of == "all images") == ("one image" not in name)]
+    return min(single or [effect.size for effect in listed], default=float("nan"))
 
 
 @cache
@@ -567,8 +567,8 @@ def _good(site: str) -> Verdict:
 def _cell(ends: list[str]) -> str:
     """Counts: R refused, N named, h harmless, L listed, E escaped."""
     letters = {"refused": "R", "named": "N", "harmless": "h", "listed": "L", "escaped": "E"}
-    found = Counter(letters[end.split(":")[0]] for end in ends)
-    return " ".join(f"{found[letter]}{letter}" for letter in letters.values() if found[letter])
+    counts = Counter(letters[end.split(":")[0]] for end in ends)
+    return " ".join(f"{counts[letter]}{letter}" for letter in letters.values() if counts[letter])
 
 
 if __name__ == "__main__":

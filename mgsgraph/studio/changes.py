@@ -1,6 +1,6 @@
-"""Changes that a browser asks for: each is stored in the project, adjusted by iSAM2, and answered with what it did.
+"""Changes that a browser asks for: each is stored in the project, adjusted by iSAM2, and answered with its effect.
 
-One browser at a time may change a project: the first one that does. Another one reads, and hears who has it.
+One browser at a time changes a project: the first that asks. Other browsers read it, and are told so.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 
 _MOST_MOVED = 500
-"""Points that moved, of which the page is told; the rest is counted."""
+"""Most points whose motion is sent to the page."""
 
 
 class EditLock:
@@ -30,52 +30,52 @@ class EditLock:
     def __init__(self) -> None:
         self._holder, self._since = "", ""
 
-    def words(self, browser: str) -> str:
+    def refusal(self, browser: str) -> str:
         """Why a browser may not change the project now; empty where it may."""
         if self._holder in ("", browser):
             return ""
         return f"Another browser has been changing this project since {self._since}; here it can be read only."
 
     def require(self, browser: str) -> bool:
-        """Give a browser the lock, where no other one has it; whether it had it before. InputError where one has."""
-        if words := self.words(browser):
-            raise InputError("studio", words.rstrip("."), remedy="Take over, if it is yours")
+        """Give a browser the lock; True where it held it before. InputError where another browser holds it."""
+        if refusal := self.refusal(browser):
+            raise InputError("studio", refusal.rstrip("."), remedy="Take over, if it is yours")
         if held := self._holder == browser:
             return held
         self.take(browser)
         return False
 
     def release(self, browser: str) -> None:
-        """Take it from a browser."""
+        """Release the lock, if this browser holds it."""
         if self._holder == browser:
             self._holder = ""
 
     def take(self, browser: str) -> None:
-        """Give it the lock, whoever had it."""
+        """Give a browser the lock, whoever holds it."""
         self._holder, self._since = browser, datetime.now().strftime("%H:%M:%S")
 
 
-def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry out a change; what it did, as JSON.
+def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Carry out a change; its effect, as JSON.
 
     Parameters
     ----------
     opened : Opened
         A project.
-    asked : mapping
+    content : mapping
         kind (as of `project.edits`), point; image, line, sample; measures of a new point; place of a held one.
 
     Raises
     ------
     InputError
-        No project; another process changes it; what the change itself refuses: nothing has changed then.
+        No project; another process changes it; the change is refused. Nothing has changed then.
     """
-    kind = _text(asked, "kind")
+    kind = _text(content, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
 
     def act(project: Project) -> tuple[Edited, list[dict[str, Any]]]:
-        edited = _KINDS[kind](project, asked)
+        edited = _KINDS[kind](project, content)
         return edited, [] if edited.impact is None else _moved(opened, project, edited.impact)
 
     edited, moved = opened.change(act)
@@ -85,53 +85,53 @@ def change(opened: Opened, asked: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _measure(project: Project, asked: Mapping[str, Any]) -> Edited:
-    wanted = asked.get("measures")
-    if not isinstance(wanted, list) or not all(isinstance(one, dict) for one in wanted):
-        raise InputError("change, measures", repr(wanted)[:60], "a list of {image, line, sample}")
+def _measure(project: Project, content: Mapping[str, Any]) -> Edited:
+    rows = content.get("measures")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError("change, measures", repr(rows)[:60], "a list of {image, line, sample}")
     measures = [
-        Measure(_text(one, "image"), _number(one, "line"), _number(one, "sample"), *_sigmas(one)) for one in wanted
+        Measure(_text(row, "image"), _number(row, "line"), _number(row, "sample"), *_sigmas(row)) for row in rows
     ]
-    return edits.measure(project, _text(asked, "point"), measures)
+    return edits.measure(project, _text(content, "point"), measures)
 
 
-def _sigmas(one: Mapping[str, Any]) -> tuple[float, float]:
-    sigma = _number(one, "sigma_px") if "sigma_px" in one else 0.0
+def _sigmas(row: Mapping[str, Any]) -> tuple[float, float]:
+    sigma = _number(row, "sigma_px") if "sigma_px" in row else 0.0
     return sigma, sigma
 
 
-def _move(project: Project, asked: Mapping[str, Any]) -> Edited:
-    at = _number(asked, "line"), _number(asked, "sample")
-    return edits.move(project, _text(asked, "point"), _text(asked, "image"), *at)
+def _move(project: Project, content: Mapping[str, Any]) -> Edited:
+    at = _number(content, "line"), _number(content, "sample")
+    return edits.move(project, _text(content, "point"), _text(content, "image"), *at)
 
 
-def _hold(project: Project, asked: Mapping[str, Any]) -> Edited:
+def _hold(project: Project, content: Mapping[str, Any]) -> Edited:
     """At a place in degrees (geodetic, that is planetographic latitude) and m above the ellipsoid, with sigmas in m."""
-    point = _text(asked, "point")
+    point = _text(content, "point")
     names = project.store.image_names()
     body = project.store.image(names[0]).image.body
-    place = np.array([_number(asked, "longitude_deg") * DEG, _number(asked, "geodetic_latitude_deg") * DEG,
-                      _number(asked, "height_m")])  # fmt: skip
+    place = np.array([_number(content, "longitude_deg") * DEG, _number(content, "geodetic_latitude_deg") * DEG,
+                      _number(content, "height_m")])  # fmt: skip
     if abs(place[1]) > 0.5 * np.pi:
         raise InputError("change, geodetic_latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
-    sigmas = np.array([_number(asked, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
+    sigmas = np.array([_number(content, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 
 
 _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
     "measure": _measure,
     "move": _move,
-    "reject": lambda project, asked: edits.reject(project, _text(asked, "point"), _text(asked, "image")),
-    "accept": lambda project, asked: edits.accept(project, _text(asked, "point"), _text(asked, "image")),
+    "reject": lambda project, content: edits.reject(project, _text(content, "point"), _text(content, "image")),
+    "accept": lambda project, content: edits.accept(project, _text(content, "point"), _text(content, "image")),
     "hold": _hold,
-    "release": lambda project, asked: edits.release(project, _text(asked, "point")),
-    "remove": lambda project, asked: edits.remove_point(project, _text(asked, "point")),
-    "undo": lambda project, asked: edits.undo(project),
+    "release": lambda project, content: edits.release(project, _text(content, "point")),
+    "remove": lambda project, content: edits.remove_point(project, _text(content, "point")),
+    "undo": lambda project, content: edits.undo(project),
 }
 
 
 def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, Any]]:
-    """Points that moved, as the project has them now: new ones before those that moved by most of their sigmas."""
+    """Points that moved, at their new places: new points first, then by motion in sigmas."""
     moved = impact.points
     order = np.argsort(-np.nan_to_num(moved.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
     names, place = [moved.ids[k] for k in order.tolist()], dict[str, Array]()
@@ -148,15 +148,15 @@ def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, A
     ]  # fmt: skip
 
 
-def _text(asked: Mapping[str, Any], key: str) -> str:
-    value = asked.get(key, "" if key in ("point", "image") else None)
+def _text(content: Mapping[str, Any], key: str) -> str:
+    value = content.get(key, "" if key in ("point", "image") else None)
     if not isinstance(value, str):
         raise InputError(f"change, {key}", repr(value)[:60], "a text")
     return value
 
 
-def _number(asked: Mapping[str, Any], key: str) -> float:
-    value = asked.get(key)
+def _number(content: Mapping[str, Any], key: str) -> float:
+    value = content.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
         raise InputError(f"change, {key}", repr(value)[:60], "a finite number")
     return float(value)

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
 _MATPLOTLIB = Lock()
-"""Its settings are one for all threads."""
+"""All threads share matplotlib's settings."""
 LAYERS = ("footprints", "points", "ellipses", "moved", "relief")
 """Layers of the map that a figure has."""
 _SIGNED = "moved_up"
-_EVERY = 5
-"""Columns and rows of cells, of which one has its correction drawn."""
+_STEP = 5
+"""Of so many columns and rows of cells one has its correction drawn."""
 
 
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
@@ -58,13 +58,13 @@ def map_figure(
     size : tuple of float
         Width and height of the window in CSS pixels, for the size of cells.
     value : str
-        By which points are coloured, one of `VALUES`.
+        Value that colors the points, one of `VALUES`.
     kinds : (classes,)
-        Which points.
+        Classes of points that are drawn.
     layers : collection of str
         Those of `LAYERS` that are drawn; others are left out.
     factor : float, optional
-        Enlargement of ellipses and corrections; 0 for round ones that suit.
+        Enlargement of ellipses and corrections; 0 chooses a round one.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def map_figure(
     """
     from mgsgraph.results.figures.map import MapWindow, window_sheet
 
-    if not any(one in LAYERS for one in layers):
+    if not any(layer in LAYERS for layer in layers):
         raise InputError("figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
     if factor < 0.0:
         raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
@@ -81,9 +81,9 @@ def map_figure(
     record = points.window(box, size, value, kinds)
     about: tuple[Index | None, Array | None] = None, None
     if record["form"] == "points":
-        mine = points.inside(box, kinds)
-        places, values, moved = points.plane[mine], points.value(value)[mine], points.moved[mine][:, :2]
-        about = points.classes[mine], points.local[mine][:, :2, :2] if "ellipses" in layers else None
+        inside = points.inside(box, kinds)
+        places, values, moved = points.plane[inside], points.value(value)[inside], points.moved[inside][:, :2]
+        about = points.classes[inside], points.local[inside][:, :2, :2] if "ellipses" in layers else None
     else:
         places, values, moved = _cells(record)
     low, high = record["low"], record["high"]
@@ -106,7 +106,7 @@ def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
     values = np.full(rows * columns, np.nan)
     values[cells] = np.array(record["values"], dtype=np.float64)
     row, column = np.divmod(cells, columns)
-    some = (row % _EVERY == _EVERY // 2) & (column % _EVERY == _EVERY // 2)
+    some = (row % _STEP == _STEP // 2) & (column % _STEP == _STEP // 2)
     box = np.array(record["box"])
     places = box[:2] + (np.column_stack([column, row])[some] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
     return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[some]

@@ -4,13 +4,13 @@ A place p of image i shows the ground X(p); image j shows that at q = g_j(X(p)),
 
     dq/dp = (dg_j/dX) (dX/dp),
 
-of 2 x 2 elements, line and sample by line and sample. What is not known of both orientations, and of the height h of
-the ground, makes an error ellipse of q about its true place: with A_i = dg_i/d(orientation of i),
+of 2 x 2 elements, line and sample by line and sample. Errors of both orientations, and of the height h of the ground,
+make an error ellipse of q: with A_i = dg_i/d(orientation of i),
 
     dq = A_j do_j - (dq/dp) A_i do_i + (dg_j/dX) (dX/dh) dh,
 
-for p is held, so that X moves with the orientation of i. The joint covariance of both orientations goes in: what they
-have in common cancels.
+because p is fixed, so that X moves with the orientation of i. The joint covariance of both orientations is used:
+common errors cancel.
 """
 
 from collections.abc import Collection
@@ -33,16 +33,16 @@ from mgsgraph.text import many
 from mgsgraph.units import DEG, KM
 
 _NEIGHBOURS = 5
-"""Points whose heights count."""
+"""Nearest points whose heights are averaged."""
 _ROUNDS = 3
-"""Of the intersection with ground that is known beneath the place alone."""
+"""Iterations of the intersection: the ground's height depends on the position."""
 _ELLIPSOID = "on the ellipsoid: neither a terrain model nor a point with a place"
 _AROUND = 16
-"""Posts beyond the images that are kept of a terrain model."""
+"""Posts of a terrain model that are kept around the images."""
 
 
 class NoGround(InputError):
-    """A place of an image whose ray goes by the body."""
+    """A place of an image whose ray misses the body."""
 
 
 class Ground(NamedTuple):
@@ -51,15 +51,15 @@ class Ground(NamedTuple):
     point: Array
     """(3,) m, body-fixed."""
     slopes: Array
-    """(3, 2) m per px: how it moves on the ground with line and sample."""
+    """(3, 2) m per px: derivative of the point by line and sample."""
     by_height: Array
-    """(3,) m per m: how it moves along its ray with the height of the ground."""
+    """(3,) m per m: derivative of the point by the height of the ground, along its ray."""
     height: float
     """m above the ellipsoid."""
     height_sigma: float
-    """m, of that height; NaN where nobody has said it."""
+    """m, of the height; NaN where unknown."""
     surface: str
-    """What it lies on, in words."""
+    """What the point lies on, as text."""
 
 
 class GroundModel:
@@ -68,7 +68,7 @@ class GroundModel:
     Parameters
     ----------
     block : Block
-        Its terrain model counts where there is one, else its points that have a place.
+        Its terrain model is used where there is one, else its points with a place.
     """
 
     def __init__(self, block: Block) -> None:
@@ -80,13 +80,13 @@ class GroundModel:
         Raises
         ------
         NoGround
-            A ray that goes by the body.
+            A ray that misses the body.
         """
-        found = self._on_terrain(image, line, sample) or self._near_points(image, line, sample)
-        if not np.all(np.isfinite(found.point)):
-            where = f"image {self._block.images[image].name}, line {line:g}, sample {sample:g}"
-            raise NoGround(where, "its ray goes by the body", "a place that shows ground")
-        return found
+        ground = self._on_terrain(image, line, sample) or self._near_points(image, line, sample)
+        if not np.all(np.isfinite(ground.point)):
+            place = f"image {self._block.images[image].name}, line {line:g}, sample {sample:g}"
+            raise NoGround(place, "its ray misses the body", "a place that shows ground")
+        return ground
 
     def _on_terrain(self, image: int, line: float, sample: float) -> Ground | None:
         grid = self._grid
@@ -105,23 +105,23 @@ class GroundModel:
                 break
             motion = moved
         slopes = terrain_slopes(point, origins - motion, directions, d_origins, d_directions, grid)
-        words = "on the terrain model" + (", as the adjustment has moved it" if np.any(motion) else "")
+        surface = "on the terrain model" + (", as the adjustment has moved it" if np.any(motion) else "")
         sigma = grid.vertical_sigma
-        return self._ground(point + motion, slopes, directions, np.nan if sigma is None else sigma, words)
+        return self._ground(point + motion, slopes, directions, np.nan if sigma is None else sigma, surface)
 
     def _near_points(self, image: int, line: float, sample: float) -> Ground:
         picture, correction = self._block.images[image], self._block.corrections[image]
-        where = np.array([line]), np.array([sample])
-        height, sigma, words = self._middle, np.nan, _ELLIPSOID
+        pixel = np.array([line]), np.array([sample])
+        height, sigma, surface = self._middle, np.nan, _ELLIPSOID
         rounds = _ROUNDS if self._tree is not None else 0
         for _ in range(rounds):
-            point, _ = picture.image_to_ground(*where, height, correction)
+            point, _ = picture.image_to_ground(*pixel, height, correction)
             if not np.all(np.isfinite(point)):
                 break
-            height, sigma, words = self._height_by(point[0])
-        point, slopes = picture.image_to_ground(*where, height, correction)
-        _, directions = picture.sightlines(*where, correction)
-        return self._ground(point, slopes, directions, sigma, words)
+            height, sigma, surface = self._height_by(point[0])
+        point, slopes = picture.image_to_ground(*pixel, height, correction)
+        _, directions = picture.sightlines(*pixel, correction)
+        return self._ground(point, slopes, directions, sigma, surface)
 
     def _height_by(self, point: Array) -> tuple[float, float, str]:
         """Height (m), its sigma (m) and what it is, of the nearest points: means weighted by the inverse squares of
@@ -129,21 +129,21 @@ class GroundModel:
         """
         assert self._tree is not None
         count = min(_NEIGHBOURS, self._heights.size)
-        distances, nearest = (np.atleast_1d(one) for one in self._tree.query(point, count))
+        distances, nearest = (np.atleast_1d(array) for array in self._tree.query(point, count))
         heights = self._heights[nearest]
         weights = 1.0 / np.maximum(distances, 1.0) ** 2
         weights /= weights.sum()
         height = float(weights @ heights)
         spread = float(np.sqrt(weights @ (heights - height) ** 2 + weights @ self._sigmas[nearest] ** 2))
         kind = "adjusted point" if self._block.adjusted else "a-priori place"
-        words = f"at the height of the nearest {many(count, kind)}, {height:.0f} m with a sigma of {spread:.2g} m"
-        return height, spread, f"{words}; the next one is {distances.min() / KM:.2g} km away"
+        surface = f"at the height of the nearest {many(count, kind)}, {height:.0f} m with a sigma of {spread:.2g} m"
+        return height, spread, f"{surface}; the next one is {distances.min() / KM:.2g} km away"
 
-    def _ground(self, point: Array, slopes: Array, directions: Array, sigma: float, words: str) -> Ground:
+    def _ground(self, point: Array, slopes: Array, directions: Array, sigma: float, surface: str) -> Ground:
         up = east_north_up(point)[0, 2]
         direction = directions[0] / (directions[0] @ up)
         height = float(geodetic(point, self._block.images[0].body)[0, 2])
-        return Ground(point[0], slopes[0], direction, height, float(sigma), words)
+        return Ground(point[0], slopes[0], direction, height, float(sigma), surface)
 
     @cached_property
     def _grid(self) -> TerrainGrid | None:
@@ -151,31 +151,31 @@ class GroundModel:
         grid = self._block.terrain
         if grid is None:
             return None
-        every = np.concatenate([self._block.places, *self._block.grounds])
-        return grid.around(every[np.all(np.isfinite(every), axis=1)], _AROUND)
+        places = np.concatenate([self._block.places, *self._block.grounds])
+        return grid.around(places[np.all(np.isfinite(places), axis=1)], _AROUND)
 
     @cached_property
-    def _known(self) -> Index:
+    def _located(self) -> Index:
         """(m,) points with a place."""
         return np.flatnonzero(np.all(np.isfinite(self._block.places), axis=1) & np.any(self._block.places, axis=1))
 
     @cached_property
     def _heights(self) -> Array:
         """(m,) m above the ellipsoid, of these."""
-        return np.asarray(geodetic(self._block.places[self._known], self._block.images[0].body)[:, 2])
+        return np.asarray(geodetic(self._block.places[self._located], self._block.images[0].body)[:, 2])
 
     @cached_property
     def _sigmas(self) -> Array:
         """(m,) m, of these."""
-        found = self._block.covariances
-        if found is None:
-            return np.zeros(self._known.size)
-        up = east_north_up(self._block.places[self._known])[:, 2]
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, found[self._known], up), 0.0)))
+        covariances = self._block.covariances
+        if covariances is None:
+            return np.zeros(self._located.size)
+        up = east_north_up(self._block.places[self._located])[:, 2]
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[self._located], up), 0.0)))
 
     @cached_property
     def _tree(self) -> KDTree | None:
-        return KDTree(self._block.places[self._known]) if self._known.size else None
+        return KDTree(self._block.places[self._located]) if self._located.size else None
 
     @cached_property
     def _middle(self) -> float:
@@ -197,9 +197,9 @@ class Ellipse(NamedTuple):
 
     @classmethod
     def of(cls, covariance: Array) -> "Ellipse":
-        """That of a covariance (2, 2) of line and sample."""
-        semi_axes, ways = error_ellipses(covariance)
-        return cls(covariance, semi_axes[::-1], float(np.arctan2(ways[0, 1], ways[1, 1])))
+        """The ellipse of a covariance (2, 2) of line and sample."""
+        semi_axes, axes = error_ellipses(covariance)
+        return cls(covariance, semi_axes[::-1], float(np.arctan2(axes[0, 1], axes[1, 1])))
 
 
 class Prediction(NamedTuple):
@@ -212,7 +212,7 @@ class Prediction(NamedTuple):
     jacobian: Array
     """(2, 2) px per px, by line and sample of the first image."""
     inside: bool
-    """Whether the image has that place."""
+    """Whether the place lies in the image."""
     ellipse: Ellipse | None
     """None where nothing is known of the orientations."""
 
@@ -223,7 +223,7 @@ class LinkedImages:
     Parameters
     ----------
     block : Block
-        In one state; of another one another record is made.
+        In one state; another state needs another record.
     """
 
     def __init__(self, block: Block) -> None:
@@ -231,7 +231,7 @@ class LinkedImages:
         self.ground = GroundModel(block)
 
     def under(
-        self, image: str, line: float, sample: float, wanted: Collection[str] = ()
+        self, image: str, line: float, sample: float, required: Collection[str] = ()
     ) -> tuple[Ground, list[Prediction]]:
         """The ground at a place of an image, and where others show it.
 
@@ -241,15 +241,15 @@ class LinkedImages:
             Its name.
         line, sample : float
             px, first pixel's centre at 0.5; up to half the image's size outside it.
-        wanted : collection of str
-            Images that are answered for even if the place lies outside them.
+        required : collection of str
+            Images that are predicted even if the place lies outside them.
 
         Raises
         ------
         InputError
             No such image; a place far outside it.
         NoGround
-            A ray that goes by the body.
+            A ray that misses the body.
         """
         number = self.block.network.image_number(image)
         picture = self.block.images[number]
@@ -259,10 +259,10 @@ class LinkedImages:
             inside = f"a place in its {picture.lines} x {picture.samples} pixels"
             raise InputError(f"image {image}", f"line {line:g}, sample {sample:g}", inside)
         ground = self.ground.under(number, line, sample)
-        kept = {self.block.network.image_number(name) for name in wanted} - {number}
-        others = [j for j in self._about(ground.point) if j != number]
-        found = (self._prediction(number, place, ground, j) for j in sorted({*others, *kept}))
-        return ground, [one for one in found if one is not None and (one.inside or one.image in kept)]
+        numbers = {self.block.network.image_number(name) for name in required} - {number}
+        candidates = [j for j in self._candidates(ground.point) if j != number]
+        predictions = (self._prediction(number, place, ground, j) for j in sorted({*candidates, *numbers}))
+        return ground, [p for p in predictions if p is not None and (p.inside or p.image in numbers)]
 
     def _prediction(self, first: int, place: Array, ground: Ground, other: int) -> Prediction | None:
         picture, correction = self.block.images[other], self.block.corrections[other]
@@ -298,7 +298,7 @@ class LinkedImages:
             covariance = covariance + ground.height_sigma**2 * np.outer(by_height, by_height)
         return Ellipse.of(covariance)
 
-    def _about(self, point: Array) -> list[int]:
+    def _candidates(self, point: Array) -> list[int]:
         """Images that may show a point (3,), by their caps on the sphere."""
         middles, reaches = self.block.caps
         away = np.arccos(np.clip(middles @ (point / np.linalg.norm(point)), -1.0, 1.0))
@@ -313,22 +313,22 @@ class LinkedImages:
         return OrientationCorrection(np.zeros((1, 6)), self.block.settings.angles)
 
 
-def ground_record(found: Ground, others: list[Prediction], block: Block) -> dict[str, object]:
-    """What the page is told, as JSON: degrees and pixels."""
-    longitude, latitude, _ = planetocentric(found.point).tolist()
+def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, object]:
+    """The ground and where other images show it, as JSON: degrees and pixels."""
+    longitude, latitude, _ = planetocentric(ground.point).tolist()
     return {
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG,
-        "height_m": found.height, "height_sigma_m": found.height_sigma if np.isfinite(found.height_sigma) else None,
-        "surface": found.surface, "spacing_m": np.linalg.norm(found.slopes, axis=0).tolist(),
-        "others": {block.images[one.image].name: _prediction_record(one) for one in others},
+        "height_m": ground.height, "height_sigma_m": ground.height_sigma if np.isfinite(ground.height_sigma) else None,
+        "surface": ground.surface, "spacing_m": np.linalg.norm(ground.slopes, axis=0).tolist(),
+        "others": {block.images[prediction.image].name: _prediction_record(prediction) for prediction in predictions},
         "sigmas": "posterior" if block.adjusted else "a-priori",
     }  # fmt: skip
 
 
-def _prediction_record(one: Prediction) -> dict[str, object]:
-    axes = one.ellipse
+def _prediction_record(prediction: Prediction) -> dict[str, object]:
+    axes = prediction.ellipse
     ellipse = None if axes is None else {"semi_axes_px": axes.semi_axes.tolist(), "angle_deg": axes.angle / DEG}
     return {
-        "line": float(one.place[0]), "sample": float(one.place[1]), "inside": one.inside,
-        "jacobian": one.jacobian.tolist(), "ellipse_px": ellipse,
+        "line": float(prediction.place[0]), "sample": float(prediction.place[1]), "inside": prediction.inside,
+        "jacobian": prediction.jacobian.tolist(), "ellipse_px": ellipse,
     }  # fmt: skip

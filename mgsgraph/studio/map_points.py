@@ -1,4 +1,4 @@
-"""Points of a block on the studio's map: what is known of each, in arrays; those in a window, or cells of many."""
+"""Points of a block on the studio's map: arrays of what is known of each; points of a window, or cells of many."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.tiles import png
 
 MOST_POINTS = 4000
-"""Points in a window that are sent one by one; of more, cells."""
+"""Most points of a window that are sent singly; above that, cells."""
 _CELL = 7.0
 """CSS pixels, side of a cell."""
 _MOST_CELLS = 60_000
 _MAP_WORDS = "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
 _MOST_OUTLINES, _FEW_PLACES = 3000, 5
-"""Images whose outlines have all their places; of more, so many of each."""
+"""Most images with full outlines; above that, vertices of each outline."""
 MOST_SELECTED = 500
-"""Names of a selection that are sent; of more, those that lead its order."""
+"""Most names of a selection that are sent, the first of its order."""
 VALUES = {
     "sigma": ("3-D sigma", "m"), "sigma_horizontal": ("horizontal sigma", "m"), "sigma_up": ("sigma upward", "m"),
     "moved_horizontal": ("horizontal correction", "m"), "moved_up": ("correction upward", "m"),
     "residual": ("largest residual", "px"), "rays": ("rays", "of a point"), "wtest": ("largest w-test", "sigmas"),
 }  # fmt: skip
-"""What points are coloured by: title and unit."""
+"""Values that color the points: title and unit."""
 CLASSES = [kind.name.lower() for kind in PointClass]
 
 
@@ -45,9 +45,9 @@ class MapPoints:
     """n points of a block."""
 
     opened: Opened
-    """Whose."""
+    """What is open."""
     block: Block
-    """In which state."""
+    """Its state."""
 
     @cached_property
     def plane(self) -> Array:
@@ -68,23 +68,23 @@ class MapPoints:
         frames = self.frames()
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
-    def frames(self, mine: Index | None = None) -> Array:
+    def frames(self, chosen: Index | None = None) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
-        places = self.block.places if mine is None else self.block.places[mine]
+        places = self.block.places if chosen is None else self.block.places[chosen]
         return east_north_up(np.where(np.isfinite(places), places, 1.0))
 
     @cached_property
     def moved(self) -> Array:
-        """(n, 3) m east, north and up, adjusted minus before; NaN where nothing was before."""
-        known = self.opened.now.before
-        before = self.block.network.points.places if known is None else known
+        """(n, 3) m east, north and up, adjusted minus before; NaN without a place before."""
+        stored = self.opened.now.before
+        before = self.block.network.points.places if stored is None else stored
         return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
 
     def value(self, name: str) -> Array:
-        """(n,) what points are coloured by, one of `VALUES`; NaN where nothing is known."""
+        """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
         if name not in VALUES:
             raise InputError("request, value", repr(name)[:60], f"one of {', '.join(VALUES)}")
-        made: dict[str, Callable[[], Array]] = {
+        makers: dict[str, Callable[[], Array]] = {
             "sigma": lambda: np.sqrt(np.trace(self.local, axis1=1, axis2=2)),
             "sigma_horizontal": lambda: np.sqrt(self.local[:, 0, 0] + self.local[:, 1, 1]),
             "sigma_up": lambda: np.sqrt(self.local[:, 2, 2]),
@@ -94,26 +94,26 @@ class MapPoints:
             "rays": self._rays,
             "wtest": self._wtest,
         }
-        return self.opened.once(f"value {name}", made[name])
+        return self.opened.once(f"value {name}", makers[name])
 
     def _rays(self) -> Array:
         return np.bincount(self.block.network.rays.point[self.block.used], minlength=len(self.classes)).astype(float)
 
     def _residual(self) -> Array:
-        """Of the largest image residual of each point."""
+        """(n,) px, largest image residual of each point."""
         block, rays = self.block, self.block.network.rays
         predicted = np.full((rays.point.size, 2), np.nan)
-        for j, mine in enumerate(block.rays_by_image):
-            points = rays.point[mine]
-            predicted[mine] = projected(block, j, block.places[points], rays.places[mine, 0])
+        for j, of_image in enumerate(block.rays_by_image):
+            points = rays.point[of_image]
+            predicted[of_image] = projected(block, j, block.places[points], rays.places[of_image, 0])
         size = np.linalg.norm(rays.places - predicted, axis=1)
         return _largest(size, rays.point, len(self.classes))
 
     def _wtest(self) -> Array:
-        """Largest |w| of the image measures of each point."""
-        found = reliability(self.opened.posterior().linearised).measures
-        mine = np.flatnonzero((found.kind == MeasureKind.RAY) & (found.point >= 0))
-        return _largest(np.abs(found.test[mine]), found.point[mine].astype(np.int64), len(self.classes))
+        """(n,) largest |w| of the image measures of each point."""
+        measures = reliability(self.opened.posterior().linearised).measures
+        rays = np.flatnonzero((measures.kind == MeasureKind.RAY) & (measures.point >= 0))
+        return _largest(np.abs(measures.test[rays]), measures.point[rays].astype(np.int64), len(self.classes))
 
     # --- windows
 
@@ -121,46 +121,46 @@ class MapPoints:
         """(k,) points with a place in a box (4,) of x and y, low and high, of some classes."""
         x, y = self.plane.T
         with np.errstate(invalid="ignore"):
-            mine = (x >= box[0]) & (x <= box[2]) & (y >= box[1]) & (y <= box[3])
-        return np.flatnonzero(mine if kinds is None else mine & kinds[self.classes])
+            within = (x >= box[0]) & (x <= box[2]) & (y >= box[1]) & (y <= box[3])
+        return np.flatnonzero(within if kinds is None else within & kinds[self.classes])
 
     def window(self, box: Array, size: tuple[float, float], value: str, kinds: Mask) -> dict[str, Any]:
-        """Points in a box, one by one or as medians of cells, as JSON; `size`: of the window, CSS pixels."""
-        values, mine = self.value(value), self.inside(box, kinds)
+        """Points in a box, singly or as medians of cells, as JSON; `size`: of the window, CSS pixels."""
+        values, chosen = self.value(value), self.inside(box, kinds)
         low, high = self._scale(value, kinds)
         title, unit = VALUES[value]
         record: dict[str, Any] = {
-            "value": value, "title": title, "unit": unit, "low": low, "high": high, "count": int(mine.size),
+            "value": value, "title": title, "unit": unit, "low": low, "high": high, "count": int(chosen.size),
             "revision": self.opened.revision,
         }  # fmt: skip
-        if mine.size <= MOST_POINTS:
-            return record | self._one_by_one(mine, values)
-        return record | self._cells(mine, values, box, size)
+        if chosen.size <= MOST_POINTS:
+            return record | self._points(chosen, values)
+        return record | self._cells(chosen, values, box, size)
 
     def _scale(self, value: str, kinds: Mask) -> tuple[float, float]:
         """Ends of the colour scale, 2 % and 98 % of all points of these classes: the same in every window."""
         key = f"scale {value} {kinds.tolist()}"
         return self.opened.once(key, lambda: span(self.value(value)[kinds[self.classes]]))
 
-    def _one_by_one(self, mine: Index, values: Array) -> dict[str, Any]:
+    def _points(self, chosen: Index, values: Array) -> dict[str, Any]:
         ids = self.block.network.points.ids
         return {
-            "form": "points", "names": [ids[i] for i in mine.tolist()], "classes": self.classes[mine].tolist(),
-            "x": plain(np.round(self.plane[mine, 0], 3)), "y": plain(np.round(self.plane[mine, 1], 3)),
-            "values": digits(values[mine]),
-            "moved": plain(np.round(self.moved[mine].T, 4)),
-            "covariance": [digits(self.local[mine, i, j]) for i, j in ((0, 0), (0, 1), (1, 1))],
+            "form": "points", "names": [ids[i] for i in chosen.tolist()], "classes": self.classes[chosen].tolist(),
+            "x": plain(np.round(self.plane[chosen, 0], 3)), "y": plain(np.round(self.plane[chosen, 1], 3)),
+            "values": digits(values[chosen]),
+            "moved": plain(np.round(self.moved[chosen].T, 4)),
+            "covariance": [digits(self.local[chosen, i, j]) for i, j in ((0, 0), (0, 1), (1, 1))],
         }  # fmt: skip
 
-    def _cells(self, mine: Index, values: Array, box: Array, size: tuple[float, float]) -> dict[str, Any]:
+    def _cells(self, chosen: Index, values: Array, box: Array, size: tuple[float, float]) -> dict[str, Any]:
         shape = np.maximum(np.ceil(np.array(size) / _CELL), 1.0)
         shape *= min(1.0, float(np.sqrt(_MOST_CELLS / shape.prod())))
         columns, rows = (int(max(k, 1.0)) for k in shape)
         side = np.array([(box[2] - box[0]) / columns, (box[3] - box[1]) / rows])
-        place = np.minimum(((self.plane[mine] - box[:2]) / side).astype(np.int64), [columns - 1, rows - 1])
+        place = np.minimum(((self.plane[chosen] - box[:2]) / side).astype(np.int64), [columns - 1, rows - 1])
         cell, total = place[:, 1] * columns + place[:, 0], columns * rows
-        number, middle = counts(cell, total), medians(values[mine], cell, total)
-        arrows = [medians(self.moved[mine, k], cell, total) for k in range(2)]
+        number, middle = counts(cell, total), medians(values[chosen], cell, total)
+        arrows = [medians(self.moved[chosen, k], cell, total) for k in range(2)]
         some = np.flatnonzero(number)
         return {
             "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": some.tolist(),
@@ -170,15 +170,15 @@ class MapPoints:
 
     # --- selections
 
-    def selection(self, mine: Index, order: str) -> dict[str, Any]:
-        """Names of some points, those of the largest value first; places (k, 2) m on the map."""
-        values = self.value(order)[mine]
-        first = mine[np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")][:MOST_SELECTED]
+    def selection(self, chosen: Index, order: str) -> dict[str, Any]:
+        """Names of points, largest value first; places (k, 2) m on the map."""
+        values = self.value(order)[chosen]
+        shown = chosen[np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")][:MOST_SELECTED]
         ids = self.block.network.points.ids
         return {
-            "count": int(mine.size), "names": [ids[i] for i in first.tolist()], "order": VALUES[order][0],
-            "unit": VALUES[order][1], "values": digits(self.value(order)[first]),
-            "places": self.plane[first].tolist(),
+            "count": int(chosen.size), "names": [ids[i] for i in shown.tolist()], "order": VALUES[order][0],
+            "unit": VALUES[order][1], "values": digits(self.value(order)[shown]),
+            "places": self.plane[shown].tolist(),
         }  # fmt: skip
 
 
@@ -189,10 +189,10 @@ def map_points(opened: Opened) -> MapPoints:
 
 def _largest(values: Array, groups: Index, number: int) -> Array:
     """(number,) largest finite value of each group; NaN where there is none."""
-    found = np.full(number, -np.inf)
-    known = np.isfinite(values)
-    np.maximum.at(found, groups[known], values[known])
-    return np.where(np.isfinite(found), found, np.nan)
+    largest = np.full(number, -np.inf)
+    finite = np.isfinite(values)
+    np.maximum.at(largest, groups[finite], values[finite])
+    return np.where(np.isfinite(largest), largest, np.nan)
 
 
 
@@ -201,23 +201,23 @@ _MOST_PIXELS = 700
 _SUN = np.array([-0.5, 0.5, np.sqrt(0.5)])
 """Direction to the sun: from the north-west, 45 degrees high."""
 _MOST_IMAGES = 12
-"""Images up to which sigmas of new points are mapped: each cell is projected into every one."""
+"""Most images for a map of new points' sigmas: each cell is projected into all."""
 _MOST_VECTORS = 2000
 _STEP = 1.0
 """m, of the difference quotient of an image's places by the ground."""
 
 
 def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
-    """`shaded_relief` as a picture, transparent where the model says nothing."""
+    """`shaded_relief` as a picture, transparent outside the model."""
     light = shaded_relief(opened, box, size)
-    known = np.isfinite(light)
-    grey = np.where(known, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
-    return png(Image.merge("LA", [Image.fromarray(grey), Image.fromarray(known.astype(np.uint8) * 255)]))
+    covered = np.isfinite(light)
+    grey = np.where(covered, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
+    return png(Image.merge("LA", [Image.fromarray(grey), Image.fromarray(covered.astype(np.uint8) * 255)]))
 
 
 def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Array:
     """Light (rows, columns), 0 to 1, on the terrain model in a box (4,) of x and y, low and high, in m on the map, from
-    the north downwards; NaN where the model says nothing.
+    the north downwards; NaN outside the model.
 
     Raises
     ------
@@ -314,8 +314,8 @@ def scene_record(opened: Opened) -> dict[str, Any]:
     block = opened.block()
     number = np.bincount(block.network.points.classes, minlength=len(PointClass))
     places = map_points(opened).plane
-    known = places[np.all(np.isfinite(places), axis=1)]
-    corners = known if len(known) else np.concatenate([one for one in opened.footprints() if len(one)])
+    located = places[np.all(np.isfinite(places), axis=1)]
+    corners = located if len(located) else np.concatenate([outline for outline in opened.footprints() if len(outline)])
     return {
         "kind": opened.kind, "name": opened.now.name, "path": str(opened.path), "revision": opened.revision,
         "adjusted": block.adjusted, "warning": opened.warning,
@@ -335,14 +335,14 @@ def outlines_record(opened: Opened) -> dict[str, Any]:
     """Outline (k, 2) of each image in m on the map, empty where it sees nothing of the body, as JSON."""
     outlines = opened.footprints()
     most = None if len(outlines) <= _MOST_OUTLINES else _FEW_PLACES
-    return {"outlines_m": [np.round(one[thinned(len(one), most)], 1).tolist() for one in outlines]}
+    return {"outlines_m": [np.round(outline[thinned(len(outline), most)], 1).tolist() for outline in outlines]}
 
 
 def selected(opened: Opened, value: str, least: float | None, box: Array | None, kinds: Mask) -> dict[str, Any]:
     """Points of some classes in a box, and of a value (`VALUES`) of at least so much, as JSON."""
     points = map_points(opened)
-    mine = np.flatnonzero(kinds[points.classes]) if box is None else points.inside(box, kinds)
+    chosen = np.flatnonzero(kinds[points.classes]) if box is None else points.inside(box, kinds)
     if least is not None:
         with np.errstate(invalid="ignore"):
-            mine = mine[points.value(value)[mine] >= least]
-    return points.selection(mine, value)
+            chosen = chosen[points.value(value)[chosen] >= least]
+    return points.selection(chosen, value)

@@ -12,9 +12,9 @@ from mgsgraph.network import PointClass
 from mgsgraph.studio.opened import Block
 
 MOST_TIES = 20_000
-"""Ties of an image that a page is sent; of more, evenly chosen ones."""
+"""Most ties of an image that a page is sent, evenly chosen."""
 MOST_SHOTS = 20_000
-"""The same of shots."""
+"""Most shots of a profile, likewise."""
 
 
 def ties_of(block: Block, image: int) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def ties_of(block: Block, image: int) -> dict[str, Any]:
     ----------
     block : Block
     image : int
-        Which.
+        Its number.
 
     Returns
     -------
@@ -33,13 +33,13 @@ def ties_of(block: Block, image: int) -> dict[str, Any]:
         no place; sigmas (m, 2) px; used (m); kinds (m) of points; count of all.
     """
     rays, network = block.rays_by_image[image], block.network
-    total, kept = rays.size, rays[thinned(rays.size, MOST_TIES)]
-    points, measured = network.rays.point[kept], network.rays.places[kept]
+    total, shown = rays.size, rays[thinned(rays.size, MOST_TIES)]
+    points, measured = network.rays.point[shown], network.rays.places[shown]
     predicted = projected(block, image, block.places[points], measured[:, 0])
     return {
         "count": int(total), "names": [network.points.ids[i] for i in points.tolist()],
         "measured": measured.tolist(), "residuals": _pairs(measured - predicted),
-        "sigmas": network.ray_sigmas[kept].tolist(), "used": block.used[kept].tolist(),
+        "sigmas": network.ray_sigmas[shown].tolist(), "used": block.used[shown].tolist(),
         "kinds": [PointClass(k).name.lower() for k in network.points.classes[points].tolist()],
     }  # fmt: skip
 
@@ -48,14 +48,14 @@ def projected(block: Block, image: int, points: Array, lines: Array | None = Non
     """(n, 2) line and sample of points (n, 3) in m in an image, NaN where it does not see them; `nominal`: with the
     orientation before the adjustment.
     """
-    found = np.full((len(points), 2), np.nan)
-    known = np.flatnonzero(np.all(np.isfinite(points), axis=1) & np.any(points, axis=1))
+    pixels = np.full((len(points), 2), np.nan)
+    located = np.flatnonzero(np.all(np.isfinite(points), axis=1) & np.any(points, axis=1))
     picture = block.network.images[image] if nominal else block.images[image]
     correction = None if nominal else block.corrections[image]
-    if known.size:
-        start = None if lines is None else lines[known]
-        found[known] = picture.ground_to_image(points[known], correction, start)[0]
-    return found
+    if located.size:
+        start = None if lines is None else lines[located]
+        pixels[located] = picture.ground_to_image(points[located], correction, start)[0]
+    return pixels
 
 
 def shots_of(block: Block, image: int) -> dict[str, Any]:
@@ -68,21 +68,21 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
         sample, along_m, height_before_m, height_m, sigma_m (null where nothing is known).
     """
     profiles = []
-    for name, every in laser_profiles(block):
-        points = every[_near(block, image, block.network.points.places[every])]
+    for name, profile in laser_profiles(block):
+        points = profile[_near(block, image, block.network.points.places[profile])]
         before = projected(block, image, block.network.points.places[points], nominal=True)
         after = projected(block, image, block.places[points]) if block.adjusted else before
-        mine = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
-        mine = mine[thinned(mine.size, MOST_SHOTS)]
-        if mine.size:
-            mine = mine[_order(block.network.points.places[points[mine]])]
-            profiles.append(_profile(block, name, points[mine], before[mine], after[mine]))
+        shown = np.flatnonzero(_inside(block, image, before) | _inside(block, image, after))
+        shown = shown[thinned(shown.size, MOST_SHOTS)]
+        if shown.size:
+            shown = shown[_order(block.network.points.places[points[shown]])]
+            profiles.append(_profile(block, name, points[shown], before[shown], after[shown]))
     return {"above": "areoid" if block.network.areoid is not None else "ellipsoid", "profiles": profiles}
 
 
 def laser_profiles(block: Block) -> list[tuple[str, Index]]:
-    """Name and points of each laser profile, in the order of its shots: as the case has them, else by what the names of
-    shots begin with.
+    """Name and points of each laser profile, in the order of its shots: as the case has them, else by the prefix of the
+    shots' names.
     """
     points, shifts = block.network.points, block.network.shifts
     laser = np.flatnonzero(points.classes == PointClass.LASER)
@@ -90,16 +90,16 @@ def laser_profiles(block: Block) -> list[tuple[str, Index]]:
     if shifts is not None:
         profile = np.asarray(shifts.profile)[laser].tolist()
         owner = [shifts.names[p] if p >= 0 else name for p, name in zip(profile, owner, strict=True)]
-    found = dict[str, list[int]]()
+    profiles = dict[str, list[int]]()
     for name, i in zip(owner, laser.tolist(), strict=True):
-        found.setdefault(name, []).append(i)
-    return [(name, np.array(members)) for name, members in found.items()]
+        profiles.setdefault(name, []).append(i)
+    return [(name, np.array(members)) for name, members in profiles.items()]
 
 
 def _order(places: Array) -> Index:
-    """Shots in the order of their track, from the end where the first one is: files may have them in any other."""
-    apart = places - places.mean(axis=0)
-    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    """Order of shots along their track, from the end of the first one: files may have any order."""
+    offsets = places - places.mean(axis=0)
+    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
     order = np.argsort(along, kind="stable")
     return order if along[0] <= 0.0 else order[::-1]
 
@@ -127,7 +127,7 @@ def _heights(block: Block, points: Array) -> Array:
 
 
 def _near(block: Block, image: int, places: Array) -> Mask:
-    """Which places (n, 3) in m may fall in an image: few are left of the shots of a whole campaign."""
+    """Mask (n,) of places (n, 3) in m that may fall in an image: few of a campaign's shots."""
     middles, reaches = block.caps
     along = places @ middles[image] / np.linalg.norm(places, axis=1)
     return np.asarray(along >= np.cos(reaches[image]))
@@ -140,5 +140,5 @@ def _inside(block: Block, image: int, places: Array) -> Mask:
 
 
 def _pairs(values: Array) -> list[list[float] | None]:
-    there = np.all(np.isfinite(values), axis=1).tolist()
-    return [pair if known else None for pair, known in zip(values.tolist(), there, strict=True)]
+    finite = np.all(np.isfinite(values), axis=1).tolist()
+    return [pair if is_finite else None for pair, is_finite in zip(values.tolist(), finite, strict=True)]

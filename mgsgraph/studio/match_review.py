@@ -1,4 +1,4 @@
-"""Tie points as a person reviews them: which ones are looked at, their chips, and what tells a wrong match."""
+"""Review of tie points: which points are shown, their chips, and the figures that reveal a wrong match."""
 
 import base64
 import io
@@ -39,9 +39,9 @@ from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Count, no_progress
 
 WORST = 300
-"""Points that are shown unless another number is asked for."""
+"""Default number of points that are shown."""
 _SAME_MEASURE = 1e-6
-"""pixels, within which a measure of a solution is the network's."""
+"""pixels, tolerance of the same measure in a solution and in the network."""
 _LEVELS = 64
 """Grey values of a chip on the page: its picture is a third smaller than with 256, and no eye sees the difference."""
 _AT_ONCE = 256
@@ -52,14 +52,14 @@ _KEPT = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchReview(Record):
-    """Tie points to be reviewed, and what tells whether they are right."""
+    """Tie points to review, with figures of their quality."""
 
     name: str
-    """What the case is called."""
+    """Name of the case."""
     digest: str
-    """`network_digest` of the whole network, of which these may be a part."""
+    """`network_digest` of the whole network; these points may be a part of it."""
     choice: str
-    """How many of how many there are here, and how they were chosen."""
+    """How many points of how many are shown, and how they were chosen."""
     ties: TiePoints
     """n points with k measures; the first one of each point is its reference."""
     spacing: Array
@@ -70,26 +70,26 @@ class MatchReview(Record):
     """(n,) chip pixels, `misfit_beside_neighbours`."""
     step: Array
     """(k, 2, 2) d(line, sample) / d(row, column) of the chips."""
-    alike: Likeness
+    comparison: Likeness
     """Chips against those of the reference measures."""
     residuals: Array
     """(k, 2) pixels, line and sample, after the adjustment; NaN without a solution, and of undetermined points."""
     rejected: Mask
     """(k,) True for measures that the adjustment rejected as blunders."""
     figures: Mapping[str, Array]
-    """(n,) by the keys of `_ORDERS`: what tells how bad each point is; NaN where nothing is known."""
+    """(n,) by the keys of `_ORDERS`: how bad each point is; NaN where unknown."""
     chips: NDArray[np.uint8]
     """(k, SIDE, SIDE) contrast-stretched patches around the measures."""
 
 
 def _largest(ties: TiePoints, values: Array) -> Array:
     """(n,) the largest value (k,) of each point's measures; NaN where none has one."""
-    found = np.full(len(ties.ids), np.nan)
-    np.fmax.at(found, ties.measure_point, values)
-    return found
+    largest = np.full(len(ties.ids), np.nan)
+    np.fmax.at(largest, ties.measure_point, values)
+    return largest
 
 
-# --- what is to be reviewed
+# --- choice of points
 
 
 def case_pictures(case: Case, ties: TiePoints) -> Pictures:
@@ -106,12 +106,12 @@ def case_pictures(case: Case, ties: TiePoints) -> Pictures:
     def read(number: int) -> Pixels:
         path, image = case.pictures[number], case.network.images[number]
         assert path is not None
-        return _of_its_image(read_picture(path), image, str(path))
+        return _require_size(read_picture(path), image, str(path))
 
     return read
 
 
-def _of_its_image(pixels: Pixels, image: PushbroomImage, where: str) -> Pixels:
+def _require_size(pixels: Pixels, image: PushbroomImage, where: str) -> Pixels:
     if pixels.shape != (image.lines, image.samples):
         expected = f"{(image.lines, image.samples)}, as image {image.name} has"
         raise InputError(where, f"pixels of shape {pixels.shape}", expected)
@@ -127,7 +127,7 @@ def review_case(
     verdicts: Verdicts | None = None,
     progress: Count = no_progress,
 ) -> MatchReview:
-    """Look at the tie points of a case; see `review_matches`.
+    """Review the tie points of a case; see `review_matches`.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def review_matches(
     name: str = "",
     progress: Count = no_progress,
 ) -> MatchReview:
-    """Look at tie points, and choose those that a person should look at.
+    """Compare the chips of tie points, and choose the points to review.
 
     Parameters
     ----------
@@ -174,9 +174,9 @@ def review_matches(
         How many points to choose: in turn the next one by correlation (lowest first; none at all comes before), by
         misfit of the rays, by how far off the best correlation lies, and by residual.
     points : sequence of str
-        Ids of those that are wanted in place of the worst.
+        Ids of points to review in place of the worst.
     name : str
-        What to call it all.
+        Name of the review.
     progress : callable
         Called with the number of measures compared, and of all.
 
@@ -195,32 +195,32 @@ def review_matches(
     """
     if not len(ties.ids):
         raise InputError(ties.source, "no tie point", "at least one")
-    wanted = _by_name(ties, points) if points else np.arange(len(ties.ids))
+    numbers = _by_name(ties, points) if points else np.arange(len(ties.ids))
     frames = chip_frames(images, ties)
     oddness = misfit_beside_neighbours(frames, ties)
     residuals, rejected = _residuals(ties, solution)
-    alike = likeness(pictures, ties, frames, wanted, progress)
+    comparison = likeness(pictures, ties, frames, numbers, progress)
     figures = {
-        "correlation": -_largest(ties, -alike.correlation),
+        "correlation": -_largest(ties, -comparison.correlation),
         "misfit": np.where(np.isfinite(oddness), np.abs(oddness), frames.skew_pixels),
-        "offset": _largest(ties, np.hypot(*alike.shift.T)),
+        "offset": _largest(ties, np.hypot(*comparison.shift.T)),
         "residual": _largest(ties, np.hypot(*residuals.T)),
         "sigma": _largest(ties, np.fmax(*ties.measure_sigmas.T)),
     }
 
-    def some_of(which: Index) -> MatchReview:
-        rows, mine = np.flatnonzero(np.isin(ties.measure_point, which)), ties.chosen(which)
-        patches = _patches(pictures, frames.image[rows], mine.measures, frames.step[rows])
+    def review_of(chosen: Index) -> MatchReview:
+        rows, chosen_ties = np.flatnonzero(np.isin(ties.measure_point, chosen)), ties.chosen(chosen)
+        patches = _patches(pictures, frames.image[rows], chosen_ties.measures, frames.step[rows])
         return MatchReview(
-            name, network_digest(ties), _choice(ties, which, bool(points), solution is not None), mine,
-            frames.spacing[which], frames.skew[which], oddness[which], frames.step[rows], alike.chosen(rows),
-            residuals[rows], rejected[rows], {key: values[which] for key, values in figures.items()}, patches,
+            name, network_digest(ties), _choice(ties, chosen, bool(points), solution is not None), chosen_ties,
+            frames.spacing[chosen], frames.skew[chosen], oddness[chosen], frames.step[rows], comparison.chosen(rows),
+            residuals[rows], rejected[rows], {key: values[chosen] for key, values in figures.items()}, patches,
         )  # fmt: skip
 
     if points or worst >= len(ties.ids):
-        return some_of(wanted)
+        return review_of(numbers)
     unlike = np.where(np.isnan(figures["correlation"]), np.inf, -figures["correlation"])
-    return some_of(_worst([unlike, *(figures[key] for key in ("misfit", "offset", "residual"))], worst))
+    return review_of(_worst([unlike, *(figures[key] for key in ("misfit", "offset", "residual"))], worst))
 
 
 def _by_name(ties: TiePoints, names: Sequence[str]) -> Index:
@@ -232,26 +232,26 @@ def _by_name(ties: TiePoints, names: Sequence[str]) -> Index:
 
 
 def _worst(badness: Sequence[Array], most: int) -> Index:
-    """(m,) the worst points in the network's order: in turn the next one by each kind of badness (n,), NaN being none
-    that is known.
+    """(m,) the worst points in the network's order: in turn the next one by each kind of badness (n,), NaN where
+    unknown.
     """
     orders = [np.argsort(np.where(np.isnan(bad), np.inf, -bad), kind="stable") for bad in badness]
     orders = [order[: int(np.sum(~np.isnan(bad)))] for order, bad in zip(orders, badness, strict=True)]
     turn = np.concatenate([len(orders) * np.arange(order.size) + k for k, order in enumerate(orders)])
     points = np.concatenate(orders)[np.argsort(turn)]
-    first = np.unique(points, return_index=True)[1]
-    return np.sort(points[np.sort(first)[:most]])
+    firsts = np.unique(points, return_index=True)[1]
+    return np.sort(points[np.sort(firsts)[:most]])
 
 
-def _choice(ties: TiePoints, which: Index, by_name: bool, solved: bool) -> str:
+def _choice(ties: TiePoints, chosen: Index, by_name: bool, solved: bool) -> str:
     total = len(ties.ids)
     if by_name:
-        return f"{which.size} of {many(total, 'tie point')}, as asked for"
-    if which.size == total:
-        return f"{which.size} of {many(total, 'tie point')}: all of them"
+        return f"{chosen.size} of {many(total, 'tie point')}, as asked for"
+    if chosen.size == total:
+        return f"{chosen.size} of {many(total, 'tie point')}: all of them"
     kinds = ["lowest correlation", "largest misfit of the rays", "furthest better match"]
     kinds += ["largest residual"] if solved else []
-    return f"{which.size} of {many(total, 'tie point')}: in turn the next by {listed(kinds)}"
+    return f"{chosen.size} of {many(total, 'tie point')}: in turn the next by {listed(kinds)}"
 
 
 def _residuals(ties: TiePoints, solution: Solution | None) -> tuple[Array, Mask]:
@@ -261,29 +261,29 @@ def _residuals(ties: TiePoints, solution: Solution | None) -> tuple[Array, Mask]
         return np.full((k, 2), np.nan), np.zeros(k, dtype=np.bool_)
     rays, ids = solution.network.rays, solution.network.points.ids
     names = [image.name for image in solution.network.images]
-    theirs = zip((ids[i] for i in rays.point.tolist()), (names[j] for j in rays.image.tolist()), strict=True)
-    rows = {one: r for r, one in enumerate(theirs)}
-    mine = zip((ties.ids[i] for i in ties.measure_point.tolist()), ties.measure_image, strict=True)
-    found = np.array([rows.get(one, -1) for one in mine], dtype=np.int64)
-    moved = np.any(np.abs(rays.places[found] - ties.measures) > _SAME_MEASURE, axis=1)
-    for r in np.flatnonzero((found < 0) | moved)[:1]:
-        which = f"point {ties.ids[int(ties.measure_point[r])]}, image {ties.measure_image[r]}"
-        state = "no such measure" if found[r] < 0 else "measured at another place"
+    solved = zip((ids[i] for i in rays.point.tolist()), (names[j] for j in rays.image.tolist()), strict=True)
+    row_of = {measure: r for r, measure in enumerate(solved)}
+    reviewed = zip((ties.ids[i] for i in ties.measure_point.tolist()), ties.measure_image, strict=True)
+    rows = np.array([row_of.get(measure, -1) for measure in reviewed], dtype=np.int64)
+    moved = np.any(np.abs(rays.places[rows] - ties.measures) > _SAME_MEASURE, axis=1)
+    for r in np.flatnonzero((rows < 0) | moved)[:1]:
+        label = f"point {ties.ids[int(ties.measure_point[r])]}, image {ties.measure_image[r]}"
+        state = "no such measure" if rows[r] < 0 else "measured at another place"
         expected, remedy = f"the measures of {ties.source}", "adjust these, or leave the solution out"
-        raise InputError(f"solution {solution.name!r}, {which}", state, expected, remedy)
+        raise InputError(f"solution {solution.name!r}, {label}", state, expected, remedy)
     rejected = solution.rays_rejected
-    return solution.residuals[found], np.zeros(k, dtype=np.bool_) if rejected is None else rejected[found]
+    return solution.residuals[rows], np.zeros(k, dtype=np.bool_) if rejected is None else rejected[rows]
 
 
 def _patches(pictures: Pictures, image: Index, measures: Array, step: Array) -> NDArray[np.uint8]:
     """(k, SIDE, SIDE) contrast-stretched patches around measures, each image's at a time."""
-    found = np.empty((image.size, SIDE, SIDE), dtype=np.uint8)
+    patches = np.empty((image.size, SIDE, SIDE), dtype=np.uint8)
     for j in np.unique(image):
-        mine = np.flatnonzero(image == j)
-        for some_of_them in np.split(mine, range(_AT_ONCE, mine.size, _AT_ONCE)):
-            patches = chips(pictures(int(j)), measures[some_of_them], step[some_of_them])
-            found[some_of_them] = stretched(patches, _LEVELS)
-    return found
+        of_image = np.flatnonzero(image == j)
+        for batch in np.split(of_image, range(_AT_ONCE, of_image.size, _AT_ONCE)):
+            grey = chips(pictures(int(j)), measures[batch], step[batch])
+            patches[batch] = stretched(grey, _LEVELS)
+    return patches
 
 
 
@@ -313,7 +313,7 @@ def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = No
     path : Path
         The file.
     verdicts : Verdicts, optional
-        With which the page begins; of points that it doesn't show they are kept in what it saves.
+        Initial verdicts of the page; it also saves those of points that it doesn't show.
 
     Raises
     ------
@@ -328,14 +328,14 @@ def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = No
     >>> Path("review.html").exists()
     True
     """
-    known = {} if verdicts is None else verdicts.of
+    by_point = {} if verdicts is None else verdicts.of
     notes = {} if verdicts is None else verdicts.notes
-    here = set(review.ties.ids)
+    shown = set(review.ties.ids)
     write_page(_TEMPLATE, {
         "review": review,
         "store": _store(review, verdicts),
-        "points": _points(review, known, notes),
-        "others": [(one, known[one].value, notes.get(one, "")) for one in known if one not in here],
+        "points": _points(review, by_point, notes),
+        "others": [(point, by_point[point].value, notes.get(point, "")) for point in by_point if point not in shown],
         "sorts": [order[:2] for order in _orders(review)],
         "side": SIDE,
         "reach": REACH,
@@ -343,21 +343,21 @@ def write_review(review: MatchReview, path: Path, verdicts: Verdicts | None = No
 
 
 def _store(review: MatchReview, verdicts: Verdicts | None) -> str:
-    """Name under which a browser keeps verdicts: those that the page begins with aren't overruled by earlier ones."""
+    """Key under which a browser stores verdicts: another one for other initial verdicts, so that these count."""
     if verdicts is None:
         return review.digest
-    begun = repr((sorted(verdicts.of.items()), sorted(verdicts.notes.items())))
-    return f"{review.digest} {zlib.crc32(begun.encode()):08x}"
+    initial = repr((sorted(verdicts.of.items()), sorted(verdicts.notes.items())))
+    return f"{review.digest} {zlib.crc32(initial.encode()):08x}"
 
 
 def _orders(review: MatchReview) -> list[tuple[str, str, Array]]:
     """Key and name of each order in which points may be shown, and numbers (n,), the lowest of which comes first."""
-    wanted = [(key, words, sign * review.figures[key]) for key, (words, sign) in _ORDERS.items()]
-    return [order for order in wanted if np.any(np.isfinite(order[2]))]
+    orders = [(key, title, sign * review.figures[key]) for key, (title, sign) in _ORDERS.items()]
+    return [order for order in orders if np.any(np.isfinite(order[2]))]
 
 
 def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """What the page says of each point, one after the other: pictures of thousands need not be there at once."""
+    """Record of each point for the page, one at a time: pictures of thousands need much memory."""
     ties = review.ties
     order = np.argsort(ties.measure_point, kind="stable")
     rows = np.split(order, np.cumsum(np.bincount(ties.measure_point, minlength=len(ties.ids)))[:-1])
@@ -370,12 +370,12 @@ def _points(review: MatchReview, of: Mapping[str, Verdict], notes: Mapping[str, 
             "note": notes.get(name, ""),
             "sorts": {key: float(values[i]) for key, _, values in orders if np.isfinite(values[i])},
             "facts": _facts(review, i, float(correlations[i])),
-            "measures": [_measure(review, k, first=k == rows[i][0]) for k in rows[i].tolist()],
+            "measures": [_measure(review, k, is_reference=k == rows[i][0]) for k in rows[i].tolist()],
         }
 
 
 def _facts(review: MatchReview, i: int, correlation: float) -> list[tuple[str, str]]:
-    """Figures of a point, in words."""
+    """Figures of a point, as text."""
     skew, spacing, odd = review.skew[i], review.spacing[i], review.oddness[i]
     misfit = f"{skew:.3g} m = {skew / spacing:.2f} px" if np.isfinite(skew) else "none: one ray"
     return [
@@ -386,9 +386,9 @@ def _facts(review: MatchReview, i: int, correlation: float) -> list[tuple[str, s
     ]
 
 
-def _measure(review: MatchReview, k: int, first: bool) -> dict[str, Any]:
-    """What the page says of a measure: `rows` are figures of line and sample."""
-    ties, alike, residual = review.ties, review.alike, review.residuals[k]
+def _measure(review: MatchReview, k: int, is_reference: bool) -> dict[str, Any]:
+    """Record of a measure for the page: `rows` are figures of line and sample."""
+    ties, comparison, residual = review.ties, review.comparison, review.residuals[k]
     line, sample = ties.measures[k].tolist()
     rows = [
         ("ISIS", f"{line + ISIS_OFFSET:.2f}", f"{sample + ISIS_OFFSET:.2f}"),
@@ -397,30 +397,30 @@ def _measure(review: MatchReview, k: int, first: bool) -> dict[str, Any]:
     ]
     if np.all(np.isfinite(residual)):
         rows.append(("residual", f"{residual[0]:+.2f}", f"{residual[1]:+.2f}"))
-    shift = alike.shift[k]
-    known = bool(np.isfinite(shift[0]))
-    if known:
+    shift = comparison.shift[k]
+    compared = bool(np.isfinite(shift[0]))
+    if compared:
         offset = review.step[k] @ shift
         rows.append(("best at", f"{offset[0]:+.2f}", f"{offset[1]:+.2f}"))
     return {
         "image": ties.measure_image[k],
         "png": base64.b64encode(png(review.chips[k])).decode() if np.isfinite(review.step[k, 0, 0]) else "",
         "rows": rows,
-        "remark": _remark(review, k, first),
-        "ring": (0.5 * SIDE + shift[1], 0.5 * SIDE + shift[0]) if known and np.hypot(*shift) > _MARKED else None,
+        "remark": _remark(review, k, is_reference),
+        "ring": (0.5 * SIDE + shift[1], 0.5 * SIDE + shift[0]) if compared and np.hypot(*shift) > _MARKED else None,
     }
 
 
-def _remark(review: MatchReview, k: int, first: bool) -> str:
-    alike = review.alike
+def _remark(review: MatchReview, k: int, is_reference: bool) -> str:
+    comparison = review.comparison
     blunder = "; rejected by the adjustment" if review.rejected[k] else ""
-    if first:
+    if is_reference:
         return f"reference{blunder}"
-    if not np.isfinite(alike.correlation[k]):
-        found = f"; {alike.best[k]:.3f} elsewhere" if np.isfinite(alike.best[k]) else ""
-        return f"no correlation{found}{blunder}"
-    edge = f", or further than {REACH} px" if alike.at_edge[k] else ""
-    return f"correlation {alike.correlation[k]:.3f}, best {alike.best[k]:.3f}{edge}{blunder}"
+    if not np.isfinite(comparison.correlation[k]):
+        elsewhere = f"; {comparison.best[k]:.3f} elsewhere" if np.isfinite(comparison.best[k]) else ""
+        return f"no correlation{elsewhere}{blunder}"
+    edge = f", or further than {REACH} px" if comparison.at_edge[k] else ""
+    return f"correlation {comparison.correlation[k]:.3f}, best {comparison.best[k]:.3f}{edge}{blunder}"
 
 
 def png(grey: NDArray[np.uint8]) -> bytes:

@@ -1,4 +1,4 @@
-"""What is open in the studio: a project, results or a case, as it stands now; a change of a project makes it anew."""
+"""What is open in the studio: a project, results or a case, in its present state; a change makes a new state."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -36,8 +36,8 @@ from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
 
 _NEAR, _LEAST = 0.5, 5e3
-"""Share of its own reach, and m, one of which at least a place may lie farther from an image's middle and still be
-looked at: for heights, and for the orientation before the adjustment."""
+"""Margin around an image's ground, as a share of its reach, and at least in m: for heights, and for the orientation
+before the adjustment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ class Block:
     """Images, points and their covariances, in one state."""
 
     network: Network
-    """Who sees what."""
+    """Images, points and measurements."""
     settings: SolverSettings
-    """How orientation is counted."""
+    """Of the adjustment."""
     values: Sequence[Array] | None
     """Of all variables, as `Solution.values`; None before any adjustment."""
     images: tuple[PushbroomImage, ...]
@@ -57,33 +57,33 @@ class Block:
     places: Array
     """(n, 3) m, of the points, as adjusted, else a-priori; NaN where unknown."""
     covariances_of: Callable[[], Array | None]
-    """Gives those of these, once they are asked for."""
+    """Computes the points' covariances, on request."""
     used: Mask
-    """(k,) rays that take part."""
+    """(k,) rays that are used."""
     joint_of: Callable[[], JointCovariance | None]
-    """Gives the covariance of the shared unknowns; None where of some nothing is known."""
+    """Computes the covariance of the shared unknowns; None where some have none."""
     terrain: TerrainGrid | None = None
-    """Radii of the ground; None where no terrain model is at hand."""
+    """Radii of the ground; None without a terrain model."""
 
     @classmethod
     def of_solution(cls, solution: Solution) -> "Block":
         """An adjusted block."""
-        network, each = solution.network, range(len(solution.network.images))
+        network, numbers = solution.network, range(len(solution.network.images))
         return cls(
-            network, solution.settings, solution.values, tuple(map(solution.image, each)),
-            tuple(map(solution.correction, each)), solution.places, lambda: solution.covariances,
+            network, solution.settings, solution.values, tuple(map(solution.image, numbers)),
+            tuple(map(solution.correction, numbers)), solution.places, lambda: solution.covariances,
             solution.rays_used, lambda: solution.joint_covariance, _terrain(network),
         )  # fmt: skip
 
     @classmethod
     def of_posterior(cls, posterior: Posterior) -> "Block":
-        """A block where it is linearised: a project as its last change has left it."""
-        found, network = posterior.linearised, posterior.network
-        each, places = range(len(network.images)), found.places
+        """A block at its linearisation point: a project after its last change."""
+        state, network = posterior.linearised, posterior.network
+        numbers, places = range(len(network.images)), state.places
         used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
         return cls(
-            network, found.settings, found.values, tuple(map(posterior.image, each)),
-            tuple(map(posterior.correction, each)), places, found.point_covariances, used, lambda: found.joint,
+            network, state.settings, state.values, tuple(map(posterior.image, numbers)),
+            tuple(map(posterior.correction, numbers)), places, state.point_covariances, used, lambda: state.joint,
             _terrain(network),
         )  # fmt: skip
 
@@ -116,19 +116,19 @@ class Block:
 
     @cached_property
     def joint(self) -> JointCovariance | None:
-        """Covariance of the shared unknowns, a-priori before any adjustment; None where of some nothing is known."""
+        """Covariance of the shared unknowns, a-priori before any adjustment; None where some have none."""
         return self.joint_of()
 
     @cached_property
     def rays_by_image(self) -> list[Index]:
-        """Of each image its rays."""
+        """Rays of each image."""
         order = np.argsort(self.network.rays.image, kind="stable")
         counts = np.bincount(self.network.rays.image, minlength=len(self.images))
         return np.split(order, np.cumsum(counts)[:-1])
 
     @cached_property
     def grounds(self) -> list[Array]:
-        """Of each image 27 places (27, 3) in m on the ellipsoid, over its lines and samples."""
+        """27 places (27, 3) in m on the ellipsoid for each image, over its lines and samples."""
         return [
             picture.image_to_ground(np.tile(np.linspace(0.0, picture.lines, 9), 3),
                                     np.repeat(np.linspace(0.0, picture.samples, 3), 9), 0.0, correction)[0]
@@ -141,11 +141,11 @@ class Block:
         middles, reaches = np.zeros((len(self.images), 3)), np.full(len(self.images), np.pi)
         for j, points in enumerate(self.grounds):
             if not np.all(np.isfinite(points)):
-                continue  # it looks past the body in part: never left out
-            ways = unit_vectors(points)
-            middle = ways.mean(axis=0)
+                continue  # a part of it misses the body: never excluded
+            directions = unit_vectors(points)
+            middle = directions.mean(axis=0)
             middles[j] = middle / np.linalg.norm(middle)
-            reach = float(np.arccos(np.clip(ways @ middles[j], -1.0, 1.0)).max())
+            reach = float(np.arccos(np.clip(directions @ middles[j], -1.0, 1.0)).max())
             reaches[j] = reach + max(_NEAR * reach, _LEAST / self.images[j].body.equatorial)
         return middles, reaches
 
@@ -163,14 +163,14 @@ def _terrain(network: Network) -> TerrainGrid | None:
 
 
 Kind = Literal["project", "result", "case"]
-_Found = TypeVar("_Found")
+_Result = TypeVar("_Result")
 _MOST_NEAR = 2000
-"""Points about one of a solution whose posterior is found together."""
+"""Most points around one of a solution whose posterior is computed jointly."""
 _CHANGED = "only a project can be changed; make one of the case: mgsgraph project init PROJECT --case CASE"
 
 
 class State(NamedTuple):
-    """The block in one state, and where what is asked of it comes from."""
+    """The block in one state, and the sources of its answers."""
 
     name: str
     block: Block
@@ -179,7 +179,7 @@ class State(NamedTuple):
     posterior: Callable[[], Posterior] | None
     """None before any adjustment."""
     solution: Solution | None
-    """The batch solution that it is; None of a project that has changed since, and of a case."""
+    """The batch solution; None of a case, and of a project that has changed since."""
     pictures: Mapping[str, Path | None]
     warning: str
 
@@ -194,9 +194,9 @@ class Opened:
     Parameters
     ----------
     path : Path
-        Which.
+        What to open.
     case : Path, optional
-        Case of the results, for its images' pixels; found by itself for a demonstration and a project.
+        Case of the results, for its images' pixels; known already of a demonstration and a project.
 
     Attributes
     ----------
@@ -223,18 +223,18 @@ class Opened:
         self._making: dict[str, threading.RLock] = {}
         self._near: tuple[int, str, About | None] | None = None
         self._seen = _mark(path)
-        now = self.now
-        self._pictures: Mapping[str, Path | None] | None = now.pictures
-        self.warning = now.warning
-        """What is to be said of it; empty where nothing is."""
-        self.centre = _centre(now.block)
-        """(3,) m, body-fixed, where the map has its zero."""
+        state = self.now
+        self._pictures: Mapping[str, Path | None] | None = state.pictures
+        self.warning = state.warning
+        """For the user; empty where there is none."""
+        self.centre = _centre(state.block)
+        """(3,) m, body-fixed, origin of the map."""
 
     # --- the state
 
     @property
     def now(self) -> State:
-        """The state; read anew after a change, which does not wait for a state that is being read."""
+        """The state; read again after a change. No change waits for a state that is being read."""
         with self._lock:
             if self._state is None or self._state[0] != self.revision:
                 revision = self.revision
@@ -248,16 +248,16 @@ class Opened:
         """Whether all of it has been read since the last change."""
         return self._state is not None and self._state[0] == self.revision
 
-    def once(self, name: str, make: Callable[[], _Found]) -> _Found:
-        """What is made of the present state when it is first asked for, and kept until a change."""
+    def once(self, name: str, make: Callable[[], _Result]) -> _Result:
+        """A result of the present state, made at the first request and kept until a change."""
         with self._lock:
-            _ = self.now  # forgets what was made of an older one
-            made, lock = self._made, self._making.setdefault(name, threading.RLock())
-        with lock:  # one that takes long does not keep others waiting
-            if name not in made:
-                made[name] = make()
-            found: _Found = made[name]  # type: ignore[assignment]  # one kind for a name
-            return found
+            _ = self.now  # drops results of an older state
+            results, lock = self._made, self._making.setdefault(name, threading.RLock())
+        with lock:  # a slow result does not block others
+            if name not in results:
+                results[name] = make()
+            result: _Result = results[name]  # type: ignore[assignment]  # one type for a name
+            return result
 
     @property
     def pictures(self) -> Mapping[str, Path | None]:
@@ -279,23 +279,23 @@ class Opened:
         return self.once("posterior", make)
 
     def about(self, point: str) -> About:
-        """A point and others that feel the same unknowns, where they can be had without all the rest, which takes its
-        time; the whole block otherwise.
+        """A point and others that depend on the same unknowns, where these can be read alone; the whole block
+        otherwise, which takes longer.
         """
         with self._near_lock:
             if self._near is None or self._near[:2] != (self.revision, point):
-                self._near = self.revision, point, self._found_near(point)
-            if (found := self._near[2]) is not None:
-                return found
+                self._near = self.revision, point, self._read_near(point)
+            if (near := self._near[2]) is not None:
+                return near
         return self.block(), None if self.now.posterior is None else self.posterior()
 
-    def _found_near(self, point: str) -> About | None:
+    def _read_near(self, point: str) -> About | None:
         if self.kind == "project" and not (self.is_read and self.now.solution is not None):
             near = posterior_near(self.path, point)
             return None if near is None else (Block.of_posterior(near), near)
         solution = self.now.solution
-        mine = None if solution is None else near_points(solution.network, solution.places, point)
-        near = None if mine is None or solution is None else posterior_of_points(solution, mine)
+        members = None if solution is None else near_points(solution.network, solution.places, point)
+        near = None if members is None or solution is None else posterior_of_points(solution, members)
         return None if near is None else (Block.of_posterior(near), near)
 
     # --- the map
@@ -310,41 +310,41 @@ class Opened:
         def make() -> list[Array]:
             block = self.block()
             if self.now.solution is not None:
-                found = solution_connectivity(self.now.solution).footprints
+                outlines = solution_connectivity(self.now.solution).footprints
             else:
-                found = network_footprints(block.network, block.places, block.corrections.__getitem__)
-            return [self.map_places(one.outline) if len(one.outline) else np.zeros((0, 2)) for one in found]
+                outlines = network_footprints(block.network, block.places, block.corrections.__getitem__)
+            return [self.map_places(f.outline) if len(f.outline) else np.zeros((0, 2)) for f in outlines]
 
         return self.once("footprints", make)
 
     # --- changes
 
-    def change(self, act: Callable[[Project], _Found]) -> _Found:
+    def change(self, act: Callable[[Project], _Result]) -> _Result:
         """Change the project, in one transaction.
 
         Raises
         ------
         InputError
-            Results or a case; another process is changing it; what `act` refuses: nothing has changed then.
+            Results or a case; another process is changing it; `act` refuses. Nothing has changed then.
         """
         if self.kind != "project":
             raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
             with open_project(self.path, write=True, kept=self._kept) as project:
-                found = act(project)
-                words = _words(project)
-            self.revision, self.warning, self._seen = self.revision + 1, words, _mark(self.path)
-        return found
+                result = act(project)
+                warning = _warning(project)
+            self.revision, self.warning, self._seen = self.revision + 1, warning, _mark(self.path)
+        return result
 
     def notice(self) -> None:
-        """Look whether another process has changed the project since, which is read anew then."""
+        """Read the project again, if another process has changed it."""
         if self.kind != "project" or not self._changing.acquire(blocking=False):
             return
         try:
             mark = _mark(self.path)
             if mark != self._seen:
                 with suppress(MgsgraphError), open_project(self.path) as project:  # it may be changing just now
-                    self.revision, self.warning, self._seen = self.revision + 1, _words(project), mark
+                    self.revision, self.warning, self._seen = self.revision + 1, _warning(project), mark
                     self._pictures = None
         finally:
             self._changing.release()
@@ -359,16 +359,16 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
     images = np.union1d(rays.image[rays.point == number], ranges.image[ranges.point == number])
     shared = np.zeros(len(network.points), dtype=bool)
     shared[rays.point[np.isin(rays.image, images)]] = shared[ranges.point[np.isin(ranges.image, images)]] = True
-    mine = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
-    away = np.linalg.norm(places[mine] - places[number], axis=1)
-    return np.sort(mine[np.argsort(away, kind="stable")[:_MOST_NEAR]])
+    members = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
+    away = np.linalg.norm(places[members] - places[number], axis=1)
+    return np.sort(members[np.argsort(away, kind="stable")[:_MOST_NEAR]])
 
 
 def _mark(path: Path) -> tuple[int, int] | None:
-    """By what a change of a project's file is seen. It is not opened: closing it gives up all locks of the process."""
+    """Time and size of a project's file. It is not opened: closing it would release all locks of the process."""
     with suppress(OSError):
-        found = (path / PROJECT).stat()
-        return found.st_mtime_ns, found.st_size
+        status = (path / PROJECT).stat()
+        return status.st_mtime_ns, status.st_size
     return None
 
 
@@ -387,7 +387,7 @@ def _centre(block: Block) -> Array:
     """Middle (3,) in m of the points, or of what the images see where no point has a place."""
     if np.any(np.all(np.isfinite(block.places), axis=1)):
         return centre_of(block.places)
-    outlines = [one.outline for one in network_footprints(block.network, block.places) if len(one.outline)]
+    outlines = [f.outline for f in network_footprints(block.network, block.places) if len(f.outline)]
     if not outlines:
         raise InputError("studio", "no point with a place, and no image that sees the ground", "one of them")
     return centre_of(np.concatenate(outlines))
@@ -406,36 +406,36 @@ def _result(path: Path, case: Path | None) -> State:
 
 
 def _of_solution(solution: Solution, pictures: Mapping[str, Path | None]) -> State:
-    words = f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}"
+    warning = f"The adjustment has NOT converged, so that sigmas mean little: {solution.message}"
     return State(solution.name, Block.of_solution(solution), solution.places_before, lambda: Posterior.of(solution),
-                solution, pictures, "" if solution.converged else words)  # fmt: skip
+                solution, pictures, "" if solution.converged else warning)  # fmt: skip
 
 
 def _of_case(path: Path, _: Path | None) -> State:
     case = read_case(path)
-    words = "Nothing has been adjusted yet: nominal orientation, a-priori places."
+    warning = "Nothing has been adjusted yet: nominal orientation, a-priori places."
     return State(case.name, Block.of_network(case.network, case.settings), None, None, None,
-                _pictures(path), words)  # fmt: skip
+                _pictures(path), warning)  # fmt: skip
 
 
 def _project(path: Path, case: Path | None) -> State:
     with open_project(path) as project:
-        pictures = {name: Path(found) if found else None for name, found in project.pictures().items()}
+        pictures = {name: Path(file) if file else None for name, file in project.pictures().items()}
         pictures |= _pictures(case)
         last, changes = project.last_results(), project.changes(1)
-        solved, name, words = is_solved(project), project.name, _words(project)
+        solved, name, warning = is_solved(project), project.name, _warning(project)
         current = last is not None and bool(changes) and last.change >= changes[-1].number
         unsolved = None if solved else Block.of_network(project.store.network(), project.settings.solver.settings)
     if current and last is not None and last.folder is not None and (path / last.folder / ARCHIVE).is_file():
         return _of_solution(read_solution(path / last.folder), pictures)
     if unsolved is not None:
-        return State(name, unsolved, None, None, None, pictures, words)
+        return State(name, unsolved, None, None, None, pictures, warning)
     posterior = read_posterior(path)[1]
-    return State(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, words)
+    return State(name, Block.of_posterior(posterior), None, lambda: posterior, None, pictures, warning)
 
 
-def _words(project: Project) -> str:
-    """What is to be said of a project that is not as its last batch solution left it."""
+def _warning(project: Project) -> str:
+    """Warning about a project that differs from its last batch solution."""
     if not is_solved(project):
         return f"Nothing has been adjusted yet: mgsgraph project solve {project.folder}"
     if project.last_results() is None:

@@ -1,4 +1,4 @@
-"""All that is known of one point: its place and sigmas, its rays with residuals and tests, points that go along."""
+"""All that is known of one point: its place and sigmas, its rays with residuals and tests, correlated points."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -37,7 +37,7 @@ from mgsgraph.studio.tiles import png
 from mgsgraph.units import DEG
 
 _SHOWN = 12
-"""Points that go along with one of which most are shown."""
+"""Most correlated points that are shown."""
 _CHIP = 32
 """px from the middle of a chip to its edge, at the most."""
 _ENLARGED = 4
@@ -54,29 +54,28 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     """
     block, posterior = opened.about(point)
     set_aside, edited = _of_project(opened, point)
-    (found,) = block.network.points.ids.find([point]).tolist()
-    if found < 0 and not set_aside:
+    (number,) = block.network.points.ids.find([point]).tolist()
+    if number < 0 and not set_aside:
         raise InputError(f"point {point}", "not in this block", f"one of its {len(block.network.points)} points")
     record: dict[str, Any] = {
-        "name": point, "revision": opened.revision, "there": found >= 0, "edited": edited,
-        "set_aside": [_measure_record(one) for one in set_aside],
+        "name": point, "revision": opened.revision, "there": number >= 0, "edited": edited,
+        "set_aside": [_measure_record(measure) for measure in set_aside],
     }  # fmt: skip
-    if found < 0:
+    if number < 0:
         return record | {"rays": [], "class": "tie", "kind": "free", "place": None, "answer": None}
     points = MapPoints(opened, block)
-    rays = np.flatnonzero(block.network.rays.point == found)
-    record |= {
-        "class": PointClass(int(block.network.points.classes[found])).name.lower(),
-        "kind": PointKind(int(block.network.points.kinds[found])).name.lower(),
-        "place": _place(block, block.places[found]), "map_m": vector(points.plane[found]),
-        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[found]))),
-        "rays": [_ray(opened, block, found, k) for k in rays.tolist()], "answer": _answer(posterior, point),
+    rays = np.flatnonzero(block.network.rays.point == number)
+    return record | {
+        "class": PointClass(int(block.network.points.classes[number])).name.lower(),
+        "kind": PointKind(int(block.network.points.kinds[number])).name.lower(),
+        "place": _place(block, block.places[number]), "map_m": vector(points.plane[number]),
+        "sigmas_m": vector(np.sqrt(np.diagonal(points.local[number]))),
+        "rays": [_ray(opened, block, number, k) for k in rays.tolist()], "answer": _answer(posterior, point),
     }  # fmt: skip
-    return record
 
 
 def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
-    """Measures of a point that a person has rejected, and whether a person has changed it."""
+    """Measures of a point that the user has rejected, and whether the user has changed it."""
     if opened.kind != "project":
         return (), False
     with open_project(opened.path) as project:
@@ -84,8 +83,9 @@ def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
         return (() if state is None else state.set_aside), project.last_edit_of(point) is not None
 
 
-def _measure_record(one: Measure) -> dict[str, Any]:
-    return {"image": one.image, "line": one.line, "sample": one.sample, "sigma_px": [one.sigma_line, one.sigma_sample]}
+def _measure_record(measure: Measure) -> dict[str, Any]:
+    return {"image": measure.image, "line": measure.line, "sample": measure.sample,
+            "sigma_px": [measure.sigma_line, measure.sigma_sample]}  # fmt: skip
 
 
 def _place(block: Block, place: Array) -> dict[str, float] | None:
@@ -111,7 +111,7 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
 
 
 def _answer(posterior: Posterior | None, point: str) -> str | None:
-    """What `mgsgraph analyze --point` says of it; None before any adjustment, or of an undetermined point."""
+    """What `mgsgraph analyze --point` prints; None before any adjustment, or of an undetermined point."""
     with suppress(InputError):
         return None if posterior is None else "\n".join(next(answered(posterior, Questions(points=(point,)))).sentences)
     return None
@@ -129,22 +129,22 @@ def tests_of(opened: Opened, point: str) -> dict[str, Any]:
     number = block.network.point_number(point)
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block: tests are of residuals")
-    found = reliability(posterior.linearised)
-    every = found.measures
-    mine = np.flatnonzero((every.kind == MeasureKind.RAY) & (every.point == number))
+    tests = reliability(posterior.linearised)
+    measures = tests.measures
+    of_point = np.flatnonzero((measures.kind == MeasureKind.RAY) & (measures.point == number))
     rows = dict[str, dict[str, list[float | None]]]()
-    for k in mine.tolist():
-        name = block.images[int(every.image[k])].name
+    for k in of_point.tolist():
+        name = block.images[int(measures.image[k])].name
         of_image = rows.setdefault(name, {key: [None, None] for key in ("redundancy", "w", "detectable_px")})
-        values = {"redundancy": every.redundancy[k], "w": every.test[k], "detectable_px": every.detectable[k]}
+        values = {"redundancy": measures.redundancy[k], "w": measures.test[k], "detectable_px": measures.detectable[k]}
         for key, value in values.items():
-            of_image[key][int(every.component[k])] = plain(value)
-    return {"critical": found.critical, "alpha": found.levels.alpha, "rays": rows}
+            of_image[key][int(measures.component[k])] = plain(value)
+    return {"critical": tests.critical, "alpha": tests.levels.alpha, "rays": rows}
 
 
 def correlations(opened: Opened, point: str) -> dict[str, Any]:
-    """How the place of a point goes along with those of others that feel the same unknowns: correlation east, north and
-    up with those most correlated, and how many were looked at, as JSON.
+    """Correlations east, north and up of a point's place with the most correlated places of points that depend on the
+    same unknowns, and how many were looked at, as JSON.
     """
     block, posterior = opened.about(point)
     points = MapPoints(opened, block)
@@ -152,18 +152,18 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
     if posterior is None:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block")
     if not np.any(np.nan_to_num(points.local[number])):
-        raise InputError(f"point {point}", "held or without a place: it goes along with nothing", "a free point")
+        raise InputError(f"point {point}", "held or without a place: it has no correlations", "a free point")
     cross, frames = cross_covariances(posterior.linearised, number), points.frames()
     axes = np.einsum("ab,nbd,nad->na", frames[number], cross, frames)
     variances = np.diagonal(points.local, axis1=1, axis2=2)
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = axes / np.sqrt(variances[number] * variances)
-    looked_at = np.flatnonzero(np.all(np.isfinite(found), axis=1) & (np.arange(len(found)) != number))
-    size = np.abs(found[looked_at]).max(axis=1, initial=0.0)
+        coefficients = axes / np.sqrt(variances[number] * variances)
+    looked_at = np.flatnonzero(np.all(np.isfinite(coefficients), axis=1) & (np.arange(len(coefficients)) != number))
+    size = np.abs(coefficients[looked_at]).max(axis=1, initial=0.0)
     chosen = looked_at[np.argsort(-size, kind="stable")[:_SHOWN]]
     away = np.linalg.norm(block.places - block.places[number], axis=1)
     ids = block.network.points.ids
-    rows = [{"name": ids[k], "correlation": found[k].tolist()} for k in chosen.tolist()]
+    rows = [{"name": ids[k], "correlation": coefficients[k].tolist()} for k in chosen.tolist()]
     return {"axes": ["east", "north", "up"], "rows": rows, "looked_at": int(looked_at.size),
             "distance_m": {ids[k]: float(away[k]) for k in chosen.tolist()}}  # fmt: skip
 
@@ -194,10 +194,10 @@ def chip(path: Path, line: float, sample: float) -> bytes:
 _HALF = (10, 10)
 """px of the reference window on each side of its middle."""
 _REACH = 8.0
-"""px by which the place may leave where it was clicked."""
-_ROOM = 12
+"""px, largest distance from the clicked place."""
+_MARGIN = 12
 """px that are read beyond the window and its reach."""
-_WORDS = {
+_REASONS = {
     MatchStatus.LEFT: "its window leaves the picture, or lies where that has no grey values",
     MatchStatus.NOT_CONVERGED: "it did not converge",
     MatchStatus.WANDERED: f"it wandered more than {_REACH:g} px away",
@@ -212,7 +212,7 @@ class Refined(NamedTuple):
     place: Array
     """(2,) line and sample."""
     covariance: Array
-    """(2, 2) px^2, the reference being given."""
+    """(2, 2) px^2, for a fixed reference."""
     correlation: float
     """Of both windows."""
 
@@ -239,34 +239,34 @@ def refine(
     pictures : mapping
         File of each image's pixels.
     reference, search : (str, float, float)
-        Image, line and sample: of the place that holds, and of that which was clicked.
+        Image, line and sample of the fixed place, and of the clicked one.
 
     Raises
     ------
     InputError
         No pixels; images that don't show the same ground; a match that wasn't found.
     """
-    name, wanted = reference[0], search[0]
+    name, image = reference[0], search[0]
     place, start = np.array(reference[1:]), np.array(search[1:])
-    _, others = linked.under(*reference, wanted=(wanted,))
+    _, predictions = linked.under(*reference, required=(image,))
     block = linked.block
-    found = next((one for one in others if one.image == block.network.image_number(wanted)), None)
-    if found is None:
-        raise InputError(f"image {wanted}", f"the ground of {name} isn't in it", "a place of the same ground")
-    reach = int(np.ceil(_REACH + np.abs(found.jacobian) @ np.array(_HALF)).max())
-    template, first = _window(block, pictures, name, place, _HALF[0] + _ROOM)
-    other, second = _window(block, pictures, wanted, start, reach + _ROOM)
+    prediction = next((p for p in predictions if p.image == block.network.image_number(image)), None)
+    if prediction is None:
+        raise InputError(f"image {image}", f"the ground of {name} isn't in it", "a place of the same ground")
+    reach = int(np.ceil(_REACH + np.abs(prediction.jacobian) @ np.array(_HALF)).max())
+    template, template_corner = _window(block, pictures, name, place, _HALF[0] + _MARGIN)
+    searched, corner = _window(block, pictures, image, start, reach + _MARGIN)
     anchor = np.floor(place) + 0.5
-    begin = start + found.jacobian @ (anchor - place)
+    begin = start + prediction.jacobian @ (anchor - place)
     match = match_least_squares(
-        template, other, (anchor - first)[None], (begin - second)[None], found.jacobian[None], _HALF,
+        template, searched, (anchor - template_corner)[None], (begin - corner)[None], prediction.jacobian[None], _HALF,
         reach=_REACH, threads=1,
     )  # fmt: skip
     if not match.converged[0]:
-        words = _WORDS[MatchStatus(int(match.status[0]))]
-        raise InputError(f"image {wanted}", f"no least-squares match with {name}: {words}", remedy="click it by eye")
-    there = match.pixels[0] + second + match.affine[0] @ (place - anchor)
-    return Refined(there, match.covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
+        reason = _REASONS[MatchStatus(int(match.status[0]))]
+        raise InputError(f"image {image}", f"no least-squares match with {name}: {reason}", remedy="click it by eye")
+    refined = match.pixels[0] + corner + match.affine[0] @ (place - anchor)
+    return Refined(refined, match.covariance[0] + FINEST**2 * np.eye(2), float(match.correlation[0]))
 
 
 def _window(
@@ -286,7 +286,7 @@ def _window(
 
 
 _MOST_IMAGES = 60
-"""Images of a block up to which candidates are judged while somebody waits."""
+"""Most images of a block whose candidates are judged while the user waits."""
 _LINES, _SAMPLES, _MOST_PLACES = 9, 3, 80
 """Candidates along and across an image, and in all, about."""
 _CHOSEN = 5
@@ -318,40 +318,40 @@ def next_measures(opened: Opened, linked: LinkedImages) -> dict[str, Any]:
     coverage = ImageCoverage(state)
     places = _grid(linked)
     names = [f"next-{k + 1}" for k in range(len(places))]
-    wanted = [planned_point(coverage, name, place, None, _SIGMA) for name, place in zip(names, places, strict=True)]
-    wanted = [one for one in wanted if one.addition is not None]
-    if not wanted:
+    candidates = [planned_point(coverage, name, place, None, _SIGMA) for name, place in zip(names, places, strict=True)]
+    candidates = [candidate for candidate in candidates if candidate.addition is not None]
+    if not candidates:
         raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
-    made = plan(state, wanted, _CHOSEN, ("ties",), "mean", opened.now.name)
+    planned = plan(state, candidates, _CHOSEN, ("ties",), "mean", opened.now.name)
     at = dict(zip(names, opened.map_places(places).tolist(), strict=True))
     chosen = [
-        {"name": one.name, "map_m": at[one.name],
-         "text": f"in {', '.join(one.images)}: mean sigma of the tie points {one.after.total:.4g} m, "
-                 f"{100.0 * one.drop:.2g} % less"}
-        for one in made.chosen
+        {"name": candidate.name, "map_m": at[candidate.name],
+         "text": f"in {', '.join(candidate.images)}: mean sigma of the tie points {candidate.after.total:.4g} m, "
+                 f"{100.0 * candidate.drop:.2g} % less"}
+        for candidate in planned.chosen
     ]  # fmt: skip
     sentence = (
-        f"Of {len(wanted)} places on a grid, measured to {_SIGMA:g} px in all images that show them, these would lower "
-        f"the mean sigma of the tie points most, one after the other: from {made.now.total:.4g} m to "
-        f"{made.after.total:.4g} m."
+        f"Of {len(candidates)} places on a grid, measured to {_SIGMA:g} px in all images that show them, these would "
+        f"lower the mean sigma of the tie points most, one after the other: from {planned.now.total:.4g} m to "
+        f"{planned.after.total:.4g} m."
     )
     return {"sentence": sentence, "candidates": chosen}
 
 
 def _grid(linked: LinkedImages) -> Array:
-    """(n, 3) m, places on the ground, an even grid in each image, where another one shows them, too."""
+    """(n, 3) m, places on the ground, an even grid in each image, that another image shows, too."""
     images = linked.block.images
     step = max(len(images) * _LINES * _SAMPLES // _MOST_PLACES, 1)
-    asked = [
+    pixels = [
         (image.name, image.lines * (row + 0.5) / _LINES, image.samples * (column + 0.5) / _SAMPLES)
         for image in images for row in range(_LINES) for column in range(_SAMPLES)
     ]  # fmt: skip
-    found = list[Array]()
-    for name, line, sample in asked[::step]:
+    places = list[Array]()
+    for name, line, sample in pixels[::step]:
         try:
-            ground, others = linked.under(name, line, sample)
+            ground, predictions = linked.under(name, line, sample)
         except InputError:  # beside the body
             continue
-        if others:
-            found.append(ground.point)
-    return np.array(found).reshape(-1, 3)
+        if predictions:
+            places.append(ground.point)
+    return np.array(places).reshape(-1, 3)

@@ -65,7 +65,7 @@ class Views:
             if self._linked is None or self._linked[0] != self.opened.revision:
                 self._linked = self.opened.revision, LinkedImages(self.opened.block())
                 pictures, images = self.opened.pictures, self._linked[1].block.images
-                self.tiles.pictures = {one.name: (pictures.get(one.name), one.lines, one.samples) for one in images}
+                self.tiles.pictures = {i.name: (pictures.get(i.name), i.lines, i.samples) for i in images}
             return self._linked[1]
 
     def image_record(self, name: str) -> dict[str, Any]:
@@ -84,12 +84,12 @@ class Views:
         }  # fmt: skip
 
 
-# --- what is asked
+# --- requests
 
 
-def number_of(asked: Mapping[str, str], key: str, default: float | None = None) -> float:
-    """A finite number among what an address asks; InputError where it is none or missing."""
-    text = asked.get(key)
+def number_of(query: Mapping[str, str], key: str, default: float | None = None) -> float:
+    """A finite number of an address's query; InputError where it is invalid or missing."""
+    text = query.get(key)
     if text is None and default is not None:
         return default
     try:
@@ -101,22 +101,22 @@ def number_of(asked: Mapping[str, str], key: str, default: float | None = None) 
     return value
 
 
-def _box(asked: Mapping[str, str]) -> Array:
-    """(4,) m on the map, x and y, low and high; InputError where they are none."""
-    box = np.array([number_of(asked, key) for key in ("x0", "y0", "x1", "y1")])
+def _box(query: Mapping[str, str]) -> Array:
+    """(4,) m on the map, x and y, low and high; InputError for an empty box."""
+    box = np.array([number_of(query, key) for key in ("x0", "y0", "x1", "y1")])
     if not np.all(box[2:] > box[:2]):
         raise InputError("request, box", f"{box.tolist()}", "x0 < x1 and y0 < y1")
     return box
 
 
-def _size(asked: Mapping[str, str]) -> tuple[float, float]:
-    width, height = (float(np.clip(number_of(asked, key, 800.0), 16.0, 8000.0)) for key in ("w", "h"))
+def _size(query: Mapping[str, str]) -> tuple[float, float]:
+    width, height = (float(np.clip(number_of(query, key, 800.0), 16.0, 8000.0)) for key in ("w", "h"))
     return width, height
 
 
-def _kinds(asked: Mapping[str, str]) -> Mask:
-    """(classes,) which are asked for; all by default."""
-    names = [name for name in asked.get("classes", ",".join(CLASSES)).split(",") if name]
+def _kinds(query: Mapping[str, str]) -> Mask:
+    """(classes,) mask of the requested ones; all by default."""
+    names = [name for name in query.get("classes", ",".join(CLASSES)).split(",") if name]
     unknown = [name for name in names if name not in CLASSES]
     if unknown:
         raise InputError("request, classes", repr(unknown[0])[:60], f"some of {', '.join(CLASSES)}")
@@ -128,38 +128,38 @@ def _browser(request: Request) -> str:
     return request.headers.get(BROWSER, "")[:80]
 
 
-def questions_of(asked: dict[str, Any]) -> Questions:
-    """Questions as a browser puts them; InputError where one is none, or there are none."""
+def questions_of(content: dict[str, Any]) -> Questions:
+    """Questions of a browser; InputError where one is invalid, or there are none."""
     expected = "points, pairs, poses, projections or pixels"
     try:
         pixels = tuple(
-            Pixel(str(one["image"]), float(one["line"]), float(one["sample"]), float(one.get("sigma_px", 1.0)))
-            for one in asked.get("pixels", ())
+            Pixel(str(pixel["image"]), float(pixel["line"]), float(pixel["sample"]), float(pixel.get("sigma_px", 1.0)))
+            for pixel in content.get("pixels", ())
         )
-        found = Questions(
-            tuple(map(str, asked.get("points", ()))), tuple((str(a), str(b)) for a, b in asked.get("pairs", ())),
-            tuple((str(image), float(line)) for image, line in asked.get("poses", ())),
-            tuple((str(point), str(image)) for point, image in asked.get("projections", ())), pixels,
-            bool(asked.get("correlations", False)),
+        questions = Questions(
+            tuple(map(str, content.get("points", ()))), tuple((str(a), str(b)) for a, b in content.get("pairs", ())),
+            tuple((str(image), float(line)) for image, line in content.get("poses", ())),
+            tuple((str(point), str(image)) for point, image in content.get("projections", ())), pixels,
+            bool(content.get("correlations", False)),
         )  # fmt: skip
     except (TypeError, ValueError, KeyError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError("questions", repr(asked)[:80], expected) from None
-    if not found:
+        raise InputError("questions", repr(content)[:80], expected) from None
+    if not questions:
         raise InputError("questions", "none", expected)
-    return found
+    return questions
 
 
-# --- what is answered
+# --- answers
 
 
 def state_record(opened: Opened, lock: EditLock, browser: str) -> dict[str, Any]:
-    """Whether it may be changed, and why not, as JSON; what another process has changed is noticed."""
+    """Whether it may be changed, and why not, as JSON; changes of other processes are noticed."""
     opened.notice()
-    words = lock.words(browser)
+    refusal = lock.refusal(browser)
     return {
-        "revision": opened.revision, "writable": opened.kind == "project" and not words, "lock": words,
+        "revision": opened.revision, "writable": opened.kind == "project" and not refusal, "lock": refusal,
         "warning": opened.warning,
     }  # fmt: skip
 
@@ -172,17 +172,17 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     """All addresses but those of the page's own files, for the server's list."""
 
     def points(request: Request) -> Any:
-        asked = request.query_params
-        return map_points(opened).window(_box(asked), _size(asked), asked.get("value", "sigma"), _kinds(asked))
+        query = request.query_params
+        return map_points(opened).window(_box(query), _size(query), query.get("value", "sigma"), _kinds(query))
 
     def relief(request: Request) -> Any:
         return _png(relief_png(opened, _box(request.query_params), _size(request.query_params)), 0)
 
     def select(request: Request) -> Any:
-        asked = request.query_params
-        least = number_of(asked, "least") if "least" in asked else None
-        box = _box(asked) if "x0" in asked else None
-        return selected(opened, asked.get("value", "sigma"), least, box, _kinds(asked))
+        query = request.query_params
+        least = number_of(query, "least") if "least" in query else None
+        box = _box(query) if "x0" in query else None
+        return selected(opened, query.get("value", "sigma"), least, box, _kinds(query))
 
     def where(request: Request) -> Any:
         place = np.array([[number_of(request.query_params, "x"), number_of(request.query_params, "y")]])
@@ -190,71 +190,71 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         return {"longitude_deg": longitude % 360.0, "latitude_deg": latitude}
 
     def tile(request: Request) -> Any:
-        at, asked = request.path_params, request.query_params
-        contrast = number_of(asked, "low"), number_of(asked, "high")
+        at, query = request.path_params, request.query_params
+        contrast = number_of(query, "low"), number_of(query, "high")
         if at["name"] not in views.tiles.pictures:
             _ = views.linked  # which finds the pictures
         return _png(views.tiles.tile(at["name"], at["level"], at["row"], at["column"], *contrast), 86400)
 
     def ground(request: Request) -> Any:
-        asked, linked = request.query_params, views.linked
-        wanted = [name for name in asked.getlist("with") if name]
-        at = number_of(asked, "line"), number_of(asked, "sample")
+        query, linked = request.query_params, views.linked
+        required = [name for name in query.getlist("with") if name]
+        at = number_of(query, "line"), number_of(query, "sample")
         try:
-            found, others = linked.under(request.path_params["name"], *at, wanted=wanted)
-        except NoGround as error:  # no mistake of anybody's: limbs are looked at, too
+            at_pixel, predictions = linked.under(request.path_params["name"], *at, required=required)
+        except NoGround as error:  # no error: users look at limbs, too
             return {"sentence": str(error), "others": {}}
-        map_m = np.asarray(opened.map_places(found.point[None]))[0].tolist()
-        return ground_record(found, others, linked.block) | {"map_m": map_m}
+        map_m = np.asarray(opened.map_places(at_pixel.point[None]))[0].tolist()
+        return ground_record(at_pixel, predictions, linked.block) | {"map_m": map_m}
 
     def picture(request: Request) -> Any:
-        asked = request.query_params
-        image = asked.get("image", "")
+        query = request.query_params
+        image = query.get("image", "")
         path = opened.pictures.get(image)
         if path is None:
             raise InputError(f"image {image}", "no file of its pixels is known")
-        return _png(chip(path, number_of(asked, "line"), number_of(asked, "sample")), 3600)
+        return _png(chip(path, number_of(query, "line"), number_of(query, "sample")), 3600)
 
     def figure_of_map(request: Request) -> "Sheet":
-        asked = request.query_params
-        layers, value = asked.get("layers", "footprints,points").split(","), asked.get("value", "sigma")
-        box, size, kinds, factor = _box(asked), _size(asked), _kinds(asked), number_of(asked, "factor", 0.0)
+        query = request.query_params
+        layers, value = query.get("layers", "footprints,points").split(","), query.get("value", "sigma")
+        box, size, kinds, factor = _box(query), _size(query), _kinds(query), number_of(query, "factor", 0.0)
         return map_figure(opened, box, size, value, kinds, layers, factor)
 
     def figure(request: Request) -> Any:
         return drawn("map", request.path_params["kind"], lambda: figure_of_map(request))
 
-    def changed(asked: Any, browser: str) -> Any:
-        if asked.get("kind") == "take over":
+    def changed(content: Any, browser: str) -> Any:
+        if content.get("kind") == "take over":
             lock.take(browser)
-            words = ["This browser changes the project now."]
-            return state_record(opened, lock, browser) | {"sentences": words, "moved": []}
+            sentences = ["This browser changes the project now."]
+            return state_record(opened, lock, browser) | {"sentences": sentences, "moved": []}
         held = lock.require(browser)
         try:
-            return change(opened, asked) | {"writable": True, "lock": ""}
+            return change(opened, content) | {"writable": True, "lock": ""}
         except MgsgraphError:
-            if not held:  # what was refused keeps nobody out
+            if not held:  # a refused change locks nobody out
                 lock.release(browser)
             raise
 
-    def refined(asked: Any, _: str) -> Any:
+    def refined(content: Any, _: str) -> Any:
         try:
-            reference = asked["reference"]
-            first = str(reference["image"]), float(reference["line"]), float(reference["sample"])
-            second = str(asked["image"]), float(asked["line"]), float(asked["sample"])
+            reference = content["reference"]
+            fixed = str(reference["image"]), float(reference["line"]), float(reference["sample"])
+            clicked = str(content["image"]), float(content["line"]), float(content["sample"])
         except (TypeError, KeyError, ValueError):
             expected = "reference {image, line, sample}, image, line, sample"
-            raise InputError("refine", repr(asked)[:80], expected) from None
-        found = refine(views.linked, opened.pictures, first, second)
-        line, sample = found.place.tolist()
-        words = (f"Refined against {first[0]}: line {line:.2f}, sample {sample:.2f}, sigma {found.sigma:.2g} px, "
-                 f"correlation {found.correlation:.2f}.")  # fmt: skip
-        return {"line": line, "sample": sample, "sigma_px": found.sigma, "correlation": found.correlation,
-                "sentence": words}  # fmt: skip
+            raise InputError("refine", repr(content)[:80], expected) from None
+        match = refine(views.linked, opened.pictures, fixed, clicked)
+        line, sample = match.place.tolist()
+        sentence = (f"Refined against {fixed[0]}: line {line:.2f}, sample {sample:.2f}, sigma {match.sigma:.2g} px, "
+                 f"correlation {match.correlation:.2f}.")  # fmt: skip
+        return {"line": line, "sample": sample, "sigma_px": match.sigma, "correlation": match.correlation,
+                "sentence": sentence}  # fmt: skip
 
-    def asked_of(asked: Any, _: str) -> Any:
-        found = answered(opened.posterior(), questions_of(asked))
-        return [{"text": "\n".join(one.sentences), "record": plain(one.numbers)} for one in found]
+    def answers(content: Any, _: str) -> Any:
+        sections = answered(opened.posterior(), questions_of(content))
+        return [{"text": "\n".join(section.sentences), "record": plain(section.numbers)} for section in sections]
 
     getting: dict[str, Callable[[Request], Any]] = {
         "/api/state": lambda request: state_record(opened, lock, _browser(request)),
@@ -279,7 +279,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     posting: dict[str, Callable[[Any, str], Any]] = {
         "/api/changes": changed,
         "/api/refine": refined,
-        "/api/questions": asked_of,
+        "/api/questions": answers,
     }
     return [
         *(Route(path, _got(answer)) for path, answer in getting.items()),
@@ -289,8 +289,8 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
 
 def _got(answer: Callable[[Request], Any]) -> Callable[[Request], Response]:
     def endpoint(request: Request) -> Response:
-        found = answer(request)
-        return found if isinstance(found, Response) else JSONResponse(found)
+        result = answer(request)
+        return result if isinstance(result, Response) else JSONResponse(result)
 
     return endpoint
 
@@ -302,7 +302,7 @@ def _posted(answer: Callable[[Any, str], Any]) -> Callable[[Request], Awaitable[
             body += part
             if len(body) > _LONGEST:
                 raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
-        asked = json_object(body, "request")
-        return JSONResponse(await run_in_threadpool(answer, asked, _browser(request)))
+        content = json_object(body, "request")
+        return JSONResponse(await run_in_threadpool(answer, content, _browser(request)))
 
     return endpoint

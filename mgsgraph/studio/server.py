@@ -50,33 +50,33 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     opened : Opened
         What it shows.
     token : str
-        Secret that a browser has to bring.
+        Secret that a browser has to send.
     port : int
-        At which it is asked.
+        Of the server.
     """
 
     def index(_: Request) -> Response:
         return FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-store"})
 
-    def error(request: Request, found: Exception) -> Response:
-        # the page says it to the person; a browser would write a line of its own to its console for any other status
-        return JSONResponse({"error": str(found)}, 200 if BROWSER in request.headers else 400)
+    def error(request: Request, exception: Exception) -> Response:
+        # the page shows it; for any other status a browser would write a line of its own to its console
+        return JSONResponse({"error": str(exception)}, 200 if BROWSER in request.headers else 400)
 
-    def memory(_: Request, found: Exception) -> Response:
+    def memory(_: Request, exception: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
-    every: list[Route | Mount] = [
+    addresses: list[Route | Mount] = [
         Route("/", index), *routes(opened, Views(opened), EditLock()), Mount("/page", StaticFiles(directory=PAGE)),
     ]  # fmt: skip
     return Starlette(
-        routes=every,
+        routes=addresses,
         middleware=[Middleware(_Guard, token=token, port=port), Middleware(GZipMiddleware, minimum_size=2000)],
         exception_handlers={MgsgraphError: error, MemoryError: memory},
     )
 
 
 class _Guard:
-    """Lets requests of this machine's browser through that bring the token."""
+    """Passes requests of this machine's browser that have the token."""
 
     def __init__(self, app: ASGIApp, token: str, port: int) -> None:
         self._app, self._token, self._cookie = app, token, _COOKIE.format(port)
@@ -94,14 +94,14 @@ class _Guard:
         await self._app(scope, receive, _with_headers(send))
 
     def _refusal(self, request: Request) -> Response | None:
-        """What a request is answered that goes no further."""
+        """Answer to a request that is refused; None for others."""
         if request.headers.get("host", "") not in self._hosts:
             return PlainTextResponse(f"Ask for this page at {HOST}.", 421)
         origin = request.headers.get("origin")
         if request.method != "GET" and (origin is None or urlsplit(origin).netloc not in self._hosts):
             return PlainTextResponse("Changes come from the studio's own page alone.", 403)
-        given = request.query_params.get("token")
-        if request.url.path == "/" and given is not None and self._is_token(given):
+        token = request.query_params.get("token")
+        if request.url.path == "/" and token is not None and self._is_token(token):
             answer = RedirectResponse("/", 303)
             answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
             return answer
@@ -126,15 +126,15 @@ def _with_headers(send: Send) -> Callable[[Message], Awaitable[None]]:
 
 def listening(port: int | None) -> socket.socket:
     """A socket of this machine alone, at a port or at any free one; InputError where that is taken."""
-    found = socket.socket()
-    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        found.bind((HOST, port or 0))
+        listener.bind((HOST, port or 0))
     except OSError as error:
-        found.close()
+        listener.close()
         raise InputError("--port", f"{port}: {error.strerror}", "a free port", "leave --port out for any") from None
-    found.listen(64)
-    return found
+    listener.listen(64)
+    return listener
 
 
 def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None:
@@ -147,13 +147,13 @@ def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None
         )
         server = uvicorn.Server(config)
         ready(f"http://{HOST}:{number}/?token={token}")
-        # while a browser starts, what it asks first is put together
+        # while a browser starts, its first answers are prepared
         threading.Thread(target=_prepare, args=(opened,), daemon=True).start()
         server.run(sockets=[place])
 
 
 def _prepare(opened: Opened) -> None:
-    with suppress(MgsgraphError):  # whoever asks for it hears of it
+    with suppress(MgsgraphError):  # the request for it reports the error
         scene_record(opened)
         map_points(opened).value("sigma")
         opened.footprints()

@@ -29,20 +29,20 @@ _MOST_KEPT = 1 << 29
 _QUANTILES = (0.005, 0.995)
 """Grey values below and above are black and white at first: dead pixels and cosmic rays don't set the contrast."""
 _SAMPLED = 1 << 18
-"""Pixels of which these are taken."""
+"""Pixels from which the quantiles are taken."""
 
 Grey = NDArray[Any]
 """(lines, samples) of a picture: unsigned bytes, or float32 with NaN where there is no pixel."""
 
 
 def stamp_of(path: Path) -> tuple[int, int]:
-    """Size in bytes and time in ns of the last change of a file, by which one sees that it was replaced.
+    """Size in bytes and time in ns of the last change of a file, which show that it was replaced.
 
     InputError where there is none, or none that may be read.
     """
     with opened(path, ANY_SIZE) as file:
-        found = os.fstat(file.fileno())
-    return found.st_size, found.st_mtime_ns
+        status = os.fstat(file.fileno())
+    return status.st_size, status.st_mtime_ns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +57,10 @@ class Pyramid:
     """Of the picture."""
     samples: int
     """Of the picture."""
-    first: int
+    finest: int
     """Level of the finest one in memory; finer ones are read from the file."""
-    kept: tuple[Grey, ...]
-    """Levels from `first` on; the last one fits in one tile."""
+    in_memory: tuple[Grey, ...]
+    """Levels from `finest` on; the last one fits in one tile."""
     low: float
     """Grey value that is black at first."""
     high: float
@@ -73,12 +73,12 @@ class Pyramid:
     @property
     def levels(self) -> int:
         """Number of levels."""
-        return self.first + len(self.kept)
+        return self.finest + len(self.in_memory)
 
     @property
     def size(self) -> int:
-        """Of these, in bytes."""
-        return sum(one.nbytes for one in self.kept)
+        """Bytes of the levels in memory."""
+        return sum(level.nbytes for level in self.in_memory)
 
     def shape(self, level: int) -> tuple[int, int]:
         """Lines and samples of a level."""
@@ -100,9 +100,9 @@ class Pyramid:
         return self._pixels(level, slice(top, min(top + SIDE, lines)), slice(left, min(left + SIDE, samples)))
 
     def _pixels(self, level: int, lines: slice, samples: slice) -> Grey:
-        """Of a level, between lines and samples of it."""
-        if level >= self.first:
-            return self.kept[level - self.first][lines, samples]
+        """Pixels of a level, between its lines and samples."""
+        if level >= self.finest:
+            return self.in_memory[level - self.finest][lines, samples]
         return _reduced(self.path, (self.lines, self.samples), level, lines, samples)
 
     def require_unchanged(self) -> None:
@@ -128,35 +128,35 @@ def open_picture(path: Path, lines: int, samples: int) -> Pyramid:
         A picture that is missing or can't be read, or of another size than the image.
     """
     stamp = stamp_of(path)
-    found = picture_size(path)
-    if found != (lines, samples):
+    size = picture_size(path)
+    if size != (lines, samples):
         remedy = "name the image's own, uncropped file in the case"
-        raise InputError(str(path), f"{found[0]} x {found[1]} pixels", f"the image's {lines} x {samples}", remedy)
-    first = 0
-    while (-(-lines >> first)) * (-(-samples >> first)) > _KEPT:
-        first += 1
-    levels = [_float(read_picture(path)) if first == 0 else _overview(path, lines, samples, first)]
+        raise InputError(str(path), f"{size[0]} x {size[1]} pixels", f"the image's {lines} x {samples}", remedy)
+    finest = 0
+    while (-(-lines >> finest)) * (-(-samples >> finest)) > _KEPT:
+        finest += 1
+    levels = [_float(read_picture(path)) if finest == 0 else _overview(path, lines, samples, finest)]
     while max(levels[-1].shape) > SIDE:
         levels.append(halved(levels[-1]))
-    return Pyramid(path, stamp, lines, samples, first, tuple(levels), *_contrast(levels[0]))
+    return Pyramid(path, stamp, lines, samples, finest, tuple(levels), *_contrast(levels[0]))
 
 
 def halved(grey: Grey) -> Grey:
-    """Means of 2 x 2 pixels, at odd edges of those that are there; of those that are known, where some are not."""
+    """Means of 2 x 2 pixels: at odd edges of the existing ones, elsewhere of the valid ones."""
     down, across = (-(-n // 2) for n in grey.shape)
     if grey.dtype == np.uint8:
-        whole = np.pad(grey, ((0, 2 * down - grey.shape[0]), (0, 2 * across - grey.shape[1])), mode="edge")
+        padded = np.pad(grey, ((0, 2 * down - grey.shape[0]), (0, 2 * across - grey.shape[1])), mode="edge")
         total = np.zeros((down, across), dtype=np.uint16)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            total += whole[i::2, j::2]
+            total += padded[i::2, j::2]
         return ((total + 2) >> 2).astype(np.uint8)
-    total, known = np.zeros((down, across), dtype=np.float32), np.zeros((down, across), dtype=np.uint8)
+    total, number = np.zeros((down, across), dtype=np.float32), np.zeros((down, across), dtype=np.uint8)
     for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
         part = grey[i::2, j::2]
-        there = np.isfinite(part)
-        total[: part.shape[0], : part.shape[1]] += np.where(there, part, 0.0)
-        known[: part.shape[0], : part.shape[1]] += there
-    return np.where(known > 0, total / np.maximum(known, 1), np.float32(np.nan)).astype(np.float32)
+        valid = np.isfinite(part)
+        total[: part.shape[0], : part.shape[1]] += np.where(valid, part, 0.0)
+        number[: part.shape[0], : part.shape[1]] += valid
+    return np.where(number > 0, total / np.maximum(number, 1), np.float32(np.nan)).astype(np.float32)
 
 
 def _overview(path: Path, lines: int, samples: int, level: int) -> Grey:
@@ -204,12 +204,12 @@ def encoded_tile(grey: Grey, low: float, high: float) -> bytes:
     """
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise InputError("contrast", f"black at {low:g}, white at {high:g}", "black below white")
-    there = np.isfinite(grey)
-    shown = (np.where(there, grey, low).astype(np.float32) - low) * (255.0 / (high - low))
+    valid = np.isfinite(grey)
+    shown = (np.where(valid, grey, low).astype(np.float32) - low) * (255.0 / (high - low))
     bytes_ = np.clip(np.rint(shown), 0.0, 255.0).astype(np.uint8)
     picture = Image.fromarray(bytes_)
-    if not np.all(there):
-        picture.putalpha(Image.fromarray(np.where(there, 255, 0).astype(np.uint8)))
+    if not np.all(valid):
+        picture.putalpha(Image.fromarray(np.where(valid, 255, 0).astype(np.uint8)))
     return png(picture)
 
 
@@ -226,7 +226,7 @@ class Tiles:
     Parameters
     ----------
     pictures : mapping
-        Of each image's name: file of its pixels (None where nobody knows one), lines and samples.
+        Of each image's name: file of its pixels (None where unknown), lines and samples.
     """
 
     def __init__(self, pictures: Mapping[str, tuple[Path | None, int, int]]) -> None:
@@ -237,7 +237,7 @@ class Tiles:
         return self.pictures.get(image, (None, 0, 0))[0] is not None
 
     def picture(self, image: str) -> Pyramid:
-        """The picture of an image, read anew where its file has changed.
+        """The picture of an image, read again where its file has changed.
 
         Raises
         ------
@@ -251,18 +251,18 @@ class Tiles:
                 remedy='for its picture add pixels = "FILE" to its table in the case',
             )
         with self._lock:
-            kept = self._open.pop(image, None)
-            if kept is None or stamp_of(path) != kept.stamp:
-                kept = open_picture(path, lines, samples)
-            self._open[image] = kept
-            while len(self._open) > 1 and sum(one.size for one in self._open.values()) > _MOST_KEPT:
+            pyramid = self._open.pop(image, None)
+            if pyramid is None or stamp_of(path) != pyramid.stamp:
+                pyramid = open_picture(path, lines, samples)
+            self._open[image] = pyramid
+            while len(self._open) > 1 and sum(p.size for p in self._open.values()) > _MOST_KEPT:
                 del self._open[next(iter(self._open))]
-        return kept
+        return pyramid
 
     def tile(
         self, image: str, level: int, row: int, column: int, low: float | None = None, high: float | None = None
     ) -> bytes:
-        """A tile as PNG; black and white as the picture has them where they are not said.
+        """A tile as PNG; black and white by default as the picture has them.
 
         Raises
         ------
@@ -276,8 +276,8 @@ class Tiles:
 
     def record(self, image: str) -> dict[str, Any]:
         """What the page needs to know of a picture, as JSON."""
-        found = self.picture(image)
+        pyramid = self.picture(image)
         return {
-            "levels": found.levels, "side": SIDE, "low": found.low, "high": found.high, "least": found.least,
-            "most": found.most, "version": "{:x}-{:x}".format(*found.stamp),
+            "levels": pyramid.levels, "side": SIDE, "low": pyramid.low, "high": pyramid.high, "least": pyramid.least,
+            "most": pyramid.most, "version": "{:x}-{:x}".format(*pyramid.stamp),
         }  # fmt: skip

@@ -1,8 +1,8 @@
-"""What a person says of tie points on the review page: accept, reject or undecided; read back, and acted upon.
+"""Verdicts about tie points from the review page: accept, reject or undecided; read back, and applied.
 
 CSV, RFC 4180: a header `id,verdict` or `id,verdict,note`, one row for each point. Lines before it that begin with # are
-comments; one of them, `# network DIGEST`, says which network the verdicts are about, and is held against the one that
-they are used on.
+comments; one of them, `# network DIGEST`, says which network the verdicts are about, and is compared with the one that
+they are applied to.
 """
 
 import csv
@@ -42,7 +42,7 @@ _TABLE, _BINARY = ".csv", ".net"
 
 
 class Verdict(StrEnum):
-    """What is to become of a tie point."""
+    """Decision about a tie point."""
 
     ACCEPT = "accept"
     REJECT = "reject"
@@ -65,7 +65,7 @@ class Verdicts(Record):
 
     @property
     def rejected(self) -> frozenset[str]:
-        """Ids of the points that are to go."""
+        """Ids of the rejected points."""
         return frozenset(name for name, verdict in self.of.items() if verdict is Verdict.REJECT)
 
 
@@ -102,12 +102,12 @@ def read_verdicts(path: str | Path) -> Verdicts:
     frozenset({'TIE00001'})
     """
     path = Path(path)
-    head, body, first = _parted(read_text(path))
-    networks = {found[1] for line in head if (found := _NETWORK.match(line))}
+    head, body, first_line = _split(read_text(path))
+    networks = {match[1] for line in head if (match := _NETWORK.match(line))}
     if len(networks) > 1:
         raise InputError(str(path), "verdicts about two networks", "about one", "give each a file of its own")
     of, notes = dict[str, Verdict](), dict[str, str]()
-    (where, header), *rows = _rows(body, first, path) or [(str(path), [])]
+    (where, header), *rows = _rows(body, first_line, path) or [(str(path), [])]
     _require_header(header, where)
     for where, row in rows:
         if len(row) != len(header):
@@ -125,22 +125,22 @@ def read_verdicts(path: str | Path) -> Verdicts:
     return Verdicts(str(path), of, notes, networks.pop() if networks else "")
 
 
-def _parted(text: str) -> tuple[list[str], str, int]:
+def _split(text: str) -> tuple[list[str], str, int]:
     """Comments before the header, all from the header on, and the number of its line. Further down, # begins an id."""
     lines = text.split("\n")
     count = next((k for k, line in enumerate(lines) if line.strip(" ,") and line[0] != "#"), len(lines))
     return lines[:count], "\n".join(lines[count:]), count + 1
 
 
-def _rows(body: str, first: int, path: Path) -> list[tuple[str, list[str]]]:
-    """Where each row that isn't blank stands, and its fields."""
+def _rows(body: str, first_line: int, path: Path) -> list[tuple[str, list[str]]]:
+    """File and line of each row that isn't blank, and its fields."""
     reader = csv.reader(io.StringIO(body, newline=""), strict=True)
 
     def where() -> str:
-        return f"{path}, line {first + reader.line_num - 1}"
+        return f"{path}, line {first_line + reader.line_num - 1}"
 
     try:
-        return [(where(), row) for row in reader if any(one.strip() for one in row)]
+        return [(where(), row) for row in reader if any(field.strip() for field in row)]
     except csv.Error as error:
         raise InputError(where(), f"no CSV ({error})", "fields with commas between them") from None
 
@@ -153,7 +153,7 @@ def _require_header(header: list[str], where: str) -> None:
         raise InputError(where, found, "the header id,verdict or id,verdict,note", remedy)
 
 
-# --- acting upon them
+# --- application
 
 
 def reviewed_network(case: Path) -> Path:
@@ -169,12 +169,12 @@ def write_kept(
     network: Path, verdicts: Verdicts, out: Path, setting: ExchangeSetting | None = None,
     images: Callable[[], Sequence[str]] = tuple,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write a network anew, Ignore = True at rejected points and all else as it was.
+    """Write the network with Ignore = True at rejected points and all else unchanged.
 
     Parameters
     ----------
     network : Path
-        That was reviewed: ISIS's PVL or binary form, or a table (.csv, .parquet).
+        The reviewed one: ISIS's PVL or binary form, or a table (.csv, .parquet).
     verdicts : Verdicts
         About it.
     out : Path
@@ -208,11 +208,11 @@ def write_kept(
     ties = tie_points(record)
     if verdicts.network not in ("", network_digest(ties)) and (names := images()):
         ties, _ = in_images(ties, names)
-    kept = ignore_rejected(record, ties, verdicts)
+    reviewed = ignore_rejected(record, ties, verdicts)
     if table == [True, False]:
-        kept = with_head(kept, out, setting)
-    _write(kept, out, form)
-    return sum(point.ignore for point in kept.points), len(kept.points)
+        reviewed = with_head(reviewed, out, setting)
+    _write(reviewed, out, form)
+    return sum(point.ignore for point in reviewed.points), len(reviewed.points)
 
 
 def _write(network: ControlNetwork, out: Path, form: Format) -> None:
@@ -261,13 +261,13 @@ def require_verdicts_of(ties: TiePoints, verdicts: Verdicts) -> None:
     if unknown:
         found = f"verdicts about {some([repr(name) for name in unknown], len(unknown))}"
         raise InputError(verdicts.source, found, f"points of {ties.source}", remedy)
-    if verdicts.network and verdicts.network != (mine := network_digest(ties)):
+    if verdicts.network and verdicts.network != (digest := network_digest(ties)):
         found = f"verdicts about network {verdicts.network}"
-        raise InputError(verdicts.source, found, f"{mine}, which {ties.source} is", remedy)
+        raise InputError(verdicts.source, found, f"{digest}, which {ties.source} is", remedy)
 
 
 def _rejected(ties: TiePoints, verdicts: Verdicts) -> frozenset[str]:
-    """Ids of the points that are to go: some of these, not all."""
+    """Ids of the rejected points: these may not be all."""
     require_verdicts_of(ties, verdicts)
     if verdicts.rejected.issuperset(ties.ids):
         raise InputError(verdicts.source, f"every point of {ties.source} rejected", "one at least that stays")

@@ -32,7 +32,7 @@ def test_all_roads_lead_to_one_place(shared_data: Path, name: str) -> None:
         by_label, by_support = row.label < ALLOWED, row.support < ALLOWED
         assert by_label or (name in SUPPORT_ALONE and np.isnan(row.label)), row
         assert by_support or (name in LABEL_ALONE and np.isnan(row.support)), row
-        assert row.both < ALLOWED or name in SUPPORT_ALONE | LABEL_ALONE, row
+        assert row.between < ALLOWED or name in SUPPORT_ALONE | LABEL_ALONE, row
 
 
 def test_a_difference_would_be_seen(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,4 +51,4 @@ def test_a_difference_would_be_seen(shared_data: Path, monkeypatch: pytest.Monke
     (row,) = camera_roads.rows("ctx", shared_data)
     assert row.label == pytest.approx(0.1, abs=1e-3)
     assert row.support == pytest.approx(0.1, abs=1e-3)
-    assert row.both < 1e-4
+    assert row.between < 1e-4

@@ -255,7 +255,7 @@ def test_an_archive_is_made_and_run_once(tmp_path: Path, monkeypatch: pytest.Mon
     assert found.measures > 2 * found.points > 0
     assert {"reading", "solve"} <= found.stages.keys()
     (tmp_path / "runs.jsonl").write_text(json.dumps(asdict(found)) + "\n", encoding="utf-8")
-    assert costs.kept(tmp_path / "runs.jsonl") == [found]
+    assert costs.finished(tmp_path / "runs.jsonl") == [found]
 
 
 @pytest.mark.slow

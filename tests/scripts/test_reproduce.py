@@ -203,9 +203,9 @@ def test_places_that_isis_computed_are_those_of_the_cameras_here(shared_data: Pa
     """Measures that nobody measured: with ISIS's positions and way from ground to image they agree to 0.3 m."""
     apparent, geometric = (real_networks.wide_agreement(shared_data, flag) for flag in (True, False))
     assert apparent.meet < 5e-4 < geometric.meet < 0.01
-    assert real_networks.wide_agreement(shared_data, True, real_networks.by_isis()).apart < 0.5
+    assert real_networks.wide_agreement(shared_data, True, real_networks.by_isis()).distance < 0.5
     for fault in real_networks.PLANTED.values():
-        assert real_networks.wide_agreement(shared_data, True, real_networks.by_isis(fault)).apart > 1.5
+        assert real_networks.wide_agreement(shared_data, True, real_networks.by_isis(fault)).distance > 1.5
 
 
 def test_tables_and_label_are_one_image(shared_data: Path) -> None:

@@ -120,18 +120,18 @@ def test_bands_are_those_of_tables() -> None:
 def test_items_that_err_alike_count_once() -> None:
     rng = np.random.default_rng(47)
     own = np.stack([one @ one.T for one in rng.standard_normal((6, 2, 2))])
-    assert study.degrees_together(block_diag(*own), 2) == pytest.approx(12.0)
-    assert study.degrees_together(np.tile(own[0], (6, 6)) + 1e-9 * np.eye(12), 2) == pytest.approx(2.0, rel=1e-6)
+    assert study.joint_degrees(block_diag(*own), 2) == pytest.approx(12.0)
+    assert study.joint_degrees(np.tile(own[0], (6, 6)) + 1e-9 * np.eye(12), 2) == pytest.approx(2.0, rel=1e-6)
     # field/README.md: two profiles whose shifts are correlated by 0.97, 18 draws: 0.52 .. 1.69
     alike = np.kron([[1.0, 0.97], [0.97, 1.0]], np.eye(2))
-    assert study.nees_band([1.0] * 18, study.degrees_together(alike, 2)) == pytest.approx((0.52, 1.69), abs=0.02)
+    assert study.nees_band([1.0] * 18, study.joint_degrees(alike, 2)) == pytest.approx((0.52, 1.69), abs=0.02)
     # the scatter of the sum of normalised squares, drawn
     root = rng.standard_normal((12, 4))
     covariance = root @ root.T + block_diag(*own)
     errors = rng.multivariate_normal(np.zeros(12), covariance, 40_000).reshape(-1, 6, 2)
     blocks = covariance.reshape(6, 2, 6, 2)[np.arange(6), :, np.arange(6)]
     squares = np.einsum("nia,iab,nib->n", errors, np.linalg.inv(blocks), errors)
-    assert 2.0 * 12.0**2 / squares.var() == pytest.approx(study.degrees_together(covariance, 2), rel=0.05)
+    assert 2.0 * 12.0**2 / squares.var() == pytest.approx(study.joint_degrees(covariance, 2), rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_degrees_of_points_are_those_of_their_joint_covariance() -> None:
     posterior = Posterior.of(solution)
     joint = posterior.covariance([posterior.of_point(i) for i in points.tolist()])
     found = study.degrees_of_points(solution, points)
-    assert found == pytest.approx(study.degrees_together(joint, 3), rel=1e-6)
+    assert found == pytest.approx(study.joint_degrees(joint, 3), rel=1e-6)
     assert 3.0 < found < 0.9 * 3 * points.size
 
 

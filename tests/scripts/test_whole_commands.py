@@ -66,7 +66,7 @@ def test_fetch_and_init_from_a_served_archive(tmp_path: Path) -> None:
         done = whole_road.step(fetch, ["--mirror", address, "--terrain", "4"], tmp_path)
     assert "The case is DATA/case.toml" in done.said
     assert done.megabytes > 10.0
-    assert "Its images wait for tie points" in whole_road.step(init, [], tmp_path).said
+    assert "Its images wait for tie points" in whole_road.step(init, [], tmp_path).output
     with pytest.raises(SystemExit, match="exit status 2"):
         whole_road.step("mgsgraph project solve PROJECT", [], tmp_path)
 

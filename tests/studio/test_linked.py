@@ -161,7 +161,7 @@ def test_images_asked_for_are_answered_beside_their_edges(block: Block) -> None:
     lines, samples = np.meshgrid(np.linspace(-0.4, 1.4, 15) * block.images[0].lines, [0.5 * block.images[0].samples])
     beside = 0
     for line, sample in zip(lines.ravel(), samples.ravel(), strict=True):
-        found = linked.under(block.images[0].name, float(line), float(sample), wanted=[other.name])[1]
+        found = linked.under(block.images[0].name, float(line), float(sample), required=[other.name])[1]
         silent = linked.under(block.images[0].name, float(line), float(sample))[1]
         assert all(one.inside for one in silent)
         assert len(found) >= len(silent)

@@ -248,7 +248,7 @@ def _offset(folder: Path, given: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     from mgsgraph.studio.opened import Opened
 
     opened = Opened(folder)
-    _, others = LinkedImages(opened.block()).under("E02/01461", *given[0].tolist(), wanted=("M01/00115",))
+    _, others = LinkedImages(opened.block()).under("E02/01461", *given[0].tolist(), required=("M01/00115",))
     (there,) = [one for one in others if opened.block().images[one.image].name == "M01/00115"]
     return np.asarray(given[1] - there.place)
 

@@ -95,7 +95,7 @@ def test_a_large_picture_is_read_by_tile_and_looks_the_same(
     monkeypatch.setattr(tiles, "_KEPT", 50_000)
     monkeypatch.setattr(tiles, "read_picture", lambda _: pytest.fail("read whole"))
     found = open_picture(path, 900, 700)
-    assert found.first == 2
+    assert found.finest == 2
     assert found.size < expected.size / 8
     for level in range(found.levels):
         np.testing.assert_array_equal(whole(found, level), whole(expected, level))
