@@ -1,9 +1,9 @@
 """Verbs for a project, a folder to which images come one after the other; and the studio."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -216,15 +216,33 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
     """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
 
     Edits are the changes that `mgsgraph project measure` makes; `mgsgraph project status` shows their numbers.
+    `mgsgraph project redo` makes them again.
 
     Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
-    from mgsgraph.project.edits import undo as take_back
+    _reverse(ctx, project, table, lambda edits, opened: edits.undo(opened, change))
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@_IMPACT
+@click.pass_context
+def redo(ctx: click.Context, project: Path, table: Path | None) -> None:
+    """Make the last edit of a point of PROJECT again that `mgsgraph project undo` took back, and adjust what it
+    touches; once more for the one before it. A new change of PROJECT ends what can be redone.
+
+    Exit status: 0 redone, 1 redone and not converged, 2 bad input, or nothing to redo (nothing has changed).
+    """
+    _reverse(ctx, project, table, lambda edits, opened: edits.redo(opened))
+
+
+def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Any, Any], Edited]") -> None:
+    from mgsgraph.project import edits
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
     with open_project(project, write=True) as opened:
-        done = take_back(opened, change)
+        done = act(edits, opened)
     _print_edits(ctx, project, [done], table)
 
 
