@@ -125,12 +125,13 @@ def match_statements(matches: Matches, scene: Scene) -> list[str]:
             f"agree on an orientation that moves the second by {one.moved:.0f} m on the ground{beyond}."
         )
     return [
-        *found, *(f"Not brought together: {reason}" for reason in matches.refused), *matches.cautions,
-        f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "
-        f"{loss.alike} are alike and sharp, {loss.returned} the same on the way back, {loss.coplanar} coplanar, "
-        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept.",
         f"{many(len(rays), 'tie point')} with {rays.min()} to {rays.max()} measures in {filled} of {whole} cells of "
         f"{matches.cell:.4g} m ({100.0 * filled / max(whole, 1):.0f} %) of the ground that images share.",
         f"Sigma of a match, in the direction where it is largest: median {np.median(sigmas):.3f} px, 95 % below "
         f"{np.quantile(sigmas, 0.95):.3f} px; coplanarity residuals: median {np.median(misfit):.2f} m on the ground.",
+        *(f"Not matched: {reason}" for reason in matches.refused), *matches.cautions,
+        f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "
+        f"{loss.alike} are alike and sharp, {loss.returned} the same on the way back, {loss.coplanar} coplanar, "
+        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept.",
+        *found,
     ]  # fmt: skip

@@ -312,7 +312,7 @@ def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_slow_machine_compiles_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with progress.word_of_compiling():
         time.sleep(0.08)
-    with progress.iteration_bar(False, 3):
+    with progress.iteration_bar():
         time.sleep(0.08)
     assert "compil" not in capsys.readouterr().err
 
