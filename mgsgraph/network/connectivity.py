@@ -321,7 +321,7 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
 
 
 def link_statement(connected: Connectivity) -> list[str]:
-    """A sentence about all links and the weakest joint; none without links."""
+    """Sentences about all links and the weakest joint; none without links."""
     points, links = connected.points, connected.links
     if links.size == 0:
         return []
@@ -332,8 +332,9 @@ def link_statement(connected: Connectivity) -> list[str]:
     row = int(connected.spine[0])
     return [
         f"{len(connected.names)} images are connected by {links.size} links of {points[links].min()} to "
-        f"{points[links].max()} common points (median {np.median(points[links]):.0f}). Every split of {whole} is "
-        f"bridged by at least {many(int(points[row]), 'point')}; weakest link: {_weak(connected, row)}."
+        f"{points[links].max()} common points (median {np.median(points[links]):.0f}).",
+        f"Every split of {whole} is bridged by at least {many(int(points[row]), 'point')}; weakest link: "
+        f"{_weak(connected, row)}.",
     ]
 
 

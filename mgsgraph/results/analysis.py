@@ -45,7 +45,7 @@ def reliability_section(found: Reliability, most: int) -> Section:
         f"{found.levels.shift:.3g} sigmas.",
         f"{many(found.suspected.size, 'test')} over the critical value (expected of {len(found)} good measurements: "
         f"{found.levels.alpha * len(found):.1f}), {many(over, 'inseparable group')}.",
-        f"Nothing controls {many(found.uncontrolled.size, 'measurement')}"
+        f"{many(found.uncontrolled.size, 'measurement')} without control"
         + (f": {some(loose, found.uncontrolled.size)}." if loose else "."),
     ]
     record = {
@@ -368,7 +368,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     try:
         found = residual_vibrations(posterior.linearised)
     except InputError as error:
-        said = f"No spectrum of residuals over time: {error}."
+        said = f"Not tested for vibrations: {error}."
         return Section("vibrations", sentences=[said], numbers={"words": [str(error)]})
 
     table = vibrations_table(found)
