@@ -25,7 +25,7 @@ from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
-from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
+from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import ARCSEC
 
@@ -167,7 +167,7 @@ def brief(solution: Solution) -> list[str]:
         except InputError:  # too few rays
             shown = ()
         said += [one.sentence for one in shown]
-    return [f"{solution.name}: {state_of(solution)}", *(f"- {one}" for one in said[:_MOST_LINES])]
+    return [headline(solution), *(f"- {one}" for one in said[:_MOST_LINES])]
 
 
 def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:

@@ -12,8 +12,8 @@ from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.ground import laser_section, left_out
-from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
-from mgsgraph.text import length, many, root_mean_square, short, two
+from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
+from mgsgraph.text import length, many, root_mean_square, two
 from mgsgraph.units import DEG, KM
 
 _FLAT = 5.0 * DEG
@@ -39,7 +39,7 @@ def summary(solution: Solution) -> list[str]:
     said += laser_section(solution, brief=True).sentences
     said += tested_sentences(found, solution, _WORST)
     steps = many(solution.iterations, "iteration")
-    return [f"{short(solution.name, 60)}: {state_of(solution)} ({steps})", *(f"- {one}" for one in said)]
+    return [f"{headline(solution)} ({steps})", *(f"- {one}" for one in said)]
 
 
 def _figures(solution: Solution) -> Iterator[str]:

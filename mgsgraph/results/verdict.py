@@ -21,7 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import length, listed, many, some, some_of, two
+from mgsgraph.text import length, listed, many, short, some, some_of, two
 from mgsgraph.units import ARCSEC, DEG
 
 _KEYS = {
@@ -51,6 +51,11 @@ _SHOWN = {
 def state_of(solution: Solution) -> str:
     """Valid, SUSPECT or INVALID, and whether it converged."""
     return f"{_SHOWN[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
+
+
+def headline(solution: Solution) -> str:
+    """The name of a solution and its state."""
+    return f"{short(solution.name, 60)}: {state_of(solution)}"
 
 
 def verdict_section(solution: Solution) -> Section:
