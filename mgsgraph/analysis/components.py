@@ -164,8 +164,7 @@ _SENTENCES = {
     Judgement.FEW: "can't be judged ({one.redundancy:.1g} redundancy)",
     Judgement.INSEPARABLE: "inseparable from {one.beside} (correlation {one.correlation:.2f}); "
     "{one.redundancy:.2g} redundancy",
-    Judgement.ENTANGLED: "factor {one.factor:.2g}, hardly separable from that of {one.beside} (correlation "
-    "{one.correlation:.2f})",
+    Judgement.ENTANGLED: "factor {one.factor:.2g}, confounded with {one.beside} (correlation {one.correlation:.2f})",
     Judgement.LOST: "can't be judged: the estimate diverges; kept as stated",
     Judgement.ZERO: "residuals too small for any sigma, the errors of other groups explain them; held at factor "
     "{one.factor:.2g}",

@@ -21,6 +21,7 @@ from mgsgraph.cli.options import (
     out_option,
     overruling,
     print_brief,
+    print_ended,
     print_sentences,
     print_solution,
     require_two,
@@ -117,7 +118,7 @@ def adjust(
         write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
     print_solution(solution, 1 + len(read.notes) + len(said))
     print_sentences(*said)
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
@@ -144,7 +145,7 @@ def _in_two_steps(
         with stages.stage("tables and figures"):
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
     print_brief(two_steps_section(statistics).text(None))
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {out}")
     return steps.converged and is_valid(steps.fitted)
 
 
@@ -188,7 +189,7 @@ def batch(
         click.echo(f"mgsgraph: interrupted; {state}; the same command goes on", err=True)
         ctx.exit(130)
     print_brief(summary(done))
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if done.count("done") == len(done.entries) else 1)
 
 
@@ -252,7 +253,7 @@ def align(
         out = folder_for(out, case, "align")
         registration = _aligned(case_with_results(case, of_case), out, not no_figures, settings, ties, workers)
     print_brief(coregistration_section(registration).text(None))
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(registration.solution) else 1)
 
 

@@ -124,6 +124,11 @@ def print_brief(*texts: str, more: int = 1) -> None:
     click.echo("\n".join(lines))
 
 
+def print_ended(what: str) -> None:
+    """Print where results are, and the seconds of the whole run."""
+    click.echo(f"{what} ({elapsed():.0f} s)")
+
+
 def elapsed() -> float:
     """S since the program began, libraries and drawing included."""
     return time.perf_counter() - _BEGAN

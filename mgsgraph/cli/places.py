@@ -12,9 +12,9 @@ from mgsgraph.cli.options import (
     NO_FIGURES,
     PATH,
     TIES,
-    elapsed,
     folder_for,
     print_brief,
+    print_ended,
     print_sentences,
 )
 
@@ -182,7 +182,7 @@ def _register(source: Path, case: Path | None, out: Path, ties: Path | None, fig
         registration = register_case(read_case(found.case, ties=ties or found.ties), adjusted)
         write_registration(registration, out, figures=figures)
     print_brief(registration_section(registration).text(None))
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {out}")
 
 
 def _find_shots(

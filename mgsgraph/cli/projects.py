@@ -15,9 +15,9 @@ from mgsgraph.cli.options import (
     PATH,
     TABLES,
     TIES,
-    elapsed,
     items,
     print_brief,
+    print_ended,
     print_sentences,
     print_solution,
 )
@@ -286,7 +286,7 @@ def solve(
         solved = solve_project(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution, 2)
     print_sentences("" if solved.closing is None else solved.closing.sentence)
-    click.echo(f"Results are in {solved.folder} ({elapsed():.0f} s)")
+    print_ended(f"Results are in {solved.folder}")
     ctx.exit(0 if is_valid(solved.solution) else 1)
 
 

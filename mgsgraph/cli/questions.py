@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mgsgraph.cli.options import CASE, DETAILS, NO_FIGURES, PATH, TIES, details, elapsed, print_brief, print_sentences
+from mgsgraph.cli.options import (
+    CASE,
+    DETAILS,
+    NO_FIGURES,
+    PATH,
+    TIES,
+    details,
+    print_brief,
+    print_ended,
+    print_sentences,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.results.section import Section
@@ -267,7 +277,7 @@ def report(
             read.require_images_of(adjusted)
         inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
         write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
-    click.echo(f"The page is {out} ({elapsed():.0f} s)")
+    print_ended(f"The page is {out}")
 
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:

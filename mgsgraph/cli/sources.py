@@ -20,6 +20,7 @@ from mgsgraph.cli.options import (
     items,
     out_option,
     print_brief,
+    print_ended,
     print_sentences,
     print_solution,
     require_two,
@@ -267,7 +268,7 @@ def _match(
     with counting_bars() as show:
         matches = match_into(name, scene, out, settings, workers, figures, show)
     print_brief(*items(match_statements(matches, scene)), more=3)
-    click.echo(f"The network is {out / 'network.pvl'} ({elapsed():.0f} s)")
+    print_ended(f"The network is {out / 'network.pvl'}")
 
 
 @click.command()
@@ -312,4 +313,4 @@ def dem(
         made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
     print_sentences(warning)
     print_brief(dem_section(made).text(None))
-    click.echo(f"The terrain model is {out / 'dem.tif'} ({elapsed():.0f} s)")
+    print_ended(f"The terrain model is {out / 'dem.tif'}")

@@ -12,7 +12,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
-from mgsgraph.text import NAMED, many, some
+from mgsgraph.text import NAMED, many, some, span
 from mgsgraph.units import KM
 
 if TYPE_CHECKING:
@@ -331,8 +331,8 @@ def link_statement(connected: Connectivity) -> list[str]:
     whole = "the block" if len(connected.islands) == 1 else "an island"
     row = int(connected.spine[0])
     return [
-        f"{len(connected.names)} images are connected by {links.size} links of {points[links].min()} to "
-        f"{points[links].max()} common points (median {np.median(points[links]):.0f}).",
+        f"{len(connected.names)} images, {links.size} pairs with {span(points[links])} common points (median "
+        f"{np.median(points[links]):.0f}).",
         f"Every split of {whole} is bridged by at least {many(int(points[row]), 'point')}; weakest link: "
         f"{_weak(connected, row)}.",
     ]

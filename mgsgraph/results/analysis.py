@@ -158,7 +158,7 @@ _MOST_EFFECTS = 2
 def brief(solution: Solution) -> list[str]:
     """The verdict and what is significant, in at most ten lines."""
     found = verdict(solution)
-    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, _MOST_EFFECTS)]
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, 1)]
     if found.groups:
         effects = unexplained(solution)
         said += effects.sentences[:_MOST_EFFECTS]

@@ -29,7 +29,7 @@ _MOST_IMAGES = 300
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
 _METHOD = (
-    "Differences are {} minus {}, in units of the larger of both sigmas (sigma0 = 1): the solutions share observations, "
+    "Differences: {} minus {}, in units of the larger of both sigmas (sigma0 = 1). The solutions share observations, "
     "so that the sigma of a difference is unknown."
 )
 _CLASSES = [kind.name.lower() for kind in PointClass]

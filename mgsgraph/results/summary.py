@@ -38,8 +38,7 @@ def summary(solution: Solution) -> list[str]:
         said.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
     said += laser_section(solution, brief=True).sentences
     said += tested_sentences(found, solution, _WORST)
-    steps = many(solution.iterations, "iteration")
-    return [f"{headline(solution)} ({steps})", *(f"- {one}" for one in said)]
+    return [f"{headline(solution)} ({many(solution.iterations, 'iteration')})", *(f"- {one}" for one in said)]
 
 
 def _figures(solution: Solution) -> Iterator[str]:

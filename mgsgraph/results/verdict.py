@@ -41,11 +41,7 @@ _KEYS = {
 
 _LOOSE = 5.0
 """Factor from which on it is told that stated sigmas may be too small by it."""
-_SHOWN = {
-    State.VALID: "valid",
-    State.SUSPECT: "SUSPECT",
-    State.INVALID: "INVALID",
-}
+_SHOWN = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
 
 
 def state_of(solution: Solution) -> str:
@@ -94,7 +90,7 @@ def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
         of_cause.setdefault(one.cause, []).append(one)
     said = []
     for every in of_cause.values():
-        more = f" ({many(len(every) - 1, 'similar result')} more.)" if len(every) > 1 else ""
+        more = f" ({many(len(every) - 1, 'similar result')}.)" if len(every) > 1 else ""
         said.append(_reason(every[0]) + more)
     return said
 
@@ -145,7 +141,7 @@ def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> li
     factors = sorted((one for one in factors if one[0] > _LOOSE), reverse=True)[:most]
     hidden = [f"{name} ({two(factor)} times)" for factor, name in factors]
     said = [f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
-    said += [f"Stated sigmas that could be too small, and no test shows it: {', '.join(hidden)}."] if hidden else []
+    said += [f"Stated sigmas that may be too small undetected: {', '.join(hidden)}."] if hidden else []
     return said + hidden_sentences(found.undetected, most)
 
 

@@ -95,7 +95,7 @@ def test_from_a_case_to_a_solution_and_back(project: Path, case_file: Path, caps
     capsys.readouterr()
     call("project", "status", project)
     said = capsys.readouterr().out
-    for words in ("2 images", "20 tie, 8 laser", "Solution 3 (incremental", "2 changes since the last batch adjustment", "SIM/B"):
+    for words in ("2 images", "20 tie, 8 laser", "Solution 3 (incremental", "2 changes since the last batch", "SIM/B"):
         assert words in said
     assert call("project", "solve", project, "--no-figures") == 0
     found = re.search(r"largest difference (\S+) sigmas .*, (\S+) sigmas for point", capsys.readouterr().out)

@@ -335,8 +335,7 @@ def test_undo_gives_back_the_same_numbers(
         assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
 
 
-@pytest.mark.parametrize("new", [lambda one, name: edits.remove_point(one, name),
-                                 lambda one, name: remove_images(one, [edits.point_state(one, name).measures[0].image])])
+@pytest.mark.parametrize("new", [edits.remove_point, lambda one, _: remove_images(one, one.store.image_names()[:1])])
 def test_a_new_change_ends_what_can_be_redone(folder: Path, new: Callable[[Project, str], object]) -> None:
     name, other = list(_ties())[:2]
     with open_project(folder, write=True) as project:
