@@ -72,9 +72,9 @@ def convert(
     except Lossy as error:
         print_brief(*items(f"Not held: {line}" for line in error.lost), more=0)
         raise
-    files = [f"Wrote {path}" for path in made.written]
+    done = [f"Wrote {path}" for path in made.written]
     lost = [f"Not held: {line}" for line in made.lost]
-    print_brief(*files[:_FILES], *items((*made.notes, *lost)), *files[_FILES:], more=0)
+    print_brief(*done[:_FILES], *items((*made.notes, *lost)), *done[_FILES:], more=0)
 
 
 @click.command()

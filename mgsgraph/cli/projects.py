@@ -111,8 +111,8 @@ def add(
     alone = ", ".join(addition.unconnected)
     warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
     if dry_run:
-        said = f"{project}: would add {_words(addition)}; nothing was changed"
-        print_brief(said, *items((*addition.notes, warning)), more=0)
+        first = f"{project}: would add {_words(addition)}; nothing was changed"
+        print_brief(first, *items((*addition.notes, warning)), more=0)
         return
     said = [f"{project}: added {_words(addition)}", *items((*addition.notes, warning if impact is None else ""))]
     _print_impact(ctx, project, impact, table, said)
