@@ -73,7 +73,9 @@ def suspects_table(found: Reliability, worst: Sequence[Suspect]) -> Table:
 
 
 def outliers_section(found: Reliability) -> Section:
-    """A row per image: its measurements, those left out, tests over the critical value, and the largest one."""
+    """A row per image: its measurements, those left out, tests over the critical value, and the largest one,
+    by which they are sorted.
+    """
     network, table = found.at.network, found.measures
     rays = np.flatnonzero(table.kind == MeasureKind.RAY)
     image, size = table.image[rays], np.nan_to_num(np.abs(table.test[rays]))
@@ -88,7 +90,7 @@ def outliers_section(found: Reliability) -> Section:
         "left_out": total - np.bincount(image, minlength=every) // 2,
         "over": np.bincount(image[size > found.critical], minlength=every),
         "expected": found.levels.alpha * np.bincount(image, minlength=every), "largest": largest, "point": worst,
-    })  # fmt: skip
+    }).take(np.argsort(-largest, kind="stable"))  # fmt: skip
     return Section("outliers", tables=[shown], numbers=shown.records(), csv=[shown])
 
 
@@ -296,7 +298,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
         for one in found
     ]  # fmt: skip
     title = "Least-constrained directions (posterior / prior sigma)"
-    return Section("weak", title, [f"{one.ratio:.3f}: {one.sentence}" for one in found], numbers=record)
+    return Section("weak", title, [one.sentence for one in found], numbers=record)
 
 
 def _separability(posterior: Posterior) -> Section:
