@@ -322,7 +322,7 @@ def _points(network: Network, prediction: Prediction) -> Section:
     if network.ranges.point.size:
         misfit, ranges = prediction.range_residuals, network.ranges.values / KM
         said.append(
-            f"{misfit.size} laser ranges of {span(ranges)} km, before adjustment: residuals "
+            f"{misfit.size} laser ranges of {ranges.min():.1f} to {ranges.max():.1f} km, before adjustment: residuals "
             f"{two(root_mean_square(misfit))} m (rms), mean {two(float(misfit.mean()))} m."
         )
     return Section("", sentences=said or ["no laser ranges"], tables=[table])
