@@ -41,7 +41,7 @@ def length(value: float) -> str:
     return f"{two(1e-3 * value)} km" if abs(value) >= 1e4 else f"{two(value)} m"
 
 
-def span(values: Array) -> str:
+def span(values: NDArray[Any]) -> str:
     """Least to largest value, or the one that all have."""
     return three(np.unique([values.min(), values.max()])).replace(", ", " to ")
 

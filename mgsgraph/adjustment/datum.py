@@ -144,8 +144,8 @@ def _group(terms: Sequence[_Term]) -> str:
     main = max(terms, key=lambda term: round(term.share, 6))
     alike = [term.owner for term in terms if term.sign == main.sign]
     other = [term.owner for term in terms if term.sign != main.sign]
-    text = f"{main.what} of {_owners(alike)}" + (" alike" if len(alike) > 1 else "")
-    return f"{text} and, the other way, of {_owners(other)}" if other else text
+    text = f"{main.what} of {_owners(alike)}" + (" jointly" if len(alike) > 1 else "")
+    return f"{text} and, with opposite sign, of {_owners(other)}" if other else text
 
 
 def _owners(owners: Sequence[str]) -> str:

@@ -141,7 +141,7 @@ def _judged(one: Component) -> str:
     if abs(one.correlation) > CORRELATED:
         notes.append(f"correlated with {one.beside}, correlation {one.correlation:.2f}")
     if one.negative:
-        notes.insert(0, "Helmert's equations gave a negative square: this is Foerstner's, as if all others were right")
+        notes.insert(0, "Foerstner's estimate, as if all others were right: Helmert's is negative")
     return "; ".join([_plainly(one), *notes])
 
 
@@ -149,7 +149,7 @@ def _plainly(one: Component) -> str:
     low, high = one.interval()
     if one.consistent and one.sigma > _VAGUE * one.factor:
         return (
-            f"nothing wrong to be seen, with little to see it by (factor {one.factor:.2g}, "
+            f"no inconsistency found, but the test is weak (factor {one.factor:.2g}, "
             f"{low:.2g} to {high:.2g} with {100 * SURE:.0f}%)"
         )
     if one.consistent:
@@ -164,9 +164,8 @@ _SENTENCES = {
     Judgement.FEW: "can't be judged ({one.redundancy:.1g} redundancy)",
     Judgement.INSEPARABLE: "inseparable from {one.beside} (correlation {one.correlation:.2f}); "
     "{one.redundancy:.2g} redundancy",
-    Judgement.ENTANGLED: "factor {one.factor:.2g}, known together with that of {one.beside} only (correlation "
-    "{one.correlation:.2f}): errors of the one may be booked under the other",
-    Judgement.LOST: "can't be judged, the estimate runs away to sigmas of which nothing can be said; kept as stated",
+    Judgement.ENTANGLED: "factor {one.factor:.2g}, confounded with {one.beside} (correlation {one.correlation:.2f})",
+    Judgement.LOST: "can't be judged: the estimate diverges; kept as stated",
     Judgement.ZERO: "residuals too small for any sigma, the errors of other groups explain them; held at factor "
     "{one.factor:.2g}",
     Judgement.UNBOUNDED: "residuals too large for any sigma; held at factor {one.factor:.3g}",
@@ -214,7 +213,7 @@ class Components(Record):
         how = "exact" if self.exact else "one term estimated with random signs, for there are many unknowns"
         lines = [*(one.sentence for one in self.groups), f"Helmert's matrix: {how}."]
         if self.rough:
-            lines.append("A first look: some factors are so far from 1 that only repeating it makes all of them right.")
+            lines.append("First estimates (some factors are far from 1): --iterate repeats them until they converge.")
         return lines
 
 

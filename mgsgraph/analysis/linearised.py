@@ -144,7 +144,7 @@ def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str
         term = _POWERS[power] if power < len(_POWERS) else f"u^{power}"
         return f"{term} {COMPONENTS[component]} of image {network.images[variable].name}", _unit(component)
     if variable >= network.first_of_passes[-1]:
-        return "factor of errors in common", ""
+        return "factor of correlated errors", ""
     if variable >= network.first_of_passes[0]:
         one, node = network.of_passes(variable)
         what, component = one.part(node, inside)

@@ -417,7 +417,7 @@ class ResidualVibrations(Record):
             found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
         blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
         if blind:
-            found.append(f"Vibrations in {some(blind, len(blind))} can't be seen: points take them up as heights.")
+            found.append(f"Vibrations not tested: {some(blind, len(blind))} (heights of points absorb them).")
         return found
 
 

@@ -34,7 +34,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, SharedUnknown
 from mgsgraph.network.joining import seconds, sine_over
 from mgsgraph.record import Record
-from mgsgraph.units import DEG, MRAD
+from mgsgraph.units import ARCSEC, DEG
 from mgsgraph.workers import no_progress
 
 FALSE_ALARMS = 1e-3
@@ -109,7 +109,7 @@ class Amplitude(Record):
     def sentence(self) -> str:
         """In a sentence."""
         off = [
-            f" less {abs(complex(*w)):.3g} times that of {name} (turned by {np.angle(complex(*w)) / DEG:.0f} deg)"
+            f" minus {name} (times {abs(complex(*w)):.3g}, phase shifted by {np.angle(complex(*w)) / DEG:.0f} deg)"
             for w, name in zip(self.weights, self.names[1:], strict=True)
         ]
         what = f"Vibration of {self.frequency:.4f} Hz about {self.axis} of {self.names[0]}{''.join(off)}"
@@ -120,7 +120,7 @@ class Amplitude(Record):
         degrees, spread = self.phase / DEG, self.sigma / self.value / DEG
         return (
             f"{what}: {self.value / self.pixel:.3f} +- {self.sigma / self.pixel:.2g} px "
-            f"({self.value / MRAD:.3g} +- {self.sigma / MRAD:.2g} mrad), phase {degrees:.0f} +- {spread:.2g} deg."
+            f"({self.value / ARCSEC:.3g} +- {self.sigma / ARCSEC:.2g} arcsec), phase {degrees:.0f} +- {spread:.2g} deg."
         )
 
 

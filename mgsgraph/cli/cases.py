@@ -10,16 +10,18 @@ import click
 from mgsgraph.cli.options import (
     CASE,
     DETAILS,
-    ITERATIONS,
     NO_FIGURES,
     PATH,
     TIES,
     TWO_IMAGES,
     WORKERS,
+    details,
     elapsed,
     folder_for,
     out_option,
     overruling,
+    print_brief,
+    print_ended,
     print_sentences,
     print_solution,
     require_two,
@@ -39,25 +41,25 @@ if TYPE_CHECKING:
 @click.option("--no-laser", is_flag=True, help="Leave the laser rows out.")
 @TIES
 @DETAILS
-def check(case: Path, no_laser: bool, ties: Path | None, details: bool) -> None:
+def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     """Read and validate CASE and everything that it names; print warnings and what is in it. Solves nothing.
 
     Of a CASE without measures, the images, which of them overlap, and whether `match` can find tie points.
     """
     from mgsgraph.case.reading import read_case
-    from mgsgraph.cli.progress import word_of_compiling
+    from mgsgraph.cli.progress import stage, word_of_compiling
     from mgsgraph.errors import Unmeasured
     from mgsgraph.results.inventory import images_inventory, inventory
 
-    with word_of_compiling():
+    with stage("reading"), word_of_compiling():
         said = images_inventory(case) if ties is None else None
         try:
-            said = said or inventory(read_case(case, not no_laser, ties), details)
+            said = said or inventory(read_case(case, not no_laser, ties), details())
         except Unmeasured as error:
             said = images_inventory(case, error) if ties is None else None
             if said is None:
                 raise
-    click.echo(said)
+    print_brief(said, more=0)
 
 
 @click.command()
@@ -67,11 +69,11 @@ def check(case: Path, no_laser: bool, ties: Path | None, details: bool) -> None:
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
-@ITERATIONS
+@DETAILS
 @click.pass_context
 def adjust(
     ctx: click.Context, case: Path, out: Path | None, cluster: str | None, two_steps: bool, ties: Path | None,
-    overrides: "Overrides", details: bool,
+    overrides: "Overrides",
 ) -> None:  # fmt: skip
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
@@ -87,7 +89,7 @@ def adjust(
     from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.analysis.vibrations import adjusted
     from mgsgraph.case.reading import read_case
-    from mgsgraph.cli.progress import iteration_bar
+    from mgsgraph.cli.progress import iteration_bar, stage
     from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.results.results import write_results
 
@@ -97,9 +99,10 @@ def adjust(
     if cluster is not None:
         parse_cluster(cluster)
     begin = elapsed()
-    read = read_case(case, overrides.laser, ties)
+    with stage("reading"):
+        read = read_case(case, overrides.laser, ties)
     reading = {"reading": elapsed() - begin}
-    print_sentences(read.notes)
+    print_sentences(*read.notes)
     settings = overrides.over(read.settings)
     estimating = read.vibrating or any(one.asks_for_strengths for one in read.network.passes)
     if estimating and (two_steps or cluster is not None):
@@ -107,20 +110,21 @@ def adjust(
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
-        ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides, details) else 1)
-    with connection as workers, iteration_bar(details, settings.max_iterations) as bar:
+        ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides) else 1)
+    with connection as workers, iteration_bar() as bar:
         solution, said = adjusted(read.network, settings, read.name, bar, read.vibrating, workers)
     solution = replace(solution, seconds=reading | dict(solution.seconds))
-    write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
-    print_solution(solution, details)
-    print_sentences(said)
-    click.echo(f"Results are in {out} ({elapsed():.0f} s)")
+    with stage("tables and figures"):
+        write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
+    print_solution(solution, 1 + len(read.notes) + len(said))
+    print_sentences(*said)
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
 def _in_two_steps(
     read: "Case", settings: "SolverSettings", out: Path, connection: AbstractContextManager["Connection | None"],
-    overrides: "Overrides", details: bool,
+    overrides: "Overrides",
 ) -> bool:  # fmt: skip
     """Whether both steps converged."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
@@ -131,7 +135,7 @@ def _in_two_steps(
     from mgsgraph.results.two_steps import two_steps_section, write_two_steps
 
     require_terrain(read.network, str(read.path))
-    with connection as workers, iteration_bar(details, settings.max_iterations) as bar:
+    with connection as workers, iteration_bar() as bar:
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
     # what took longest is safe, whatever becomes of the rest
     write_results(steps.fitted, out, figures=False, networks=read.networks)
@@ -140,8 +144,8 @@ def _in_two_steps(
             statistics = two_step_statistics(steps)
         with stages.stage("tables and figures"):
             write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
-    click.echo(two_steps_section(statistics).text(None))
-    click.echo(f"Results are in {out}")
+    print_brief(two_steps_section(statistics).text(None))
+    print_ended(f"Results are in {out}")
     return steps.converged and is_valid(steps.fitted)
 
 
@@ -153,11 +157,10 @@ def _in_two_steps(
 @click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
 @click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
 @overruling
-@click.option("-v", "--details", is_flag=True, help="One line per case.")
+@DETAILS
 @click.pass_context
 def batch(
-    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, retry: bool, overrides: "Overrides",
-    details: bool,
+    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, retry: bool, overrides: "Overrides"
 ) -> None:  # fmt: skip
     """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
 
@@ -178,15 +181,15 @@ def batch(
                 nonlocal state
                 state = f"{over} of {due} cases are over and recorded"
                 bar(over, due)
-                if entry is not None and details:
+                if entry is not None and details():
                     tqdm.write(line(entry))
 
             done = run_campaign(cases, out, overrides, cluster, retry, show)
     except KeyboardInterrupt:
         click.echo(f"mgsgraph: interrupted; {state}; the same command goes on", err=True)
         ctx.exit(130)
-    click.echo(summary(done))
-    click.echo(f"Results are in {out}")
+    print_brief(summary(done))
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if done.count("done") == len(done.entries) else 1)
 
 
@@ -211,6 +214,7 @@ def batch(
 @WORKERS
 @TIES
 @NO_FIGURES
+@DETAILS
 @click.pass_context
 def align(
     ctx: click.Context, case: Path, of_case: Path | None, out: Path | None, footprint: float | None, search: float,
@@ -248,8 +252,8 @@ def align(
     else:
         out = folder_for(out, case, "align")
         registration = _aligned(case_with_results(case, of_case), out, not no_figures, settings, ties, workers)
-    click.echo(coregistration_section(registration).text())
-    click.echo(f"Results are in {out}")
+    print_brief(coregistration_section(registration).text(None))
+    print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(registration.solution) else 1)
 
 
@@ -269,7 +273,7 @@ def _aligned(
         raise click.UsageError(f"--out would replace {source.folder}: give another folder")
     before = None if source.folder is None else read_solution(source.folder)
     read = read_case(source.case, ties=ties)
-    print_sentences(read.notes)
+    print_sentences(*read.notes)
     with counting_bars() as show:
         registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)

@@ -5,10 +5,12 @@ from typing import Any
 
 import click
 
-from mgsgraph.cli.options import PATH, folder_for, print_sentences
+from mgsgraph.cli.options import DETAILS, PATH, folder_for, items, print_brief, print_sentences
 from mgsgraph.export import Format, Target
 from mgsgraph.files.networks.record import Duplicates
 
+_FILES = 5
+"""That are named before what is lost, where many are written."""
 _FORMATS = click.Choice([one.value for one in Format])
 
 
@@ -38,6 +40,7 @@ _FORMATS = click.Choice([one.value for one in Format])
 @click.option("--split", is_flag=True, help="A file for each connected part: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
+@DETAILS
 def convert(
     files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool, **given: Any
 ) -> None:
@@ -67,18 +70,11 @@ def convert(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **given
         )
     except Lossy as error:
-        _print_lost(error.lost)
+        print_brief(*items(f"Not held: {line}" for line in error.lost), more=0)
         raise
-    for note in made.notes:
-        click.echo(f"- {note}")
-    for path in made.written:
-        click.echo(f"Wrote {path}")
-    _print_lost(made.lost)
-
-
-def _print_lost(lost: tuple[str, ...]) -> None:
-    for line in lost:
-        click.echo(f"- Not held: {line}")
+    done = [f"Wrote {path}" for path in made.written]
+    lost = [f"Not held: {line}" for line in made.lost]
+    print_brief(*done[:_FILES], *items((*made.notes, *lost)), *done[_FILES:], more=0)
 
 
 @click.command()
@@ -126,9 +122,9 @@ def export(
     results = results_of(solution)
     settings = ExportSettings(scaled, support, files, networks, raster, verify)
     require_supported(targets, settings)
-    print_sentences([results.warning] if results.warning else [])
+    print_sentences(results.warning)
     for target in dict.fromkeys(targets):
         folder = out / target if out is not None and len(targets) > 1 else folder_for(out, solution, target)
         done = export_solution(results.folder, target, folder, settings_for(target, settings))
-        print_sentences(filter(None, (done.sentence, *done.notes)))
+        print_sentences(done.sentence, *done.notes)
         click.echo(f"The files are in {folder}")

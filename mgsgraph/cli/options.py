@@ -19,15 +19,18 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.solution import Solution
 
 _BEGAN = time.perf_counter()
+_DETAILS = "mgsgraph.details"
+_LINES = 15
+"""That a verb prints without --details."""
+_HEAD = 6
+"""Lines of a table with its heading and two rows: fewer of them are left out."""
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
-DETAILS = click.option("-v", "--details", is_flag=True, help="Print all tables and sentences.")
-ITERATIONS = click.option(
-    "-v", "--details", is_flag=True, help="Print one line per iteration, and all tables and sentences."
-)
-CASE = click.option(
-    "--case", "of_case", type=PATH, help="Case that was adjusted, where RESULT doesn't know it."
-)
+DETAILS = click.option(
+    "-v", "--details", is_flag=True, expose_value=False, help="Print all tables and sentences, and each step.",
+    callback=lambda context, _, given: context.meta.update({_DETAILS: given}),
+)  # fmt: skip
+CASE = click.option("--case", "of_case", type=PATH, help="Case that was adjusted, where RESULT doesn't know it.")
 NO_FIGURES = click.option("--no-figures", is_flag=True, help="Write no figures.")
 TABLES = click.option(
     "--tables", type=click.Choice(["csv", "parquet"]),
@@ -91,10 +94,39 @@ def folder_for(out: Path | None, source: Path, verb: str) -> Path:
     return out or Path(f"{whole.parent.name if name in ('case', 'solution') else name}-{verb}")
 
 
-def print_sentences(sentences: Iterable[str]) -> None:
+def items(sentences: Iterable[str]) -> list[str]:
+    """Sentences as items of a list; empty ones are none."""
+    return [f"- {sentence}" for sentence in sentences if sentence]
+
+
+def print_sentences(*sentences: str) -> None:
     """Print sentences, each as an item of a list."""
-    for sentence in sentences:
-        click.echo(f"- {sentence}")
+    for sentence in items(sentences):
+        click.echo(sentence)
+
+
+def details() -> bool:
+    """Whether --details was given."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(_DETAILS))
+
+
+def print_brief(*texts: str, more: int = 1) -> None:
+    """Print texts; without --details as many of their lines as fit in 15 with `more` others; the last says how many are
+    left out.
+    """
+    lines = "\n".join(texts).split("\n")
+    if not details() and len(lines) + more > _LINES:
+        kept = lines[: _LINES - more - 1]
+        if "" in kept[-_HEAD:]:
+            kept = kept[: len(kept) - 1 - kept[::-1].index("")]
+        lines = [*kept, f"{len(lines) - len(kept)} more lines: --details (-v)"]
+    click.echo("\n".join(lines))
+
+
+def print_ended(what: str) -> None:
+    """Print where results are, and the seconds of the whole run."""
+    click.echo(f"{what} ({elapsed():.0f} s)")
 
 
 def elapsed() -> float:
@@ -102,18 +134,20 @@ def elapsed() -> float:
     return time.perf_counter() - _BEGAN
 
 
-def print_solution(solution: "Solution", details: bool = False) -> None:
-    """Print what an adjustment has found in a few lines; with details all tables, sentences and seconds."""
+def print_solution(solution: "Solution", more: int = 1) -> None:
+    """Print what an adjustment has found in a few lines, beside `more` others; with --details all tables, sentences and
+    seconds.
+    """
     from mgsgraph.results.results import sentences_of, solution_sections, summary_table
     from mgsgraph.results.summary import summary
 
-    if not details:
-        click.echo("\n".join(summary(solution)))
+    if not details():
+        print_brief(*summary(solution), more=more)
         return
     sections = solution_sections(solution)
     every = {**solution.seconds, "start-up, tables and figures": elapsed() - sum(solution.seconds.values())}
     click.echo(summary_table(replace(solution, seconds=every), sections))
-    print_sentences(sentences_of(sections))
+    print_sentences(*sentences_of(sections))
 
 
 _KEPT = "\n\r\t"

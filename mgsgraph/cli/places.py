@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mgsgraph.cli.options import CASE, NO_FIGURES, PATH, TIES, folder_for, print_sentences
+from mgsgraph.cli.options import (
+    CASE,
+    DETAILS,
+    NO_FIGURES,
+    PATH,
+    TIES,
+    folder_for,
+    print_brief,
+    print_ended,
+    print_sentences,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.files.place_table import Sort
@@ -122,6 +132,7 @@ def locate(
 )  # fmt: skip
 @TIES
 @NO_FIGURES
+@DETAILS
 def footprints(
     source: Path, files: tuple[Path, ...], of_case: Path | None, names: tuple[str, ...], dates: tuple[str, str] | None,
     quality: str, off_nadir: float | None, margin: float, along: bool, version: str | None, out: Path | None,
@@ -157,6 +168,7 @@ def footprints(
 def _register(source: Path, case: Path | None, out: Path, ties: Path | None, figures: bool) -> None:
     """Register the laser profiles of a case by projection, write and print what came out."""
     from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
     from mgsgraph.project.reading import case_with_results
     from mgsgraph.registration.case import register_case
@@ -166,10 +178,11 @@ def _register(source: Path, case: Path | None, out: Path, ties: Path | None, fig
     require_replaceable(out, REGISTRATION)
     found = case_with_results(source, case)
     adjusted = None if found.folder is None else read_solution(found.folder)
-    registration = register_case(read_case(found.case, ties=ties or found.ties), adjusted)
-    write_registration(registration, out, figures=figures)
-    click.echo(registration_section(registration).text())
-    click.echo(f"Results are in {out}")
+    with stage("projecting shots"):
+        registration = register_case(read_case(found.case, ties=ties or found.ties), adjusted)
+        write_registration(registration, out, figures=figures)
+    print_brief(registration_section(registration).text(None))
+    print_ended(f"Results are in {out}")
 
 
 def _find_shots(
@@ -185,8 +198,8 @@ def _find_shots(
         require_free(out, SELECTION)
     seen = oriented_images(source, names)
     over = search_shots(files, seen, choice)
-    print_sentences([seen.warning] if seen.warning else [])
-    click.echo(crossings_section(over, crossings(over)).text(None))
+    print_sentences(seen.warning)
+    print_brief(crossings_section(over, crossings(over)).text(None), more=2)
     if out is not None and not over.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:

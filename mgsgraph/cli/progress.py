@@ -1,15 +1,17 @@
 """Progress while a command runs: bars over iterations and stages, and a word when the kernel is being compiled."""
 
+import math
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import click
 from tqdm import tqdm
 
+from mgsgraph.cli.options import details
 from mgsgraph.compiled import is_compiling
 from mgsgraph.workers import Stages
 
@@ -24,10 +26,36 @@ _BEAT = 0.5
 """s between two looks at the clock."""
 
 
+_SMALL = 1e-6
+"""Posterior sigmas that the last step is shorter than."""
+
+
 @contextmanager
-def iteration_bar(verbose: bool, most: int) -> Iterator["IterationBar"]:
-    """Progress over iterations on standard error (where that is a terminal); one line each when verbose."""
-    with closing(IterationBar(verbose, most)) as bar, word_of_compiling():
+def _ticking(bar: Callable[[], "tqdm[None]"]) -> Iterator[None]:
+    """Show a bar from two seconds on, and its clock running, however long the part takes that is under way."""
+    over = threading.Event()
+
+    def tick() -> None:
+        wait = _SHORTLY
+        while not over.wait(wait):
+            bar().refresh()
+            wait = _BEAT
+
+    ticking = threading.Thread(target=tick, daemon=True)
+    ticking.start()
+    try:
+        yield
+    finally:
+        over.set()
+        ticking.join()
+        bar().close()
+
+
+@contextmanager
+def iteration_bar() -> Iterator["IterationBar"]:
+    """Progress over iterations on standard error (where that is a terminal); one line each with --details."""
+    bar = IterationBar(details())
+    with _ticking(lambda: bar.bar), word_of_compiling():
         yield bar
 
 
@@ -36,37 +64,35 @@ def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     """Progress over a known number of things, on standard error (where that is a terminal) after two seconds; of bytes,
     unit B, with their rate. The number may grow as more becomes known.
     """
-    with tqdm(desc=what, unit=unit, unit_scale=unit == "B", leave=False, disable=None, delay=_SHORTLY) as bar:
+    bar = _bar(desc=what, unit=unit, unit_scale=unit == "B")
 
-        def show(done: int, most: int) -> None:
-            bar.total = most
-            bar.update(done - bar.n)
+    def show(done: int, most: int) -> None:
+        bar.total = most
+        bar.update(done - bar.n)
 
+    with _ticking(lambda: bar):
         yield show
 
 
 @contextmanager
 def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """The same for work in several stages, each of a known number of parts: one bar after the other, or, where standard
-    error is no terminal, one line when a stage begins.
-    """
-    bar: tqdm[None] = tqdm(disable=True)
-    shown = ""
+    """The same for work in several stages, each of a known number of parts: one bar after the other."""
+    bar, shown = _bar(), ""
 
     def show(what: str, done: int, most: int) -> None:
         nonlocal bar, shown
         if shown != what:
             bar.close()
-            if not sys.stderr.isatty():
-                click.echo(f"{what} ...", err=True)
-            bar, shown = tqdm(desc=what, total=most, leave=False, disable=None), what
+            bar, shown = _bar(desc=what), what
         bar.total = most
         bar.update(done - bar.n)
 
-    try:
+    with _ticking(lambda: bar):
         yield show
-    finally:
-        bar.close()
+
+
+def _bar(**given: Any) -> "tqdm[None]":
+    return tqdm(leave=False, disable=None, delay=_SHORTLY, **given)
 
 
 @contextmanager
@@ -91,6 +117,13 @@ def word_of_compiling() -> Iterator[None]:
         watching.join()
 
 
+@contextmanager
+def stage(what: str) -> Iterator[None]:
+    """A single stage that shows itself."""
+    with stage_bar(1) as stages, stages.stage(what):
+        yield
+
+
 def passing_word(sentence: str) -> None:
     """A sentence while something is under way, above its bar; on standard error, where that is a terminal."""
     if sys.stderr.isatty():
@@ -100,9 +133,9 @@ def passing_word(sentence: str) -> None:
 class IterationBar:
     """Called with every iteration."""
 
-    def __init__(self, verbose: bool, most: int) -> None:
-        self._verbose, self._count = verbose, 0
-        self._bar = tqdm(total=most, desc="adjusting", unit="iteration", leave=False, disable=None)
+    def __init__(self, verbose: bool) -> None:
+        self._verbose, self._count, self._step, self._began = verbose, 0, math.inf, time.monotonic()
+        self.bar = _bar(desc="adjusting", bar_format="{desc}: iteration {n_fmt}, {elapsed}{postfix}")
 
     def __call__(self, now: "Iteration") -> None:
         """Show one step that was tried."""
@@ -114,20 +147,21 @@ class IterationBar:
             tqdm.write(
                 f"{self._count:9d} {now.cost:14.6f} {now.decrease:14.4e} {now.step:14.4e} {now.damping:9.1e}{taken}"
             )
-        self._bar.set_postfix_str(f"cost {now.cost:.6g}")
-        self._bar.update()
+        left = ""
+        if _SMALL < now.step < self._step < math.inf:  # steps go on shrinking as they do
+            steps = math.log(now.step / _SMALL) / math.log(self._step / now.step)
+            left = f", about {steps * (time.monotonic() - self._began) / self._count:.0f} s left"
+        self._step = now.step
+        self.bar.set_postfix_str(f"cost {now.cost:.6g}{left}", refresh=False)
+        self.bar.update()
 
     def begin(self, what: str) -> None:
         """Count anew, under another name: one of several adjustments."""
         if self._verbose:
             tqdm.write(what)
-        self._count = 0
-        self._bar.reset()
-        self._bar.set_description_str(what)
-
-    def close(self) -> None:
-        """Take the bar away."""
-        self._bar.close()
+        self._count, self._step, self._began = 0, math.inf, time.monotonic()
+        self.bar.reset()
+        self.bar.set_description_str(what)
 
 
 @contextmanager
@@ -135,28 +169,18 @@ def stage_bar(count: int) -> Iterator[Stages]:
     """Stages that show themselves: which of `count` is running, for how long all of them have, and the time left of one
     that counts its parts.
     """
-    bar = tqdm(total=count, unit="stage", leave=False, disable=None, bar_format="{n_fmt}/{total_fmt} {desc} {elapsed}")
-    over, begun = threading.Event(), list[tuple[str, float]]()
-
-    def tick() -> None:
-        while not over.wait(_BEAT):
-            bar.refresh()
+    bar = _bar(total=count, bar_format=("{n_fmt}/{total_fmt} " if count > 1 else "") + "{desc} {elapsed}")
+    begun = list[tuple[str, float]]()
 
     def announce(stage: str) -> None:
         bar.update(bool(begun))
         begun.append((stage, time.monotonic()))
-        bar.set_description_str(stage)
+        bar.set_description_str(stage, refresh=False)
 
     def detail(what: str, done: int, most: int) -> None:
         stage, since = begun[-1]
         left = (time.monotonic() - since) * (most - done) / max(done, 1)
         bar.set_description_str(f"{stage}, {what} {done / most:.0%}, {left:.0f} s left", refresh=False)
 
-    ticking = threading.Thread(target=tick, daemon=True)
-    ticking.start()
-    try:
+    with _ticking(lambda: bar):
         yield Stages(announce, detail)
-    finally:
-        over.set()
-        ticking.join()
-        bar.close()

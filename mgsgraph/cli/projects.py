@@ -1,20 +1,23 @@
 """Verbs for a project, a folder to which images come one after the other; and the studio."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from mgsgraph.cli.options import (
     CASE,
+    DETAILS,
     DEVICE,
-    ITERATIONS,
     NO_FIGURES,
     PATH,
     TABLES,
     TIES,
+    items,
+    print_brief,
+    print_ended,
     print_sentences,
     print_solution,
 )
@@ -54,7 +57,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
     with stage_bar(2) as stages:
         begun = create_project(project, name, case, settings, stages.stage)
     click.echo(f"{project}: a new project, {begun.words}")
-    print_sentences(begun.notes)
+    print_sentences(*begun.notes)
     if begun.waits:
         click.echo(f"Its images wait for tie points; next: mgsgraph match {project}")
     elif case is not None:
@@ -71,6 +74,7 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
 @_IMPACT
+@DETAILS
 @click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
 @click.pass_context
 def add(
@@ -104,16 +108,14 @@ def add(
 
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
+    alone = ", ".join(addition.unconnected)
+    warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
     if dry_run:
-        click.echo(f"{project}: would add {_words(addition)}; nothing was changed")
-        print_sentences(addition.notes)
-        _warn(addition)
+        first = f"{project}: would add {_words(addition)}; nothing was changed"
+        print_brief(first, *items((*addition.notes, warning)), more=0)
         return
-    click.echo(f"{project}: added {_words(addition)}")
-    print_sentences(addition.notes)
-    if impact is None:
-        _warn(addition)
-    _print_impact(ctx, project, impact, table)
+    said = [f"{project}: added {_words(addition)}", *items((*addition.notes, warning if impact is None else ""))]
+    _print_impact(ctx, project, impact, table, said)
 
 
 def _words(addition: "Addition") -> str:
@@ -126,32 +128,26 @@ def _words(addition: "Addition") -> str:
     return f"{images}{f' ({named})' if named else ''}, {rays} image measures, {ranges} laser ranges"
 
 
-def _warn(addition: "Addition") -> None:
-    if addition.unconnected:
-        names = ", ".join(addition.unconnected)
-        click.echo(f"- Unconnected: {names}. No point is shared with another image; tie points would join it.")
-
-
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
 @_IMPACT
+@DETAILS
 @click.pass_context
 def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
     """Take each IMAGE (by its name or a unique part of it) out of PROJECT with its measures, and adjust the rest.
 
     Exit status: 0 removed, 1 removed and not converged, 2 bad input (nothing has changed).
     """
-    from mgsgraph.cli.progress import stage_bar
+    from mgsgraph.cli.progress import stage
     from mgsgraph.project.changes import remove_images
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
-    with stage_bar(1) as stages, stages.stage("adjusting"), open_project(project, write=True) as opened:
+    with stage("adjusting"), open_project(project, write=True) as opened:
         names = opened.images_named(images)
         impact = remove_images(opened, names)
-    click.echo(f"{project}: removed {', '.join(names)}")
-    _print_impact(ctx, project, impact, table)
+    _print_impact(ctx, project, impact, table, [f"{project}: removed {', '.join(names)}"])
 
 
 @click.command()
@@ -168,6 +164,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
 @click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
 @_IMPACT
+@DETAILS
 @click.pass_context
 def measure(
     ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
@@ -211,20 +208,40 @@ def measure(
 @click.argument("project", type=PATH)
 @click.argument("change", type=int, required=False)
 @_IMPACT
+@DETAILS
 @click.pass_context
 def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
     """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
 
     Edits are the changes that `mgsgraph project measure` makes; `mgsgraph project status` shows their numbers.
+    `mgsgraph project redo` makes them again.
 
     Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
-    from mgsgraph.project.edits import undo as take_back
+    _reverse(ctx, project, table, lambda edits, opened: edits.undo(opened, change))
+
+
+@click.command()
+@click.argument("project", type=PATH)
+@_IMPACT
+@DETAILS
+@click.pass_context
+def redo(ctx: click.Context, project: Path, table: Path | None) -> None:
+    """Make the last edit of a point of PROJECT again that `mgsgraph project undo` took back, and adjust what it
+    touches; once more for the one before it. A new change of PROJECT ends what can be redone.
+
+    Exit status: 0 redone, 1 redone and not converged, 2 bad input, or nothing to redo (nothing has changed).
+    """
+    _reverse(ctx, project, table, lambda edits, opened: edits.redo(opened))
+
+
+def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Any, Any], Edited]") -> None:
+    from mgsgraph.project import edits
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
     with open_project(project, write=True) as opened:
-        done = take_back(opened, change)
+        done = act(edits, opened)
     _print_edits(ctx, project, [done], table)
 
 
@@ -237,11 +254,12 @@ def _require_writable(table: Path | None, project: Path) -> None:
 
 def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
     """Each in a sentence; what the last one did to the rest in full."""
+    said = list[str]()
     for one in done:
-        click.echo(f"{project}: change {one.change}. {one.sentence}")
+        said.append(f"{project}: change {one.change}. {one.sentence}")
         if one.impact is not None and one is not done[-1]:
-            print_sentences(one.impact.sentences)
-    _print_impact(ctx, project, done[-1].impact, table)
+            said += items(one.impact.sentences)
+    _print_impact(ctx, project, done[-1].impact, table, said)
 
 
 @click.command()
@@ -249,11 +267,10 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", ta
 @NO_FIGURES
 @TABLES
 @DEVICE
-@ITERATIONS
+@DETAILS
 @click.pass_context
 def solve(
-    ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", device: "Device | None",
-    details: bool,
+    ctx: click.Context, project: Path, no_figures: bool, tables: "TableForm | None", device: "Device | None"
 ) -> None:  # fmt: skip
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
@@ -265,20 +282,17 @@ def solve(
     from mgsgraph.project.changes import solve_project
     from mgsgraph.project.project import open_project
 
-    with (
-        open_project(project, write=True) as opened,
-        iteration_bar(details, opened.settings.solver.settings.max_iterations) as bar,
-    ):
+    with open_project(project, write=True) as opened, iteration_bar() as bar:
         solved = solve_project(opened, not no_figures, tables, bar, device)
-    print_solution(solved.solution, details)
-    if solved.closing is not None:
-        click.echo(f"- {solved.closing.sentence}")
-    click.echo(f"Results are in {solved.folder}")
+    print_solution(solved.solution, 2)
+    print_sentences("" if solved.closing is None else solved.closing.sentence)
+    print_ended(f"Results are in {solved.folder}")
     ctx.exit(0 if is_valid(solved.solution) else 1)
 
 
 @click.command()
 @click.argument("project", type=PATH)
+@DETAILS
 def status(project: Path) -> None:
     """Say what is in PROJECT, how it is connected, what the last solution was, and what has changed since."""
     from mgsgraph.project.project import open_project
@@ -286,16 +300,19 @@ def status(project: Path) -> None:
 
     with open_project(project) as opened:
         text = describe(opened)
-    click.echo(text)
+    print_brief(text, more=0)
 
 
-def _print_impact(ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None) -> None:
-    """Sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not converged."""
+def _print_impact(
+    ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None, said: "Sequence[str]"
+) -> None:
+    """After what was said: sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not
+    converged.
+    """
     if impact is None:
-        click.echo(f"Nothing is adjusted yet; next: mgsgraph project solve {project}")
+        print_brief(*said, f"Nothing is adjusted yet; next: mgsgraph project solve {project}", more=0)
         return
-    print_sentences(impact.sentences)
-    click.echo("\n".join(impact.tables_text()))
+    print_brief(*said, *items(impact.sentences), "", *impact.tables_text())
     if table is not None:
         from mgsgraph.results.impact import write_impact
 

@@ -5,15 +5,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mgsgraph.cli.options import CASE, DETAILS, NO_FIGURES, PATH, TIES, print_sentences
+from mgsgraph.cli.options import (
+    CASE,
+    DETAILS,
+    NO_FIGURES,
+    PATH,
+    TIES,
+    details,
+    print_brief,
+    print_ended,
+    print_sentences,
+)
 
 if TYPE_CHECKING:
     from mgsgraph.results.section import Section
 
 _SUMMARY = 10
-"""Rows of the table by suspicion with --details."""
+"""Rows of the table by suspicion where nothing is asked."""
 _WEAK = 5
-_DETAILS = ("correlations", "probability", "images", "post", "sigma_px", "alpha", "power")
+_PARAMETERS = ("correlations", "probability", "images", "post", "sigma_px", "alpha", "power")
 """Parameters that say more of a question and are none."""
 
 
@@ -82,6 +92,7 @@ def analyze(
     """
     from mgsgraph.analysis.measures import Levels
     from mgsgraph.analysis.posterior import Pixel
+    from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.reading import read_adjusted, read_posterior
     from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
@@ -95,9 +106,8 @@ def analyze(
     require_used("--hold-out, --seed, --ties", (hold_out, seed, ties) != (None, None, None), False, "--nodes")
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    details = asked.pop("details")
-    nothing = not details and not any(value for name, value in asked.items() if name not in _DETAILS)
-    every = details or (nothing and out is not None)
+    nothing = not any(value for name, value in asked.items() if name not in _PARAMETERS)
+    every = nothing and (details() or out is not None)
     points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
     about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
     given = {name: asked[name] is not None for name in ("post", "probability", "sigma_px", "alpha", "power")}
@@ -107,7 +117,7 @@ def analyze(
         ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
         ("--probability", given["probability"], points or pixels, "--point or --pixel"),
         ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
-        ("--alpha, --power", given["alpha"] or given["power"], details or asked["reliability"], "--reliability"),
+        ("--alpha, --power", given["alpha"] or given["power"], every or asked["reliability"], "--reliability"),
         ("--no-figures", no_figures, out, "--out FOLDER"),
     ):  # fmt: skip
         require_used(option, bool(stated), bool(useful), of)
@@ -122,21 +132,21 @@ def analyze(
         asked["iterate"], asked["reliability"] or (_SUMMARY if every else 0),
         asked["weak"] or (_WEAK if every else 0), asked["outliers"] or every, levels,
     )  # fmt: skip
-    if nothing:
+    brief_only = nothing and not details()
+    if brief_only:
         solution, changed = read_adjusted(adjusted)
-        click.echo("\n".join(brief(solution)))
-        print_sentences([changed] if changed else [])
+        print_brief(*brief(solution), more=2)
+        print_sentences(changed)
         if out is None:
             return
-    name, posterior, warning = read_posterior(adjusted)
-    if warning:
-        click.echo(f"- {warning}")
-    sections = analysed(posterior, wanted, name)
-    if out is not None:
-        sections = iter(found := list(sections))
-        write_analysis(name, found, out, figures=not no_figures)  # before anything is said: a reader may go away
-    for section in () if nothing else sections:
-        click.echo(section.text(None))
+    with stage("analyzing"):
+        name, posterior, warning = read_posterior(adjusted)
+        found = list(analysed(posterior, wanted, name))
+        if out is not None:
+            write_analysis(name, found, out, figures=not no_figures)  # before anything is said: a reader may go away
+    print_sentences(warning)
+    for section in () if brief_only else found:
+        print_brief(section.text(None), more=1 - 4 * (asked["reliability"] or asked["weak"] or 0))  # rows of each
     if out is not None:
         click.echo(f"The analysis is in {out}")
 
@@ -174,6 +184,7 @@ def _choose_spacing(
     help="Whether the targets' mean sigma counts, or the largest one.",
 )  # fmt: skip
 @click.option("--out", type=PATH, help="Folder for plan.csv and plan.json; made anew.")
+@DETAILS
 def plan(
     adjusted: Path, candidates: Path, choose: int, targets: tuple[str, ...], criterion: str, out: Path | None
 ) -> None:
@@ -193,8 +204,7 @@ def plan(
     if out is not None:
         require_replaceable(out, PLAN)
     name, state, warning = read_state(adjusted)
-    if warning:
-        click.echo(f"- {warning}")
+    print_sentences(warning)
     with counting_bar("planning measures", "candidate") as bar:
         wanted = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
@@ -202,11 +212,11 @@ def plan(
     _show(plan_section(made), out, PLAN, "plan")
 
 
-def _show(section: "Section", out: Path | None, record: str, what: str, figures: bool = True) -> None:
+def _show(section: "Section", out: Path | None, record: str, what: str, figures: bool = True, more: int = 0) -> None:
     """Write a section to a folder, if one is wanted, and print it."""
     if out is not None:
         section.write_folder(out, record, figures)
-    click.echo(section.text(_SUMMARY))
+    print_brief(section.text(None), more=more + (out is not None))
     if out is not None:
         click.echo(f"The {what} is in {out}")
 
@@ -221,6 +231,7 @@ def _show(section: "Section", out: Path | None, record: str, what: str, figures:
     help="HTML file; replaced. With --compare also a folder, made anew: comparison.json, tables, a map of differences.",
 )  # fmt: skip
 @NO_FIGURES
+@DETAILS
 def report(
     result: Path, compare: Path | None, of_case: Path | None, ties: Path | None, out: Path, no_figures: bool
 ) -> None:
@@ -235,6 +246,7 @@ def report(
     solution. Differences are RESULT minus EARLIER. With a folder as --out that is all.
     """
     from mgsgraph.case.reading import read_case
+    from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import COMPARISON, require_replaceable
     from mgsgraph.project.reading import comparison_with_truth, results_of
     from mgsgraph.results.analysis import require_used
@@ -253,18 +265,19 @@ def report(
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
     adjusted, before = read_solution(found.folder), None if earlier is None else read_solution(earlier.folder)
-    print_sentences([one.warning for one in (earlier, found) if one is not None and one.warning])
+    print_sentences(found.warning, "" if earlier is None else earlier.warning)
     if earlier is not None and before is not None:
         click.echo(f"A: {earlier.folder} ({before.name})\nB: {found.folder} ({adjusted.name})")
-        _show(compared(adjusted, before, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures)
+        _show(compared(adjusted, before, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures, 3)
     if folder is not None:
         return
-    read = None if case is None else read_case(case, ties=ties or own_ties)
-    if read is not None:
-        read.require_images_of(adjusted)
-    inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
-    write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
-    click.echo(f"The page is {out}")
+    with stage("tables and figures"):
+        read = None if case is None else read_case(case, ties=ties or own_ties)
+        if read is not None:
+            read.require_images_of(adjusted)
+        inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
+        write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
+    print_ended(f"The page is {out}")
 
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:

@@ -14,9 +14,13 @@ from mgsgraph.cli.options import (
     PATH,
     TWO_IMAGES,
     WORKERS,
+    details,
     elapsed,
     folder_for,
+    items,
     out_option,
+    print_brief,
+    print_ended,
     print_sentences,
     print_solution,
     require_two,
@@ -57,7 +61,7 @@ def _resumable() -> Iterator[None]:
 @click.pass_context
 def demo(
     ctx: click.Context, site: str, out: Path, seed: int, attitude_time_bias: float | None, no_relief: bool,
-    no_figures: bool, details: bool,
+    no_figures: bool,
 ) -> None:
     """Simulate SITE (eos, gusev, isidis; or pair: small and synthetic), write it in the formats of the mission's
     archive, read it back, adjust it with its tie points and laser ranges, and register laser and images by relief.
@@ -77,7 +81,7 @@ def demo(
     from mgsgraph.simulation.demo.summary import write_demo
 
     def adjusting(case: Case) -> Solution:
-        with iteration_bar(False, case.settings.max_iterations) as bar:
+        with iteration_bar() as bar:
             return run(case, bar)
 
     options = simulation_options(site, attitude_time_bias, known=DEMONSTRATED)
@@ -85,8 +89,8 @@ def demo(
         solution, tables, sentences = write_demo(
             site, folder, seed, options, adjusting, stages, not no_figures, not no_relief
         )
-    if details:
-        print_solution(solution, details)
+    if details():
+        print_solution(solution)
         sentences = [*tables, *sentences]
     click.echo("\n".join(sentences))
     click.echo(f"Verdict: {state_of(solution)} ({elapsed():.0f} s). All of it: mgsgraph report {out}")
@@ -188,7 +192,7 @@ def fetch(
         fetched = fetch_images(
             images, out, terrain=terrain, archives=archives, volumes=volumes, progress=show, say=passing_word
         )
-    print_sentences(fetched.sentences)
+    print_sentences(*fetched.sentences)
     click.echo(f"The case is {fetched.case}")
     if commands := fetched.commands():
         click.echo("Next:")
@@ -212,6 +216,7 @@ def fetch(
 @click.option("--per-cell", type=int, default=2, show_default=True, help="Matches kept in each cell.")
 @WORKERS
 @NO_FIGURES
+@DETAILS
 def match(
     case: Path, out: Path | None, height: float | None, height_sigma: float | None, workers: int | None,
     no_figures: bool, **asked: Any,
@@ -262,8 +267,8 @@ def _match(
     name, scene = read_scene(case, height, height_sigma)
     with counting_bars() as show:
         matches = match_into(name, scene, out, settings, workers, figures, show)
-    print_sentences(match_statements(matches, scene))
-    click.echo(f"The network is {out / 'network.pvl'}")
+    print_brief(*items(match_statements(matches, scene)), more=3)
+    print_ended(f"The network is {out / 'network.pvl'}")
 
 
 @click.command()
@@ -283,6 +288,7 @@ def _match(
 @TWO_IMAGES
 @WORKERS
 @NO_FIGURES
+@DETAILS
 def dem(
     solution: Path, of_case: Path | None, out: Path | None, post: float | None, spacing: float | None, heights: str,
     shots: tuple[Path, ...], ortho_pixel: float | None, images: tuple[str, ...], workers: int | None, no_figures: bool,
@@ -305,6 +311,6 @@ def dem(
     out, case = folder_for(out, solution, "dem"), case_with_results(solution, of_case).case
     with counting_bars() as show:
         made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
-    print_sentences([warning] if warning else [])
-    click.echo(dem_section(made).text())
-    click.echo(f"The terrain model is {out / 'dem.tif'}")
+    print_sentences(warning)
+    print_brief(dem_section(made).text(None))
+    print_ended(f"The terrain model is {out / 'dem.tif'}")

@@ -30,6 +30,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "project remove": ("projects", "Take images out of a project, and adjust what they touched."),
         "project measure": ("projects", "Measure a point of a project, reject or accept a measure, and adjust."),
         "project undo": ("projects", "Take back the last edit of a point of a project."),
+        "project redo": ("projects", "Make again the edit that undo took back."),
         "project solve": ("projects", "Adjust everything in a project by batch, and compare."),
         "project status": ("projects", "Say what is in a project and what its last solution was."),
     },

@@ -17,6 +17,7 @@ from mgsgraph.files.writing import read_record
 from mgsgraph.network import PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.archive import read_solution
+from mgsgraph.text import many
 
 FORMAT = 1
 """Version of export.json's layout."""
@@ -73,7 +74,7 @@ class Exported(NamedTuple):
             "They are farther off than they should be.": self.largest > _FINE,
             "The solution did NOT converge.": not self.converged,
         }
-        written = f"{len(self.files)} files for {self.target.value}"
+        written = f"{many(len(self.files), 'file')} for {self.target.value}"
         if self.measures:
             written += (
                 f"; read back by SPICE alone, {self.measures} measures fall within {self.largest:.2g} px of where the "

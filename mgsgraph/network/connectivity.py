@@ -12,7 +12,7 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
-from mgsgraph.text import NAMED, many, some
+from mgsgraph.text import NAMED, many, some, span
 from mgsgraph.units import KM
 
 if TYPE_CHECKING:
@@ -321,7 +321,7 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
 
 
 def link_statement(connected: Connectivity) -> list[str]:
-    """A sentence about all links and the weakest joint; none without links."""
+    """Sentences about all links and the weakest joint; none without links."""
     points, links = connected.points, connected.links
     if links.size == 0:
         return []
@@ -331,9 +331,10 @@ def link_statement(connected: Connectivity) -> list[str]:
     whole = "the block" if len(connected.islands) == 1 else "an island"
     row = int(connected.spine[0])
     return [
-        f"{len(connected.names)} images are connected by {links.size} links of {points[links].min()} to "
-        f"{points[links].max()} common points (median {np.median(points[links]):.0f}). Every split of {whole} is "
-        f"bridged by at least {many(int(points[row]), 'point')}; weakest link: {_weak(connected, row)}."
+        f"{len(connected.names)} images, {links.size} pairs with {span(points[links])} common points (median "
+        f"{np.median(points[links]):.0f}).",
+        f"Every split of {whole} is bridged by at least {many(int(points[row]), 'point')}; weakest link: "
+        f"{_weak(connected, row)}.",
     ]
 
 

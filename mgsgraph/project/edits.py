@@ -25,10 +25,10 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Range
 from mgsgraph.network.parts import image_columns, joined, select_points
 from mgsgraph.project.addition import on_terrain
 from mgsgraph.project.changes import incremental, is_solved, note, put_waiting
-from mgsgraph.project.project import Measure, PointState, Project, last_state, state_of
+from mgsgraph.project.project import EditRow, Measure, PointState, Project, last_state, state_of
 from mgsgraph.units import DEG
 
-Kind = Literal["measure", "move", "reject", "accept", "hold", "release", "remove", "undo"]
+Kind = Literal["measure", "move", "reject", "accept", "hold", "release", "remove", "undo", "redo"]
 _LONGEST_NAME = 200
 _SAME = 1e-9
 """px, m: what numbers lose in JSON."""
@@ -39,7 +39,7 @@ class Edited:
     """What a change of a point has done."""
 
     kind: Kind
-    """measure, move, reject, accept, hold, release, remove or undo."""
+    """measure, move, reject, accept, hold, release, remove, undo or redo."""
     point: str
     """Which."""
     sentence: str
@@ -249,7 +249,26 @@ def undo(project: Project, change: int | None = None) -> Edited:
         raise InputError(where, found, "a measure, move, rejection, ... of a point")
     if (by := project.undone_by(last.number)) is not None:
         raise InputError(where, f"change {change} was undone by change {by}", "a change that stands")
-    now = point_state(project, last.point)
+    return _reversed(project, last, "undo", f"{last.kind} undone")
+
+
+def redo(project: Project) -> Edited:
+    """Reverse the last `undo` that stands; it is then a change that `undo` takes back again.
+
+    Raises
+    ------
+    InputError
+        Where there is none, or a new change came after it.
+    """
+    last = project.last_edit(undone=True)
+    if last is None:
+        raise InputError(str(project.folder), "no change to redo", "an undo that no new change follows")
+    return _reversed(project, last, "redo", "the change that was undone is made again")
+
+
+def _reversed(project: Project, last: EditRow, kind: Kind, words: str) -> Edited:
+    """Put the state before a change back, as a change of its own."""
+    where, now = str(project.folder), point_state(project, last.point)
     before, after = (None if text is None else state_of(project, text) for text in (last.before, last.after))
     if not _alike(now, after):
         found = f"point {last.point} is not as that change ({last.kind}) left it: it has changed since"
@@ -258,7 +277,7 @@ def undo(project: Project, change: int | None = None) -> Edited:
     for one in () if before is None else (*before.measures, *before.set_aside):
         if one.image not in there:
             raise InputError(where, f"a measure of point {last.point} in {one.image}, which was removed since")
-    return _put(project, "undo", last.point, now, before, f"{last.kind} undone", undoes=last.number)
+    return _put(project, kind, last.point, now, before, words, undoes=last.number)
 
 
 def _put(

@@ -268,20 +268,20 @@ class Project(Record):
 
     # --- changes of single points
 
-    def record_edit(
-        self, change: int, kind: str, point: str, before: str | None, after: str | None, undoes: int | None
-    ) -> None:
-        """Note a change of a point (`project.edits`) in the journal."""
-        row = (change, kind, point, before, after, undoes)
-        self._connection.execute(
-            "INSERT INTO edit (change, kind, point, before, after, undoes) VALUES (?, ?, ?, ?, ?, ?)", row
-        )
+    def record_edit(self, *row: int | str | None) -> None:
+        """Note a change of a point (`project.edits`) in the journal: change, kind, point, before, after, undoes."""
+        columns = "change, kind, point, before, after, undoes"
+        self._connection.execute(f"INSERT INTO edit ({columns}) VALUES (?, ?, ?, ?, ?, ?)", row)
 
-    def last_edit(self) -> EditRow | None:
-        """The last change of a point that has not been undone; None where there is none."""
+    def last_edit(self, undone: bool = False) -> EditRow | None:
+        """The last change of a point that has not been undone; or the last undo that has not been redone, where only
+        undo, redo and solve came after it. None where there is none.
+        """
+        back = "number NOT IN (SELECT change FROM edit WHERE kind IN ('undo', 'redo'))"
+        newest = f"SELECT max(number) FROM change WHERE verb <> 'solve' AND {back}"
+        kind = f"kind = 'undo' AND change > ({newest})" if undone else "kind <> 'undo'"
         stands = "number NOT IN (SELECT undoes FROM edit WHERE undoes IS NOT NULL)"
-        rest = f"WHERE kind <> 'undo' AND {stands} ORDER BY number DESC LIMIT 1"
-        return next(iter(self._rows(EditRow, "edit", rest)), None)
+        return next(iter(self._rows(EditRow, "edit", f"WHERE {kind} AND {stands} ORDER BY number DESC LIMIT 1")), None)
 
     def edit(self, change: int) -> EditRow | None:
         """The change of a point that a change of the history was; None where it was none."""

@@ -127,11 +127,11 @@ TABLES = (
     """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     change INTEGER NOT NULL REFERENCES change,
-    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo
+    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo, redo
     point TEXT NOT NULL,
     before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
     after TEXT, -- the same afterwards
-    undoes INTEGER REFERENCES edit -- of kind undo
+    undoes INTEGER REFERENCES edit -- of kinds undo and redo (the undo that it reverses)
 )""",
     "CREATE INDEX edit_of_point ON edit (point, number)",
 )

@@ -17,47 +17,45 @@ _HISTORY = 10
 
 
 def status(project: Project) -> str:
-    """Images, points, measures, how they are connected, the last solution and the last changes; several lines."""
+    """The last solution, images, points and measurements, how they are connected, and the changes, the newest first."""
     with understood(str(project.folder), A_PROJECT, ELSEWHERE):
         return "\n".join(_lines(project))
 
 
 def _lines(project: Project) -> list[str]:
     names = project.store.image_names()
-    lines = [f"{project.name}: a project of {many(len(names), 'image')}, made {project.created}"]
-    lines += ["", *_contents(project)]
-    lines += ["", *_connections(project, names)]
-    lines += ["", *_solutions(project, bool(names))]
-    return [*lines, "", "History (UTC)", *(_change(change) for change in project.changes(_HISTORY))]
+    said = [*_solutions(project, bool(names)), *_contents(project), *_connections(project, names)]
+    changes = project.changes(_HISTORY)[::-1]
+    return [
+        f"{project.name}: a project of {many(len(names), 'image')}, made {project.created[:16].replace('T', ' ')} UTC",
+        *(f"- {one}" for one in said),
+        f"Changes (UTC), the newest first{', the last 10' if len(changes) == _HISTORY else ''}:",
+        *(_change(change) for change in changes),
+    ]
 
 
 def _contents(project: Project) -> list[str]:
     classes = project.store.point_classes()
     points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
     rays, ranges = project.store.measures()
-    terrain = project.store.terrain
-    model = "none" if terrain is None else f"{terrain[0].source}, {' x '.join(map(str, terrain[0].radii.shape))} posts"
-    return [
-        "Contents",
-        f"  images held as they are: {project.held_images}",
-        f"  points: {sum(classes.values())}{f' ({points})' if points else ''}",
-        f"  image measures: {rays} (line and sample each), laser ranges: {ranges}",
-        f"  terrain model as control: {model}",
-        f"  measurements rejected by the user: {sum(map(len, all_set_aside(project).values())) or 'none'}",
-        *_passes(project),
-    ]
+    rejected, terrain = sum(map(len, all_set_aside(project).values())), project.store.terrain
+    parts = [
+        f"{many(sum(classes.values()), 'point')}{f' ({points})' if points else ''}", f"{rays} image measurements",
+        f"{ranges} laser ranges", f"{rejected} rejected by the user" if rejected else "",
+        f"{many(project.held_images, 'image')} held" if project.held_images else "",
+    ]  # fmt: skip
+    model = terrain and f"Terrain model: {terrain[0].source}, {' x '.join(map(str, terrain[0].radii.shape))} posts."
+    return [f"{', '.join(filter(None, parts))}.", *([model] if model else []), *_passes(project)]
 
 
 def _passes(project: Project) -> list[str]:
     """A line for each pass and each unknown that images share."""
     known = project.store.definitions()
     return [
-        f"  pass {one.name}: {many(len(one.images), 'image')}, {many(len(one.nodes), 'orientation image')} "
-        f"{one.nodes.spacing:.4g} s apart"
+        f"Pass {one.name}: {many(len(one.images), 'image')}, {many(len(one.nodes), 'orientation image')} "
+        f"{one.nodes.spacing:.4g} s apart."
         for one in known.passes.values()
-    ] + [
-        f"  shared unknown {one.name} ({one.kind}): {many(len(one.images), 'image')}" for one in known.shared.values()
-    ]
+    ] + [f"Shared unknown {one.name} ({one.kind}): {many(len(one.images), 'image')}." for one in known.shared.values()]
 
 
 def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
@@ -76,64 +74,57 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     linked = {name for name, bundle, _ in bundles if size[bundle] > 1}
     alone = [name for name in names if name not in linked]
     several = [island for island in islands(names, bundles) if len(island) > 1]
-    lines = ["Connections"]
-    if several:
+    said = []
+    if len(several) == 1 and not alone:
+        said.append("All images are connected by common points.")
+    elif several:
         sizes = ", ".join(str(len(island)) for island in several)
-        word = "all connected" if len(several) == 1 and not alone else f"{many(len(several), 'island')}"
-        lines.append(f"  images by common points: {word} ({sizes} images)")
-    for island in several[1:]:
-        lines.append(f"    apart from the largest: {some(island, len(island), _NAMED)}")
-    lines.append(f"  unconnected images: {some(alone, len(alone), _NAMED) if alone else 'none'}")
-    return lines
+        said.append(f"Images connected by common points: {many(len(several), 'group')} ({sizes} images).")
+    said += [f"Apart from the largest group: {some(island, len(island), _NAMED)}." for island in several[1:]]
+    return [*said, *([f"Unconnected images: {some(alone, len(alone), _NAMED)}."] if alone else [])]
 
 
 def _solutions(project: Project, images: bool) -> list[str]:
     last, batch = project.last_solution(), project.last_solution("batch")
     if last is None:
-        verb = "solve" if project.store.members() or project.case is None else "match"
-        return ["Solution", f"  none yet{f'; next: mgsgraph {verb} {project.folder}' if images else ''}"]
-    lines = ["Solution", *_solution(last)]
+        verb = "project solve" if project.store.members() or project.case is None else "match"
+        return [f"Nothing is adjusted yet{f'; next: mgsgraph {verb} {project.folder}' if images else ''}."]
+    said = [_solution(last)]
     if last.kind != "batch" and batch is not None:
-        lines += _solution(batch)
+        said.append(_solution(batch))
     since = [change for change in project.changes() if change.number > last.change and change.verb != "solve"]
     if since:
-        lines.append(f"  changes since then: {', '.join(f'{change.verb} {change.what}' for change in since[-_NAMED:])}")
+        said.append(f"Changes since then: {', '.join(f'{change.verb} {change.what}' for change in since[-_NAMED:])}.")
     unchecked = [
         change for change in project.changes()
         if change.verb in CHANGING and (batch is None or change.number > batch.change)
     ]  # fmt: skip
-    if unchecked:
-        lines.append(
-            f"  {many(len(unchecked), 'change')} since the last closing check against batch; "
-            f"next: mgsgraph project solve {project.folder}"
-        )
-    else:
-        lines.append("  checked against batch since the last change")
-    return lines
+    changes = many(len(unchecked), "change") if unchecked else "No change"
+    todo = f"; next: mgsgraph project solve {project.folder}" if unchecked else ""
+    return [*said, f"{changes} since the last batch adjustment{todo}."]
 
 
-def _solution(row: SolutionRow) -> list[str]:
+def _solution(row: SolutionRow) -> str:
     state = "converged" if row.converged else "NOT converged"
-    size = f"{many(row.images, 'image')}, {many(row.points, 'point')}"
-    lines = [f"  {row.kind} {row.number}, {row.at}: {state}, {size}"]
+    fit = ""
     if row.cost is not None:
-        sigma0 = "not defined" if row.sigma0 is None else f"{row.sigma0:.4g}"
-        lines.append(
-            f"    cost {row.cost:.6g} (half the weighted sum of squares, no unit), sigma0 {sigma0} (no unit), "
-            f"{row.degrees_of_freedom} degrees of freedom; "
-            f"{f'results in {row.folder}' if row.folder else 'a closing check, without results'}"
-        )
-    return lines
+        sigma0 = "no sigma0" if row.sigma0 is None else f"sigma0 {row.sigma0:.3g}"
+        fit = f", {sigma0} ({row.degrees_of_freedom} degrees of freedom)"
+    where = f", in {row.folder}" if row.folder else ""
+    return (
+        f"Solution {row.number} ({row.kind}, {row.at[:16].replace('T', ' ')}): {state}, {many(row.images, 'image')}, "
+        f"{many(row.points, 'point')}{fit}{where}."
+    )
 
 
 def _change(change: Change) -> str:
     found = dict(change.summary)
     facts = [
         f"{found[key]} {word}"
-        for key, word in (("rays", "image measures"), ("ranges", "ranges"), ("points_moved", "points moved"))
+        for key, word in (("rays", "image measurements"), ("ranges", "ranges"), ("points_moved", "points moved"))
         if found.get(key)
     ]
     if "largest_difference_sigmas" in found:
-        facts.append(f"largest difference to batch {found['largest_difference_sigmas']:.2g} sigmas")
+        facts.append(f"{found['largest_difference_sigmas']:.2g} sigmas from batch at most")
     noted = f" ({', '.join(facts)})" if facts else ""
     return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{noted}"

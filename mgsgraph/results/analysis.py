@@ -25,7 +25,7 @@ from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
 from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
-from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
+from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import ARCSEC
 
@@ -45,7 +45,7 @@ def reliability_section(found: Reliability, most: int) -> Section:
         f"{found.levels.shift:.3g} sigmas.",
         f"{many(found.suspected.size, 'test')} over the critical value (expected of {len(found)} good measurements: "
         f"{found.levels.alpha * len(found):.1f}), {many(over, 'inseparable group')}.",
-        f"Nothing controls {many(found.uncontrolled.size, 'measurement')}"
+        f"{many(found.uncontrolled.size, 'measurement')} without control"
         + (f": {some(loose, found.uncontrolled.size)}." if loose else "."),
     ]
     record = {
@@ -73,7 +73,9 @@ def suspects_table(found: Reliability, worst: Sequence[Suspect]) -> Table:
 
 
 def outliers_section(found: Reliability) -> Section:
-    """A row per image: its measurements, those left out, tests over the critical value, and the largest one."""
+    """A row per image: its measurements, those left out, tests over the critical value, and the largest one,
+    by which they are sorted.
+    """
     network, table = found.at.network, found.measures
     rays = np.flatnonzero(table.kind == MeasureKind.RAY)
     image, size = table.image[rays], np.nan_to_num(np.abs(table.test[rays]))
@@ -88,7 +90,7 @@ def outliers_section(found: Reliability) -> Section:
         "left_out": total - np.bincount(image, minlength=every) // 2,
         "over": np.bincount(image[size > found.critical], minlength=every),
         "expected": found.levels.alpha * np.bincount(image, minlength=every), "largest": largest, "point": worst,
-    })  # fmt: skip
+    }).take(np.argsort(-largest, kind="stable"))  # fmt: skip
     return Section("outliers", tables=[shown], numbers=shown.records(), csv=[shown])
 
 
@@ -158,7 +160,7 @@ _MOST_EFFECTS = 2
 def brief(solution: Solution) -> list[str]:
     """The verdict and what is significant, in at most ten lines."""
     found = verdict(solution)
-    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, _MOST_EFFECTS)]
+    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, 1)]
     if found.groups:
         effects = unexplained(solution)
         said += effects.sentences[:_MOST_EFFECTS]
@@ -167,7 +169,7 @@ def brief(solution: Solution) -> list[str]:
         except InputError:  # too few rays
             shown = ()
         said += [one.sentence for one in shown]
-    return [f"{solution.name}: {state_of(solution)}", *(f"- {one}" for one in said[:_MOST_LINES])]
+    return [headline(solution), *(f"- {one}" for one in said[:_MOST_LINES])]
 
 
 def require_used(option: str, given: bool, useful: bool, wanted: str) -> None:
@@ -296,7 +298,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
         for one in found
     ]  # fmt: skip
     title = "Least-constrained directions (posterior / prior sigma)"
-    return Section("weak", title, [f"{one.ratio:.3f}: {one.sentence}" for one in found], numbers=record)
+    return Section("weak", title, [one.sentence for one in found], numbers=record)
 
 
 def _separability(posterior: Posterior) -> Section:
@@ -368,7 +370,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     try:
         found = residual_vibrations(posterior.linearised)
     except InputError as error:
-        said = f"No spectrum of residuals over time: {error}."
+        said = f"Not tested for vibrations: {error}."
         return Section("vibrations", sentences=[said], numbers={"words": [str(error)]})
 
     table = vibrations_table(found)

@@ -29,8 +29,8 @@ _MOST_IMAGES = 300
 _MOST_POINTS = 200
 """Points listed, those that moved most."""
 _METHOD = (
-    "A difference is {} minus {}. It is stated in units of the larger of both sigmas (sigma0 = 1): the solutions share "
-    "observations and priors, so that the sigma of their difference isn't known from theirs."
+    "Differences: {} minus {}, in units of the larger of both sigmas (sigma0 = 1). The solutions share observations, "
+    "so that the sigma of a difference is unknown."
 )
 _CLASSES = [kind.name.lower() for kind in PointClass]
 _QUANTILES = (0.02, 0.5, 0.98)
@@ -76,18 +76,18 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     --------
     >>> without = mgsgraph.adjust(mgsgraph.read_case("pair/case.toml", laser=False))
     >>> comparison = mgsgraph.compare(solution, without, ("without laser", "with laser"))
-    >>> print(comparison.sentences[1])
+    >>> print(comparison.sentences[0])
     The orientation of 2 common images differs by at most 2.1 sigmas (SIM/B).
     """
     shared, points = common_images(solution, earlier), CommonPoints(solution, earlier)
     images, moved, sigmas = _images(solution, earlier, shared), _points(points), _sigmas(points, labels)
     parts = (images, moved, sigmas, settings_section(earlier, solution, labels),
              input_section(earlier, solution, labels))  # fmt: skip
-    said = [_METHOD.format(labels[1], labels[0]), *(sentence for one in parts for sentence in one.sentences)]
+    said = [sentence for one in parts for sentence in one.sentences]
     said += [
         f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
         for one, label in zip((earlier, solution), labels, strict=True) if not one.converged
-    ]  # fmt: skip
+    ] + [_METHOD.format(labels[1], labels[0])]  # fmt: skip
     every = [_fit_figures(solution, earlier, labels)]
     every += [table for k in (2, 3, 4, 0, 1) for table in parts[k].tables if len(table)]
     csv = [*(table for table in every if table.name != _POINTS), *moved.csv]
@@ -180,8 +180,8 @@ def _points(points: CommonPoints) -> Section:
     length = np.linalg.norm(points.moved, axis=1)
     most = np.nanmax(points.in_sigmas, initial=0.0)
     said = (
-        f"{counts}; they moved by {root_mean_square(length):.3g} m (rms), {length.max():.3g} m at the most, by "
-        f"{most:.2g} sigmas at the most; half of them by less than {np.median(length):.3g} m."
+        f"{counts}; they moved by {root_mean_square(length):.3g} m (rms), median {np.median(length):.3g} m, at most "
+        f"{length.max():.3g} m and {most:.2g} sigmas."
     )
     listed = np.argsort(-length, kind="stable")[:_MOST_POINTS]
     note = table.note + cut(len(table), len(listed), "those that moved most", "the table of points")
@@ -225,8 +225,8 @@ def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
         return Section("sigmas", tables=[table])
     better, worse = (100.0 * np.count_nonzero(side) / known.size for side in (known < 0.99, known > 1.01))
     said = (
-        f"3-D sigmas of the common points, {labels[1]} over {labels[0]}: median {np.median(known):.3g}; {better:.0f} % "
-        f"of the points are better known by more than 1 %, {worse:.0f} % are worse known."
+        f"3-D sigmas of common points, {labels[1]} / {labels[0]}: median {np.median(known):.3g}; {better:.0f} % of the "
+        f"points are better by more than 1 %, {worse:.0f} % are worse."
     )
     return Section("sigmas", sentences=[said], tables=[table])
 
@@ -275,8 +275,8 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
         }),
     ))  # fmt: skip
     said = [
-        f"Image measures: {later.size} of both, {only_earlier} of {labels[0]} alone, {only_later} of {labels[1]} "
-        f"alone; {np.count_nonzero(moved)} at another place, {np.count_nonzero(weighted)} of another sigma."
+        f"Image measurements: {later.size} in both, {only_earlier} only in {labels[0]}, {only_later} only in "
+        f"{labels[1]}; {np.count_nonzero(moved)} at another pixel, {np.count_nonzero(weighted)} with another sigma."
     ]
     if np.any(priors):
         changed = [both[1].images[j].name for j in after[priors].tolist()]

@@ -85,8 +85,8 @@ def ranges_section(solution: Solution) -> Section:
     return Section("ranges", tables=[table], numbers=record)
 
 
-def laser_section(solution: Solution) -> Section:
-    """What the laser gives; or, where nothing is known of the ground, what the sigmas rest on."""
+def laser_section(solution: Solution, brief: bool = False) -> Section:
+    """What the laser gives, briefly by one factor; or, where nothing is known of the ground, what sigmas rest on."""
     without = solution.sigmas_without_laser
     if without is None:
         return Section("laser_effect", sentences=_held_by(solution))
@@ -96,7 +96,7 @@ def laser_section(solution: Solution) -> Section:
     rays, ranges = int(np.sum(solution.rays_used & laser[network.rays.point])), int(solution.ranges_used.sum())
     rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
     which, sigmas = ("mean", found.mean_sigma) if median is None else ("median", found.median_sigma)
-    said = (
+    said = f"Without the laser, sigmas of tie points would be {gain:.2g} times larger." if brief else (
         f"Without the laser ({rows}) the tie points' {which} sigmas would be "
         f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: "
         + ("it adds little." if gain < _SAME else f"{gain:.2g} times larger.")

@@ -82,7 +82,7 @@ def inventory(case: Case, details: bool = True) -> str:
         remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
         said = [*_expected(network, prediction), *ranges, *link_statement(connected)]
-        said += [*prior_statements(known), *remarks]
+        said += [*prior_statements(known, sources=False), *remarks]
         weak = weak[:_WARNINGS] + ([f"{len(weak) - _WARNINGS} more: --details"] if len(weak) > _WARNINGS else [])
         return _text([Section("", f"{head}\n", [f"Warning: {one}" for one in weak] or ["No warnings."]),
                       Section("", "", said)]).replace("\n\n", "\n")  # fmt: skip
@@ -99,15 +99,19 @@ def inventory(case: Case, details: bool = True) -> str:
     ])  # fmt: skip
 
 
-def prior_statements(known: Iterable[tuple[PushbroomImage, OrientationPrior]]) -> Iterator[str]:
-    """What is known of orbit and pointing beforehand, a sentence for each mission, beside what is published of it."""
+def prior_statements(known: Iterable[tuple[PushbroomImage, OrientationPrior]], sources: bool = True) -> Iterator[str]:
+    """What is known of orbit and pointing beforehand, a sentence for each mission, beside what is published of it, with
+    its sources or without.
+    """
     groups = Counter(
         (sigmas_in_words(sigmas[:3], [angle / MRAD for angle in sigmas[3:]]), accuracy_of(image.mission))
         for image, prior in known if (sigmas := prior.sigmas[0].tolist())
     )  # fmt: skip
     for (stated, usual), count in groups.items():
-        same = stated == sigmas_in_words([usual.orbit], usual.pointing)
-        yield f"A-priori sigmas of {many(count, 'image')}{' of' if same else f': {stated}; usual for'} {usual.words}."
+        bare = sigmas_in_words([usual.orbit], usual.pointing)
+        words = usual.words if sources else f"{usual.mission}: {bare}"
+        stated = " of" if stated == bare else f": {stated}; usual for"
+        yield f"A-priori sigmas of {many(count, 'image')}{stated} {words}."
 
 
 def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
@@ -119,10 +123,10 @@ def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
         sigmas = np.median(local_sigmas(prediction.covariances[there], prediction.places[there]), axis=0)
         misfit = prediction.residuals[np.isin(network.rays.point, there)]
         seen = misfit[np.all(np.isfinite(misfit), axis=1)]
-        fit = "; nominal residuals {} lines, {} samples rms".format(*map(two, root_mean_square(seen, 0).tolist()))
+        fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(seen, 0).tolist()))
         yield (
-            f"{mine.size} {one.name.lower()} points, expected median sigma {length(float(np.hypot(*sigmas[:2])))} "
-            f"horizontal, {length(float(sigmas[2]))} vertical{fit if seen.size else ''}."
+            f"{mine.size} {one.name.lower()} points{fit if seen.size else ''}. Expected median sigma: "
+            f"{length(float(np.hypot(*sigmas[:2])))} horizontal, {length(float(sigmas[2]))} vertical."
         )
 
 
@@ -163,13 +167,12 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     else:
         said.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
     return _text([
-        Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them",
-                tables=[_images_table(images)]),
+        Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them", [
+            *said, f"It needs tie points, ground control, or laser shots measured in images; next: {wants}",
+        ], [_images_table(images)]),
         Section("", sentences=[*reading_statements(images), *deciding_values(images), *prior_statements(known)]),
         Section("", "Overlaps", pairs or ["none"]),
         Section("", "", _laser_files(wanted, images, path.parent)),
-        Section("", sentences=[*said, "To be adjusted it needs tie points, ground control, or laser shots measured in "
-                               f"images; next: {wants}"]),
     ])  # fmt: skip
 
 
@@ -319,8 +322,8 @@ def _points(network: Network, prediction: Prediction) -> Section:
     if network.ranges.point.size:
         misfit, ranges = prediction.range_residuals, network.ranges.values / KM
         said.append(
-            f"{misfit.size} laser ranges of {ranges.min():.3f} .. {ranges.max():.3f} km; measured minus nominal: mean "
-            f"{misfit.mean():+.3f} m, rms {root_mean_square(misfit):.3f} m"
+            f"{misfit.size} laser ranges of {ranges.min():.1f} to {ranges.max():.1f} km, before adjustment: residuals "
+            f"{two(root_mean_square(misfit))} m (rms), mean {two(float(misfit.mean()))} m."
         )
     return Section("", sentences=said or ["no laser ranges"], tables=[table])
 
@@ -345,8 +348,8 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     if heights.points.size:
         farthest = length(abs(float(heights.deviations[0])))
         found.append(
-            f"{many(heights.points.size, 'point')} far above or below their neighbors, by up to {farthest}: "
-            f"{some_of(points.ids, heights.points, _NAMED)}: false matches, or wrong measurements"
+            f"{many(heights.points.size, 'point')} up to {farthest} above or below neighbors (false matches?): "
+            f"{some_of(points.ids, heights.points, _NAMED)}"
         )
     found += [
         f"{many(one.shots, 'laser shot')} of {one.name} lie {abs(one.angle) / DEG:.1f} deg along the flight from where "

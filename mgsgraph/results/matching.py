@@ -17,7 +17,7 @@ from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.results.section import Section, drawn, record_of, table_of
-from mgsgraph.text import many
+from mgsgraph.text import many, span, two
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
@@ -119,18 +119,18 @@ def match_statements(matches: Matches, scene: Scene) -> list[str]:
     found = list[str]()
     for one in matches.agreements:
         times = one.moved / one.expected  # NaN where nothing was stated
-        beyond = f", {times:.0f} TIMES ITS A-PRIORI SIGMA: look whether that may be" if times > _SURPRISING else ""
+        beyond = f", {times:.0f} A-PRIORI SIGMAS: check it" if times > _SURPRISING else ""
         found.append(
-            f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} matches on a coarse grid "
-            f"agree on an orientation that moves the second by {one.moved:.0f} m on the ground{beyond}."
+            f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} coarse matches agree; they "
+            f"move the second image by {one.moved:.0f} m on the ground{beyond}."
         )
     return [
-        *found, *(f"Not brought together: {reason}" for reason in matches.refused), *matches.cautions,
-        f"{many(loss.linked, 'pair')} of features; of the surest {loss.tried} {loss.measured} could be measured, "
-        f"{loss.alike} are alike and sharp, {loss.returned} the same on the way back, {loss.coplanar} coplanar, "
-        f"{loss.steady} of a height like their neighbours'; the best of each cell were kept.",
-        f"{many(len(rays), 'tie point')} with {rays.min()} to {rays.max()} measures in {filled} of {whole} cells of "
-        f"{matches.cell:.4g} m ({100.0 * filled / max(whole, 1):.0f} %) of the ground that images share.",
-        f"Sigma of a match, in the direction where it is largest: median {np.median(sigmas):.3f} px, 95 % below "
-        f"{np.quantile(sigmas, 0.95):.3f} px; coplanarity residuals: median {np.median(misfit):.2f} m on the ground.",
+        f"{many(len(rays), 'tie point')} in {span(rays)} images each, in {filled} of {whole} cells of "
+        f"{matches.cell:.3g} m ({100.0 * filled / max(whole, 1):.0f} %) of the common ground.",
+        f"Sigma of a match (largest axis): median {two(np.median(sigmas))} px, 95 % below "
+        f"{two(np.quantile(sigmas, 0.95))} px; coplanarity: median {two(np.median(misfit))} m on the ground.",
+        *(f"Not matched: {reason}" for reason in matches.refused), *matches.cautions,
+        f"Feature pairs: {loss.linked}, tried {loss.tried}, measured {loss.measured}, similar and sharp {loss.alike}, "
+        f"same when matched back {loss.returned}, coplanar {loss.coplanar}, height as neighbors {loss.steady}.",
+        *found,
     ]  # fmt: skip

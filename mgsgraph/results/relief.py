@@ -17,6 +17,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
+from mgsgraph.results.verdict import headline
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
 
@@ -102,7 +103,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "statements": said,
     }  # fmt: skip
     csv = [profiles, relief_shots_table(registration)]
-    return Section("coregistration", "", said, [profiles], record, csv,
+    return Section("coregistration", headline(registration.solution), said, [profiles], record, csv,
                    sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
 

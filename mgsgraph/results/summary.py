@@ -12,16 +12,16 @@ from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
 from mgsgraph.results.ground import laser_section, left_out
-from mgsgraph.results.verdict import linearity_section, reason_sentences, state_of, tested_sentences
-from mgsgraph.text import length, many, root_mean_square, short, two
+from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
+from mgsgraph.text import length, many, root_mean_square, two
 from mgsgraph.units import DEG, KM
 
 _FLAT = 5.0 * DEG
 """Convergence of rays below which heights are poorly known."""
 _UNKNOWN = 1.0 * KM
 """Median sigma of heights from which on no height is known: a body's relief is hardly larger."""
-_WORST = 2
-"""Possible errors that are named; --details names all."""
+_WORST = 1
+"""Possible errors of each sort that are named; --details names all."""
 _CAUTIOUS, _MANY = 0.5, 20
 """sigma0 below which, and degrees of freedom from which on, stated sigmas are too large."""
 _MOST_POINTS = 20_000
@@ -36,10 +36,9 @@ def summary(solution: Solution) -> list[str]:
         said += linearity_section(solution.linearity).sentences
     if solution.minima is not None and solution.minima.several:
         said.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
-    said += laser_section(solution).sentences
+    said += laser_section(solution, brief=True).sentences
     said += tested_sentences(found, solution, _WORST)
-    steps = many(solution.iterations, "iteration")
-    return [f"{short(solution.name, 60)}: {state_of(solution)} ({steps})", *(f"- {one}" for one in said)]
+    return [f"{headline(solution)} ({many(solution.iterations, 'iteration')})", *(f"- {one}" for one in said)]
 
 
 def _figures(solution: Solution) -> Iterator[str]:
@@ -47,15 +46,15 @@ def _figures(solution: Solution) -> Iterator[str]:
     network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
     small = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
-    remark = f"; residuals {two(1.0 / fit.sigma0)} times smaller than stated: sigmas are conservative" if small else ""
+    remark = f"; residuals are {two(1.0 / fit.sigma0)} times smaller than stated" if small else ""
     yield (
-        f"Fit: {sigma0} with {many(fit.degrees_of_freedom, 'degree')} of freedom, cost {solution.cost_initial:.4g} -> "
-        f"{solution.cost_final:.4g}{remark}."
+        f"Fit: {sigma0} ({many(fit.degrees_of_freedom, 'degree')} of freedom), cost {solution.cost_initial:.3g} -> "
+        f"{solution.cost_final:.3g}{remark}."
     )
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
-    said = f"Residuals (rms): image points {two(line)} lines, {two(sample)} samples ({network.rays.point.size} in "
-    said += f"{many(len(network.images), 'image')})"
+    said = f"Residuals (rms): {two(line)} px in line, {two(sample)} px in sample ("
+    said += f"{network.rays.point.size} image points, {many(len(network.images), 'image')})"
     if ranges.count:
         said += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
     yield f"{said}."

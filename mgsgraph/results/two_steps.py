@@ -19,7 +19,8 @@ from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
 from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
-from mgsgraph.text import many, short, some_of
+from mgsgraph.results.verdict import headline
+from mgsgraph.text import many, some_of
 from mgsgraph.units import ARCSEC, DEG
 
 
@@ -58,7 +59,7 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
     csv = [_statistics_table([statistics.whole, *statistics.groups])]
     csv += [_heights_table(statistics)] if statistics.points.size else []
     return Section(
-        "two_steps", short(statistics.steps.fitted.name, 60), two_steps_statements(statistics),
+        "two_steps", headline(statistics.steps.fitted), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
         sheets=None if not np.any(statistics.used) else
         drawn("mgsgraph.results.figures.dem.height_map_sheets", statistics),

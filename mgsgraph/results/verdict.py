@@ -5,6 +5,7 @@ drives an adjustment that did not converge, linearity, and what readers of image
 import math
 from collections.abc import Sequence
 from itertools import chain
+from statistics import NormalDist
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.section import Section, record_of, table_of
-from mgsgraph.text import length, listed, many, some, some_of, two
+from mgsgraph.text import length, listed, many, short, some, some_of, two
 from mgsgraph.units import ARCSEC, DEG
 
 _KEYS = {
@@ -40,16 +41,17 @@ _KEYS = {
 
 _LOOSE = 5.0
 """Factor from which on it is told that stated sigmas may be too small by it."""
-_SHOWN = {
-    State.VALID: "valid",
-    State.SUSPECT: "SUSPECT",
-    State.INVALID: "INVALID",
-}
+_SHOWN = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
 
 
 def state_of(solution: Solution) -> str:
     """Valid, SUSPECT or INVALID, and whether it converged."""
     return f"{_SHOWN[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
+
+
+def headline(solution: Solution) -> str:
+    """The name of a solution and its state."""
+    return f"{short(solution.name, 60)}: {state_of(solution)}"
 
 
 def verdict_section(solution: Solution) -> Section:
@@ -88,7 +90,7 @@ def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
         of_cause.setdefault(one.cause, []).append(one)
     said = []
     for every in of_cause.values():
-        more = f" ({len(every) - 1} more of this kind.)" if len(every) > 1 else ""
+        more = f" ({many(len(every) - 1, 'similar result')}.)" if len(every) > 1 else ""
         said.append(_reason(every[0]) + more)
     return said
 
@@ -103,12 +105,12 @@ def _reason(one: Reason) -> str:
         "camera), or there are gross blunders (--reject 4).",
         Cause.ORIENTATION: f"The orientation of {one.what} moved by {size} prior sigmas: an input is wrong, or these "
         "sigmas are too small.",
-        Cause.CORRECTION: f"The {one.what} is corrected by {size} prior sigmas{chance}: look at this input and its "
-        "prior, and at what depends on it.",
+        Cause.CORRECTION: f"The {one.what} is corrected by {size} prior sigmas, {_deviate(one.p_value)} times what is "
+        f"expected{chance}: check this input and its prior.",
         Cause.COMMON_ERROR: f"Residuals and corrections look like an error of {one.what}: {size} sigmas{chance}.",
         Cause.GROUP: f"{one.what[0].upper()}{one.what[1:]} fit {size} times worse than stated{chance}: look for "
         f"blunders (--reject 4), or enlarge {key or 'their sigmas'}.",
-        Cause.OFFSET: f"The {one.what} have a constant residual of {one.size:+.2g} {one.unit}{chance}.",
+        Cause.OFFSET: f"The {one.what} have a mean residual of {one.size:+.2g} {one.unit}, expected 0{chance}.",
         Cause.OBSERVATION: f"{many(one.count, 'point')} with outliers, the largest {one.what} with "
         f"{size} sigmas{chance}: --reject 4 rejects blunders.",
         Cause.NOMINAL: f"Nominal residuals of {one.what} are {two(one.size)} {one.unit}, more than priors explain.",
@@ -121,6 +123,11 @@ def _reason(one: Reason) -> str:
     }[one.cause]  # fmt: skip
 
 
+def _deviate(p_value: float) -> str:
+    """The standard normal deviate of a two-sided p-value."""
+    return two(-NormalDist().inv_cdf(0.5 * max(p_value, 1e-99)))
+
+
 def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> list[str]:
     """What was tested, what was not, and what errors of inputs could hide, `most` of either kind."""
     if not found.groups:
@@ -130,12 +137,12 @@ def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> li
     sample = f" of {found.points:,} of {of:,} points" if found.points < 0.9 * of else ""
     untested = f" Not tested: {listed(list(found.untested))}." if found.untested else ""
     level = level_of_groups(found.groups)
-    factors = {one.name: one.hidden_factor(level, POWER) for one in found.groups if one.tested}
-    hidden = [f"{name} ({two(factor)} times)" for name, factor in factors.items() if factor > _LOOSE]
-    if hidden:
-        untested += f" Stated sigmas that could be too small without detection: {some(hidden, len(hidden))}."
-    said = f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"
-    return [said, *hidden_sentences(found.undetected, most)]
+    factors = [(one.hidden_factor(level, POWER), one.name) for one in found.groups if one.tested]
+    factors = sorted((one for one in factors if one[0] > _LOOSE), reverse=True)[:most]
+    hidden = [f"{name} ({two(factor)} times)" for factor, name in factors]
+    said = [f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
+    said += [f"Stated sigmas that may be too small undetected: {', '.join(hidden)}."] if hidden else []
+    return said + hidden_sentences(found.undetected, most)
 
 
 _OF_KIND = {
@@ -165,18 +172,18 @@ def hidden_sentences(found: Sequence[Undetected], most: int | None) -> list[str]
         bare += sorted(harmful, key=lambda one: -one.in_sigmas)[:1]
     worst.sort(key=lambda one: -one.effect_in_sigmas)
     could = [
-        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} ({length(one.effect)}, "
+        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} (moves points by {length(one.effect)}, "
         f"{two(one.effect_in_sigmas)} sigmas)" for one in worst[:most]
     ]  # fmt: skip
-    said = [f"Largest errors that could remain undetected (shift of the points): {'; '.join(could)}."] if could else []
-    nothing = [f"{one.what} of {one.of} ({_per_unit(one)})" for one in bare[:most]]
-    said += [f"No test detects an error of: {'; '.join(nothing)}."] if nothing else []
+    said = [f"Largest error{'s' * (len(could) > 1)} that no test shows: {'; '.join(could)}."] if could else []
+    nothing = [f"{one.what} of {one.of} (moves points by {_per_unit(one)})" for one in bare[:most]]
+    said += [f"No test shows an error of: {'; '.join(nothing)}."] if nothing else []
     loose = max(found, key=lambda one: np.nan_to_num(one.effect_without_terrain, posinf=1e99, nan=-1.0))
     if loose.size_without_terrain > 0.0:
         said.append(
-            "If the terrain's relief fits at a wrong position, larger errors could remain undetected: "
-            f"{loose.what} of {loose.of} by {_amount(loose.size_without_terrain, loose.unit)} "
-            f"({length(loose.effect_without_terrain)})."
+            f"If the terrain fits at a wrong position: {loose.what} of {loose.of} by "
+            f"{_amount(loose.size_without_terrain, loose.unit)} (moves points by "
+            f"{length(loose.effect_without_terrain)}) stays undetected."
         )
     return said
 

@@ -9,16 +9,22 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
 
+import click
 import pytest
 from commands import COMMAND, call, refusal, refused, run, run_afresh
+from hypothesis import given
+from hypothesis import strategies as st
 from numba.core import event
 from tqdm import tqdm
 
 import mgsgraph
 from mgsgraph import compiled
-from mgsgraph.cli import progress
+from mgsgraph.cli import group, options, progress
 from mgsgraph.cli.options import PrintableStream
+from mgsgraph.cli.verbs import VERBS
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("adjust", "-h"), ("--version",)])
@@ -312,7 +318,7 @@ def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_slow_machine_compiles_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     with progress.word_of_compiling():
         time.sleep(0.08)
-    with progress.iteration_bar(False, 3):
+    with progress.iteration_bar():
         time.sleep(0.08)
     assert "compil" not in capsys.readouterr().err
 
@@ -323,6 +329,51 @@ def test_what_numba_compiles_is_said_once(capsys: pytest.CaptureFixture[str]) ->
         time.sleep(0.15)
     assert not compiled.is_compiling()
     assert capsys.readouterr().err.count("compiling") == 1
+
+
+def test_a_bar_tells_how_long_shrinking_steps_will_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    said, clock = list[str](), iter(range(0, 1000, 10))
+    bar = progress.IterationBar(False)
+    monkeypatch.setattr(bar.bar, "set_postfix_str", lambda text, refresh: said.append(text))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    bar.begin("anew")
+    for step in (1.0, 1e-2, 1e-4, 1e-7):
+        bar(SimpleNamespace(cost=2.0, step=step))  # type: ignore[arg-type]
+    assert [re.findall(r"about (\d+) s", text) for text in said] == [[], ["10"], ["7"], []]
+
+
+# --- what is printed: at most 15 lines, all of them by -v, which is one option
+
+
+@given(st.lists(st.lists(st.sampled_from("ab"), max_size=12), max_size=5), st.integers(0, 4), st.booleans())
+def test_no_more_than_fifteen_lines_without_details(tables: list[list[str]], more: int, every: bool) -> None:
+    """The first lines, none of a table of which less than six would be left; the last says how many are not."""
+    lines = [line for table in tables for line in ("", *table)][1:] or ["a"]
+    with patch.object(options, "details", lambda: every), patch.object(options.click, "echo") as echo:
+        options.print_brief(*lines, more=more)
+    shown = echo.call_args.args[0].split("\n")
+    if every or len(lines) + more <= 15:
+        assert shown == lines
+        return
+    *kept, last = shown
+    assert len(shown) + more <= 15
+    assert kept == lines[: len(kept)]
+    assert last.split()[0] == str(len(lines) - len(kept))
+    assert lines[len(kept)] == "" or "" not in kept[-6:]
+
+
+def test_details_are_one_option() -> None:
+    with click.Context(group) as whole:
+        names = [verb.split() for verb in VERBS]
+        commands = [group.get_command(whole, name) for name, *_ in names]
+        found = [one if len(name) == 1 else one.get_command(whole, name[1])
+                 for name, one in zip(names, commands, strict=True)]  # fmt: skip
+        params = [[one for one in command.params if "-v" in one.opts] for command in found]
+        has = dict(zip(VERBS, params, strict=True))
+    assert len({(*one.opts, one.help) for several in has.values() for one in several}) == 1
+    assert {verb for verb, several in has.items() if not several} == {
+        "fetch", "simulate", "new", "locate", "studio", "project init", "export"
+    }  # fmt: skip
 
 
 # --- what goes to a terminal: names out of files can't move its cursor, and our own bars can

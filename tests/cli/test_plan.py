@@ -70,7 +70,7 @@ def test_a_plan_on_the_terminal_and_in_files(
 ) -> None:
     text = image(4, "ties = 10\nexisting = true") + image(5, "ties = 12") + TRACK + control(adjusted)
     out = tmp_path / "plan"
-    assert call("plan", adjusted / "results", candidates(adjusted, text), "--choose", "2", "--out", out) == 0
+    assert call("plan", adjusted / "results", candidates(adjusted, text), "--choose", "2", "--out", out, "-v") == 0
     assert "Chosen one after the other" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"plan.json", "plan.csv"}
     record = json.loads((out / "plan.json").read_text(encoding="utf-8"))

@@ -95,7 +95,7 @@ def test_from_a_case_to_a_solution_and_back(project: Path, case_file: Path, caps
     capsys.readouterr()
     call("project", "status", project)
     said = capsys.readouterr().out
-    for words in ("2 images", "20 tie, 8 laser", "incremental 3", "2 changes since the last closing check", "SIM/B"):
+    for words in ("2 images", "20 tie, 8 laser", "Solution 3 (incremental", "2 changes since the last batch", "SIM/B"):
         assert words in said
     assert call("project", "solve", project, "--no-figures") == 0
     found = re.search(r"largest difference (\S+) sigmas .*, (\S+) sigmas for point", capsys.readouterr().out)
@@ -216,7 +216,7 @@ def test_an_image_without_overlap_is_added_and_named(
         assert f"Unconnected: {name}" in capsys.readouterr().out
         call("project", "solve", project, "--no-figures")
     call("project", "status", project)
-    assert "unconnected images: alone0, alone1" in capsys.readouterr().out
+    assert "Unconnected images: alone0, alone1" in capsys.readouterr().out
 
 
 def test_before_the_first_solution_images_are_only_put_in(
@@ -313,6 +313,8 @@ def test_a_point_is_measured_rejected_and_given_back(project: Path, capsys: pyte
     refused(project, "change 4 was undone by change 7", "undo", project, "4")
     refused(project, "change 3 is none of a point", "undo", project, "3")
     call("project", "measure", project, "HAND1", "--remove")
+    call("project", "undo", project)
+    call("project", "redo", project)
     call("project", "undo", project)
     for wrong in ((), ("--new", "--remove"), ("--sigma-px", "1", "--remove")):
         with pytest.raises(click.UsageError):

@@ -144,12 +144,12 @@ class Editor:
 
     def __init__(self, seed: int) -> None:
         self.rng, self.ties = np.random.default_rng(seed), deepcopy(_ties())
-        self.before, self.made = list[tuple[str, Tie | None]](), 0
+        self.before, self.undone, self.made = list[tuple[str, Tie | None]](), list[tuple[str, Tie | None]](), 0
 
     def step(self, project: Project) -> str:
         """One edit that may be made; its name."""
         kind = str(self.rng.choice(["new_point", "measure", "move", "reject", "accept", "hold", "release", "remove",
-                                    "undo"]))  # fmt: skip
+                                    "undo", "redo"]))  # fmt: skip
         done: Callable[[Project], str | None] = getattr(self, kind)
         found = done(project)
         return self.step(project) if found is None else found
@@ -160,6 +160,7 @@ class Editor:
 
     def _note(self, name: str) -> None:
         self.before.append((name, deepcopy(self.ties.get(name))))
+        self.undone.clear()
 
     def new_point(self, project: Project) -> str | None:
         model = self.ties[str(self._chosen(lambda tie: len(tie.measures) > 1))]
@@ -244,15 +245,24 @@ class Editor:
         return f"remove {name}"
 
     def undo(self, project: Project) -> str | None:
-        if not self.before:
+        return self._back(project, edits.undo, self.before, self.undone)
+
+    def redo(self, project: Project) -> str | None:
+        return self._back(project, edits.redo, self.undone, self.before)
+
+    def _back(
+        self, project: Project, act: Callable[[Project], edits.Edited], given: list[tuple[str, Tie | None]],
+        taken: list[tuple[str, Tie | None]],
+    ) -> str | None:  # fmt: skip
+        """Undo or redo one change: the point's state is the one on `given`, and the present one goes to `taken`."""
+        if not given:
+            with pytest.raises(InputError, match=r"no change .*to (undo|redo)"):
+                act(project)
             return None
-        name, was = self.before.pop()
-        edits.undo(project)
-        if was is None:
-            del self.ties[name]
-        else:
-            self.ties[name] = was
-        return f"undo {name}"
+        name, was = given.pop()
+        taken.append((name, self.ties.pop(name, None)))
+        self.ties |= {} if was is None else {name: was}
+        return f"{act(project).kind} {name}"
 
 
 @settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -300,11 +310,20 @@ def test_undo_gives_back_the_same_numbers(
         records = {name: edits.point_state(project, name) for name in editor.ties}
     with open_project(folder, write=True) as project:
         for _ in range(4):
-            while editor.step(project).startswith("undo"):
+            while editor.step(project).startswith(("undo", "redo")):
                 pass
         changed = len(editor.before)
     assert changed
     with open_project(folder, write=True) as project:
+        after = {name: edits.point_state(project, name) for name in {name for name, _ in editor.before}}
+        for _ in range(changed):
+            edits.undo(project)
+        for _ in range(changed):
+            edits.redo(project)
+        for name, was in after.items():
+            assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
+        with pytest.raises(InputError, match="redo"):
+            edits.redo(project)
         for _ in range(changed):
             edits.undo(project)
         with pytest.raises(InputError, match="undo"):
@@ -314,6 +333,20 @@ def test_undo_gives_back_the_same_numbers(
         assert all_set_aside(project) == {}
         assert apart(adjusted(project), before) < 0.01
         assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
+
+
+@pytest.mark.parametrize("new", [edits.remove_point, lambda one, _: remove_images(one, one.store.image_names()[:1])])
+def test_a_new_change_ends_what_can_be_redone(folder: Path, new: Callable[[Project, str], object]) -> None:
+    name, other = list(_ties())[:2]
+    with open_project(folder, write=True) as project:
+        edits.reject(project, name, next(iter(_ties()[name].measures)))
+        edits.undo(project)
+        project.record("solve", "changes no input", {})
+        edits.redo(project)
+        edits.undo(project)
+        new(project, other)
+        with pytest.raises(InputError, match="no change to redo"):
+            edits.redo(project)
 
 
 def test_one_edit_may_be_undone_by_its_number_while_others_stay(folder: Path) -> None:

@@ -55,7 +55,7 @@ def copied(project: Path, tmp_path: Path) -> Path:
 def test_images_wait(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     call("project", "status", project)
     said = capsys.readouterr().out
-    for words in ("2 images", "points: 0", f"next: mgsgraph match {project}"):
+    for words in ("2 images", "0 points", f"next: mgsgraph match {project}"):
         assert words in said
     waiting = copied(project, tmp_path)
     with pytest.raises(InputError, match=f"nothing to adjust.*mgsgraph match {waiting}"):
@@ -216,7 +216,7 @@ def test_solve_is_adjust_and_an_image_comes_back(
     assert call("project", "status", project) == 0
     said = capsys.readouterr().out
     nodes = len(batch.network.passes[1].nodes)
-    assert f"pass HRSC/01: 5 images, {nodes} orientation images" in said
+    assert f"Pass HRSC/01: 5 images, {nodes} orientation images" in said
     assert call("project", "solve", project, "--no-figures") == 0
     assert "Closing check against batch: the same" in capsys.readouterr().out
     with open_project(project) as opened:
