@@ -4,7 +4,7 @@ A CTX pair (`simulation.ctx`, second image 22 degrees aside) is rendered through
 Hz in pitch and roll and a drift of 3 px that its support data don't have; control is a terrain model of 463 m posts. By
 the commands `match`, `adjust` and `dem` with orientations as polynomials of degree 3 (before), then `adjust` and `dem`
 with a slow process and vibrations = "estimated" (after); both models are held against the ground. Rewrites the made
-parts of docs/jitter_dem.md.
+parts of docs/evidence_terrain.md.
 """
 
 import sys
@@ -145,7 +145,7 @@ def main() -> int:
     parser.add_argument("--cells", type=at_least(100), default=1500, help="cells for ties")
     parser.add_argument("--spacing", type=float, default=30.0, help="m, between the terrain model's matches")
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=DOCS / "jitter_dem.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_terrain.md")
     given = parser.parse_args()
 
     def made() -> dict[str, list[str]]:
@@ -173,7 +173,7 @@ def main() -> int:
         said = f"The ripple is cut {share:.1f} times. {time.perf_counter() - began:.0f} s in all."
         return {"dem": [*table(head, rows), "", said]}
 
-    return write_page(parser, given.out, "jitter_dem.md", made)
+    return write_page(parser, given.out, "evidence_terrain.md#jitter_dem", made)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Coverage, NEES and bias of one kind of question over many seeds, and what they would be if the posterior were honest.
+"""Coverage, NEES and bias of one kind of question over many seeds, and what a consistent posterior would give.
 
 Items of one seed share its orientation and are not independent; seeds are. So coverage is judged twice: by one item of
 each seed, drawn by lot, whose number inside is binomial; and by all items, whose scatter from seed to seed says how
@@ -30,7 +30,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 LEVELS = (0.68, 0.95, 0.99)
 """Probabilities of the ellipsoids."""
 CHANCE = 0.01
-"""Of an honest posterior outside any one limit."""
+"""Of a consistent posterior outside any one limit."""
 ASTRAY = 1e-8
 """Chance of an error that can only come from another minimum of the cost, or from a fault."""
 CHECKS = 2 * len(LEVELS) + 3
@@ -121,11 +121,11 @@ class Judged:
     @property
     def sentence(self) -> str:
         """The verdict."""
-        return f"Outside: {'; '.join(self.outside)}." if self.outside else "Honest, all within limits."
+        return f"Outside: {'; '.join(self.outside)}." if self.outside else "Consistent, all within limits."
 
 
 def astray(draw: Draw) -> bool:
-    """Whether some item's error has a chance below ASTRAY: of 200 honest seeds hardly ever one."""
+    """Whether some item's error has a chance below ASTRAY: of 200 consistent seeds hardly ever one."""
     return any(
         bool(np.any(np.array(squares) > chi_square_radius(1.0 - ASTRAY, len(KINDS[kind])) ** 2))
         for kind, squares in draw["squares"].items()
@@ -183,7 +183,8 @@ def binomial_limits(seeds: int, level: float, chance: float = CHANCE) -> tuple[i
 def judge(every: list[Draw]) -> Blocks:
     """Made parts of the page."""
     found = {case: [judged(case, kind, cases(every, case)) for kind in KINDS] for case in names_of(every)}
-    of_cases = [line for case, rows in found.items() for line in (f"## {case.capitalize()}", "", *case_table(rows), "")]
+    heads = {case: f"### {case.capitalize()}" for case in found}
+    of_cases = [line for case, rows in found.items() for line in (heads[case], "", *case_table(rows), "")]
     return {"summary": summary(found, every), "cases": of_cases}
 
 
@@ -215,7 +216,7 @@ def verdict(case: str, kinds: Sequence[Judged]) -> str:
     sound = max(one.strain for one in kinds) <= breaking_strain(kinds[0].seeds)
     if case.endswith("planted"):
         return "The planted fault is not seen." if sound else "The planted fault is seen."
-    return "The posterior is honest." if sound else "The posterior is not honest here; see below."
+    return "The posterior is consistent." if sound else "The posterior is inconsistent here; see below."
 
 
 def case_table(rows: Sequence[Judged]) -> list[str]:

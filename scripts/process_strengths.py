@@ -6,7 +6,7 @@ in both (`alike`). The search begins where the case says, in planted strengths.
 
     python scripts/process_strengths.py [--cases CASE ...] [--seeds 20] [--first 1] [--processes N] [--out FILE]
 
-Fills docs/process_strengths.md. Exit status: 0 done, 2 bad input.
+Fills docs/evidence_passes.md. Exit status: 0 done, 2 bad input.
 """
 
 import sys
@@ -147,4 +147,4 @@ def judge(every: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "process_strengths.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "evidence_passes.md#process_strengths"), one_draw, judge))

@@ -572,4 +572,4 @@ def _cell(ends: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "verdict.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "evidence_errors.md#wrong_inputs"), one_draw, judge))

@@ -5,6 +5,7 @@ No block is left out: one in a language, or a page, that nothing here knows, fai
 
 import ast
 import importlib.util
+import math
 import os
 import re
 import shlex
@@ -72,6 +73,33 @@ def test_no_phrase_of_the_private_dialect() -> None:
     for path in [ROOT / "README.md", *(path for path in paths if path.suffix in kinds)]:
         found = phrases.search(re.sub(r"\s+(#+\s+)?", " ", path.read_text(encoding="utf-8")))
         assert found is None, f"{path}: {found}"
+
+
+# --- pages
+
+
+def test_pages_are_few_and_each_stands_in_the_index() -> None:
+    """At most 45, each in one of the five kinds (a table of docs/index.md and a toctree)."""
+    pages, index = sorted(path.stem for path in DOCS.rglob("*.md")), (DOCS / "index.md").read_text(encoding="utf-8")
+    assert len(pages) <= 45
+    kinds = re.findall(r"^## (Tutorials|How-to guides|Reference|Explanation|Evidence)$", index, re.MULTILINE)
+    assert len(kinds) == 5
+    listed = re.findall(r"^\| \[\]\((\w+)\.md\) \|", index, re.MULTILINE)
+    assert sorted([*listed, "index"]) == pages
+    trees = re.findall(r"```\{toctree\}\n(?::.*\n)+\n(.*?)```", index, re.DOTALL)
+    assert " ".join(trees).split() == listed
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.rglob("*.md")), ids=lambda path: path.stem)
+def test_no_page_is_longer_than_five_screens(path: Path) -> None:
+    """200 lines of 110 characters, of text and of what is printed; tables and made parts are generated, or scroll."""
+    text = re.sub(r"<!-- made: .*?<!-- end -->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    lines = [line for line in text.splitlines() if line and not line.startswith("|")]
+    assert path.stem in GENERATED or sum(math.ceil(len(line) / 110) for line in lines) <= 200
+
+
+GENERATED = {"api", "case_file", "commands", "files", "input_keys", "glossary"}
+"""Reference: looked up by headings, not read."""
 
 
 # --- which block is whose
@@ -152,13 +180,12 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/exchange.md": (nothing, "PointId of 1 point (they are counted anew)"),
     "docs/export.md": (adjusted, "Dimensions:"),
     "docs/gtsam.md": (a_case, "posterior sigmas from the minimum"),
-    "docs/incremental.md": (nothing, "Closing check"),
-    "docs/jigsaw.md": (nothing, "network_without_laser.net"),
-    "docs/matching.md": (pixels, "Matches("),
-    "docs/review.md": (nothing, "5 of 20 tie points"),
-    "docs/solution_npz.md": (adjusted, "SIM/A"),
-    "docs/strips.md": (nothing, "HRSC/01: "),
-    "docs/two_steps.md": (nothing, "with terrain: mean sigmas"),
+    "docs/migrate.md": (nothing, "network_without_laser.net"),
+    "docs/matching.md": (pixels, "5 of 20 tie points"),
+    "docs/files.md": (adjusted, "SIM/A"),
+    "docs/passes.md": (nothing, "HRSC/01: "),
+    "docs/projects.md": (nothing, "Closing check"),
+    "docs/terrain.md": (nothing, "with terrain: mean sigmas"),
 }
 """What a page's blocks, run one after the other, find in the folder and among their names, and a part of what they
 print."""
@@ -234,8 +261,8 @@ def test_shell_lines_are_commands_that_there_are(block: Block) -> None:
         PROGRAMS[program](words[1:], comment)
 
 
-TABLES = {"docs/gpu.md", "docs/strips.md", "docs/whole_road.md"}
-"""Pages that show it in tables: measured times, what is said without a GPU, spacings of nodes."""
+TABLES = {"docs/passes.md"}
+"""Pages that show it in tables of another page."""
 
 
 WITH_COMMANDS = {block.page for block in BLOCKS if block.language == "sh" and re.search("^mgsgraph ", block.text, re.M)}
@@ -351,7 +378,7 @@ def as_case(table: dict[str, Any]) -> None:
 
 
 TOML: dict[str, Callable[[dict[str, Any]], None]] = {
-    "docs/incremental.md": as_settings,
+    "docs/projects.md": as_settings,
     "docs/plan.md": as_candidates,
 }
 """What the files of a page are; cases on all others."""
@@ -387,7 +414,7 @@ def verdicts(text: str, folder: Path) -> None:
     assert read_verdicts(folder / "verdicts.csv").of
 
 
-TEXTS: dict[str, Callable[[str, Path], None]] = {"docs/exchange.md": a_table, "docs/review.md": verdicts}
+TEXTS: dict[str, Callable[[str, Path], None]] = {"docs/exchange.md": a_table, "docs/matching.md": verdicts}
 """Readers of a page's files."""
 
 
@@ -410,7 +437,7 @@ def anchors(path: Path) -> set[str]:
 def test_links_lead_somewhere(path: Path) -> None:
     text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if re.match(r"https?://", target) or target.startswith("auto_gallery/"):
+        if re.match(r"https?://", target):
             continue
         file, _, anchor = target.partition("#")
         there = (path.parent / file).resolve() if file else path
@@ -457,8 +484,13 @@ def test_pages_about_the_program_are_as_the_program_is(monkeypatch: pytest.Monke
         assert path.read_text(encoding="utf-8") == text, "write it anew: python scripts/pages.py"
 
 
+def theory() -> str:
+    """Both pages of the theory."""
+    return "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in ("theory", "estimation"))
+
+
 def test_modules_that_the_theory_names_are_there() -> None:
-    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    text = theory()
     named = re.findall(r"`((?:factors|kernel|geometry|network|adjustment|matching|io)/[\w/]+)`", text)
     assert len(named) > 30
     for name in named:
@@ -467,7 +499,7 @@ def test_modules_that_the_theory_names_are_there() -> None:
 
 
 def test_the_theory_links_each_equation_to_functions_that_are_there() -> None:
-    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    text = theory()
     rows = re.findall(r"^\| (?:\{eq\}`(\w+)` )?\| `([\w/]+)` \| (.+) \|$", text, re.MULTILINE)
     assert {label for label, _, _ in rows if label} == set(re.findall(r"^\$\$ \((\w+)\)$", text, re.MULTILINE))
     for _, file, functions in rows:

@@ -232,7 +232,7 @@ def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int
         if seconds(other)[0] < seconds(one)[1] and len(found_passes([one, other])) == 1:
             return [
                 f"{one.name} and {other.name} were taken at one time from one trajectory: [[passes]] adjusts it once, "
-                "[[mountings]] the angles between their cameras (docs/rigs.md)"
+                "[[mountings]] the angles between their cameras (docs/passes.md)"
             ]
     return []
 
