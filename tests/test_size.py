@@ -2,7 +2,7 @@
 
 A line of code holds a token that is no comment, docstring or import. Nodes of the syntax tree do not depend on how
 lines are broken. Every tracked Python file counts. A change that makes a room smaller lowers its ceiling; a ceiling
-rises only for a capability that an issue names, with its reason in CHANGELOG.md.
+rises only for a capability that an issue names, with its reason in CHANGELOG.md (Sizes).
 """
 
 import ast
@@ -33,9 +33,9 @@ CEILINGS = {
     "geometry": (2883, 48232, 18),
     "factors": (856, 13602, 18),
     "single files": (836, 9712, 10),
-    "scripts": (6887, 110393, 50),
-    "tests": (36413, 551949, 200),
-    "docs": (293, 3775, 13),
+    "scripts": (6851, 109523, 50),
+    "tests": (36437, 552355, 200),
+    "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
 
