@@ -71,7 +71,17 @@ are written), 130 interrupted. Output is atomic: an earlier result is replaced o
 with anything else in it is refused. Without `--out` results lie in the working directory, in NAME-VERB: NAME is that of
 the case file or result (of a `case.toml` that of its folder). An image is named by any unique part of its name.
 """
-_INPUT_KEYS = "<!-- keys: written by scripts/pages.py -->\n"
+_INPUT_KEYS = """<!-- written by scripts/pages.py -->
+# Keys of input files
+
+For users who ask which statements of their files decide the geometry. Keys that bear on geometry, by format: *read*,
+*compared* with what says the same a second time, or *refused* where they say anything else than the last column (the
+file is to be converted first). `mgsgraph check` names a key that looks geometric and is not listed. What has no second
+statement in the input rests on that one key: `mgsgraph check CASE --details` prints the values of those that decide the
+geometry. This page is made from `mgsgraph/files/geometric_keys.py`, which the readers use. Names are regular
+expressions.
+"""
+_KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _LIES = "\n## Lies"
 _COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
 
