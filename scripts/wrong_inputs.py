@@ -534,8 +534,8 @@ def _of_wrong(every: list[Draw]) -> list[str]:
         for site in sites:
             draws = [draw for draw in cases(every, f"{site}, {kind}") if draw["ends"]]
             counts = [_cell([draw["ends"][k] for draw in draws]) for k in range(3)]
-            cells.append("<br>".join([*counts, f"({_least(site, one, kind) / scale:.2g})"]) if draws else "-")
-        sizes = "<br>".join([*(f"{size / scale:g}" for size in one.sizes), "(theory)"])
+            cells.append(" / ".join([*counts, f"({_least(site, one, kind) / scale:.2g})"]) if draws else "-")
+        sizes = " / ".join([*(f"{size / scale:g}" for size in one.sizes), "(theory)"])
         rows.append([kind, "arcmin" if one.unit == "rad" else one.unit or "1", sizes, *cells])
     ends = Counter(end.split(":")[0] for draw in every for end in draw["ends"])
     total = f"{ends.total()} runs: " + ", ".join(f"{count} {end}" for end, count in ends.most_common())
