@@ -35,6 +35,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
+from mgsgraph.text import root_mean_square
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from networks import network as network_of_pair
@@ -207,7 +208,8 @@ def tukey_row(case: str, every: list[Draw]) -> list[str]:
     rows, lost = np.sum([draw["lost"] for draw in every], axis=0)
     ratios = np.array([draw["ratios"] for draw in every])
     turns = np.array([draw["turn"] for draw in every])
-    cells = [f"{np.median(one):.3f}, {one.max():.3g}, {np.sum(one > 1.05)}" for one in ratios.T[:2]]
+    cells = [f"{root_mean_square(one):.3f}, {np.median(one):.3f}, {one.max():.3g}, {np.sum(one > 1.05)}"
+             for one in ratios.T[:2]]  # fmt: skip
     more = [ratios[turns == turn, 2] for turn in range(len(MORE))]
     beyond = [f"{np.sum(one > 1.05)} of {one.size}" if one.size else "-" for one in more]
     steps = np.mean([draw["steps"] for draw in every], axis=0)

@@ -33,6 +33,8 @@ _BIN = 16
 """Lines whose height errors are one mean."""
 _SUN = 0.9
 """rad, of the Sun from the zenith, in the west."""
+_CELLS, _SPACING = 8000, 80.0
+"""For ties, two to a post of control; m between matches of the terrain model."""
 _NEAR, _ROUNDS = 20.0, 4
 """m between which the ground's slopes are taken; rounds in which a model is laid on the ground."""
 CASES = {"before": "polynomials of degree 3", "after": "slow process and vibrations"}
@@ -141,9 +143,7 @@ def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--seed", type=at_least(0), default=201)
     parser.add_argument("--lines", type=at_least(1000), default=6000)
-    parser.add_argument("--samples", type=at_least(300), default=600)
-    parser.add_argument("--cells", type=at_least(100), default=1500, help="cells for ties")
-    parser.add_argument("--spacing", type=float, default=30.0, help="m, between the terrain model's matches")
+    parser.add_argument("--samples", type=at_least(300), default=5000)
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
     parser.add_argument("--out", type=Path, default=DOCS / "evidence_terrain.md")
     given = parser.parse_args()
@@ -156,10 +156,10 @@ def main() -> int:
             write_pair(mine, work)
             for name in CASES:
                 (work / f"{name}.toml").write_text(case(mine, settings, name), encoding="utf-8")
-            steps = [step(f"mgsgraph match before.toml --out MATCHES --cells {given.cells} --no-figures", [], work)]
+            steps = [step(f"mgsgraph match before.toml --out MATCHES --cells {_CELLS} --no-figures", [], work)]
             for name in CASES:
                 steps.append(step(f"mgsgraph adjust {name}.toml --ties MATCHES/network.pvl --out {name}", [], work))
-                dense = f"--case {name}.toml --out DEM_{name} --spacing {given.spacing} --no-figures"
+                dense = f"--case {name}.toml --out DEM_{name} --spacing {_SPACING} --no-figures"
                 steps.append(step(f"mgsgraph dem {name} {dense}", [], work))
             for one in steps:
                 print(f"$ {one.command}    # {one.seconds:.0f} s\n{one.said}", file=sys.stderr)

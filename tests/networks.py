@@ -7,6 +7,7 @@ import numpy as np
 
 from mgsgraph.adjustment.factor_graph import nominal_selection
 from mgsgraph.files.networks.tie_points import PointKind
+from mgsgraph.geometry.altimetry import with_common_errors
 from mgsgraph.geometry.body import from_planetocentric, intersect_ellipsoid, planetocentric
 from mgsgraph.geometry.orientation import OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array
@@ -50,6 +51,21 @@ def with_tilting_surface(net: Network) -> Network:
     assert net.surface is not None
     middle = np.nanmean(net.points.places, axis=0)
     return replace(net, surface=replace(net.surface, height_sigma=40.0, tilt_sigma=2e-4, middle=middle))
+
+
+def with_echoes(net: Network, share: float = 1.5) -> Network:
+    """The same with an error that each range has in common with its footprint, of so many of its own sigmas."""
+    points, ranges = net.points, net.ranges
+    beams = points.places[ranges.point].copy()
+    for j in np.unique(ranges.image).tolist():
+        mine, trajectory = ranges.image == j, net.images[j].trajectory
+        beams[mine] -= trajectory.pose(ranges.times[mine] - trajectory.epoch).position
+    errors = share * ranges.sigmas[:, None] * beams / np.linalg.norm(beams, axis=1, keepdims=True)
+    covariances = points.covariances.copy()
+    sigmas, covariances[ranges.point], shares = with_common_errors(ranges.sigmas, covariances[ranges.point], errors)
+    return replace(
+        net, points=replace(points, covariances=covariances), ranges=replace(ranges, sigmas=sigmas, shares=shares)
+    )
 
 
 def with_neighbors(net: Network, side: float = 400.0, reach: float = 3000.0) -> Network:

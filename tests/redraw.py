@@ -116,12 +116,12 @@ def redraw(
     corrections = _with_shared(network, own, shared, angles)
     terrain = _drawn_terrain(network.surface, rng)
     truth = _on_stereo(network, _true_places(network, terrain, noise, rng), corrections, rng)
-    shifts, points = _drawn_points(network, truth, shared, rng)
+    shifts, points, errors = _drawn_points(network, truth, shared, rng)
     level = 2 if network.surface is not None and network.surface.shift_sigma else 0
     if network.terrain_moves:
         shifts = np.concatenate([shifts, np.pad(terrain[:level], (0, 2 - level))[None]])
     rays = _drawn_rays(network, truth, points, corrections, shared, noise(network, rng, 2))
-    ranges = _drawn_ranges(network, truth, corrections, shared, rng)
+    ranges = _drawn_ranges(network, truth, corrections, shared, errors, rng)
     drawn = replace(network, points=points, rays=rays, ranges=ranges)
     return Draw(drawn, corrections, shifts, truth, terrain[level:], shared, own)
 
@@ -243,13 +243,16 @@ def _on_stereo(
 
 def _drawn_points(
     network: Network, truth: Array, shared: tuple[Array, ...], rng: np.random.Generator
-) -> tuple[Array, GroundPoints]:
-    """True shifts, and a-priori places that lack them, what shared unknowns move, and an error of their covariance."""
+) -> tuple[Array, GroundPoints, Array]:
+    """True shifts; a-priori places that lack them, what shared unknowns move, and have an error of their covariance;
+    and these errors (n, 3), m.
+    """
     points = network.points
     places, constrained = points.places.copy(), points.kinds == PointKind.CONSTRAINED
     roots = np.linalg.cholesky(points.covariances[constrained])
-    noise = np.einsum("nij,nj->ni", roots, rng.standard_normal((roots.shape[0], 3)))
-    places[constrained] = truth[constrained] - noise
+    errors = np.zeros_like(places)
+    errors[constrained] = -np.einsum("nij,nj->ni", roots, rng.standard_normal((roots.shape[0], 3)))
+    places[constrained] = truth[constrained] + errors[constrained]
     known = np.where(constrained[:, None], truth, points.places)
     moved = footprint_shifts(replace(network, points=replace(points, places=known)), shared)
     places[constrained] -= moved[constrained]
@@ -258,7 +261,7 @@ def _drawn_points(
         shifts = rng.standard_normal((network.shifts.sigmas.size, 2)) * network.shifts.sigmas[:, None]
         mine = network.shifts.profile >= 0
         places[mine] -= np.einsum("nk,nkj->nj", shifts[network.shifts.profile[mine]], east_north(truth[mine]))
-    return shifts, replace(points, places=places)
+    return shifts, replace(points, places=places), errors
 
 
 def _drawn_rays(
@@ -287,10 +290,12 @@ def _drawn_rays(
 
 def _drawn_ranges(
     network: Network, truth: Array, corrections: tuple[OrientationCorrection, ...], shared: tuple[Array, ...],
-    rng: np.random.Generator,
+    errors: Array, rng: np.random.Generator,
 ) -> Ranges:
     ranges = network.ranges
     values = rng.standard_normal(ranges.values.size) * ranges.sigmas
+    if ranges.shares is not None:
+        values += np.einsum("ri,ri->r", ranges.shares, errors[ranges.point])
     for j in np.unique(ranges.image):
         mine: Index = np.flatnonzero(ranges.image == j)
         image = network.images[j]

@@ -24,7 +24,7 @@ from mgsgraph.adjustment.covariances import (
 )
 from mgsgraph.adjustment.datum import require_strength
 from mgsgraph.adjustment.drivers import Drivers, driver_sentences, drivers_of
-from mgsgraph.adjustment.fit import Fit, Residuals, fit, residuals, strained_orientations
+from mgsgraph.adjustment.fit import Fit, Residuals, errors_with_footprints, fit, residuals, strained_orientations
 from mgsgraph.adjustment.gpu import require_usable, sweeper_of
 from mgsgraph.adjustment.graph import BundleGraph, Layout, lay_out
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
@@ -240,8 +240,11 @@ def _misfit(
     if not solved.outcome.converged or judged.absurd or any(one.impossible for one in strained):
         drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, found)
         clock.stop("drivers")
+    places = solved.points
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
-        found = residuals(layout, orientation, places_of_all(layout, solved, sweeper), sweeper)
+        places = places_of_all(layout, solved, sweeper)
+        found = residuals(layout, orientation, places, sweeper)
+    found.ranges[:] += errors_with_footprints(layout, orientation, places)
     rays = layout.network.common_rays
     if rays is not None:
         found.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]

@@ -21,6 +21,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.factors.effects import (
     LOOK,
     POSITION,
+    RANGE,
     SLOPE,
     STATE,
     Effect,
@@ -28,7 +29,6 @@ from mgsgraph.factors.effects import (
     PolynomialEffect,
     constant,
     orientation_polynomial,
-    profile_shift,
     range_bias,
 )
 from mgsgraph.factors.ground import ground_prior
@@ -46,7 +46,7 @@ from mgsgraph.geometry.orientation import SUPPORT, OrientationImages
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import HELD, Network
-from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, footprint_motion
+from mgsgraph.network.effects import SharedEffects, common_lifts, common_looks, crossover_rows, known_motions
 from mgsgraph.network.parallel import parallel
 from mgsgraph.network.records import LinearRows
 from mgsgraph.network.shared import SharedKind
@@ -279,19 +279,20 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
         yield linear_prior([keys.variable(v) for v in row.variables], row.blocks, row.target)
 
 
+def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
+    """What moves a-priori positions of points: profiles' shifts and what lasers share, or what of it no range has."""
+    found: dict[int, list[PolynomialEffect]] = {}
+    for points, variables, motions, on_ranges in known_motions(network):
+        if not (of_ranges and on_ranges):
+            for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True):
+                found.setdefault(i, []).append(constant(keys.variable(variable), POSITION, motion.T))
+    return found
+
+
 def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
-    """A-priori places, moved by profiles' shifts and by what lasers share."""
-    points = network.points
-    movers: dict[int, list[Effect]] = {}
-    for one in network.shared:
-        if one.kind.moves_footprints:
-            for i, motion in zip(*footprint_motion(network, one), strict=True):
-                movers.setdefault(int(i), []).append(constant(keys.shared(one.name), POSITION, motion.T))
+    points, movers = network.points, _movers(network, keys)
     for i in np.flatnonzero(selected.points & (points.kinds == PointKind.CONSTRAINED)).tolist():
-        moved = movers.get(i, [])
-        if network.shifts is not None and network.shifts.profile[i] >= 0:
-            moved = [profile_shift(keys.profile(int(network.shifts.profile[i])), points.places[i]), *moved]
-        yield ground_prior(keys.point(i), points.places[i], points.covariances[i], moved)
+        yield ground_prior(keys.point(i), points.places[i], points.covariances[i], movers.get(i, []))
 
 
 def _heights(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
@@ -377,15 +378,18 @@ def _ranges(
     network: Network, keys: Keys, selected: Selected, settings: SolverSettings, moves: "Sequence[_Moves]"
 ) -> Iterator[gtsam.NonlinearFactor]:
     ranges = network.ranges
+    movers = {} if ranges.shares is None else _movers(network, keys, of_ranges=True)
     for j in np.unique(ranges.image).tolist():
         image = network.images[j]
         mine = np.flatnonzero(selected.ranges & (ranges.image == j))
         lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
         for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
-            i = int(ranges.point[k])
+            i, shares = int(ranges.point[k]), np.zeros(3) if ranges.shares is None else ranges.shares[k]
+            longer = [constant(one.keys[0], RANGE, shares[None] @ one.coefficients[0, :3]) for one in movers.get(i, ())]
             yield laser_range(
                 None, _point(network, keys, i), image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
-                shared=moves[j].of_range(line, float(ranges.times[k])), robust=_robust(settings),
+                shared=[*moves[j].of_range(line, shares), *longer], robust=_robust(settings),
+                footprint=(network.points.places[i], shares) if np.any(shares) else None,
                 label=f"shot {network.points.ids[i]}, image {image.name}",
             )  # fmt: skip
 
@@ -487,11 +491,15 @@ class _Moves:
             found.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
         return found
 
-    def of_range(self, line: float, time: float) -> list[Effect]:
+    def of_range(self, line: float, shares: Array) -> list[Effect]:
         found = [*self._own, *self._nodes(line, line)]
         for k in self._shared.acting["ranges"][self._j]:
-            bias = self._network.shared[k].kind is SharedKind.RANGE_BIAS
-            found.append(range_bias(self._keys.shared(k)) if bias else self._pose[k])
+            kind, key = self._network.shared[k].kind, self._keys.shared(k)
+            found.append(range_bias(key) if kind is SharedKind.RANGE_BIAS else self._pose[k])
+            if kind.moves_footprints:
+                lengths = (self._shared.of_instrument[self._j, kind][:, :, POSITION] @ shares).T
+                coefficients = np.eye(STATE)[RANGE].T * lengths[:, None]
+                found.append(PolynomialEffect((key,), coefficients, float(self._image.lines)))
         return found
 
     def _of_interior(self, k: int, sample: float) -> PolynomialEffect:

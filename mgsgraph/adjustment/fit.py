@@ -155,6 +155,17 @@ def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
 
 
 
+def errors_with_footprints(layout: Layout, orientation: Array, points: Array) -> Array:
+    """(r,) m: errors of ranges by those of their a-priori footprints, where points (n, 3), layout order, and shared
+    unknowns (columns,) are right.
+    """
+    places, of, shares = layout.network.points.places, layout.network.ranges.point, layout.network.ranges.shares
+    if shares is None:
+        return np.zeros(of.size)
+    errors = places[of] + _shifts(layout, orientation, of) - layout.network_order(points)[of]
+    return np.asarray(np.einsum("ri,ri->r", shares, np.nan_to_num(errors)))
+
+
 ABSURD = 10.0
 """sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
 

@@ -36,9 +36,10 @@ def solution_of(
     values : gtsam.Values
         Of its keys; further ones are of no account.
     graph : gtsam.NonlinearFactorGraph, optional
-        What was optimized, where factors of one's own were added: costs and covariances are then its own. Residuals,
-        their statistics and tests are those of the network's measurements, and so is what `Posterior` answers. A
-        solution does not keep such factors: `factor_graph(solution)` is the network's graph.
+        What was optimized, where factors of one's own were added: costs and covariances are then its own, residuals
+        those of the network's measurements. A solution does not keep such factors: `factor_graph(solution)` is the
+        network's graph. With factors of one's own on points it has no tests, and `Marginals` answers in place of
+        `Posterior`.
     name : str, optional
         What to call it in reports; the source's own when absent.
 
@@ -95,7 +96,16 @@ def solution_of(
     clock.stop("solve")
     own = getattr(source, "name", "adjustment") if name is None else name
     found = read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
-    return found if graph is None else _with_marginals(found, layout, marginals, keys)
+    if graph is None:
+        return found
+    count = max(_on_points(graph) - _on_points(of_network), 0)
+    return replace(_with_marginals(found, layout, marginals, keys), own_factors=count)
+
+
+def _on_points(graph: gtsam.NonlinearFactorGraph) -> int:
+    """Number of factors on ground points."""
+    keys = (graph.at(k).keys() for k in range(graph.size()) if graph.exists(k))
+    return sum(any(gtsam.Symbol(key).chr() == ord("p") for key in each) for each in keys)
 
 
 def _require_all(

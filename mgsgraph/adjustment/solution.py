@@ -134,6 +134,10 @@ class Solution(Record):
     """Which images and points drive it; None where it converged with a sigma0 and orientations that can be, or an
     older version didn't say."""
 
+    own_factors: int = 0
+    """Factors on points that a graph of one's own has and the network does not (`solution_of`). Costs and covariances
+    hold them; nothing that is computed from the network's measurements can, so that is refused."""
+
     @property
     def stereo_used(self) -> Mask:
         """(n,) True for points whose height above a stereo surface took part."""

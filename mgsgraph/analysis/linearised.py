@@ -20,7 +20,10 @@ from mgsgraph.network import Network, PolynomialPrior
 
 
 def require_covariance(solution: Solution) -> None:
-    """Raise InputError unless a solution has a covariance of all that was adjusted."""
+    """Raise InputError unless a solution has a covariance of all that was adjusted, by the network's rows alone."""
+    if solution.own_factors:
+        what = f"factors of your own on points ({solution.own_factors}), which its measurements do not have"
+        raise InputError(solution.name, what, "a solution of its network", "ask mgsgraph.Marginals of your graph")
     there = solution.determined
     joint, points = solution.joint_covariance.sigmas, solution.covariances[there]
     if not np.any(there) or not (np.all(np.isfinite(joint)) and np.all(np.isfinite(points))):

@@ -7,7 +7,11 @@ print(found)
 Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
 of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
 so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
-search begins with, with a deviation of `_COMMON` common to the axes and `_OWN` of each.
+search begins with, with a deviation common to the axes (`Process.spread`) and one of each (`strengths`).
+
+Where passes differ, each has strengths of its own, which depart from those in common; one that is hardly seen follows
+these. Passes differ where all departures together raise the restricted likelihood by more than noise does: not a
+process alone, since ties show position and attitude jointly, and what one is held to the other would make up for.
 
 Rays that scatter more than stated would be taken for a process: their sigmas count as right.
 
@@ -52,9 +56,17 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.analysis.separability import LIMIT
-from mgsgraph.errors import InputError
-from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.network import Network, Pass, Process, ProcessPrior
+from mgsgraph.analysis.strengths import (
+    Strength,
+    of_each_pass,
+    processes_of,
+    sought_strengths,
+    spread_beforehand,
+    strength_sigmas,
+    with_strength_sigmas,
+)
+from mgsgraph.geometry.records import Array, Index
+from mgsgraph.network import Network, Pass
 from mgsgraph.network.conditioning import NUGGET, dense_covariance
 from mgsgraph.record import Record
 from mgsgraph.workers import no_progress
@@ -62,26 +74,22 @@ from mgsgraph.workers import no_progress
 Block = tuple[Index, Array]
 """Rows (k,) of components of passes among all that are sought, and a covariance (k, k) of them, m^2 or rad^2."""
 
-_COMMON, _OWN = 1.0, 0.6
-"""Standard deviation beforehand of log strengths: what a process's axes have in common, and of each."""
+_RANGE = 0.95
+"""Probability that passes that don't differ get no strengths of their own."""
 _ALIKE = 0.2
 """Probability beforehand that passes move alike."""
 _NARROW = 0.4
-"""What `_COMMON` then is of what measures don't see: these alone would let it run away."""
+"""Times the spread of what axes have in common, of what measures don't see then: it would run away."""
 _LESS, _LESS_BY = -3.0, 1.0
 """Mean and deviation, common to axes, of the log strength of what they see then, less that of what they don't."""
 _STARTS, _STEP = np.linspace(-6.0, 6.0, 9), 3.0
 """Changes of all log strengths of a process of which the best is where their maximum is sought, and how far from it."""
-_WIDER, _DRAWS = 1.2, 7
-"""Times the normal approximation's deviation that draws have; logarithm (2) of their number."""
-_HARDLY = 0.5
-"""Deviation of a log strength from which on its upper limit alone is stated."""
+_WIDER, _FEW, _DRAWS = 1.2, 6, 7
+"""Times the normal approximation's deviation that draws have, of a few strengths; logarithm (2) of their number."""
 _LIMIT = 0.95
 """Probability of being below the upper end of an interval, and above its lower one."""
 _NOTHING = 1e-5
 """Weight up to which a draw is left out of sums."""
-_MOST = 600
-"""Nodes of a pass: dense matrices of its components."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,8 +112,8 @@ class Evidence:
     """(p, p) their covariance beforehand."""
 
     @classmethod
-    def of(cls, solution: Solution, wanted: "Sequence[Strength]", begin: Array) -> "Evidence":
-        """Of strengths (p), which are `begin` (p,) beforehand, more or less."""
+    def of(cls, solution: Solution, wanted: Sequence[Strength]) -> "Evidence":
+        """Of strengths (p)."""
         from scipy.linalg import block_diag  # slow to import
 
         network, variables, blocks, own = solution.network, list[int](), list[Array](), list[Array]()
@@ -124,8 +132,8 @@ class Evidence:
         found = prior - before.T @ joint.of(variables) @ before
         push = before.T @ np.concatenate([solution.values[v] for v in variables])
 
-        def scaled(one: "Strength", k: int, number: int) -> Block:
-            every, nodes, mine = _processes(network, k, one.part), network.passes[k].nodes, rows[k, one.component]
+        def scaled(one: Strength, k: int, number: int) -> Block:
+            every, nodes, mine = processes_of(network, k, one.part), network.passes[k].nodes, rows[k, one.component]
             whole = dense_covariance(every, one.axis, nodes)
             whole += NUGGET**2 * np.diag(np.diagonal(whole))
             # the rows between neighbors have a covariance of their own, a little off the processes': that one scales
@@ -134,11 +142,16 @@ class Evidence:
             return mine, turned @ dense_covariance(every[number : number + 1], one.axis, nodes) @ turned.T
 
         parts = tuple(tuple(scaled(one, *of) for of in one.members) for one in wanted)
-        same = np.array([[one.process == other.process for other in wanted] for one in wanted])
-        mean = np.log(begin / _sigmas(network, wanted))
-        return cls(0.5 * (found + found.T), push, before, tuple(variables), parts, mean, _spread(same, _COMMON))
+        mean = np.log(np.array([one.begin for one in wanted]) / strength_sigmas(network, wanted))
+        return cls(0.5 * (found + found.T), push, before, tuple(variables), parts, mean, spread_beforehand(wanted))
 
-    def alike(self) -> "Evidence":
+    def apart(self, wanted: Sequence[Strength]) -> tuple["Evidence", list[Strength], Index]:
+        """With strengths of each pass; these; and which each was before."""
+        each, of = of_each_pass(wanted)
+        parts = tuple((block,) for part in self.parts for block in part)
+        return replace(self, parts=parts, mean=self.mean[of], spread=spread_beforehand(each)), each, of
+
+    def alike(self, wanted: Sequence[Strength]) -> "Evidence":
         """With strengths (2 p) of what is seen of each process, and of what is not, with those of the mean beforehand:
         directions of which measures take more than half of the variance away, and the others.
         """
@@ -153,7 +166,10 @@ class Evidence:
             shares, turn = np.linalg.eigh(math.exp(2.0 * mean) * root.T @ whole[np.ix_(mine, mine)] @ root)
             for parts, some in ((seen, root @ turn[:, shares > 0.5]), (rest, root @ turn[:, shares <= 0.5])):
                 parts.append(((mine, some @ some.T),))
-        unseen, less = _spread(self.spread > 0.0, _NARROW), _spread(self.spread > 0.0, _LESS_BY)
+        less, unseen = (
+            spread_beforehand([replace(one, spread=spread) for one, spread in zip(wanted, spreads, strict=True)])
+            for spreads in ([_LESS_BY] * len(wanted), [_NARROW * one.spread for one in wanted])
+        )
         mean = np.append(self.mean + _LESS, self.mean)
         return replace(self, parts=(*seen, *rest), mean=mean, spread=block_diag(less, unseen))
 
@@ -218,7 +234,8 @@ class Evidence:
         from scipy.stats import norm, qmc  # slow to import
 
         mode = self.maximum()
-        root = _WIDER * np.linalg.cholesky(np.linalg.inv(self.density(mode).information))
+        wider = _WIDER ** min(1.0, _FEW / mode.size)
+        root = wider * np.linalg.cholesky(np.linalg.inv(self.density(mode).information))
         normal = norm.ppf(qmc.Sobol(mode.size, seed=1).random_base2(_DRAWS))
         steps = mode + normal @ root.T
         logs = np.array([self.logarithm(step) for step in steps]) + 0.5 * np.sum(normal**2, axis=1)
@@ -247,11 +264,6 @@ class Density(NamedTuple):
     """(p, p) that is expected."""
 
 
-def _spread(same: Mask, common: float) -> Array:
-    """(p, p) covariance beforehand of log strengths, by which are of the `same` process."""
-    return np.asarray(common**2 * same + _OWN**2 * np.eye(len(same)))
-
-
 def _information(one: Pass) -> Array:
     """(q, q) P_0: information of the prior's rows on the nodes and the trend of a pass."""
     edges = np.concatenate([[0], np.cumsum(one.widths)])
@@ -261,59 +273,6 @@ def _information(one: Pass) -> Array:
             for w, right in zip(unknowns, blocks, strict=True):
                 whole[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += left.T @ right
     return whole
-
-
-@dataclass(frozen=True, slots=True)
-class Strength(Record):
-    """Of one axis of a process, common to passes, as found."""
-
-    passes: tuple[str, ...]
-    """Their names."""
-    part: str
-    """position or attitude."""
-    kind: str
-    """Of process."""
-    axis: int
-    """0 .. 2: X, Y, Z of the position, x, y, z of the attitude."""
-    members: tuple[tuple[int, int], ...]
-    """Passes and the number of the process within the part of each."""
-    sigma: float = 0.0
-    """m or rad (per s^1.5 of an integrated Wiener process): median of the posterior."""
-    error: float = 0.0
-    """Standard deviation of its logarithm."""
-    interval: tuple[float, float] = (0.0, 0.0)
-    """5 % and 95 % points, in the unit of `sigma`."""
-
-    @property
-    def component(self) -> int:
-        """Of the pose, 0 .. 5."""
-        return self.axis + 3 * (self.part == "attitude")
-
-    @property
-    def process(self) -> tuple[object, ...]:
-        """What its axes have in common."""
-        return self.part, self.kind, self.members
-
-    @property
-    def seen(self) -> bool:
-        """Whether measures tell it, and not its upper limit alone."""
-        return self.error < _HARDLY
-
-    @property
-    def name(self) -> str:
-        """Part of the pose, axis, kind of process and passes, for reports."""
-        of = f"pass {self.passes[0]}" if len(self.passes) == 1 else f"common to {len(self.passes)} passes"
-        return f"{self.part} {'XYZxyz'[self.component]}, {self.kind}, {of}"
-
-    @property
-    def sentence(self) -> str:
-        """The strength with its interval, or the upper limit alone, as one line of a report."""
-        unit = "m" if self.part == "position" else "rad"
-        unit += "/s^1.5" if self.kind == "integrated-wiener" else ""
-        low, high = self.interval
-        if not self.seen:
-            return f"{self.name}: hardly seen, below {high:.2g} {unit} (95 %)"
-        return f"{self.name}: {self.sigma:.3g} {unit} ({low:.2g} .. {high:.2g}, 90 %)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -362,6 +321,7 @@ def estimated_strengths(
     tolerance: float = 0.01,
     name: str = "adjustment",
     progress: Callable[[Iteration], None] = no_progress,
+    in_common: bool = False,
 ) -> EstimatedStrengths:
     """Find the strengths of all processes that are marked as `estimated`, and carry what is not known of them into the
     covariance of all unknowns and points.
@@ -381,32 +341,36 @@ def estimated_strengths(
         What to call the adjustment in reports.
     progress : callable
         Called with every iteration of every adjustment.
+    in_common : bool
+        Whether passes have the same strengths even where the likelihood asks for others.
 
     Raises
     ------
     InputError
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
-    sought = _sought(network)
-    begin = _sigmas(network, sought)
-    network = _with_sigmas(network, sought, begin)
+    sought = sought_strengths(network)
+    several = any(len(one.passes) > 1 for one in sought)
+    network = with_strength_sigmas(network, sought, strength_sigmas(network, sought))
     left_in = unmarked(network) if settings.reject == 0.0 else None
     for done in range(1, most + 1):
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
-        evidence = Evidence.of(solution, sought, begin)
+        evidence = Evidence.of(solution, sought)
         steps = evidence.maximum()
         # a strength that is known to a tenth only need not be at rest to a hundredth
         errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
+        if converged and not in_common:
+            in_common, (evidence, sought, steps) = True, where_passes_differ(evidence, sought, steps)
+            converged = steps.size == errors.size
         if converged or done == most:
             break
-        network = _with_sigmas(network, sought, _sigmas(network, sought) * np.exp(steps))
-    several = any(len(one.passes) > 1 for one in sought)
-    hypotheses = [(1.0 - _ALIKE, evidence), (_ALIKE, evidence.alike())] if several else [(1.0, evidence)]
+        network = with_strength_sigmas(network, sought, strength_sigmas(network, sought) * np.exp(steps))
+    hypotheses = [(1.0 - _ALIKE, evidence), (_ALIKE, evidence.alike(sought))] if several else [(1.0, evidence)]
     drawn, weights, spread = _mixture(hypotheses)
     off = drawn - weights @ drawn
     covariance = off.T @ (weights[:, None] * off)
-    points = _sigmas(network, sought) * np.exp([_quantiles(some, weights) for some in drawn.T]).T
+    points = strength_sigmas(network, sought) * np.exp([_quantiles(some, weights) for some in drawn.T]).T
     strengths = tuple(
         replace(one, sigma=middle, error=error, interval=(low, high))
         for one, low, middle, high, error in zip(
@@ -416,6 +380,22 @@ def estimated_strengths(
     alike = float(weights[2**_DRAWS :].sum())
     solution = _with_spread(solution, evidence, spread)
     return EstimatedStrengths(network, solution, strengths, covariance, alike, converged, done)
+
+
+def where_passes_differ(
+    evidence: Evidence, sought: list[Strength], steps: Array
+) -> tuple[Evidence, list[Strength], Array]:
+    """With strengths of each pass where the restricted likelihood asks for them: where twice its logarithm rises by
+    more than noise lets it, which is a chi-square variable at most; `steps` (p,) lead to the largest density.
+    """
+    from scipy.stats import chi2  # slow to import
+
+    wide, each, of = evidence.apart(sought)
+    best = wide.maximum() if len(each) > len(sought) else steps
+    gain = 2.0 * (wide.logarithm(best) - wide.logarithm(steps[of]))
+    if gain <= float(chi2.ppf(_RANGE, max(len(each) - len(sought), 1))):
+        return evidence, sought, steps
+    return wide, each, best
 
 
 def _mixture(hypotheses: Sequence[tuple[float, Evidence]]) -> tuple[Array, Array, Array]:
@@ -452,58 +432,3 @@ def _with_spread(solution: Solution, evidence: Evidence, spread: Array) -> Solut
         solution, joint_covariance=mixed, covariances=points, sigmas_without_laser=None,
         median_sigmas_without_laser=None,
     )  # fmt: skip
-
-
-def _sought(network: Network) -> list[Strength]:
-    """What is to be found: processes alike in part and kind are one, of all passes, with three axes."""
-    found = dict[tuple[str, str, int], list[tuple[int, int]]]()
-    for k, one in enumerate(network.passes):
-        for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            alike = list[str]()
-            for number, process in enumerate(_processes(network, k, part)):
-                if process.estimated:
-                    found.setdefault((part, process.kind, alike.count(process.kind)), []).append((k, number))
-                alike.append(process.kind)
-        if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
-            remedy = "state the strengths that a shorter part of the pass gives"
-            raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
-    if not found:
-        raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
-    return [
-        Strength(
-            tuple(dict.fromkeys(network.passes[k].name for k, _ in members)), part, kind, axis, tuple(members)
-        )
-        for (part, kind, _), members in found.items()
-        for axis in range(3)
-    ]
-
-
-def _processes(network: Network, number: int, part: str) -> tuple[Process, ...]:
-    """Of a part of a pass."""
-    prior = network.passes[number].prior
-    assert isinstance(prior, ProcessPrior)
-    return prior.position if part == "position" else prior.attitude
-
-
-def _sigmas(network: Network, sought: Sequence[Strength]) -> Array:
-    """(p,) of the first pass that has each."""
-    first = [(one, *one.members[0]) for one in sought]
-    return np.array([_processes(network, k, one.part)[number].sigmas[one.axis] for one, k, number in first])
-
-
-def _with_sigmas(network: Network, sought: Sequence[Strength], sigmas: Array) -> Network:
-    """With strengths (p,), of all passes."""
-    passes = list(network.passes)
-    for one, sigma in zip(sought, sigmas.tolist(), strict=True):
-        for of_pass, number in one.members:
-            prior = passes[of_pass].prior
-            assert isinstance(prior, ProcessPrior)
-            part = list(prior.position if one.part == "position" else prior.attitude)
-            mine = np.where(np.arange(3) == one.axis, sigma, part[number].sigmas)
-            part[number] = replace(part[number], sigmas=mine)
-            if one.part == "position":
-                prior = replace(prior, position=tuple(part))
-            else:
-                prior = replace(prior, attitude=tuple(part))
-            passes[of_pass] = replace(passes[of_pass], prior=prior)
-    return replace(network, passes=tuple(passes))

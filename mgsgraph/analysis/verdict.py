@@ -28,7 +28,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.geometry_checks import deviating_heights, misplaced_profiles
 from mgsgraph.analysis.group_tests import UNTESTED, GroupTest, fit_of_groups
 from mgsgraph.analysis.grouping import group_rows
-from mgsgraph.analysis.linearised import PriorRows, at_solution, at_values, prior_rows, unknown_name
+from mgsgraph.analysis.linearised import PriorRows, at_solution, at_values, prior_rows, require_covariance, unknown_name
 from mgsgraph.analysis.residual_rows import ResidualRows, residual_rows
 from mgsgraph.analysis.sanity import losses, unexplained_ranges, unexplained_residuals
 from mgsgraph.analysis.undetected import Undetected, undetected
@@ -227,7 +227,8 @@ def _verdict(solution: Solution) -> Verdict:
         try:
             tested = _tested(solution)
         except (InputError, np.linalg.LinAlgError):
-            reason = Reason(State.SUSPECT, Cause.UNTESTED, "no covariance of all points", math.nan, "")
+            what = "factors of your own on points" if solution.own_factors else "no covariance of all points"
+            reason = Reason(State.SUSPECT, Cause.UNTESTED, what, math.nan, "")
             tested = replace(_UNTESTED, reasons=(reason,))
         reasons = [*checks.result(), *tested.reasons]
     causes = list(Cause)
@@ -242,6 +243,7 @@ def _tested(solution: Solution) -> Verdict:
     """What the tests find; nothing of a solution that did not converge or has no redundancy."""
     if not solution.converged or solution.fit.degrees_of_freedom < 1:
         return _UNTESTED
+    require_covariance(solution)
     small = len(solution.network.points) <= MOST_POINTS
     at = at_solution(solution).of_estimator() if small else _sampled(solution)
     rows, priors = residual_rows(at, np.arange(len(at.network.points))), prior_rows(at)

@@ -1,1 +1,1 @@
-"""A case file (TOML): inputs of an adjustment and what is known of them beforehand, and how it becomes a network."""
+"""A case file (TOML): inputs of an adjustment and their a-priori values, and how it becomes a network."""

@@ -72,17 +72,17 @@ def shots_in_images(images: Sequence[PushbroomImage], shots: AltimeterShots) -> 
 
 
 def laser_profile(
-    taken: AltimeterShots, name: str, wanted: ShotsInput, carriers: Sequence[tuple[PushbroomImage, Index | slice]] = ()
+    shots: AltimeterShots, name: str, entry: ShotsInput, carriers: Sequence[tuple[PushbroomImage, Index | slice]] = ()
 ) -> LaserProfile:
-    """Shots as observations with the sigmas that are wanted, or else those of their altimeter.
+    """Shots as observations with the sigmas of their table, or else those of their altimeter.
 
     Parameters
     ----------
-    taken : AltimeterShots
+    shots : AltimeterShots
         All of which have a range.
     name : str
         Of the profile, put before theirs.
-    wanted : ShotsInput
+    entry : ShotsInput
         Sigmas, and whether ranges are used.
     carriers : sequence
         Images taken along with the shots, whose orientation carries the ranges, and which of the shots each carries.
@@ -92,17 +92,16 @@ def laser_profile(
     InputError
         Ranges that are not the distances from the image's trajectory, by their unit; an altimeter without sigmas.
     """
-    wanted = wanted.with_sigmas_of(taken.altimeter, taken.source)
-    assert wanted.range_sigma_m is not None
-    assert wanted.ground_sigma_m is not None
-    for image, mine in carriers:
-        names = taken.ids[mine]
-        require_ranges(image, taken.times[mine], taken.footprints[mine], taken.ranges[mine], taken.source, names)
-    ranged = carriers[0][0].name if carriers and wanted.ranges else None
-    return taken.profile(
-        wanted.range_sigma_m, wanted.ground_sigma_m, ranged, name, wanted.height_sigma_m, wanted.pulse_share,
-        ranged=ranged is not None,
-    )  # fmt: skip
+    entry = entry.with_sigmas_of(shots.altimeter, shots.source)
+    assert entry.range_sigma_m is not None
+    assert entry.ground_sigma_m is not None
+    for image, rows in carriers:
+        names = shots.ids[rows]
+        require_ranges(image, shots.times[rows], shots.footprints[rows], shots.ranges[rows], shots.source, names)
+    ranged = carriers[0][0].name if carriers and entry.ranges else None
+    return shots.profile(
+        entry.range_sigma_m, entry.ground_sigma_m, ranged, name, entry.height_sigma_m, entry.pulse_share
+    )
 
 
 class Parts:
@@ -146,39 +145,40 @@ class Parts:
             first, points.measure_point, points.measure_image, points.measures, sigmas, points.source, windows
         )
 
-    def add_profile(self, profile: LaserProfile, wanted: LaserInput) -> None:
+    def add_profile(self, profile: LaserProfile, entry: LaserInput) -> None:
         """Shots of a laser profile: constrained points, with rays where they are measured and ranges."""
         require_on_body(profile.footprints, self.images[0].body, profile.source, profile.ids)
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         covariances = profile.covariances
-        if wanted.ground_sigma_m is not None:
-            covariances = np.broadcast_to(np.eye(3) * wanted.ground_sigma_m**2, (n, 3, 3))
+        if entry.ground_sigma_m is not None:
+            covariances = np.broadcast_to(np.eye(3) * entry.ground_sigma_m**2, (n, 3, 3))
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, covariances))
-        sigmas = np.full((profile.measure_shot.size, 2), wanted.image_sigma_px)
+        sigmas = np.full((profile.measure_shot.size, 2), entry.image_sigma_px)
         self._add_rays(first, profile.measure_shot, profile.measure_image, profile.measures, sigmas, profile.source)
-        if wanted.ranges:
+        if entry.ranges:
             shot, names = profile.simultaneous_shot, profile.simultaneous_image
             image = self._numbered(names, lambda k: f"{profile.source}, shot {profile.ids[int(shot[k])]}")
             require_ranges_of(profile, self.images, image)
-            if wanted.range_sigma_m is None:
+            if entry.range_sigma_m is None:
                 require_range_sigmas(profile)
-            own = profile.range_sigmas if wanted.range_sigma_m is None else np.full(n, wanted.range_sigma_m)
-            self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot]))
+            own = profile.range_sigmas if entry.range_sigma_m is None else np.full(n, entry.range_sigma_m)
+            none = np.zeros((shot.size, 3))
+            self._ranges.append((shot + first, image, profile.times[shot], profile.ranges[shot], own[shot], none))
 
-    def add_shots(self, shots: AltimeterShots, wanted: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
+    def add_shots(self, shots: AltimeterShots, entry: ShotsInput, pointed: frozenset[str]) -> AltimeterShots:
         """Shots of a profile that fall in an image: constrained points, with a range from the simultaneous image, or
         from the trajectory of the pass, and, if asked for, back-projected image coordinates. Returns the shots taken:
         all but the check points. Images in `pointed` have an altimeter's boresight already.
         """
-        seen, usable = shots_in_images(self.images, shots)
-        if wanted.image:
-            named = self._image(wanted.image, shots.source)
-            owners = np.where(seen.simultaneous[named], named, -1)
-            usable &= seen.inside[named] & seen.simultaneous[named]
+        hits, usable = shots_in_images(self.images, shots)
+        if entry.image:
+            named = self._image(entry.image, shots.source)
+            owners = np.where(hits.simultaneous[named], named, -1)
+            usable &= hits.inside[named] & hits.simultaneous[named]
         else:
-            owners = carriers(seen, usable, self.passes, "name it: image = ... in [[shots]]")
-            usable &= shots_carried(seen, owners, self.passes)
+            owners = carriers(hits, usable, self.passes, "name it: image = ... in [[shots]]")
+            usable &= shots_carried(hits, owners, self.passes)
         if not np.any(usable):
             where = " and ".join(f"image {self.images[j].name}" for j in np.unique(owners[owners >= 0])) or "any image"
             raise InputError(
@@ -187,89 +187,90 @@ class Parts:
                 "a profile that crosses the image",
                 "take the profile out, or check file and image",
             )
-        if wanted.check_every is not None:
-            usable[np.flatnonzero(usable)[wanted.check_every - 1 :: wanted.check_every]] = False
-        taken, carried = shots.chosen(usable), owners[usable]
+        if entry.check_every is not None:
+            usable[np.flatnonzero(usable)[entry.check_every - 1 :: entry.check_every]] = False
+        selected, carried = shots.chosen(usable), owners[usable]
         name = Path(shots.source).stem
         along = np.unique(carried[carried >= 0]).tolist()
         profile = laser_profile(
-            taken, name, wanted, [(self.images[j], np.flatnonzero(carried == j)) for j in along]
+            selected, name, entry, [(self.images[j], np.flatnonzero(carried == j)) for j in along]
         )  # fmt: skip
         first, n = self._claim(profile.ids, profile.source), len(profile.ids)
         kinds = np.full(n, int(PointKind.CONSTRAINED))
         self._points.append((np.full(n, int(PointClass.LASER)), kinds, profile.footprints, profile.covariances))
-        if carried.max() >= 0 and wanted.ranges:
-            mine = np.arange(first, first + n)
-            self._ranges.append((mine, carried, profile.times, profile.ranges, profile.range_sigmas))
-        self._add_shifts(name, taken, wanted, first)
-        self._add_beam(name, taken, wanted, carried, pointed)
-        if wanted.image_rows == "back-projected":
-            self._add_back_projections(first, seen.places[:, usable], seen.inside[:, usable], wanted.image_sigma_px)
-        return taken
+        if carried.max() >= 0 and entry.ranges:
+            points, shares = np.arange(first, first + n), np.zeros((n, 3)) if profile.shares is None else profile.shares
+            self._ranges.append((points, carried, profile.times, profile.ranges, profile.range_sigmas, shares))
+        self._add_shifts(name, selected, entry, first)
+        self._add_beam(name, selected, entry, carried, pointed)
+        if entry.image_rows == "back-projected":
+            self._add_back_projections(first, hits.places[:, usable], hits.inside[:, usable], entry.image_sigma_px)
+        return selected
 
-    def _add_shifts(self, name: str, taken: AltimeterShots, wanted: ShotsInput, first: int) -> None:
+
+    def _add_shifts(self, name: str, shots: AltimeterShots, entry: ShotsInput, first: int) -> None:
         """A profile's unknown shift and drift, called as its file; of a file with several, one for each."""
-        if wanted.shift_sigma_m is None:
-            if wanted.drift_sigma_m is not None:
-                raise InputError(taken.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
+        if entry.shift_sigma_m is None:
+            if entry.drift_sigma_m is not None:
+                raise InputError(shots.source, "drift_sigma_m without shift_sigma_m", "both: the shift drifts")
             return
-        names = taken.profile_names()
+        names = shots.profile_names()
         for profile in names.used:
-            mine = np.flatnonzero(names.over([profile]) == 0)
-            full = name if mine.size == len(names) else f"{name}:{profile}"
-            self._shifts.append((full, wanted.shift_sigma_m, first + mine))
-            self.footprints[full] = taken.altimeter.spot(taken.ranges)
-            if wanted.drift_sigma_m is not None:
-                self.shared.append(SharedUnknown.of_drift(full, wanted.drift_sigma_m))
+            rows = np.flatnonzero(names.over([profile]) == 0)
+            full = name if rows.size == len(names) else f"{name}:{profile}"
+            self._shifts.append((full, entry.shift_sigma_m, first + rows))
+            self.footprints[full] = shots.altimeter.spot(shots.ranges)
+            if entry.drift_sigma_m is not None:
+                self.shared.append(SharedUnknown.of_drift(full, entry.drift_sigma_m))
 
     def _add_beam(
-        self, name: str, taken: AltimeterShots, wanted: ShotsInput, carried: Index, pointed: frozenset[str]
+        self, name: str, shots: AltimeterShots, entry: ShotsInput, carried: Index, pointed: frozenset[str]
     ) -> None:
-        """What a profile's beam points elsewhere in common, as an unknown; profiles along one image have one beam."""
-        sigma = wanted.beam_sigma_mrad
+        """A profile's common pointing error of its beam, as an unknown; profiles along one image have one beam."""
+        sigma = entry.beam_sigma_mrad
         along = np.unique(carried[carried >= 0])
-        if not (along.size and wanted.ranges):
+        if not (along.size and entry.ranges):
             if sigma:
                 found = f"beam_sigma_mrad = {sigma:g} without ranges of an image taken along with the shots"
-                raise InputError(taken.source, found, "ranges = true and such an image", "take beam_sigma_mrad out")
+                raise InputError(shots.source, found, "ranges = true and such an image", "take beam_sigma_mrad out")
             return
         image = self.images[along[0]]
         if sigma is None:
-            mine = carried == along[0]
-            off = off_nadir(image, taken.times[mine] - image.trajectory.epoch, taken.footprints[mine])
+            rows = carried == along[0]
+            off = off_nadir(image, shots.times[rows] - image.trajectory.epoch, shots.footprints[rows])
             sigma = _BEAM_SIGMA if np.median(off) > _OFF_NADIR and image.name not in pointed else 0.0
-        other, known = self._beams.setdefault(int(along[0]), (name, sigma))
-        if wanted.beam_sigma_mrad is None:  # the beam is known by the profile before
-            sigma = known
-        if known != sigma:
-            found = f"beam_sigma_mrad of {known:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
-            raise InputError(taken.source, found, "one number: they have one beam")
+        other, stated = self._beams.setdefault(int(along[0]), (name, sigma))
+        if entry.beam_sigma_mrad is None:  # the beam is known by the profile before
+            sigma = stated
+        if stated != sigma:
+            found = f"beam_sigma_mrad of {stated:g} and {sigma:g} mrad for {other} and {name}, both along {image.name}"
+            raise InputError(shots.source, found, "one number: they have one beam")
         if other == name and sigma:
             sigmas = np.full(3, sigma * MRAD)
             self.shared.append(SharedUnknown(f"beam of {name}", SharedKind.ALTIMETER_BORESIGHT, along, sigmas))
 
-    def add_altimetry(self, cloud: AltimetryCloud, wanted: AltimetryInput) -> None:
+    def add_altimetry(self, cloud: AltimetryCloud, entry: AltimetryInput) -> None:
         """Shots in an image or its margin: constrained points in profiles of unknown shift, height and drift."""
-        taken = cloud.chosen(np.any(points_in_images(self.images, cloud.points, wanted.margin_px), axis=0))
-        if not taken.ids:
+        selected = cloud.chosen(np.any(points_in_images(self.images, cloud.points, entry.margin_px), axis=0))
+        if not selected.ids:
             raise InputError(
-                cloud.source, f"{len(cloud.ids)} shots, none within {wanted.margin_px:g} pixels of an image",
+                cloud.source, f"{len(cloud.ids)} shots, none within {entry.margin_px:g} pixels of an image",
                 "altimetry that crosses the images", "take the table out, or check file and images",
             )  # fmt: skip
-        name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], wanted.sigma_m
-        first, n = self._claim(taken.ids.prefixed(f"{name}:"), cloud.source), len(taken.ids)
-        covariances = footprint_covariances(taken.points, horizontal, vertical)
+        name, (horizontal, vertical) = Path(cloud.source).name.split(".")[0], entry.sigma_m
+        first, n = self._claim(selected.ids.prefixed(f"{name}:"), cloud.source), len(selected.ids)
+        covariances = footprint_covariances(selected.points, horizontal, vertical)
         kinds, classes = np.full(n, int(PointKind.CONSTRAINED)), np.full(n, int(PointClass.LASER))
-        self._points.append((classes, kinds, taken.points, covariances))
-        east, north, upward = wanted.shift_sigma_m
+        self._points.append((classes, kinds, selected.points, covariances))
+        east, north, upward = entry.shift_sigma_m
         if east != north:
             found = f"{east:g} m east and {north:g} m north"
             raise InputError(f"{cloud.source}, shift_sigma_m", found, "the same number eastward and northward")
-        for p, profile in enumerate(taken.profiles):
+        for p, profile in enumerate(selected.profiles):
             full = f"{name}:{profile}"
-            self._shifts.append((full, east, first + np.flatnonzero(taken.profile == p)))
-            self.shared.append(SharedUnknown.of_height(full, upward, wanted.drift_sigma_m))
-            self.footprints[full] = taken.footprint
+            self._shifts.append((full, east, first + np.flatnonzero(selected.profile == p)))
+            self.shared.append(SharedUnknown.of_height(full, upward, entry.drift_sigma_m))
+            self.footprints[full] = selected.footprint
 
     def _add_back_projections(self, first: int, places: Array, inside: Mask, sigma: float) -> None:
         """Image coordinates (images, n, 2) of footprints by the nominal orientation: they repeat what it says."""
@@ -284,9 +285,9 @@ class Parts:
         held: Mask,
         terrain: TerrainGrid | None = None,
         areoid: TerrainGrid | None = None,
-        wanted: TerrainInput | None = None,
+        entry: TerrainInput | None = None,
     ) -> Network:
-        """All of it as one network; tie points lie on the terrain model, if there is one, as `wanted`."""
+        """All of it as one network; `entry` is the table of the terrain model on which tie points lie, if any."""
         points = GroundPoints(self._ids(), *(concatenated(part) for part in zip(*self._points, strict=True)))
         if not self._rays:
             raise InputError("case", "no image measures at all", "tie points, or laser shots measured in images")
@@ -295,8 +296,9 @@ class Parts:
         rays, common = common_matches(
             ImageRays(point, image, places, sigmas, back_projected), *np.concatenate(self._windows).T
         )
-        empty: tuple[NDArray[Any], ...] = tuple(np.zeros(0, dtype=kind) for kind in (int, int, float, float, float))
-        ranges = Ranges(*(np.concatenate(part) for part in zip(empty, *self._ranges, strict=True)))
+        empty: list[NDArray[Any]] = [np.zeros(0, dtype=kind) for kind in (int, int, float, float, float)]
+        *columns, shares = map(np.concatenate, zip([*empty, np.zeros((0, 3))], *self._ranges, strict=True))
+        ranges = replace(Ranges(*columns), shares=shares if np.any(shares) else None)
         shifts = self._profile_shifts() if self._shifts else None
         ground = np.zeros((0, 3))
         if terrain:
@@ -305,7 +307,7 @@ class Parts:
             ground = nominal_ground(self.images, rays)
         surface, heights = None, None
         if terrain:
-            surface, heights = self._surface(points, rays, terrain, ground, wanted or TerrainInput())
+            surface, heights = self._surface(points, rays, terrain, ground, entry or TerrainInput())
         areoid = areoid.around(ground) if areoid else None
         return Network(
             self.images, priors, held, points, rays, ranges, shifts, surface, areoid, common_rays=common,
@@ -315,12 +317,12 @@ class Parts:
     def _profile_shifts(self) -> ProfileShifts:
         names, sigmas, members = zip(*self._shifts, strict=True)
         profile = np.full(self.count, -1, dtype=np.int64)
-        for k, mine in enumerate(members):
-            profile[mine] = k
+        for k, points in enumerate(members):
+            profile[points] = k
         return ProfileShifts(tuple(names), profile, np.array(sigmas))
 
     def _surface(
-        self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid, ground: Array, wanted: TerrainInput
+        self, points: GroundPoints, rays: ImageRays, terrain: TerrainGrid, ground: Array, entry: TerrainInput
     ) -> tuple[Surface, CommonErrors | None]:
         """Tie points on the terrain model, whose place may be an unknown for all of them, and what their heights have
         in common; `ground` (k, 3) in m is where the rays meet it.
@@ -340,9 +342,9 @@ class Parts:
         sigmas, at = np.full(len(points), np.inf), np.zeros((len(points), 3))
         sigmas[members], at[members] = np.nan_to_num(terrain.height_sigmas(places), nan=np.inf), places
         return common_heights(Surface(
-            terrain, sigmas, terrain.planimetric_sigma or 0.0, wanted.height_sigma_m or 0.0,
-            (wanted.tilt_sigma_mrad or 0.0) * MRAD,
-            places[np.isfinite(sigmas[members])].mean(axis=0) if wanted.tilt_sigma_mrad else None,
+            terrain, sigmas, terrain.planimetric_sigma or 0.0, entry.height_sigma_m or 0.0,
+            (entry.tilt_sigma_mrad or 0.0) * MRAD,
+            places[np.isfinite(sigmas[members])].mean(axis=0) if entry.tilt_sigma_mrad else None,
         ), at)  # fmt: skip
 
     def _claim(self, ids: Names, source: str) -> int:
@@ -355,26 +357,26 @@ class Parts:
     def _ids(self) -> Names:
         """Ids of all points; InputError where two files have one."""
         ids = Names.concatenated([names for _, names in self._names])
-        if (again := ids.first_repeated) is not None:
-            name = ids[again]
+        if (repeated := ids.first_repeated) is not None:
+            name = ids[repeated]
             holders = [source for source, names in self._names if names.find([name])[0] >= 0]
             raise InputError(holders[-1], f"the id {name!r}, which {holders[0]} has too", "each id once")
         return ids
 
     def _image(self, name: str, where: str) -> int:
         if name not in self._index:
-            known = ", ".join(list(self._index)[:4])
+            names = ", ".join(list(self._index)[:4])
             raise InputError(
                 where,
                 f"the image {name!r}",
-                f"one of the case's images ({known})",
+                f"one of the case's images ({names})",
                 "add it to the case or take its measures out",
             )
         return self._index[name]
 
     def _numbered(self, names: RepeatedNames, where: Callable[[int], str]) -> Index:
         """(k,) indices of images; InputError for a name that is none of theirs, which `where` places by its number."""
-        image = names.over([one.name for one in self.images])
+        image = names.over([picture.name for picture in self.images])
         for k in np.flatnonzero(image < 0)[:1].tolist():
             self._image(names[k], where(k))
         return image
@@ -414,40 +416,40 @@ def with_sigmas(
 
 
 def in_images(
-    points: TiePoints, images: Sequence[str], holder: str = "the case", known: Collection[str] = ()
+    points: TiePoints, images: Sequence[str], holder: str = "the case", known_ids: Collection[str] = ()
 ) -> tuple[TiePoints, str]:
     """Points as the images of a case (or another `holder`) measure them, and a sentence about what was left out; empty
     where nothing was.
 
     Points go with measures in other images where no other measure is left, or a single one of a free point that isn't
-    `known` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
+    `known_ids` by its id. Raises InputError where nothing is left, which is so where images are called otherwise.
     """
     held = points.measure_image.over(images) >= 0
     if held.all():
         return points, ""
-    strange = points.measure_image[~held].used
-    called = some(strange, len(strange))
+    foreign = points.measure_image[~held].used
+    called = some(foreign, len(foreign))
     before, after = (
-        np.bincount(points.measure_point[mine], minlength=len(points.ids)) for mine in (slice(None), held)
+        np.bincount(points.measure_point[selection], minlength=len(points.ids)) for selection in (slice(None), held)
     )
-    alone = (points.kinds == PointKind.FREE) & (Names.of(known).find(points.ids) < 0)
-    gone = (after < before) & (after < np.where(alone, 2, 1))
-    if gone.all():
+    needs_rays = (points.kinds == PointKind.FREE) & (Names.of(known_ids).find(points.ids) < 0)
+    dropped = (after < before) & (after < np.where(needs_rays, 2, 1))
+    if dropped.all():
         found = f"points that are measured in {called}, and none that enough others see"
         expected = f"points measured in the images of {holder} ({some(images, len(images))})"
         raise InputError(points.source, found, expected, "call images as the network does")
-    left = points.with_measures(held).chosen(np.flatnonzero(~gone))
-    said = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "
-    said += f"{many(len(strange), 'image')} that {holder} doesn't hold ({called})"
-    if gone.any():
+    left = points.with_measures(held).chosen(np.flatnonzero(~dropped))
+    sentence = f"Left out of {points.source}: {many(int((~held).sum()), 'measure')} in "
+    sentence += f"{many(len(foreign), 'image')} that {holder} doesn't hold ({called})"
+    if dropped.any():
         single = int(held.sum()) - len(left.measure_image)
-        said += f", and {many(int(gone.sum()), 'point')} of theirs that too few others see"
-        said += f" ({many(single, 'more measure')})" if single else ""
-    return left, f"{said}."
+        sentence += f", and {many(int(dropped.sum()), 'point')} of theirs that too few others see"
+        sentence += f" ({many(single, 'more measure')})" if single else ""
+    return left, f"{sentence}."
 
 
 def merged(groups: Sequence[TiePoints]) -> TiePoints:
-    """Points of several control networks, in the files' order, those of the same id made one.
+    """Points of several control networks, in the files' order; points of the same id are merged.
 
     Raises
     ------
@@ -459,7 +461,7 @@ def merged(groups: Sequence[TiePoints]) -> TiePoints:
     ids, points = Names.united([group.ids for group in groups])
     file_of = np.repeat(np.arange(len(groups)), [len(group.ids) for group in groups])
     source = _best_sources(groups, np.concatenate(points), file_of, len(ids))
-    point = np.concatenate([mine[group.measure_point] for mine, group in zip(points, groups, strict=True)])
+    point = np.concatenate([numbers[group.measure_point] for numbers, group in zip(points, groups, strict=True)])
     image = RepeatedNames.concatenated([group.measure_image for group in groups])
     _require_new_measures(groups, point, image, ids)
 
@@ -497,7 +499,7 @@ def _best_sources(groups: Sequence[TiePoints], number: Index, file_of: Index, co
     same &= np.all(np.isclose(covariances[other], covariances[first]), axis=(1, 2))
     for k in np.flatnonzero(~same)[:1].tolist():
         i, group = int(other[k]), groups[int(file_of[other[k]])]
-        where = f"{group.source}, point {Names.concatenated([one.ids for one in groups])[i]}"
+        where = f"{group.source}, point {Names.concatenated([member.ids for member in groups])[i]}"
         found = f"{PointKind(int(kinds[i])).name.lower()} at another a-priori place or with another covariance"
         source_of_first = groups[int(file_of[first[k]])].source
         raise InputError(where, found, f"what {source_of_first} says of it", "make it Free in one of the two")
@@ -509,9 +511,9 @@ def _require_new_measures(groups: Sequence[TiePoints], point: Index, images: Rep
     file_of = np.repeat(np.arange(len(groups)), [group.measure_point.size for group in groups])
     code = point * len(images.distinct) + images.numbers
     order = np.argsort(code, kind="stable")
-    again = np.flatnonzero(code[order][1:] == code[order][:-1])
-    for k in again[np.argsort(order[again + 1])][:1].tolist():
-        one, other = int(order[k]), int(order[k + 1])
-        where = f"{groups[int(file_of[other])].source}, point {ids[int(point[other])]}, image {images[other]}"
-        found = f"a measure that {groups[int(file_of[one])].source} has too"
+    repeats = np.flatnonzero(code[order][1:] == code[order][:-1])
+    for k in repeats[np.argsort(order[repeats + 1])][:1].tolist():
+        first, second = int(order[k]), int(order[k + 1])
+        where = f"{groups[int(file_of[second])].source}, point {ids[int(point[second])]}, image {images[second]}"
+        found = f"a measure that {groups[int(file_of[first])].source} has too"
         raise InputError(where, found, "each measure in one network", "take it out of one of the two")

@@ -1,4 +1,4 @@
-"""A case file read: its tables, and each image by what its file is, one by one or in an ISIS list, and by what name.
+"""Reads a case file: its tables, and each image by the kind of its file, one by one or in an ISIS list, and its name.
 
 Tables and keys of a case file, as its schema has them: for `mgsgraph new --keys`, and for docs/case_file.md.
 """
@@ -60,25 +60,25 @@ def decode(path: Path) -> CaseInput:
         With the place of what is wrong: an unknown key, a value out of range; an image given in two ways or none, a
         list without files, files that are no images, or one name for two.
     """
-    wanted = stated(path)
-    for file in _files(wanted) if wanted.files_from else ():
-        require((path.parent / file).exists(), str(path.parent / file), "no such file", remedy=wanted.files_from)
+    tables = stated(path)
+    for file in _files(tables) if tables.files_from else ():
+        require((path.parent / file).exists(), str(path.parent / file), "no such file", remedy=tables.files_from)
     images = list[ImageInput]()
-    for k, entry in enumerate(wanted.images):
+    for k, entry in enumerate(tables.images):
         where = f"{path}, images[{k}]"
         with errors_from(where):
-            images += [plain_image(one, wanted.spice, path.parent, where) for one in _listed(entry, path.parent, where)]
+            images += [plain_image(f, tables.spice, path.parent, where) for f in _listed(entry, path.parent, where)]
     first = dict[str, ImageInput]()
     for image in images:
         if (twin := first.setdefault(image.name, image)) is not image:
             found = f"the name {image.name!r} for {image_file(twin)} and for {image_file(image)}"
             raise InputError(f"{path}, images", found, "each image once", "rename one of the two, or take it out")
-    return msgspec.structs.replace(wanted, images=tuple(images))
+    return msgspec.structs.replace(tables, images=tuple(images))
 
 
-def _files(wanted: CaseInput) -> Iterator[str]:
+def _files(tables: CaseInput) -> Iterator[str]:
     """Files of images and lists of them, as the case has them."""
-    for entry in wanted.images:
+    for entry in tables.images:
         yield from filter(None, (getattr(entry, key) for key in ("list", "image", *_FILES)))
 
 
@@ -94,9 +94,9 @@ def stated(path: Path) -> CaseInput:
 
 
 def _refuse_former(value: Any, where: str) -> None:
-    """Raise InputError for a table or key of an earlier version, and name the word of today."""
-    for one in value if isinstance(value, list) else [value]:
-        for key, inner in one.items() if isinstance(one, dict) else ():
+    """Raise InputError for a table or key of an earlier version, and name today's word."""
+    for table in value if isinstance(value, list) else [value]:
+        for key, inner in table.items() if isinstance(table, dict) else ():
             expected, remedy = _FORMER.get(key) or _FORMER.get(f"{key} = {inner}", ("", ""))
             if key.endswith("_mgon"):
                 expected, remedy = f"{key.removesuffix('mgon')}mrad", "1 mgon is 0.015708 mrad"
@@ -106,7 +106,7 @@ def _refuse_former(value: Any, where: str) -> None:
 
 
 def _refuse_other_kinds(path: Path) -> None:
-    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to come by one."""
+    """Raise InputError for data, or a folder of them, in the place of a case file, and say how to make one."""
     if (path / PROJECT).is_file():
         remedy = f"mgsgraph project solve {path} adjusts it, mgsgraph project status {path} says what is in it"
         raise InputError(str(path), "a project", "a case file (TOML)", remedy)
@@ -126,13 +126,13 @@ def plain_image(entry: ImageInput, spice: SpiceInput | None, folder: Path, where
         kind = image_kind(folder / entry.image, bool(entry.kernels), bool(kernels))
         entry = msgspec.structs.replace(entry, image=None, **{kind: entry.image})
     kind = next(key for key in _FILES if getattr(entry, key) is not None)
-    _require_heeded(entry, kind, where)
+    _require_supported(entry, kind, where)
     refuse_foreign_kinds(folder / image_file(entry))
     return entry if entry.name else msgspec.structs.replace(entry, name=image_name(folder / image_file(entry), kind))
 
 
-def _require_heeded(entry: ImageInput, kind: ImageKind, where: str) -> None:
-    """Raise InputError for a key that has no meaning for this kind of file: it would change nothing, unsaid."""
+def _require_supported(entry: ImageInput, kind: ImageKind, where: str) -> None:
+    """Raise InputError for a key that this kind of file ignores."""
     untold = ImageInput()
     for key, kinds in _OF_KINDS.items():
         if kind not in kinds and getattr(entry, key) != getattr(untold, key):
@@ -157,13 +157,13 @@ def _listed(entry: ImageInput, folder: Path, where: str) -> Iterator[ImageInput]
 
 
 def read_images(
-    wanted: CaseInput, orientations: Sequence[OrientationInput], of_passes: Sequence[Sequence[int]], path: Path
+    tables: CaseInput, orientations: Sequence[OrientationInput], of_passes: Sequence[Sequence[int]], path: Path
 ) -> tuple[PushbroomImage, ...]:
     """All images.
 
     Parameters
     ----------
-    wanted : CaseInput
+    tables : CaseInput
         The case file.
     orientations : sequence of OrientationInput
         Of each image.
@@ -172,35 +172,35 @@ def read_images(
     path : Path
         Where the case file is.
     """
-    found = dict[int, PushbroomImage]()
-    entries = wanted.passes
-    for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
-        _require_of_pass(wanted, orientations, mine, f"{path}, passes[{k}]{f' ({entry.name})' if entry.name else ''}")
+    by_number = dict[int, PushbroomImage]()
+    entries = tables.passes
+    for k, (entry, of_pass) in enumerate(zip(entries, of_passes, strict=True)):
+        _require_of_pass(tables, orientations, of_pass, f"{path}, passes[{k}]{entry.name and f' ({entry.name})'}")
         if not entry.sorted_by_time:  # else which of them are one pass isn't known yet
-            found |= _strips_by_image(wanted, mine, path)
-    for j, (image, orientation) in enumerate(zip(wanted.images, orientations, strict=True)):
-        if j not in found:
-            found[j] = read_image(image, wanted.spice, path.parent, f"{path}, images[{j}]")
-        found[j] = orientation.nominal_of(found[j])
-    images = tuple(found[j] for j in range(len(wanted.images)))
-    images = mounted_images(wanted.mountings, instruments(wanted, path), images, str(path))
+            by_number |= _hrsc_images(tables, of_pass, path)
+    for j, (image, orientation) in enumerate(zip(tables.images, orientations, strict=True)):
+        if j not in by_number:
+            by_number[j] = read_image(image, tables.spice, path.parent, f"{path}, images[{j}]")
+        by_number[j] = orientation.nominal_of(by_number[j])
+    images = tuple(by_number[j] for j in range(len(tables.images)))
+    images = mounted_images(tables.mountings, instruments(tables, path), images, str(path))
     require_distinct(images, f"{path}, images")
     return images
 
 
-def instruments(wanted: CaseInput, path: Path) -> list[str]:
+def instruments(tables: CaseInput, path: Path) -> list[str]:
     """What the file of each image calls its instrument, in capitals, if [[mountings]] ask for it; else empty."""
-    asked = any(one.instrument for one in wanted.mountings)
-    files = [entry.label or entry.cube if asked else None for entry in wanted.images]
+    needed = any(mounting.instrument for mounting in tables.mountings)
+    files = [entry.label or entry.cube if needed else None for entry in tables.images]
     return [instrument_of(path.parent / file) if file is not None else "" for file in files]
 
 
 def _require_of_pass(
-    wanted: CaseInput, orientations: Sequence[OrientationInput], mine: Sequence[int], where: str
+    tables: CaseInput, orientations: Sequence[OrientationInput], of_pass: Sequence[int], where: str
 ) -> None:
-    """Raise InputError where what is said of an image contradicts its pass."""
-    for j in mine:
-        entry = wanted.images[j]
+    """Raise InputError where the table of an image contradicts its pass."""
+    for j in of_pass:
+        entry = tables.images[j]
         if entry.held:
             raise InputError(where, f"image {entry.name}, which is held", "adjusted images", "take one of the two out")
         if entry.orientation is not None:
@@ -211,23 +211,23 @@ def _require_of_pass(
             raise InputError(where, found, "the trajectory itself, which all images share", "nominal = 'trajectory'")
 
 
-def _strips_by_image(wanted: CaseInput, mine: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
-    """HRSC images of a strip that are read alike, on one trajectory (the very record), by their number."""
+def _hrsc_images(tables: CaseInput, of_pass: Sequence[int], path: Path) -> dict[int, PushbroomImage]:
+    """HRSC images of a pass that have the same kernels and settings, on one trajectory record, by their number."""
     groups, folder = dict[tuple[object, ...], list[int]](), path.parent
-    for j in mine:
-        entry = wanted.images[j]
+    for j in of_pass:
+        entry = tables.images[j]
         if entry.isd is None and entry.label is not None and instrument_of(folder / entry.label) == "HRSC":
-            alike = (_kernels(entry, wanted.spice), entry.constants, entry.attitude_bias_s, entry.position_bias_s)
-            groups.setdefault(alike, []).append(j)
+            key = (_kernels(entry, tables.spice), entry.constants, entry.attitude_bias_s, entry.position_bias_s)
+            groups.setdefault(key, []).append(j)
     return {
         j: image
         for members in groups.values()
         if len(members) > 1
-        for j, image in zip(members, _hrsc_strip([wanted.images[j] for j in members], wanted.spice, path), strict=True)
+        for j, image in zip(members, _hrsc_pass([tables.images[j] for j in members], tables.spice, path), strict=True)
     }
 
 
-def _hrsc_strip(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
+def _hrsc_pass(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
     from mgsgraph.files.labels.labelled_image import read_strip, with_focal_length
 
     folder, first = path.parent, entries[0]
@@ -359,7 +359,7 @@ def _record(hint: Any) -> _Kind | None:
     """The record within a type, if there is one."""
     if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
         return hint
-    return next((found for part in typing.get_args(hint) if (found := _record(part)) is not None), None)
+    return next((record for part in typing.get_args(hint) if (record := _record(part)) is not None), None)
 
 
 def _key(field: msgspec.structs.FieldInfo, kind: _Kind) -> Key:
@@ -399,25 +399,25 @@ def keys_text(table: str | None = None, width: int = 110) -> str:
     ``passes.nodes``, ``head``); InputError, with the nearest, for one that there isn't.
     """
     if table is None:
-        said = "\n\n".join(_table_text(one, width) for one in key_tables())
-        return f"{said}\n\nPaths are relative to the file. One table alone: mgsgraph new --keys TABLE"
-    names = {one.path or HEAD: one for one in key_tables()}
-    wanted = table.strip("[]").lower()
-    if wanted not in names:
+        text = "\n\n".join(_table_text(entry, width) for entry in key_tables())
+        return f"{text}\n\nPaths are relative to the file. One table alone: mgsgraph new --keys TABLE"
+    names = {entry.path or HEAD: entry for entry in key_tables()}
+    header = table.strip("[]").lower()
+    if header not in names:
         last = {name.split(".")[-1]: name for name in names}
-        near = last.get(wanted) or next(iter(get_close_matches(wanted, names, n=1)), "")
+        near = last.get(header) or next(iter(get_close_matches(header, names, n=1)), "")
         remedy = f"did you mean {near}?" if near else f"there are {', '.join(names)}"
         raise InputError(f"case file, {table}", "no such table", remedy=remedy)
-    found = names[wanted]
-    below = [one for one in key_tables() if found.path and one.path.startswith(f"{found.path}.")]
-    return "\n\n".join(_table_text(one, width) for one in (found, *below))
+    chosen = names[header]
+    below = [entry for entry in key_tables() if chosen.path and entry.path.startswith(f"{chosen.path}.")]
+    return "\n\n".join(_table_text(entry, width) for entry in (chosen, *below))
 
 
 def _table_text(table: KeyTable, width: int) -> str:
     lines = [table.head, *textwrap.wrap(table.meaning, width - 2, initial_indent="  ", subsequent_indent="  ")]
     for key in table.keys:
-        said = "must be there" if key.required else f"default {key.default}" if key.default else ""
-        lines.append(f"  {key.name} ({'; '.join(filter(None, (key.kind, said)))})")
+        requirement = "must be there" if key.required else f"default {key.default}" if key.default else ""
+        lines.append(f"  {key.name} ({'; '.join(filter(None, (key.kind, requirement)))})")
         lines += textwrap.wrap(key.meaning, width - 6, initial_indent=" " * 6, subsequent_indent=" " * 6)
     return "\n".join(lines)
 

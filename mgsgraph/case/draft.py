@@ -1,4 +1,4 @@
-"""A case file for the files that somebody has: what each is says its content, what is missing is said in comments.
+"""Writes a case file for given files: the content of each tells its kind, comments name what is missing.
 
 Tables of a case file for files that are no images, each looked at by itself: networks, shots, terrain models.
 """
@@ -69,7 +69,7 @@ def place(path: Path, out: Path) -> str:
     return quoted(Path(os.path.relpath(path.absolute(), out.absolute().parent)).as_posix())
 
 
-def said(line: str, comment: str) -> str:
+def commented(line: str, comment: str) -> str:
     """A line with a comment behind it."""
     return f"{line:39} # {in_line(comment)}\n"
 
@@ -82,7 +82,7 @@ def in_line(text: str) -> str:
 def draft_tables(
     kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path
 ) -> tuple[list[Part], list[str]]:
-    """Tables of all that is no image; and what can't be used beside the rest, with the reason."""
+    """Tables of all files but images; and the files that can't be used, with the reason."""
     parts, refused = list[Part](), list[str]()
     for make in (_ties, _control, _lidar, partial(_shots, refused=refused), _altimetry, _terrain):
         of_kind = list(make(kinds, images, out))
@@ -98,96 +98,96 @@ def draft_tables(
     return parts, refused
 
 
-_Made = Iterator[tuple[Path, str, bool]]
+_Tables = Iterator[tuple[Path, str, bool]]
 
 
-def _of(kinds: dict[Path, Kind], *wanted: Kind) -> list[Path]:
-    return [path for path, kind in kinds.items() if kind in wanted]
+def _of(kinds: dict[Path, Kind], *accepted: Kind) -> list[Path]:
+    return [path for path, kind in kinds.items() if kind in accepted]
 
 
-def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _ties(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.NETWORK, Kind.TIE_TABLE):
-        sigma = said("sigma_px = 1.0", "of line and sample, where the network doesn't say")
+        sigma = commented("sigma_px = 1.0", "of line and sample, where the network doesn't say")
         yield path, f"[ties]\nnetwork = {place(path, out)}\n{sigma}", True
 
 
-def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.GROUND_CONTROL)[:1]:
         yield path, f"[ground_control]\nfile = {place(path, out)}\n", True
 
 
-def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.LIDAR):
-        sigma = said("image_sigma_px = 30.0", "of the shots' pixels")
+        sigma = commented("image_sigma_px = 30.0", "of the shots' pixels")
         yield path, f"[laser]\nfile = {place(path, out)}\n{sigma}", True
 
 
-def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Made:
+def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, refused: list[str]) -> _Tables:
     """A profile taken along with an image has ranges from its trajectory, MOLA's a shift; others are altimetry."""
-    known = list[Array]()
+    lidar_times = list[Array]()
     for path in _of(kinds, Kind.LIDAR):
         with suppress(InputError):  # said where the case is read
-            known.append(read_lidar(path).times)
+            lidar_times.append(read_lidar(path).times)
     for path in _of(kinds, Kind.SHOTS):
         try:
             shots = read_shots(path)
         except InputError as error:
             refused.append(f"{path.name}: {without_place(str(error), path)}")
             continue
-        if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in known):
+        if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in lidar_times):
             refused.append(f"{path.name}: the same shots as the laser shots of ISIS")
             continue
         along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in map(_span, images))
         if along or shots.altimeter is MOLA:
             text = f"[[shots]]\nfile = {place(path, out)}\n"
-            yield path, text + said("shift_sigma_m = 100.0", "a common horizontal error, as an unknown"), False
+            yield path, text + commented("shift_sigma_m = 100.0", "a common horizontal error, as an unknown"), False
         else:
             yield _of_relief(path, out)
 
 
 def _nearest(sorted_or_not: Array, times: Array) -> Array:
-    """Of each time the nearest one of others."""
-    known = np.sort(sorted_or_not)
-    after = np.clip(np.searchsorted(known, times), 1, known.size - 1)
+    """For each time the nearest of the other times."""
+    ordered = np.sort(sorted_or_not)
+    after = np.clip(np.searchsorted(ordered, times), 1, ordered.size - 1)
     before = after - 1
-    return np.asarray(np.where(times - known[before] < known[after] - times, known[before], known[after]))
+    return np.asarray(np.where(times - ordered[before] < ordered[after] - times, ordered[before], ordered[after]))
 
 
-def _span(one: DraftImage) -> tuple[float, float]:
+def _span(draft: DraftImage) -> tuple[float, float]:
     """S TDB past J2000 of an image's first and last edge."""
-    edges, _ = one.image.timing.at(np.array([0.0, float(one.image.lines)]))
-    start, stop = (edges + one.image.trajectory.epoch).tolist()
+    edges, _ = draft.image.timing.at(np.array([0.0, float(draft.image.lines)]))
+    start, stop = (edges + draft.image.trajectory.epoch).tolist()
     return start, stop
 
 
-def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
+def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     yield from (_of_relief(path, out) for path in _of(kinds, Kind.ALTIMETRY))
 
 
 def _of_relief(path: Path, out: Path) -> tuple[Path, str, bool]:
-    sigma = said("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/align.md")
+    sigma = commented("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/align.md")
     return path, f"{_ALTIMETRY}\nfile = {place(path, out)}\n{sigma}", False
 
 
-def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Made:
-    pictures = [one.image for one in images]
+def _terrain(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
+    pictures = [draft.image for draft in images]
     for path in _of(kinds, Kind.RADII, Kind.RASTER):
         text = f"[terrain]\nradius = {place(path, out)}\n"
         heights, level = _of(kinds, Kind.TOPOGRAPHY), None
         if kinds[path] is Kind.RASTER:
             level = _level(path, pictures, out)
-            text += said(f"reference_radius_m = {level}", "above which its heights are: is it?") if level else ""
+            text += commented(f"reference_radius_m = {level}", "above which its heights are: is it?") if level else ""
         elif heights and heights[0].name[4:].lower() == path.name[4:].lower():
-            text += said(f"topography = {place(heights[0], out)}", "radius minus topography is the areoid")
+            text += commented(f"topography = {place(heights[0], out)}", "radius minus topography is the areoid")
         resolution = _MEGDR_STEPS.get(path.name[10:11].lower(), "none")
         grid = MEGDR_SIGMAS.get(resolution) if kinds[path] is Kind.RADII else None
-        text += said(f"vertical_sigma_m = {grid or 10.0}", "of its heights" + (" between its posts" if grid else ""))
-        text += said("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
+        text += commented(f"vertical_sigma_m = {grid or 10.0}", f"of its heights{' between its posts' if grid else ''}")
+        text += commented("planimetric_sigma_m = 200.0", "of its horizontal place as a whole, which becomes an unknown")
         yield path, text, False
 
 
 def _level(path: Path, images: Sequence[PushbroomImage], out: Path) -> float | None:
-    """m, sphere above which a raster's values may be heights; None where they may be radii, or nothing of both."""
+    """m, sphere above which a raster's values may be heights; None where they may be radii, or neither."""
     for level in (None, images[0].body.equatorial):
         with suppress(InputError):
             entry = TerrainInput(radius=str(path.absolute()), reference_radius_m=level)
@@ -248,22 +248,22 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     require_free(out, _CASE_FILE, remedy="choose another --out")
     kinds, unknown = _kinds(given)
     kernels = _kernels(kinds)
-    found = draft_images(kinds, kernels)
+    drafted = draft_images(kinds, kernels)
     where = str(given[0]) + (f" and {len(given) - 1} more" if len(given) > 1 else "")
-    if not found.images:
-        raise _no_image(where, kinds, found.left_out, unknown)
-    bodies = {target_name(one.image.body): one for one in found.images}
+    if not drafted.images:
+        raise _no_image(where, kinds, drafted.left_out, unknown)
+    bodies = {target_name(draft.image.body): draft for draft in drafted.images}
     if len(bodies) > 1:
-        each = " and ".join(f"{one.path.name} of {body}" for body, one in bodies.items())
+        each = " and ".join(f"{draft.path.name} of {body}" for body, draft in bodies.items())
         raise InputError(where, f"images of {len(bodies)} bodies: {each}", "one body", "give their files apart")
-    images, missing = named_as(found.images, _names_in_networks(kinds))
+    images, missing = named_as(drafted.images, _names_in_networks(kinds))
     parts, refused = draft_tables(kinds, images, out)
     name = name or _name(given, out)
-    usual, *others = dict.fromkeys(accuracy_of(one.image.mission) for one in images)
+    usual, *others = dict.fromkeys(accuracy_of(draft.image.mission) for draft in images)
     orientation = _ORIENTATION.format(sigmas="".join(usual.lines()))
     head = _HEAD.format(name=quoted(name)) + orientation + _spice(images, kernels, out) + _images(images, usual, out)
     parts, failed = _accepted(head, parts, images, out)
-    left_out = [*found.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
+    left_out = [*drafted.left_out, *refused, *failed, *(f"{path.name}: {why}" for path, why in unknown.items())]
     left_out += [
         f"{path.name}: {kind}; unpack it with NAIF's tobin" for path, kind in kinds.items()
         if kind is Kind.TRANSFER and not path.with_suffix(f".b{path.suffix[2:]}").exists()
@@ -271,35 +271,35 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     measured = any(part.measured for part in parts)
     text = head + "".join(part.text for part in parts) + ("" if measured else _NO_MEASURES)
     text += "".join(f"\n# Left out: {in_line(line)}" for line in left_out) + ("\n" if left_out else "")
-    with fresh_file(out, over=_CASE_FILE) as aside:
-        aside.write_text(text, encoding="utf-8")
+    with fresh_file(out, over=_CASE_FILE) as temporary:
+        temporary.write_text(text, encoding="utf-8")
         try:
-            decode(aside)
+            decode(temporary)
         except InputError as error:  # never a case file under its name that can't be read
-            raise InputError(str(out), str(error).replace(str(aside), out.name)) from None
-    called = some([one.name for one in images], len(images))
-    told = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
-    told += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
-    told += [f"- {one.path.name}: {_ROUGH} (line_times)" for one in images if one.line_times is not None]
-    told += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
-    told += [f"- A-priori sigmas of {one.words}" for one in (usual, *others)]
-    told += [f"- Left out: {line}" for line in left_out]
-    told += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
-    return Draft(text, tuple(map(in_line, told)), f"mgsgraph check {out}")
+            raise InputError(str(out), str(error).replace(str(temporary), out.name)) from None
+    called = some([draft.name for draft in images], len(images))
+    remarks = [f"- {many(len(images), 'image')} of {next(iter(bodies))}: {called}"]
+    remarks += [f"- {part.path.name}: {kinds[part.path]}{part.note and f', {part.note}'}" for part in parts]
+    remarks += [f"- {draft.path.name}: {_ROUGH} (line_times)" for draft in images if draft.line_times is not None]
+    remarks += [f"- No image for {len(missing)} that networks name: {some(missing, len(missing))}"] if missing else []
+    remarks += [f"- A-priori sigmas of {accuracy.words}" for accuracy in (usual, *others)]
+    remarks += [f"- Left out: {line}" for line in left_out]
+    remarks += [] if measured else ["- Missing: tie points, ground control, or laser shots with measures"]
+    return Draft(text, tuple(map(in_line, remarks)), f"mgsgraph check {out}")
 
 
 def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
-    """Kinds of all files by their paths; and those, of several or in folders, that are of no kind, and why."""
+    """Kinds of all files by their paths; and the files of unknown kind among several or in folders, with the reason."""
     kinds, unknown = dict[Path, Kind](), dict[Path, str]()
-    for one in given:
-        inside = _inside(one)
+    for item in given:
+        inside = _inside(item)
         for path in inside:
             kind = kind_of(path)
             if not _may_be_named(path):
                 unknown[path] = _NO_TEXT
             elif kind is not None and kind not in _NOT_TAKEN:
                 kinds[path] = kind
-            elif path is one and kind is not Kind.OWN_RECORD and (len(given) == 1 or not path.is_file()):
+            elif path is item and kind is not Kind.OWN_RECORD and (len(given) == 1 or not path.is_file()):
                 head_of(path, 1)  # says what it is that is no file
                 found = described(path, kind) if kind else _UNKNOWN
                 remedy = INSTEAD.get(kind, "leave it out") if kind else "leave it out"
@@ -310,15 +310,15 @@ def _kinds(given: Sequence[Path]) -> tuple[dict[Path, Kind], dict[Path, str]]:
     return kinds, {path: why for path, why in unknown.items() if path.with_suffix("") not in stems}
 
 
-def _inside(one: Path) -> list[Path]:
+def _inside(source: Path) -> list[Path]:
     """A file, those directly in a folder, or those that a list names."""
     try:
-        if one.is_dir():
-            return sorted(path for path in one.iterdir() if path.is_file() and not path.name.startswith("."))
-        require(one.exists(), str(one), "no such file", "a file or folder", "check the path")
+        if source.is_dir():
+            return sorted(path for path in source.iterdir() if path.is_file() and not path.name.startswith("."))
+        require(source.exists(), str(source), "no such file", "a file or folder", "check the path")
     except OSError as error:
-        raise InputError(str(one), f"can't be read ({error.strerror})") from None
-    return [one.parent / name for name in listed_names(one)] if kind_of(one) is Kind.LIST else [one]
+        raise InputError(str(source), f"can't be read ({error.strerror})") from None
+    return [source.parent / name for name in listed_names(source)] if kind_of(source) is Kind.LIST else [source]
 
 
 def _may_be_named(path: Path) -> bool:
@@ -337,8 +337,8 @@ def _no_image(
         file, _, reason = left_out[-1].partition(": ")
         tried = [line.partition(": ")[0] for line in left_out]
         return InputError(file, reason, remedy=f"so there is no image: {some(tried, len(tried))} can't be read")
-    strange = [f"{path.name} {why}" for path, why in unknown.items()]
-    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *strange[:1]])
+    unrecognized = [f"{path.name} {why}" for path, why in unknown.items()]
+    holds = ", ".join([*dict.fromkeys(map(str, kinds.values())), *unrecognized[:1]])
     found = f"no image{f': it holds {holds}' if holds else ''}"
     expected, remedy = "a cube, support data, a label or a model state", "name an image too, or a folder of them"
     return InputError(where, found, expected, remedy)
@@ -377,7 +377,7 @@ def _names_in_networks(kinds: dict[Path, Kind]) -> list[str]:
 
 
 def _spice(images: Sequence[DraftImage], kernels: Sequence[Path], out: Path) -> str:
-    if not any(one.by_kernels for one in images):
+    if not any(draft.by_kernels for draft in images):
         return ""
     listed = "".join(f"  {place(path, out)},\n" for path in kernels)
     return f"\n[spice]                                 # in the order of loading\nkernels = [\n{listed}]\n"
@@ -386,20 +386,20 @@ def _spice(images: Sequence[DraftImage], kernels: Sequence[Path], out: Path) -> 
 def _images(images: Sequence[DraftImage], usual: Accuracy, out: Path) -> str:
     """Tables of images; those of another mission than [orientation] is for have sigmas of their own."""
     text = ""
-    for one in images:
+    for draft in images:
         text += "\n[[images]]\n"
-        text += f"name = {quoted(one.name)}\n"
-        size = f"{one.kind}, {one.image.lines} x {one.image.samples}"
-        text += said(f"image = {place(one.path, out)}", size)
-        text += f"pixels = {place(one.pixels, out)}\n" if one.pixels is not None else ""
-        if (known := accuracy_of(one.image.mission)) != usual:
-            text += said(f"orientation = {{ {', '.join(known.keys)} }}", f"a-priori sigmas of {known.words}")
-        text += said(f"line_times = {quoted(one.line_times)}", _ROUGH) if one.line_times is not None else ""
+        text += f"name = {quoted(draft.name)}\n"
+        size = f"{draft.kind}, {draft.image.lines} x {draft.image.samples}"
+        text += commented(f"image = {place(draft.path, out)}", size)
+        text += f"pixels = {place(draft.pixels, out)}\n" if draft.pixels is not None else ""
+        if (accuracy := accuracy_of(draft.image.mission)) != usual:
+            text += commented(f"orientation = {{ {', '.join(accuracy.keys)} }}", f"a-priori sigmas of {accuracy.words}")
+        text += commented(f"line_times = {quoted(draft.line_times)}", _ROUGH) if draft.line_times is not None else ""
     return text
 
 
 def _name(given: Sequence[Path], out: Path) -> str:
-    """What to call a case: as its file, or, if that is called as every case is, the folder of the data."""
+    """Name of a case: that of its file, or, if the file has the usual name, that of the folder of the data."""
     if out.stem.lower() != _PLAIN:
         return out.stem
     first = given[0].resolve()
@@ -412,7 +412,7 @@ def _accepted(
     """The tables with which the case can be read, and those without, with the reason."""
     if not any(part.measured for part in parts):
         return parts, []
-    failed, pictures = list[str](), tuple(replace(one.image, name=one.name) for one in images)
+    failed, pictures = list[str](), tuple(replace(draft.image, name=draft.name) for draft in images)
 
     def refusal(those: Sequence[Part], whole: bool = False) -> str:
         return _refusal(head + "".join(part.text for part in those), pictures, out, whole)
@@ -435,13 +435,13 @@ def _refusal(text: str, images: tuple[PushbroomImage, ...], out: Path, whole: bo
     """
     with ExitStack() as stack:
         with writing_to(out):  # and no more: what else can't be read isn't `out`
-            aside = stack.enter_context(made_beside(out))
-            aside.write_text(text, encoding="utf-8")
+            temporary = stack.enter_context(made_beside(out))
+            temporary.write_text(text, encoding="utf-8")
         try:
-            wanted = stated(aside)
-            case_of(wanted, aside, images)
+            tables = stated(temporary)
+            case_of(tables, temporary, images)
         except InputError as error:
             if isinstance(error, Unmeasured) and not whole:
                 return ""
-            return str(error).replace(str(aside), out.name)
+            return str(error).replace(str(temporary), out.name)
     return ""

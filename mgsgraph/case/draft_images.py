@@ -1,4 +1,4 @@
-"""Which images some files are of, each once, by what file it is best read, and what networks call it."""
+"""Finds the images of files, each once: the file that it is best read from, and its name in networks."""
 
 import re
 from collections import Counter
@@ -15,13 +15,13 @@ from mgsgraph.files.cameras.label import read_line_scan_label
 from mgsgraph.files.kinds import IMAGES, Kind, image_kind, image_name
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import twins
+from mgsgraph.geometry.plausibility import duplicate_images
 from mgsgraph.units import KM
 
 _ORDER = (Kind.CUBE, Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE, Kind.MAPPED_CUBE, Kind.PDS3,
           Kind.CUBE_LABEL)  # fmt: skip
 """By which an image is read, if there are several: what holds its geometry before what needs kernels."""
-_ALONE = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
+_NO_SERIAL = (Kind.CUBE_TABLES, Kind.SUPPORT_DATA, Kind.MODEL_STATE)
 """Kinds that know no serial number; a label whose name begins as theirs has it."""
 _LINE_TIMES = "line_times"
 """Key that the reader of a label without times of its lines asks for."""
@@ -37,14 +37,14 @@ class DraftImage(NamedTuple):
     """What that is."""
     name: str
     """What to call it."""
-    others: frozenset[str]
+    aliases: frozenset[str]
     """What else networks may call it: product, file."""
     image: PushbroomImage
     """Its geometry."""
     by_kernels: bool
     """Whether it needs those of [spice]."""
     pixels: Path | None = None
-    """File of its pixels, where its own file has none and that is called alike."""
+    """File of its pixels, where its own file has none and a picture has its name."""
     line_times: str | None = None
     """What stands for the times of its lines, where its file doesn't have them."""
 
@@ -64,53 +64,53 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
     files = sorted((path for path, kind in kinds.items() if kind in IMAGES), key=lambda path: (
         _ORDER.index(kinds[path]), len(path.name), path.name.lower()
     ))  # fmt: skip
-    labels = [path for path in files if kinds[path] not in _ALONE]
-    found, left_out = list[DraftImage](), dict[Path, str]()
+    labels = [path for path in files if kinds[path] not in _NO_SERIAL]
+    drafts, left_out = list[DraftImage](), dict[Path, str]()
     for path, line_times in [*((path, None) for path in files), *((path, "mean") for path in files if kernels)]:
         if line_times and _LINE_TIMES not in left_out.get(path, ""):
             continue
         try:
-            made = _read(path, kinds[path], labels, spice, line_times)._replace(pixels=_pixels(path, kinds))
+            draft = _read(path, kinds[path], labels, spice, line_times)._replace(pixels=_pixels(path, kinds))
         except InputError as error:
             left_out[path] = str(error)
             continue
         left_out.pop(path, None)
-        if (known := _duplicate_of(made, found)) is None:
-            taken_names = {one.name for one in found}
-            found.append(made._replace(name=f"{path.parent.name}/{made.name}") if made.name in taken_names else made)
+        if (duplicate := _duplicate_of(draft, drafts)) is None:
+            names = {d.name for d in drafts}
+            drafts.append(draft._replace(name=f"{path.parent.name}/{draft.name}") if draft.name in names else draft)
             continue
-        kept, other = found[known], made
-        if made.image.lines * made.image.samples > kept.image.lines * kept.image.samples:  # a cube cut to a stub
-            found[known], kept, other = made, made, kept
-        left_out[other.path] = f"the same image as {kept.path.name}"
-    found, others = _on_one_body(found)
-    left_out |= others
-    taken = tuple(sorted(found, key=lambda one: _start(one.image)))
-    stems = [one.path.stem for one in taken]
-    said = [
+        chosen, other = drafts[duplicate], draft
+        if draft.image.lines * draft.image.samples > chosen.image.lines * chosen.image.samples:  # a cube cut to a stub
+            drafts[duplicate], chosen, other = draft, draft, chosen
+        left_out[other.path] = f"the same image as {chosen.path.name}"
+    drafts, excluded = _on_one_body(drafts)
+    left_out |= excluded
+    ordered = tuple(sorted(drafts, key=lambda draft: _start(draft.image)))
+    stems = [draft.path.stem for draft in ordered]
+    reasons = [
         f"{path.name}: {without_place(reason, path)}" for path, reason in left_out.items()
         if not any(path.stem.startswith(stem) for stem in stems)  # labels beside what was taken
     ]
-    return DraftImages(taken, tuple(said))
+    return DraftImages(ordered, tuple(reasons))
 
 
-def _on_one_body(found: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:
+def _on_one_body(drafts: Sequence[DraftImage]) -> tuple[list[DraftImage], dict[Path, str]]:
     """Images on the ellipsoid that most of them have, and why the others on the same body are left out."""
-    counts = Counter(one.image.body for one in found)
-    kept, left_out = list[DraftImage](), dict[Path, str]()
-    for one in found:
-        alike = [body for body in counts if target_name(body) == target_name(one.image.body)]
-        usual = max(alike, key=counts.__getitem__)
-        if one.image.body == usual:
-            kept.append(one)
+    counts = Counter(draft.image.body for draft in drafts)
+    chosen, left_out = list[DraftImage](), dict[Path, str]()
+    for draft in drafts:
+        bodies = [body for body in counts if target_name(body) == target_name(draft.image.body)]
+        usual = max(bodies, key=counts.__getitem__)
+        if draft.image.body == usual:
+            chosen.append(draft)
             continue
-        radii = [f"{body.equatorial / KM:.3f} and {body.polar / KM:.3f} km" for body in (one.image.body, usual)]
-        left_out[one.path] = f"an ellipsoid of {radii[0]}; that of the others has {radii[1]}"
-    return kept, left_out
+        radii = [f"{body.equatorial / KM:.3f} and {body.polar / KM:.3f} km" for body in (draft.image.body, usual)]
+        left_out[draft.path] = f"an ellipsoid of {radii[0]}; that of the others has {radii[1]}"
+    return chosen, left_out
 
 
 def without_place(reason: str, path: Path) -> str:
-    """What is wrong with a file, without the file's place before it."""
+    """A message about a file, without the file's path before it."""
     for place in (path, path.absolute(), path.name):
         reason = reason.removeprefix(f"{place}: ").removeprefix(f"{place}, ")
     return reason
@@ -123,18 +123,18 @@ def _read(
     entry = plain_image(stated, spice, Path(), path.name)
     image = read_image(entry, spice, Path(), path.name)
     names = [entry.name]
-    if kind in _ALONE:
+    if kind in _NO_SERIAL:
         beside = [label for label in labels if label.stem.startswith(path.stem) and label.parent == path.parent]
         names = [*_serials(beside), *names]
-    others = frozenset({*names, path.stem, *_products([path, *(labels if kind in _ALONE else [])], path.stem)})
-    return DraftImage(path, kind, names[0], others, image, entry.label is not None, None, line_times)
+    aliases = frozenset({*names, path.stem, *_products([path, *(labels if kind in _NO_SERIAL else [])], path.stem)})
+    return DraftImage(path, kind, names[0], aliases, image, entry.label is not None, None, line_times)
 
 
 def _pixels(path: Path, kinds: Mapping[Path, Kind]) -> Path | None:
-    """A picture that is called as a file without pixels is."""
-    if kinds[path] not in _ALONE:
+    """The picture that has the name of a file without pixels."""
+    if kinds[path] not in _NO_SERIAL:
         return None
-    return next((one for one, kind in kinds.items() if kind in _PICTURES and one.stem == path.stem), None)
+    return next((file for file, kind in kinds.items() if kind in _PICTURES and file.stem == path.stem), None)
 
 
 def _serials(labels: Sequence[Path]) -> Iterator[str]:
@@ -154,12 +154,12 @@ def _products(labels: Sequence[Path], stem: str) -> Iterator[str]:
                 continue
 
 
-def _duplicate_of(made: DraftImage, found: Sequence[DraftImage]) -> int | None:
-    """The image that a new one is again, by its geometry or its name."""
-    images = [*(one.image for one in found), made.image]
-    same = [one for one, other in twins(images) if other == len(found)]
-    if made.name != made.path.stem:  # a serial number
-        same += [k for k, one in enumerate(found) if one.name == made.name]
+def _duplicate_of(draft: DraftImage, drafts: Sequence[DraftImage]) -> int | None:
+    """Number of the image that a new one duplicates, by geometry or name; None without one."""
+    images = [*(other.image for other in drafts), draft.image]
+    same = [first for first, other in duplicate_images(images) if other == len(drafts)]
+    if draft.name != draft.path.stem:  # a serial number
+        same += [k for k, other in enumerate(drafts) if other.name == draft.name]
     return next(iter(same), None)
 
 
@@ -173,11 +173,11 @@ def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[
 
     By the serial number, the product or the file.
     """
-    known, made = {_plain(name): name for name in reversed(names)}, list(images)
-    for k, one in enumerate(images):
-        if one.name not in names and (same := [known[other] for other in map(_plain, one.others) if other in known]):
-            made[k] = one._replace(name=min(same))
-    return tuple(made), tuple(name for name in names if name not in {one.name for one in made})
+    plain, renamed = {_plain(name): name for name in reversed(names)}, list(images)
+    for k, draft in enumerate(images):
+        if draft.name not in names and (same := [plain[a] for a in map(_plain, draft.aliases) if a in plain]):
+            renamed[k] = draft._replace(name=min(same))
+    return tuple(renamed), tuple(name for name in names if name not in {draft.name for draft in renamed})
 
 
 def _plain(name: str) -> str:

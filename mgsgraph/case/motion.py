@@ -3,6 +3,7 @@ by [passes.position] and [passes.attitude] or, of one camera (HRSC), by `prior`:
 departures that forget themselves in time (`network.passes.NodePrior`); and the numbers that a case file may hold.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
@@ -47,7 +48,7 @@ def three(value: object, where: str, zero: bool = False, infinite: bool = False)
 
 
 class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is said."""
+    """Where the orientation images of a pass stand: evenly spaced, or at times; at most one of the four is stated."""
 
     spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
@@ -60,9 +61,9 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     def images(self, pictures: Sequence[PushbroomImage], where: str) -> OrientationImages:
         """The nodes of a pass of these images; `where` names this table."""
-        said = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
-        if len(said) > 1:
-            raise InputError(where, listed(said), "one of them")
+        keys = [key for key in ("spacing_s", "spacing_lines", "times_et_s", "times_utc") if getattr(self, key)]
+        if len(keys) > 1:
+            raise InputError(where, listed(keys), "one of them")
         edges, epoch = np.array([seconds(image) for image in pictures]), pictures[0].trajectory.epoch
         start, stop = float(edges[:, 0].min()), float(edges[:, 1].max())
         if self.times_et_s or self.times_utc:
@@ -73,8 +74,8 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             reference = pictures[straightest(pictures)]
             first, last = seconds(reference)
             spacing = self.spacing_lines * (last - first) / reference.lines
-        key = said[0] if said else "spacing_s"
-        if said and spacing > stop - start:
+        key = keys[0] if keys else "spacing_s"
+        if keys and spacing > stop - start:
             raise InputError(f"{where}, {key}", f"{spacing:.6g} s", f"less than the pass's {stop - start:.6g} s")
         if (stop - start) / spacing > _MOST_NODES:
             found = f"{spacing:.3g} s, {(stop - start) / spacing:.3g} nodes on {stop - start:.6g} s"
@@ -87,7 +88,7 @@ _DEFAULTS = {"": (1.0, 3.0 * MGON / MRAD), "bias_": (50.0, 28.0 * MGON / MRAD), 
 
 
 class NodePriorInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """What is known of the observed trajectory beforehand: bias + drift s + departures, see `network.passes`.
+    """A-priori errors of the observed trajectory: bias + drift s + departures, see `network.passes`.
 
     Sigmas are one number or three: along the body-fixed X, Y, Z and about the camera's axes x, y, z. The default bias
     of the attitude is what Spiegel et al. (papers/003) state of Mars Express; all others are those of simulated blocks.
@@ -134,18 +135,21 @@ Strength = float | list[float] | Literal["estimated"]
 HIGHEST = 3
 """Degree of polynomials through four orientation images."""
 _BEGIN = {"m": 1.0, "mrad": 0.01}
-"""In each unit, where the search for an estimated strength begins."""
+"""In each unit, a-priori value of a strength that is "estimated"."""
 _NEGLIGIBLE = 1e-4
 """Of the constant's sigma, departures of what is a line in time beside the process of the other part."""
 _FOLLOWING = 0.01
 """Of the constant term's sigma: that of powers for which neither the pass nor [orientation] says any."""
 
 
-class _Times(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The times of a process."""
+class _OfProcess(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What all processes have."""
 
     correlation_time_s: float | None = None
     """In which departures forget themselves (gauss-markov: to 1/e), of gauss-markov and matern."""
+    sigma_factor: Annotated[float, msgspec.Meta(gt=1.0, le=1000.0)] | None = None
+    """Its strength is found from the measures; its sigma is the a-priori value, within this factor (one standard
+    deviation, common to the axes). Of "estimated" alone: e."""
 
 
 class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -160,8 +164,8 @@ class VibrationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     absorbed that is a little off; 0: not."""
 
 
-class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A further process, which adds to that of the table that it stands in."""
+class ProcessInput(_OfProcess, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A further process, which is added to that of its table."""
 
     model: Kind
     """Which."""
@@ -171,8 +175,8 @@ class ProcessInput(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True
     """The same of the attitude."""
 
 
-class _Motion(_Times, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What corrections of position and of attitude both have."""
+class _Motion(_OfProcess, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Keys that corrections of position and of attitude share."""
 
     model: Model = "polynomial"
     """A polynomial of time; or bias and drift with departures about them that are a Gaussian process: stationary with
@@ -229,7 +233,7 @@ _OF_PROCESSES = ("sigma", "bias_sigma", "drift_sigma")
 
 
 def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
-    """(degree + 1, 3) m or rad, of a polynomial's terms; those that are not said by `default` (n, 3), of [orientation].
+    """(degree + 1, 3) m or rad, of a polynomial's terms; unstated ones by `default` (n, 3), of [orientation].
 
     Raises
     ------
@@ -241,8 +245,8 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
     values, degree = getattr(motion, key), motion.degree
     if degree is None:
         degree = len(values) - 1 if values is not None else len(default) - 1
-    said = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
-    of = "[orientation]" if motion.degree is None and values is None else said
+    place = f"{where}, degree" if motion.degree is not None else f"{where}, {key}"
+    of = "[orientation]" if motion.degree is None and values is None else place
     if degree < 0:
         raise InputError(of, "no sigma" if motion.degree is None else f"{degree}", f"a degree of 0 to {HIGHEST}: one "
                          "sigma for each of its terms")  # fmt: skip
@@ -253,9 +257,9 @@ def polynomial_sigmas(motion: Motion, default: Array, where: str) -> Array:
         )  # fmt: skip
     if values is None:
         more = [_FOLLOWING * default[0]] * max(degree + 1 - len(default), 0)
-        found = np.array([*default[: degree + 1], *more])
-        require(np.all(np.isfinite(found)), where, "infinite sigmas, of [orientation]", "finite sigmas here")
-        return found
+        sigmas = np.array([*default[: degree + 1], *more])
+        require(np.all(np.isfinite(sigmas)), where, "infinite sigmas, of [orientation]", "finite sigmas here")
+        return sigmas
     if len(values) != degree + 1:
         terms = ", ".join(("1", "s", "s^2", "s^3")[: degree + 1])
         expected = f"{degree + 1} for degree = {degree}: of {terms}"
@@ -272,42 +276,43 @@ def processes(motion: Motion, where: str) -> tuple[Process, ...]:
         No strength; no correlation time where the kind has one; keys of another model.
     """
     _require_keys(motion, (*_OF_PROCESSES, "correlation_time_s", "plus"), where)
-    others = [_process(one, motion, f"{where}.plus[{k}]") for k, one in enumerate(motion.plus)]
-    return (_process(motion, motion, where), *others)
+    added = [_process(entry, motion, f"{where}.plus[{k}]") for k, entry in enumerate(motion.plus)]
+    return (_process(motion, motion, where), *added)
 
 
-def _process(one: Motion | ProcessInput, motion: Motion, where: str) -> Process:
-    """One of them; `motion` is the table that it stands in."""
-    assert one.model != "polynomial"
+def _process(entry: Motion | ProcessInput, motion: Motion, where: str) -> Process:
+    """One process; `motion` is the table that it stands in."""
+    assert entry.model != "polynomial"
     key = f"sigma_{motion.unit}"
-    for strange in ("sigma_m", "sigma_mrad"):
-        if strange != key and getattr(one, strange, None) is not None:
-            raise InputError(where, f"{strange}, of {motion.what}", key)
-    value = getattr(one, key)
+    for foreign in ("sigma_m", "sigma_mrad"):
+        if foreign != key and getattr(entry, foreign, None) is not None:
+            raise InputError(where, f"{foreign}, of {motion.what}", key)
+    value = getattr(entry, key)
     if value is None:
-        raise InputError(where, f"{one.model} without a sigma", f'{key}: a number, three, or "estimated"')
-    _require_time(one, where)
-    estimated = value == "estimated"
-    sigmas = np.full(3, _BEGIN[motion.unit]) if estimated else three(value, f"{where}, {key}")
+        raise InputError(where, f"{entry.model} without a sigma", f'{key}: a number, three, or "estimated"')
+    _require_time(entry, where)
+    sigmas = np.full(3, _BEGIN[motion.unit]) if value == "estimated" else three(value, f"{where}, {key}")
+    estimated = value == "estimated" or entry.sigma_factor is not None
+    spread = math.log(entry.sigma_factor or math.e)
     with errors_from(where):
-        return Process(one.model, sigmas * motion.scale, one.correlation_time_s or 0.0, estimated)
+        return Process(entry.model, sigmas * motion.scale, entry.correlation_time_s or 0.0, estimated, spread)
 
 
-def _require_time(one: Motion | ProcessInput, where: str) -> None:
+def _require_time(entry: Motion | ProcessInput, where: str) -> None:
     """Raise InputError unless a process has a correlation time where its kind has one."""
-    time, timed = one.correlation_time_s, one.model in ("gauss-markov", "matern-3/2", "matern-5/2")
+    time, timed = entry.correlation_time_s, entry.model in ("gauss-markov", "matern-3/2", "matern-5/2")
     if timed and (time is None or not 0.0 < time <= 1e9):
-        found = f"{one.model} without it" if time is None else f"{time:g}"
+        found = f"{entry.model} without it" if time is None else f"{time:g}"
         expected = "seconds in which departures forget themselves, above 0"
         remedy = 'nodes that know nothing of each other are a process model = "white"'
         raise InputError(f"{where}, correlation_time_s", found, expected, remedy)
     if not timed and time is not None:
-        found = f'correlation_time_s beside model = "{one.model}"'
+        found = f'correlation_time_s beside model = "{entry.model}"'
         raise InputError(where, found, "keys of that model alone", "take it out")
 
 
 def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Array]:
-    """(3,) m or rad, of bias and drift: beside a process as they are said, 0 for none; or a polynomial's two terms.
+    """(3,) m or rad, of bias and drift: beside a process as stated, 0 for none; or a polynomial's two terms.
 
     Raises
     ------
@@ -320,8 +325,8 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
             three(getattr(motion, key) or 0.0, f"{where}, {key}", zero=True) * motion.scale for key in keys
         )
         return bias, drift
-    said = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
-    sigmas = polynomial_sigmas(motion, default if said else default[:2], where)
+    stated = motion.degree is not None or getattr(motion, f"sigmas_{motion.unit}") is not None
+    sigmas = polynomial_sigmas(motion, default if stated else default[:2], where)
     if len(sigmas) > 2:
         found = f"a polynomial of degree {len(sigmas) - 1} beside a process of the other part"
         raise InputError(where, found, "degree 0 or 1", "a process here, too")
@@ -329,12 +334,12 @@ def trend_sigmas(motion: Motion, default: Array, where: str) -> tuple[Array, Arr
 
 
 def negligible_departures(bias: Array) -> tuple[Process, ...]:
-    """Departures that are next to nothing: of a part that is a line in time, with the sigma (3,) of its constant."""
+    """Negligible departures: of a part that is a line in time, with the sigma (3,) of its constant."""
     return (Process("white", _NEGLIGIBLE * bias),)
 
 
 def _require_keys(motion: Motion, allowed: tuple[str, ...], where: str) -> None:
-    """Raise InputError for keys that the model does not heed: they would change nothing, unsaid."""
+    """Raise InputError for keys that the model ignores."""
     for key, value in msgspec.structs.asdict(motion).items():
         if key != "model" and value not in (None, ()) and key not in allowed and key.rsplit("_", 1)[0] not in allowed:
             raise InputError(where, f'{key} beside model = "{motion.model}"', "keys of that model alone", "take it out")

@@ -68,9 +68,9 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Its orientation images; for polynomials four over the pass, and nothing to say. Of processes one every half
     correlation time when absent."""
     position: PositionInput = PositionInput()
-    """What is known of its positions beforehand."""
+    """A-priori errors of its positions."""
     attitude: AttitudeInput = AttitudeInput()
-    """What is known of its attitude beforehand."""
+    """A-priori errors of its attitude."""
     vibrations: tuple[VibrationInput, ...] | Literal["estimated"] = ()
     """Vibrations of its attitude, of known frequencies; "estimated": those that rays show are found."""
     prior: NodePriorInput | None = None
@@ -107,29 +107,29 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def _processes(self) -> list[Motion | ProcessInput]:
-        return [one for motion in (self.position, self.attitude) for one in (motion, *motion.plus)]
+        return [process for motion in (self.position, self.attitude) for process in (motion, *motion.plus)]
 
     def _spacing(self) -> float:
         """S between nodes that describe the fastest process: half its correlation time."""
-        times = [one.correlation_time_s / 2.0 for one in self._processes if one.correlation_time_s]
+        times = [process.correlation_time_s / 2.0 for process in self._processes if process.correlation_time_s]
         return min(times, default=SPACING)
 
     def _require_close(self, nodes: OrientationImages, where: str) -> None:
         """Raise InputError for nodes so far apart that they would stand for a slower process than the stated one."""
         limits = [
-            (time * _CORRELATION_TIMES, f"{one.model} of correlation time {time:g} s")
-            for one in self._processes
-            if (time := one.correlation_time_s)
+            (time * _CORRELATION_TIMES, f"{process.model} of correlation time {time:g} s")
+            for process in self._processes
+            if (time := process.correlation_time_s)
         ]
-        apart = float(np.diff(nodes.times).max())
+        spacing = float(np.diff(nodes.times).max())
         for most, what in sorted(limits)[:1]:
-            if apart > most * (1.0 + 1e-9):
-                found = f"nodes {apart:.4g} s apart for {what}"
+            if spacing > most * (1.0 + 1e-9):
+                found = f"nodes {spacing:.4g} s apart for {what}"
                 remedy = f"spacing_s = {self._spacing():.3g}, or leave the nodes out"
                 raise InputError(f"{where}.nodes", found, f"at most {most:.4g} s", remedy)
 
     def prior_of(self, where: str, default: OrientationPrior) -> PassPrior:
-        """What is known of the nodes beforehand; `default` is that of [orientation], `where` names this table."""
+        """Prior of the nodes; `default` is that of [orientation], `where` names this table."""
         if self.prior is not None:
             return self.prior.prior(f"{where}.prior")
         places = f"{where}.position", f"{where}.attitude"
@@ -149,7 +149,7 @@ class PassInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
             return ProcessPrior(parts[0], parts[1], bias, drift)
 
     def image_prior(self, where: str, default: OrientationPrior) -> OrientationPrior:
-        """About what is known of one of its images by itself: the constant and the linear part."""
+        """Approximate prior of one of its images by itself: the constant and the linear part."""
         prior = self.prior_of(where, default)
         if isinstance(prior, PolynomialPrior):
             return OrientationPrior(prior.coefficient_sigmas)
@@ -174,8 +174,8 @@ def members(entries: Sequence[PassInput], names: Sequence[str], path: str) -> li
             raise InputError(where, "an empty list", "names of images", "leave it out to take all that are left")
         for name in entry.images or ():
             if name not in index:
-                known = ", ".join(list(names)[:4])
-                raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
+                some_names = ", ".join(list(names)[:4])
+                raise InputError(where, f"the image {name!r}", f"some of the case's images ({some_names})")
             if index[name] in owner:
                 at = owner[index[name]]
                 called = f"pass {entries[at].name!r}" if entries[at].name else f"passes[{at}]"
@@ -213,25 +213,25 @@ def passes_of(
     path : str
         Case file, for errors.
     """
-    found = list[Pass]()
-    for number, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
-        where, pictures = f"{path}, passes[{number}]", [images[j] for j in mine]
-        groups = found_passes(pictures) if entry.sorted_by_time else [list(range(len(mine)))]
+    passes = list[Pass]()
+    for number, (entry, of_pass) in enumerate(zip(entries, of_entries, strict=True)):
+        where, pictures = f"{path}, passes[{number}]", [images[j] for j in of_pass]
+        groups = found_passes(pictures) if entry.sorted_by_time else [list(range(len(of_pass)))]
         for group in groups:
-            together = [pictures[k] for k in group]
-            name = entry.name if entry.name and len(groups) == 1 else f"{entry.name} {pass_name(together)}".strip()
-            usual = default(together[0].mission)
-            found.append(_pass(entry, name, np.array(mine)[group], together, usual, where, path))
-    return tuple(found)
+            of_group = [pictures[k] for k in group]
+            name = entry.name if entry.name and len(groups) == 1 else f"{entry.name} {pass_name(of_group)}".strip()
+            usual = default(of_group[0].mission)
+            passes.append(_pass(entry, name, np.array(of_pass)[group], of_group, usual, where, path))
+    return tuple(passes)
 
 
 def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int]]) -> list[str]:
-    """A sentence where images that are of no pass were taken at one time from one trajectory; of large blocks none."""
-    alone = sorted(set(range(len(images))).difference(*of_passes), key=lambda j: seconds(images[j]))
-    for one, other in pairwise(images[j] for j in alone[:_MOST_COMPARED]):
-        if seconds(other)[0] < seconds(one)[1] and len(found_passes([one, other])) == 1:
+    """A sentence where images without a pass were taken at one time from one trajectory; large blocks are skipped."""
+    unassigned = sorted(set(range(len(images))).difference(*of_passes), key=lambda j: seconds(images[j]))
+    for early, late in pairwise(images[j] for j in unassigned[:_MOST_COMPARED]):
+        if seconds(late)[0] < seconds(early)[1] and len(found_passes([early, late])) == 1:
             return [
-                f"{one.name} and {other.name} were taken at one time from one trajectory: [[passes]] adjusts it once, "
+                f"{early.name} and {late.name} were taken at one time from one trajectory: [[passes]] adjusts it once, "
                 "[[mountings]] the angles between their cameras (docs/passes.md)"
             ]
     return []
@@ -241,19 +241,19 @@ def vibration_unknowns(
     entries: Sequence[PassInput], of_entries: Sequence[Sequence[int]], network: Network, path: str
 ) -> tuple[SharedUnknown, ...]:
     """Stated vibrations of passes; arguments as of `mounting_unknowns`."""
-    found = list[SharedUnknown]()
-    for number, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
-        for k, one in enumerate(() if entry.vibrations == "estimated" else entry.vibrations):
+    unknowns = list[SharedUnknown]()
+    for number, (entry, of_pass) in enumerate(zip(entries, of_entries, strict=True)):
+        for k, vibration in enumerate(() if entry.vibrations == "estimated" else entry.vibrations):
             where = f"{path}, passes[{number}].vibrations[{k}]"
-            assert isinstance(one, VibrationInput)
-            sigmas = three(one.sigma_mrad, f"{where}, sigma_mrad") * MRAD
-            for owner in sorted({int(network.pass_of[j]) for j in mine}):
+            assert isinstance(vibration, VibrationInput)
+            sigmas = three(vibration.sigma_mrad, f"{where}, sigma_mrad") * MRAD
+            for owner in sorted({int(network.pass_of[j]) for j in of_pass}):
                 of = network.passes[owner]
                 with errors_from(where):
-                    sine = sine_over([network.images[j] for j in of.images.tolist()], one.frequency_hz)
-                    name = f"vibration of {one.frequency_hz:g} Hz, {of.name}"
-                    found.append(SharedUnknown.of_vibration(name, of.images, sine, sigmas, one.drift))
-    return tuple(found)
+                    sine = sine_over([network.images[j] for j in of.images.tolist()], vibration.frequency_hz)
+                    name = f"vibration of {vibration.frequency_hz:g} Hz, {of.name}"
+                    unknowns.append(SharedUnknown.of_vibration(name, of.images, sine, sigmas, vibration.drift))
+    return tuple(unknowns)
 
 
 def pass_name(images: Sequence[PushbroomImage]) -> str:
@@ -262,12 +262,12 @@ def pass_name(images: Sequence[PushbroomImage]) -> str:
 
 
 def _pass(
-    entry: PassInput, name: str, mine: Index, pictures: list[PushbroomImage], default: OrientationPrior, where: str,
+    entry: PassInput, name: str, indices: Index, pictures: list[PushbroomImage], default: OrientationPrior, where: str,
     path: str,
 ) -> Pass:  # fmt: skip
     axes = mountings(pictures, where, one_camera=entry.prior is not None)
     with errors_from(where, path):
-        return Pass(name, mine, entry.nodes_of(pictures, where), entry.prior_of(where, default), axes)
+        return Pass(name, indices, entry.nodes_of(pictures, where), entry.prior_of(where, default), axes)
 
 
 _MOST_COMPARED = 1000
@@ -298,9 +298,9 @@ class MountingInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Where the camera is, along its own axes x, y, z, from where its tables have it; not of the laser, nor of images
     that carry laser ranges."""
     boresight_sigma_mrad: Sigmas | None = None
-    """A-priori sigma of that rotation about x, y, z alike, or three numbers; absent: known."""
+    """A-priori sigma of that rotation: one for x, y and z, or three numbers; absent: known."""
     lever_arm_sigma_m: Sigmas | None = None
-    """A-priori sigma of that arm along x, y, z alike, or three numbers; absent: known."""
+    """A-priori sigma of that arm: one for x, y and z, or three numbers; absent: known."""
 
     @property
     def stated(self) -> bool:
@@ -353,39 +353,39 @@ def mounted_images(
     InputError
         An image in two mountings, or unknown; a nominal orientation as polynomials, which can't be moved.
     """
-    found, names = list(images), [image.name for image in images]
-    for k, mine in enumerate(mounted(entries, instruments, names, path)):
+    moved, names = list(images), [image.name for image in images]
+    for k, of_mounting in enumerate(mounted(entries, instruments, names, path)):
         if entries[k].stated:
-            for j in mine:
-                found[j] = _moved(found[j], entries[k], f"{path}, mountings[{k}]")
-    return tuple(found)
+            for j in of_mounting:
+                moved[j] = _moved(moved[j], entries[k], f"{path}, mountings[{k}]")
+    return tuple(moved)
 
 
 def mounted(
     entries: Sequence[MountingInput], instruments: Sequence[str], names: Sequence[str], path: str
 ) -> list[list[int]]:
     """Images of each mounting, ascending; of cameras, each image is of one at most."""
-    owner, found = dict[tuple[bool, int], int](), list[list[int]]()
+    owner, groups = dict[tuple[bool, int], int](), list[list[int]]()
     for k, entry in enumerate(entries):
         where = f"{path}, mountings[{k}]"
         entry.check(where)
         instrument = entry.instrument.upper()
-        alike = tuple(name for name, of in zip(names, instruments, strict=True) if of == instrument)
-        wanted = entry.camera or entry.laser or alike
-        if not wanted:
-            there = ", ".join(sorted({one for one in instruments if one})) or "none: ISDs and states don't say"
-            raise InputError(f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({there})")
-        for name in wanted:
+        of_instrument = tuple(name for name, of in zip(names, instruments, strict=True) if of == instrument)
+        members = entry.camera or entry.laser or of_instrument
+        if not members:
+            present = ", ".join(sorted({kind for kind in instruments if kind})) or "none: ISDs and states don't say"
+            raise InputError(f"{where}, instrument", f"{entry.instrument!r}, of no image", f"one of those ({present})")
+        for name in members:
             if name not in names:
-                known = ", ".join(list(names)[:4])
-                raise InputError(where, f"the image {name!r}", f"some of the case's images ({known})")
+                some_names = ", ".join(list(names)[:4])
+                raise InputError(where, f"the image {name!r}", f"some of the case's images ({some_names})")
             at = bool(entry.laser), list(names).index(name)
             if at in owner:
                 other = f"mountings[{owner[at]}]" if owner[at] != k else "it"
                 raise InputError(where, f"{name!r}, which {other} has already", "one mounting for each camera")
             owner[at] = k
-        found.append(sorted(list(names).index(name) for name in wanted))
-    return found
+        groups.append(sorted(list(names).index(name) for name in members))
+    return groups
 
 
 def _moved(image: PushbroomImage, entry: MountingInput, where: str) -> PushbroomImage:
@@ -401,7 +401,7 @@ def _moved(image: PushbroomImage, entry: MountingInput, where: str) -> Pushbroom
 
 
 def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> PositionTable:
-    """Positions that are away from those of a table by an arm (3,) in m along the camera's axes."""
+    """Positions of a table moved by an arm (3,) in m along the camera's axes."""
     times = np.unique(np.concatenate([position.times, camera.times]))
     times = times[(times >= position.times[0]) & (times <= position.times[-1])]
     places, velocities = position.at(times)
@@ -414,7 +414,7 @@ def _beside(position: PositionTable, camera: AttitudeTable, arm: Array) -> Posit
 def mounting_unknowns(
     entries: Sequence[MountingInput], of_entries: Sequence[Sequence[int]], network: Network, path: str
 ) -> tuple[SharedUnknown, ...]:
-    """What is unknown of mountings: of all images of a camera, or of those of each pass.
+    """Unknowns of mountings: one for all images of a camera, or one for each pass.
 
     Parameters
     ----------
@@ -432,16 +432,16 @@ def mounting_unknowns(
         For images of one camera that their tables have mounted otherwise in a pass; for a stated lever arm of an image
         that carries laser ranges.
     """
-    found = list[SharedUnknown]()
-    for k, (entry, mine) in enumerate(zip(entries, of_entries, strict=True)):
+    unknowns = list[SharedUnknown]()
+    for k, (entry, of_mounting) in enumerate(zip(entries, of_entries, strict=True)):
         where = f"{path}, mountings[{k}]"
         if not entry.laser:
-            _require_one_camera(network, mine, where)
+            _require_one_camera(network, of_mounting, where)
         if any(entry.lever_arm_m):
-            _require_no_ranges(network, mine, where)
+            _require_no_ranges(network, of_mounting, where)
         if entry.sharing == "fixed":
             continue
-        for after, images in _sharing(entry, mine, network):
+        for after, images in _sharing(entry, of_mounting, network):
             turned, moved = _KINDS[bool(entry.laser)]
             for kind, key, unit, word in (
                 (turned, "boresight_sigma_mrad", MRAD, "boresight"), (moved, "lever_arm_sigma_m", 1.0, "lever arm")
@@ -451,15 +451,15 @@ def mounting_unknowns(
                     called = entry.called().removeprefix(f"{word} of ")
                     name = f"{word} of {called}{after}"
                     with errors_from(where):
-                        found.append(SharedUnknown(name, kind, np.array(images), sigmas))
-    return tuple(found)
+                        unknowns.append(SharedUnknown(name, kind, np.array(images), sigmas))
+    return tuple(unknowns)
 
 
-def _require_no_ranges(network: Network, mine: Sequence[int], where: str) -> None:
+def _require_no_ranges(network: Network, of_mounting: Sequence[int], where: str) -> None:
     """Raise InputError for an arm of an image that carries ranges: the laser begins where its trajectory is, which the
     arm has moved for the camera.
     """
-    for j in np.intersect1d(network.ranges.image, mine)[:1].tolist():
+    for j in np.intersect1d(network.ranges.image, of_mounting)[:1].tolist():
         found = f"a stated arm of image {network.images[j].name}, whose trajectory is the origin of laser ranges"
         remedy = "lever_arm_sigma_m instead, which leaves ranges as they are, or a correction of its tables"
         raise InputError(f"{where}, lever_arm_m", found, "images without ranges", remedy)
@@ -471,28 +471,28 @@ _KINDS = {
 }
 
 
-def _sharing(entry: MountingInput, mine: Sequence[int], network: Network) -> list[tuple[str, list[int]]]:
+def _sharing(entry: MountingInput, of_mounting: Sequence[int], network: Network) -> list[tuple[str, list[int]]]:
     """What to add to an unknown's name, and the images that share it."""
     if entry.sharing == "campaign":
-        return [("", list(mine))]
+        return [("", list(of_mounting))]
     groups = dict[str, list[int]]()
-    for j in mine:
+    for j in of_mounting:
         owner = int(network.pass_of[j])
         groups.setdefault(network.passes[owner].name if owner >= 0 else network.images[j].name, []).append(j)
     return [(f", {name}", images) for name, images in groups.items()]
 
 
-def _require_one_camera(network: Network, mine: Sequence[int], where: str) -> None:
-    """Raise InputError where tables have images of one camera mounted otherwise in one pass."""
-    for owner in {int(network.pass_of[j]) for j in mine} - {-1}:
-        of_pass = [j for j in mine if int(network.pass_of[j]) == owner]
+def _require_one_camera(network: Network, of_mounting: Sequence[int], where: str) -> None:
+    """Raise InputError where images of one camera have different mountings in one pass."""
+    for owner in {int(network.pass_of[j]) for j in of_mounting} - {-1}:
+        of_pass = [j for j in of_mounting if int(network.pass_of[j]) == owner]
         first = network.axes_of(of_pass[0])
         for j in of_pass[1:] if first is not None else ():
             axes = network.axes_of(j)
             assert axes is not None
             assert first is not None
-            apart = float(np.linalg.norm(rotation.logarithm((axes @ first.T)[None])))
-            if apart > _LOOSE:
+            angle = float(np.linalg.norm(rotation.logarithm((axes @ first.T)[None])))
+            if angle > _LOOSE:
                 names = f"images {network.images[of_pass[0]].name} and {network.images[j].name}"
-                found = f"{names} of one camera, mounted {apart / DEG:.3g} deg apart in {network.passes[owner].name}"
-                raise InputError(where, found, "images of one camera, mounted alike", "give each camera its own table")
+                found = f"{names} of one camera, mounted {angle / DEG:.3g} deg apart in {network.passes[owner].name}"
+                raise InputError(where, found, "one mounting for each camera", "give each camera its own table")

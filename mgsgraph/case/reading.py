@@ -1,4 +1,4 @@
-"""A case file (TOML) names the inputs of an adjustment and what is known of them beforehand; here it becomes a network.
+"""A case file (TOML) names the inputs of an adjustment and their a-priori values; here it becomes a network.
 
 Paths are relative to the case file.
 """
@@ -49,7 +49,7 @@ _LEAST_SHOTS = 12
 """Over the terrain model, by whose heights it is compared with the laser."""
 _LIKELY, _LEAST_OFF = 0.1, 20.0
 """Share of an offset in height, and m, by which another reference surface explains it."""
-_FAR_APART = 5.0
+_TOO_FAR = 5.0
 """Sigmas of a terrain model's heights, and of the shots' scatter about it, by which both may differ as a whole."""
 
 
@@ -96,7 +96,7 @@ class Case(Record):
         return f"Case({self.name!r}: {self.network!r})"
 
     def require_images_of(self, solution: "Solution") -> None:
-        """Raise InputError where it has none of a solution's images: then it is another one's case."""
+        """Raise InputError where it has none of a solution's images: it is the case of another solution."""
         own, others = (sorted(image.name for image in net.images) for net in (self.network, solution.network))
         if not set(own) & set(others):
             found = f"images such as {own[0]}"
@@ -127,30 +127,30 @@ def read_case(path: str | Path, laser: bool = True, ties: Path | None = None) ->
     Network(2 images, 20 points (20 tie), 40 rays, 0 ranges)
     """
     path = Path(path)
-    wanted = decode(path)
+    tables = decode(path)
     if ties is not None:
-        wanted = structs.replace(wanted, ties=TiesInput(network=str(Path.cwd() / ties)))
-    of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
-    images = read_images(wanted, wanted.orientations, of_passes, path)
-    return case_of(wanted, path, images, laser)
+        tables = structs.replace(tables, ties=TiesInput(network=str(Path.cwd() / ties)))
+    of_passes = members(tables.passes, [image.name for image in tables.images], str(path))
+    images = read_images(tables, tables.orientations, of_passes, path)
+    return case_of(tables, path, images, laser)
 
 
-def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], laser: bool = True) -> Case:
+def case_of(tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...], laser: bool = True) -> Case:
     """The case of a file's tables and the images that they name, which have been read; see `read_case`."""
     folder = path.parent
-    of_passes = members(wanted.passes, [image.name for image in wanted.images], str(path))
-    priors = wanted.priors(str(path), images)
+    of_passes = members(tables.passes, [image.name for image in tables.images], str(path))
+    priors = tables.priors(str(path), images)
     parts = Parts(images)
-    passes = _read_passes(wanted, of_passes, images, path)
-    parts.passes = [Members(tuple(one.images.tolist()), one.axes) for one in passes]
+    passes = _read_passes(tables, of_passes, images, path)
+    parts.passes = [Members(tuple(pass_.images.tolist()), pass_.axes) for pass_ in passes]
     names = [image.name for image in images]
-    tie_points, windows, notes = _read_ties(wanted, parts, folder)
+    tie_points, windows, notes = _read_ties(tables, parts, folder)
     if tie_points:
         parts.add_points(tie_points, PointClass.TIE, 1.0, windows)
-    notes += [*_unread_keys(wanted, folder), *rig_notes(images, of_passes)]
-    if wanted.ground_control:
-        file = folder / wanted.ground_control.file
-        datum = wanted.ground_control.datum
+    notes += [*_unread_keys(tables, folder), *rig_notes(images, of_passes)]
+    if tables.ground_control:
+        file = folder / tables.ground_control.file
+        datum = tables.ground_control.datum
         stated = NAMED[datum] if isinstance(datum, str) else Ellipsoid(*datum) if datum else None
         if stated is None and stated_datum(file) is None:
             size = f"{images[0].body.equatorial:.9g} and {images[0].body.polar:.9g} m"
@@ -158,66 +158,66 @@ def case_of(wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...], l
         control, left_out = in_images(read_ground_control(file, images[0].body, stated), names)
         notes += [left_out] if left_out else []
         parts.add_points(control, PointClass.CONTROL, 1.0)
-    profiles = _add_laser(parts, wanted, path) if laser else ()
+    profiles = _add_laser(parts, tables, path) if laser else ()
     if not parts.count:
         found, remedy = "neither ties nor ground control nor laser", f"find ties in the images: mgsgraph match {path}"
         raise Unmeasured(str(path), found, "at least one of them", remedy)
-    settings = wanted.solver.settings
-    held = np.array([image.held for image in wanted.images])
-    radii, areoid, models = _read_terrain(wanted, path, images)
-    network = parts.network(priors, held, radii, areoid, next(iter(wanted.terrain_models), None))
+    settings = tables.solver.settings
+    held = np.array([image.held for image in tables.images])
+    radii, areoid, models = _read_terrain(tables, path, images)
+    network = parts.network(priors, held, radii, areoid, next(iter(tables.terrain_models), None))
     with errors_from(str(path)):
         network = replace(network, passes=passes)
-    network = _with_shared(network, wanted, of_passes, path, laser, parts.shared)
-    network = _with_considered(network, wanted, path, laser)
-    _require_same_heights(network, wanted, profiles, path)
+    network = _with_shared(network, tables, of_passes, path, laser, parts.shared)
+    network = _with_considered(network, tables, path, laser)
+    _require_same_heights(network, tables, profiles, path)
     _require_seeing_images(network, notes)
-    pictures = tuple(picture_of(image, folder) for image in wanted.images)
-    files = tuple(folder / entry.network for entry in wanted.tie_groups)
+    pictures = tuple(picture_of(image, folder) for image in tables.images)
+    files = tuple(folder / entry.network for entry in tables.tie_groups)
     return Case(
-        wanted.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
-        tuple(notes), _vibrating(wanted, of_passes, passes),
+        tables.name, path, network, settings, tie_points, profiles, pictures, models, parts.footprints, files,
+        tuple(notes), _vibrating(tables, of_passes, passes),
     )  # fmt: skip
 
 
-def _vibrating(wanted: CaseInput, of_passes: Sequence[Sequence[int]], passes: Sequence[Pass]) -> tuple[str, ...]:
+def _vibrating(tables: CaseInput, of_passes: Sequence[Sequence[int]], passes: Sequence[Pass]) -> tuple[str, ...]:
     """Names of passes whose vibrations are to be found."""
-    asking = [one.vibrations == "estimated" for one in wanted.passes]
-    images = {j for asks, mine in zip(asking, of_passes, strict=True) for j in mine if asks}
-    return tuple(one.name for one in passes if int(one.images[0]) in images)
+    asking = [entry.vibrations == "estimated" for entry in tables.passes]
+    images = {j for asks, of_pass in zip(asking, of_passes, strict=True) for j in of_pass if asks}
+    return tuple(pass_.name for pass_ in passes if int(pass_.images[0]) in images)
 
 
-def _unread_keys(wanted: CaseInput, folder: Path) -> list[str]:
+def _unread_keys(tables: CaseInput, folder: Path) -> list[str]:
     """A sentence for each label of shots and of grids that has keys which look geometric and which nothing reads."""
-    files: list[tuple[Path, tuple[Key, ...]]] = [(folder / one.file, SHOT_LABEL) for one in wanted.shots]
-    grids = [name for one in wanted.terrain_models for name in (*one.grids, one.topography, one.areoid) if name]
+    files: list[tuple[Path, tuple[Key, ...]]] = [(folder / entry.file, SHOT_LABEL) for entry in tables.shots]
+    grids = [name for entry in tables.terrain_models for name in (*entry.grids, entry.topography, entry.areoid) if name]
     files += [((folder / name).with_suffix(".lbl"), GRID_LABEL) for name in grids]
-    said = []
+    sentences = []
     for path, keys in files:
         if path.suffix.lower() == ".lbl" and path.is_file():
             names = unread(map(str.upper, flat_label(read_text(path), str(path)).entries), keys)
-            said += [f"{path.name}: nothing reads the key {', '.join(names)}"] if names else []
-    return said
+            sentences += [f"{path.name}: nothing reads the key {', '.join(names)}"] if names else []
+    return sentences
 
 
 def _read_passes(
-    wanted: CaseInput, of_passes: list[list[int]], images: tuple[PushbroomImage, ...], path: Path
+    tables: CaseInput, of_passes: list[list[int]], images: tuple[PushbroomImage, ...], path: Path
 ) -> tuple[Pass, ...]:
     """Trajectories that some of the images share."""
-    if not wanted.passes:
+    if not tables.passes:
         return ()
-    default = partial(wanted.orientation.prior, f"{path}, orientation")
-    passes = passes_of(wanted.passes, of_passes, images, default, str(path))
-    for one in [one for one in passes if one.axes is not None and wanted.solver.angles != "camera"][:1]:
-        found = f"{wanted.solver.angles!r} for cameras mounted against each other, of pass {one.name!r}"
+    default = partial(tables.orientation.prior, f"{path}, orientation")
+    passes = passes_of(tables.passes, of_passes, images, default, str(path))
+    for pass_ in [pass_ for pass_ in passes if pass_.axes is not None and tables.solver.angles != "camera"][:1]:
+        found = f"{tables.solver.angles!r} for cameras mounted against each other, of pass {pass_.name!r}"
         raise InputError(f"{path}, solver, angles", found, '"camera"')
     return passes
 
 
 def _require_same_heights(
-    network: Network, wanted: CaseInput, profiles: Sequence[AltimeterShots], path: Path
+    network: Network, tables: CaseInput, profiles: Sequence[AltimeterShots], path: Path
 ) -> None:
-    """Raise InputError where laser and terrain model are far apart in height: something is stated wrongly."""
+    """Raise InputError where laser and terrain model differ much in height: a statement is wrong."""
     surface = network.surface
     shots = network.points.places[network.points.classes == PointClass.LASER]
     if surface is None or len(shots) < _LEAST_SHOTS:
@@ -228,8 +228,8 @@ def _require_same_heights(
         return
     middle = float(np.median(off))
     scatter = 1.4826 * float(np.median(np.abs(off - middle)))
-    entry = wanted.terrain_models[0]
-    if abs(middle) > _FAR_APART * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
+    entry = tables.terrain_models[0]
+    if abs(middle) > _TOO_FAR * np.hypot(scatter, np.hypot(entry.vertical_sigma_m, entry.height_sigma_m or 0.0)):
         likely = _likely_surface(entry, middle, shots, network.images[0].body, profiles)
         found = f"heights {-middle:+.0f} m off those of the laser (median of {off.size} shots){likely}"
         raise InputError(
@@ -241,48 +241,48 @@ def _require_same_heights(
 def _likely_surface(
     entry: TerrainInput, off: float, shots: Array, body: Ellipsoid, profiles: Sequence[AltimeterShots]
 ) -> str:
-    """What heights that lie off the laser by so much would be above, where they are stated above a sphere."""
+    """The surface above which heights that differ so from the laser may be, where they are stated above a sphere."""
     stated = entry.reference_radius_m
     if stated is None:
         return ""
-    areoid = np.concatenate([one.areoid_radii for one in profiles]) if profiles else np.zeros(0)
+    areoid = np.concatenate([profile.areoid_radii for profile in profiles]) if profiles else np.zeros(0)
     levels = {"the ellipsoid": surface_radii(shots, body), "the areoid": areoid[np.isfinite(areoid)]}
-    levels |= {f"the sphere {name}": np.array([one.equatorial]) for name, one in NAMED.items()}
-    apart = {name: abs(off - float(np.median(one) - stated)) for name, one in levels.items() if one.size}
-    nearest = min(apart, key=lambda name: apart[name])
-    return f", as heights above {nearest} would be" if apart[nearest] < max(_LIKELY * abs(off), _LEAST_OFF) else ""
+    levels |= {f"the sphere {name}": np.array([ellipsoid.equatorial]) for name, ellipsoid in NAMED.items()}
+    offsets = {name: abs(off - float(np.median(level) - stated)) for name, level in levels.items() if level.size}
+    nearest = min(offsets, key=lambda name: offsets[name])
+    return f", as heights above {nearest} would be" if offsets[nearest] < max(_LIKELY * abs(off), _LEAST_OFF) else ""
 
 
-def _with_considered(network: Network, wanted: CaseInput, path: Path, laser: bool) -> Network:
+def _with_considered(network: Network, tables: CaseInput, path: Path, laser: bool) -> Network:
     """The network with unknowns that are considered, not estimated; those of the laser go with its rows."""
-    models = [model_name(entry) for entry in wanted.terrain_models[:1] if entry.grids]
-    names = tuple(TERRAIN if name in models else name for name in wanted.considered)
+    models = [model_name(entry) for entry in tables.terrain_models[:1] if entry.grids]
+    names = tuple(TERRAIN if name in models else name for name in tables.considered)
     if not laser:
-        there = (*network.shift_names, *(one.name for one in network.shared))
-        names = tuple(name for name in names if name in there)
-    if network.surface_shifts and not wanted.terrain_models[0].shift:
+        present = (*network.shift_names, *(unknown.name for unknown in network.shared))
+        names = tuple(name for name in names if name in present)
+    if network.surface_shifts and not tables.terrain_models[0].shift:
         names += (TERRAIN,)
     with errors_from(str(path)):
         return replace(network, considered=names)
 
 
 def _with_shared(
-    network: Network, wanted: CaseInput, of_passes: Sequence[Sequence[int]], path: Path, laser: bool,
+    network: Network, tables: CaseInput, of_passes: Sequence[Sequence[int]], path: Path, laser: bool,
     of_profiles: Sequence[SharedUnknown],
 ) -> Network:  # fmt: skip
     """The network with the unknowns that its images share, and with heights and beams of profiles; those of the laser
     go with its rows.
     """
     names = [image.name for image in network.images]
-    shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(wanted.shared))
-    of_mountings = mounted(wanted.mountings, instruments(wanted, path), names, str(path))
-    unknown = mounting_unknowns(wanted.mountings, of_mountings, network, str(path))
+    shared = tuple(entry.unknown(names, f"{path}, shared[{k}]") for k, entry in enumerate(tables.shared))
+    of_mountings = mounted(tables.mountings, instruments(tables, path), names, str(path))
+    unknown = mounting_unknowns(tables.mountings, of_mountings, network, str(path))
     _require_once(shared, unknown, names, path)
     shared += unknown
     if not laser:
-        shared = tuple(one for one in shared if not one.kind.of_laser)
+        shared = tuple(entry for entry in shared if not entry.kind.of_laser)
     shared += tuple(of_profiles)
-    shared += vibration_unknowns(wanted.passes, of_passes, network, str(path))
+    shared += vibration_unknowns(tables.passes, of_passes, network, str(path))
     if not shared:
         return network
     with errors_from(str(path)):
@@ -295,10 +295,10 @@ def _require_once(
     shared: Sequence[SharedUnknown], mountings: Sequence[SharedUnknown], names: Sequence[str], path: Path
 ) -> None:
     """Raise InputError where both [[shared]] and [[mountings]] have a boresight or lever arm of one image."""
-    for one in mountings:
+    for mounting in mountings:
         for other in shared:
-            for j in np.intersect1d(one.images, other.images)[: int(one.kind is other.kind)].tolist():
-                found = f"a {one.kind} of image {names[j]} in [[shared]], too ({other.name})"
+            for j in np.intersect1d(mounting.images, other.images)[: int(mounting.kind is other.kind)].tolist():
+                found = f"a {mounting.kind} of image {names[j]} in [[shared]], too ({other.name})"
                 raise InputError(f"{path}, mountings", found, "one of the two")
 
 
@@ -341,15 +341,15 @@ def picture_of(entry: ImageInput, folder: Path) -> Path | None:
     return folder / entry.label
 
 
-def _read_ties(wanted: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, Array, list[str]]:
+def _read_ties(tables: CaseInput, parts: Parts, folder: Path) -> tuple[TiePoints | None, Array, list[str]]:
     """Tie points of all control networks, the windows (k, 2) of their measures as `Parts.add_points` takes them, and
     what was left out; each file is checked by itself, so that errors name it.
     """
     of_images = {
-        image.name: image.measure_sigma_px for image in wanted.images if image.measure_sigma_px is not None
+        image.name: image.measure_sigma_px for image in tables.images if image.measure_sigma_px is not None
     }
     groups, windows, notes = [], [np.zeros((0, 2))], []
-    for entry in wanted.tie_groups:
+    for entry in tables.tie_groups:
         path = folder / entry.network
         window = window_beside(path) if entry.window_px is None else entry.window_px
         points = read_tie_points(path, parts.images[0].body)
@@ -373,18 +373,18 @@ def window_beside(network: Path) -> float:
         return 2.0 * float(read_record(record)["settings"]["half_window"]) + 1.0
 
 
-def _add_laser(parts: Parts, wanted: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
+def _add_laser(parts: Parts, tables: CaseInput, path: Path) -> tuple[AltimeterShots, ...]:
     """Shots of ISIS lidar files, of other altimetry, and of profiles; those of the latter are returned."""
-    if wanted.laser is True:
+    if tables.laser is True:
         raise InputError(f"{path}, laser", "true", "false, or a table (or several) with the shots' file")
-    for group in wanted.laser_groups:
+    for group in tables.laser_groups:
         parts.add_profile(read_lidar(path.parent / group.file), group)
-    for altimetry in wanted.altimetry:
+    for altimetry in tables.altimetry:
         parts.add_altimetry(read_altimetry(altimetry, path.parent, parts.images[0].body), altimetry)
-    stated = [one for one in wanted.shared if one.kind == "altimeter boresight"]
-    pointed = frozenset(name for one in stated for name in one.images or [image.name for image in wanted.images])
-    pointed |= {name for one in wanted.mountings if one.boresight_sigma_mrad is not None for name in one.laser}
-    return tuple(parts.add_shots(read_profile(entry, path.parent), entry, pointed) for entry in wanted.shots)
+    stated = [entry for entry in tables.shared if entry.kind == "altimeter boresight"]
+    pointed = frozenset(name for entry in stated for name in entry.images or [image.name for image in tables.images])
+    pointed |= {name for entry in tables.mountings if entry.boresight_sigma_mrad is not None for name in entry.laser}
+    return tuple(parts.add_shots(read_profile(entry, path.parent), entry, pointed) for entry in tables.shots)
 
 
 def read_profile(entry: ShotsInput, folder: Path) -> AltimeterShots:
@@ -407,7 +407,7 @@ def read_altimetry(entry: AltimetryInput, folder: Path, body: Ellipsoid) -> Alti
 
 
 def _read_terrain(
-    wanted: CaseInput, path: Path, images: tuple[PushbroomImage, ...]
+    tables: CaseInput, path: Path, images: tuple[PushbroomImage, ...]
 ) -> tuple[TerrainGrid | None, TerrainGrid | None, tuple[TerrainModel, ...]]:
     """Radii of the first terrain model, where they are control, and the areoid, where it is known; all models whose
     posts are control by relief.
@@ -415,7 +415,7 @@ def _read_terrain(
     radii: TerrainGrid | None = None
     areoid: TerrainGrid | None = None
     models = list[TerrainModel]()
-    for k, entry in enumerate(wanted.terrain_models):
+    for k, entry in enumerate(tables.terrain_models):
         if k and not entry.cells:
             found = "shift = false, a tilt or control = false in a terrain model after the first"
             expected = "a grid with an unknown horizontal place: tie points lie on the first model alone"

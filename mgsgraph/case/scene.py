@@ -1,4 +1,4 @@
-"""A case's images with their pixels over its ground, to be matched; ties need not be there yet."""
+"""A case's images with their pixels over its ground, to be matched; ties may be missing."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -61,18 +61,18 @@ def read_scene(
     """
     path = Path(path)
     _require_sound(height, height_sigma)
-    wanted = decode(path)
-    names = [image.name for image in wanted.images]
-    if len(wanted.images) < 2:
+    tables = decode(path)
+    names = [image.name for image in tables.images]
+    if len(tables.images) < 2:
         raise InputError(str(path), "one image", "two that overlap, at least")
-    of_passes = members(wanted.passes, names, str(path))
-    images = read_images(wanted, wanted.orientations, of_passes, path)
-    priors = image_priors(wanted, of_passes, images, path)
+    of_passes = members(tables.passes, names, str(path))
+    images = read_images(tables, tables.orientations, of_passes, path)
+    priors = image_priors(tables, of_passes, images, path)
     pictures = tuple(
-        Picture(image, read_picture(picture_file(wanted, j, path)), prior)
+        Picture(image, read_picture(picture_file(tables, j, path)), prior)
         for j, (image, prior) in enumerate(zip(images, priors, strict=True))
     )
-    return wanted.name, Scene(pictures, _ground(wanted, images, path, height, height_sigma))
+    return tables.name, Scene(pictures, _ground(tables, images, path, height, height_sigma))
 
 
 def _require_sound(height: float | None, height_sigma: float | None) -> None:
@@ -82,44 +82,44 @@ def _require_sound(height: float | None, height_sigma: float | None) -> None:
         raise InputError("sigma of the ground's height", f"{height_sigma}", "a positive number of metres")
 
 
-def picture_file(wanted: CaseInput, image: int, path: Path) -> Path:
+def picture_file(tables: CaseInput, image: int, path: Path) -> Path:
     """File of an image's pixels; InputError where the case at `path` names none."""
-    file = picture_of(wanted.images[image], path.parent)
+    file = picture_of(tables.images[image], path.parent)
     if file is None:
-        where = f"{path}, image {wanted.images[image].name}"
+        where = f"{path}, image {tables.images[image].name}"
         raise InputError(where, "no pixels", 'pixels = "FILE" (ISIS cube, GeoTIFF, PDS image)', "add it to [[images]]")
     return file
 
 
 def image_priors(
-    wanted: CaseInput, of_passes: Sequence[Sequence[int]], images: Sequence[PushbroomImage], path: Path
+    tables: CaseInput, of_passes: Sequence[Sequence[int]], images: Sequence[PushbroomImage], path: Path
 ) -> list[OrientationPrior]:
-    """Of each image; one of a pass has what is known of that."""
-    priors, entries = list(wanted.priors(str(path), images)), wanted.passes
-    for k, (entry, mine) in enumerate(zip(entries, of_passes, strict=True)):
-        for j in mine:
-            default = wanted.orientation.prior(f"{path}, orientation", images[j].mission)
+    """Prior of each image; an image of a pass has the prior of the pass."""
+    priors, entries = list(tables.priors(str(path), images)), tables.passes
+    for k, (entry, of_pass) in enumerate(zip(entries, of_passes, strict=True)):
+        for j in of_pass:
+            default = tables.orientation.prior(f"{path}, orientation", images[j].mission)
             priors[j] = entry.image_prior(f"{path}, passes[{k}]", default)
     return priors
 
 
 def _ground(
-    wanted: CaseInput, images: Sequence[PushbroomImage], path: Path, height: float | None, height_sigma: float | None
+    tables: CaseInput, images: Sequence[PushbroomImage], path: Path, height: float | None, height_sigma: float | None
 ) -> Ground:
     body = images[0].body
     terrain: TerrainGrid | None = None
-    for model in wanted.terrain_models[:1]:
+    for model in tables.terrain_models[:1]:
         terrain = as_grid(read_terrain_model(model, path, images)[0])
     chart = _chart(images, height or 0.0)
-    seen = _heights(wanted, images, path, terrain) if height is None else np.array([height])
-    if seen.size == 0:
+    heights = _heights(tables, images, path, terrain) if height is None else np.array([height])
+    if heights.size == 0:
         raise InputError(
             str(path), "neither a terrain model nor laser shots under the images", "the height of their ground",
             "add [terrain], or give --height METRES",
         )
     if height_sigma is None:
-        height_sigma = _ABOUT_MODEL if terrain is not None else max(_LEAST_SIGMA, 2.0 * float(seen.std()))
-    ground = Ground(chart, body, float(seen.mean()), height_sigma, terrain)
+        height_sigma = _ABOUT_MODEL if terrain is not None else max(_LEAST_SIGMA, 2.0 * float(heights.std()))
+    ground = Ground(chart, body, float(heights.mean()), height_sigma, terrain)
     return replace(ground, terrain=terrain.around(_places(images, ground.height))) if terrain is not None else ground
 
 
@@ -142,7 +142,7 @@ def _places(images: Sequence[PushbroomImage], height: float) -> Array:
     return places
 
 
-def _seen(images: Sequence[PushbroomImage], points: Array) -> Array:
+def _in_images(images: Sequence[PushbroomImage], points: Array) -> Array:
     """(n, 3) m, those of points (k, 3) that lie in an image, or beside it by its width."""
     inside = np.zeros(len(points), dtype=bool)
     for image in images:
@@ -152,7 +152,7 @@ def _seen(images: Sequence[PushbroomImage], points: Array) -> Array:
 
 
 def _heights(
-    wanted: CaseInput, images: Sequence[PushbroomImage], path: Path, terrain: TerrainGrid | None
+    tables: CaseInput, images: Sequence[PushbroomImage], path: Path, terrain: TerrainGrid | None
 ) -> Array:
     """(n,) m above the ellipsoid, of the terrain model under the images or else of the case's laser shots."""
     if terrain is not None:
@@ -160,8 +160,8 @@ def _heights(
         radii = terrain.at(places)
         places *= (radii / np.linalg.norm(places, axis=1))[:, None]
     else:
-        shots = [read_lidar(path.parent / group.file).footprints for group in wanted.laser_groups]
-        shots += [(one := read_profile(entry, path.parent)).footprints[one.ground] for entry in wanted.shots]
-        places = _seen(images, np.concatenate([np.zeros((0, 3)), *shots]))
+        shots = [read_lidar(path.parent / group.file).footprints for group in tables.laser_groups]
+        shots += [(profile := read_profile(entry, path.parent)).footprints[profile.ground] for entry in tables.shots]
+        places = _in_images(images, np.concatenate([np.zeros((0, 3)), *shots]))
     places = places[np.all(np.isfinite(places), axis=1)]
     return geodetic(places, images[0].body)[:, 2] if places.size else np.zeros(0)

@@ -131,7 +131,7 @@ class OrientationInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Factor of the constant term's sigma for each power of u, at u = 1; 1, 0.1, then 0.01 when absent."""
 
     def nominal_of(self, image: PushbroomImage) -> PushbroomImage:
-        """An image with the nominal orientation that is said here."""
+        """An image with the nominal orientation of this table."""
         if self.nominal == "trajectory":
             return image
         return (fit_polynomials if self.nominal == "polynomial" else fit_attitude)(image, self.nominal_order)
@@ -158,7 +158,7 @@ class ImageInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """By which networks and shots refer to it; when absent, ISIS's serial number (of a cube or label), or what support
     data call it (`image_identifier`), or the file's name without its ending."""
     image: str | None = None
-    """The image, by a file of any of the kinds below; which it is, is told by what is in it."""
+    """The image, by a file of any of the kinds below; its content tells the kind."""
     list: str | None = None
     """Several images: an ISIS list, one file in every line, relative to the list; what stands beside is for each."""
     isd: str | None = None
@@ -285,7 +285,7 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sigma_s: Sigma | None = None
     """Of a time bias."""
     sigma_mrad: float | list[float] | None = None
-    """Of a boresight: about the camera's axes x, y, z alike, or three numbers."""
+    """Of a boresight: one for the camera's axes x, y and z, or three numbers."""
     sigma_m: float | list[float] | None = None
     """Of a range bias or a focal length; of a radial distortion at the pixel farthest from the principal point; of a
     principal point along the camera's x and y alike, or two numbers; of an orbit's position radially, along and across
@@ -297,18 +297,18 @@ class SharedInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """The record; `names` are those of all images, and `where` names this table in errors."""
         kind = SharedKind(self.kind)
         scale, unit = (MRAD, "mrad") if kind.unit == "rad" else kind.reported
-        wanted = f"sigma_{unit}"
+        sigma_key = f"sigma_{unit}"
         given = {key: value for key in _SHARED_SIGMAS if (value := getattr(self, key)) is not None}
-        if set(given) != {wanted}:
-            raise InputError(where, listed(list(given)) if given else "no sigma", f"{wanted} for {self.kind}")
+        if set(given) != {sigma_key}:
+            raise InputError(where, listed(list(given)) if given else "no sigma", f"{sigma_key} for {self.kind}")
         for name in self.images:
             if name not in names:
-                found, known = f"the image {name!r}", ", ".join(list(names)[:4])
-                raise InputError(f"{where}, images", found, f"some of the case's images ({known})")
+                found, some_names = f"the image {name!r}", ", ".join(list(names)[:4])
+                raise InputError(f"{where}, images", found, f"some of the case's images ({some_names})")
             if self.images.count(name) > 1:
                 raise InputError(f"{where}, images", f"{name!r} twice", "each image once")
         members = [list(names).index(name) for name in self.images or names]
-        sigmas = _sigmas(given[wanted], kind.width, f"{where}, {wanted}", self.kind) * scale
+        sigmas = _sigmas(given[sigma_key], kind.width, f"{where}, {sigma_key}", self.kind) * scale
         with errors_from(where):
             return SharedUnknown(self.name or self.kind, kind, np.array(members), sigmas)
 
@@ -397,11 +397,11 @@ class CaseInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def orientations(self) -> list[OrientationInput]:
-        """Of each image: its own, or that of all."""
+        """[orientation] of each image: its own, or that of the case."""
         return [image.orientation or self.orientation for image in self.images]
 
     def priors(self, where: str, images: Sequence[PushbroomImage]) -> tuple[OrientationPrior, ...]:
-        """Of the corrections of each image, which has been read; `where` names the file in errors."""
+        """Priors of the corrections of all images, which have been read; `where` names the file in errors."""
         return tuple(
             orientation.prior(
                 f"{where}, images[{j}].orientation" if self.images[j].orientation else f"{where}, orientation",

@@ -108,7 +108,7 @@ class _Files(NamedTuple):
     def read(
         self, names: Sequence[str], kind: TerrainKind, areoid: TerrainGrid | None = None
     ) -> "TerrainGrid | TerrainRaster":
-        """Tiles put together, as far as they lie near; `areoid`: what rasters of topography are above."""
+        """Mosaic of the tiles near the images; `areoid`: what rasters of topography are above."""
         tiles = [tile for name in names if (tile := self._tile(self.folder / name, kind, areoid)) is not None]
         if not tiles:
             paths = ", ".join(str(self.folder / name) for name in names)
@@ -151,7 +151,7 @@ class _Files(NamedTuple):
 
 
 def _require_body(lattice: PostLattice, body: Ellipsoid) -> None:
-    """Raise InputError unless some of its posts are about as far from the middle of the body as its surface."""
+    """Raise InputError unless some of its posts are about as far from the body's center as its surface."""
     rows, columns = np.nonzero(np.isfinite(lattice.values))
     some = np.linspace(0, rows.size - 1, min(rows.size, _SAMPLE)).astype(np.int64) if rows.size else np.zeros(0, int)
     rows, columns = rows[some], columns[some]
@@ -184,9 +184,9 @@ def require_level(areoid: TerrainGrid, body: Ellipsoid) -> None:
 
 def _about(ground: Array) -> Array:
     """(4 n, 3) m, points beside those of the ground (n, 3) by as far as heights and orientation may be wrong."""
-    known = ground[np.all(np.isfinite(ground), axis=1)]
-    aside = _BEYOND * east_north(known)
-    return np.concatenate([known + sign * aside[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
+    finite = ground[np.all(np.isfinite(ground), axis=1)]
+    offsets = _BEYOND * east_north(finite)
+    return np.concatenate([finite + sign * offsets[:, axis] for axis in range(2) for sign in (-1.0, 1.0)])
 
 
 def _ground(images: Sequence[PushbroomImage]) -> Array:

@@ -1,4 +1,4 @@
-"""Solutions as other programs take them: SPICE kernels, CSM support data, ISIS, ASP, GIS."""
+"""Exports of solutions to other programs: SPICE kernels, CSM support data, ISIS, ASP, GIS."""
 
 from enum import StrEnum
 

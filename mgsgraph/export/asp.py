@@ -78,8 +78,8 @@ def _files(solution: Solution, named: Mapping[str, str]) -> list[str]:
     names = [image.name for image in solution.network.images]
     for name in named:
         if name not in names:
-            found, known = f"the image {name!r}", ", ".join(names[:4])
-            raise InputError("images of the export", found, f"some of the solution's images ({known})")
+            found, some_names = f"the image {name!r}", ", ".join(names[:4])
+            raise InputError("images of the export", found, f"some of the solution's images ({some_names})")
     for name, file in named.items():
         if not file or len(file.split()) != 1:
             raise InputError(f"image {name!r}", f"the file {file!r}", "a name without blanks, as the lists need it")
@@ -96,7 +96,7 @@ def _has_pixels(file: str) -> bool:
 
 
 def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> ControlNetwork:
-    """The adjusted network with measures that took part alone, and images called by their files."""
+    """The adjusted network with only the measures that took part, and images named by their files."""
     network = adjusted_network(solution, scaled=scaled)
     file = dict(zip((image.name for image in solution.network.images), files, strict=True))
     ids, rays = solution.network.points.ids, solution.network.rays
@@ -119,7 +119,7 @@ def _taking_part(solution: Solution, files: Sequence[str], scaled: bool) -> Cont
 
 
 def _as_control(network: ControlNetwork) -> ControlNetwork:
-    """Adjusted points as constrained ones; fixed ones stay so."""
+    """Adjusted points as constrained ones; fixed points stay fixed."""
     points = [
         point if point.type == PointType.FIXED else msgspec.structs.replace(
             point, type=PointType.CONSTRAINED, apriori=point.adjusted, apriori_covariance=point.adjusted_covariance
@@ -143,8 +143,8 @@ def _readme(solution: Solution, written: Sequence[str], scaled: bool) -> str:
     lists = f"--image-list {IMAGE_LIST} --camera-list {CAMERA_LIST}{sample}"
     meant = "times sigma0" if scaled else "for sigma0 = 1"
     sizes = f"geodetic, on the ellipsoid of {body.equatorial / KM:.10g} and {body.polar / KM:.10g} km"
-    kept = int(np.sum(solution.rays_used))
-    left_out = "" if kept == solution.rays_used.size else f", {solution.rays_used.size - kept} left out as rejected"
+    used = int(np.sum(solution.rays_used))
+    left_out = "" if used == solution.rays_used.size else f", {solution.rays_used.size - used} left out as rejected"
     notes = [
         f"Solution {solution.name!r} of mgsgraph {version}, for the Ames Stereo Pipeline.",
         *([] if solution.converged else ["It did NOT converge."]),
@@ -152,7 +152,7 @@ def _readme(solution: Solution, written: Sequence[str], scaled: bool) -> str:
         f"{IMAGE_LIST}, {CAMERA_LIST}: go together line by line. Put the images into this folder, and the cameras",
         f"  (IMAGE{STATE}), which mgsgraph export SOLUTION --to asp writes, or write other paths.",
         f"{PREFIX}-*.match: free points; places are float32." if matches else "No free point: no match files.",
-        f"Measures that took part: {kept}{left_out}.",
+        f"Measures that took part: {used}{left_out}.",
         *([f"{CONTROL}: constrained and fixed points as they were given, with a-priori sigmas along X, Y, Z."]
           if control else []),
         *([f"{ADJUSTED}: all points as adjusted, to hold other images to this ground; its sigmas are",

@@ -1,4 +1,4 @@
-"""What jigsaw's users look for: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
+"""Tables of jigsaw: bundleout_images.csv, bundleout_points.csv, bundleout_lidar.csv and residuals.csv, with
 jigsaw's names, order and units of columns.
 
 Latitudes are planetocentric, coordinates km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
@@ -62,9 +62,9 @@ def common_degree(solution: Solution) -> int:
     """Highest degree of the polynomials of images and passes; jigsaw's usual 2 where none has any."""
     network = solution.network
     degrees = [network.priors[j].degree for j in np.flatnonzero(network.with_polynomial).tolist()]
-    for one in network.passes:
-        if isinstance(one.prior, PolynomialPrior):
-            degrees.append(max(len(one.prior.attitude_sigmas), len(one.prior.position_sigmas)) - 1)
+    for pass_ in network.passes:
+        if isinstance(pass_.prior, PolynomialPrior):
+            degrees.append(max(len(pass_.prior.attitude_sigmas), len(pass_.prior.position_sigmas)) - 1)
     return max(degrees, default=_USUAL_DEGREE)
 
 
@@ -85,7 +85,7 @@ def orientation_polynomials(solution: Solution, image: str | int, degree: int) -
         outward = np.swapaxes(trajectory.body.at(moments.times)[0], 1, 2)
     position = [np.einsum("nij,nj->ni", outward, pose.position) for pose in (before, after)]
     matrix = [pose.matrix @ np.swapaxes(outward, 1, 2) for pose in (before, after)]
-    angles = [rotation.angles_313(one) for one in matrix]
+    angles = [rotation.angles_313(attitude) for attitude in matrix]
     values = np.hstack([position[0], np.unwrap(angles[0], axis=0)])
     moved = np.hstack([position[1] - position[0], in_turn(angles[1] - angles[0])])
     to_angles = np.linalg.solve(_axes(matrix[1], angles[1]), turn)
@@ -131,14 +131,14 @@ def _sigmas(
 def _pass_sigmas(
     network: Network, owner: int, lines: Array, image: int, turned: Sequence[Array], fit: Array, axes: Array
 ) -> Array:
-    """(6 (d + 1),) a-priori sigmas of an image's coefficients by what is known of its pass's nodes and trend."""
-    one, moments = network.passes[owner], network.images[image].moments(lines)
-    basis, _ = one.nodes.dense(moments.times, moments.epoch)
+    """(6 (d + 1),) a-priori sigmas of an image's coefficients by the priors of its pass's nodes and trend."""
+    pass_, moments = network.passes[owner], network.images[image].moments(lines)
+    basis, _ = pass_.nodes.dense(moments.times, moments.epoch)
     halves = [np.einsum("nij,nk->nikj", part, basis) for part in (turned[0], turned[1] @ axes)]
     design = np.zeros((lines.size, 6, basis.shape[1], 6))
     design[:, :3, :, :3], design[:, 3:, :, 3:] = halves
     rows = np.einsum("kn,nc...->ck...", fit, design).reshape(6 * fit.shape[0], -1)
-    return prior_sigmas(one, rows)
+    return prior_sigmas(pass_, rows)
 
 
 IMAGES, POINTS, LIDAR, RESIDUALS = (
@@ -222,15 +222,15 @@ def _image_rms(solution: Solution) -> Array:
     return np.sqrt(np.stack([sample, line, 0.5 * (sample + line)], axis=1))
 
 
-def _coefficients(found: OrientationPolynomials, factor: float, held: bool) -> Iterator[str]:
+def _coefficients(polynomials: OrientationPolynomials, factor: float, held: bool) -> Iterator[str]:
     """Of each coefficient initial value, correction and final value (km, degrees), a-priori and adjusted sigma (m,
     degrees).
     """
     for c in range(len(PARAMETERS)):
         size, spread = (KM, 1.0) if c < 3 else (DEG, DEG)
-        for k in range(found.before.shape[1]):
-            before, correction = float(found.before[c, k]) / size, float(found.correction[c, k]) / size
-            prior, sigma = found.prior[c, k] / spread, found.sigma[c, k] / spread * factor
+        for k in range(polynomials.before.shape[1]):
+            before, correction = float(polynomials.before[c, k]) / size, float(polynomials.correction[c, k]) / size
+            prior, sigma = polynomials.prior[c, k] / spread, polynomials.sigma[c, k] / spread * factor
             yield from map(repr, (before, correction, before + correction))
             yield "N/A" if np.isnan(prior) else "FREE" if np.isinf(prior) else f"{prior:.8g}"
             yield "N/A" if held and sigma == 0.0 else f"{sigma:.8f}" if sigma > 1e-4 else f"{sigma:.8g}"
@@ -256,9 +256,9 @@ def _points_csv(solution: Solution, factor: float) -> str:
         [quoted(name) for name in points.ids], picked([kind.name for kind in PointKind], points.kinds).tolist(),
         accepted.tolist(), rejected, np.sqrt(squares / np.maximum(2 * accepted, 1)),
     )  # fmt: skip
-    every = list(zip(*columns, numbers.tolist(), strict=True))
-    kept = np.flatnonzero(~rejected_points(solution)).tolist()
-    return "".join([_POINTS_HEAD, *(form.format(*values, *figures) for *values, figures in (every[i] for i in kept))])
+    rows = list(zip(*columns, numbers.tolist(), strict=True))
+    written = np.flatnonzero(~rejected_points(solution)).tolist()
+    return "".join([_POINTS_HEAD, *(form.format(*values, *figures) for *values, figures in (rows[i] for i in written))])
 
 
 def _lidar_csv(solution: Solution) -> str:
@@ -266,7 +266,7 @@ def _lidar_csv(solution: Solution) -> str:
     network, ranges = solution.network, solution.network.ranges
     used = np.flatnonzero(solution.ranges_used)
     residuals = solution.range_residuals
-    numbers = np.column_stack([ranges.values, ranges.sigmas, ranges.values - residuals, residuals])[used] / KM
+    numbers = np.column_stack([ranges.values, network.range_sigmas, ranges.values - residuals, residuals])[used] / KM
     names = [quoted(image.name) for image in network.images]
     rows = [
         f"{quoted(network.points.ids[i])},{names[j]},{measured:.8f},{sigma:.8f},{adjusted:.8f},N/A,{residual:.8f}\n"
@@ -285,8 +285,8 @@ def _residuals_csv(solution: Solution) -> str:
     order = order[np.isfinite(solution.residuals[order]).all(axis=1)]
     focal = np.empty((rays.point.size, 2))
     for j in np.unique(rays.image).tolist():
-        mine = rays.image == j
-        focal[mine], _ = solution.image(j).interior.focal_plane(rays.places[mine, 1])
+        of_image = rays.image == j
+        focal[of_image], _ = solution.image(j).interior.focal_plane(rays.places[of_image, 1])
     residuals = solution.residuals[:, ::-1]
     magnitude = np.hypot(residuals[:, 0], residuals[:, 1])
     places = np.column_stack([focal / MM, rays.places[:, ::-1] + ISIS_OFFSET])
@@ -294,8 +294,8 @@ def _residuals_csv(solution: Solution) -> str:
     ids, names = [quoted(name) for name in network.points.ids], [quoted(image.name) for image in network.images]
     form = "{},{},{}," + ",".join([_NUMBER] * 7) + "{}\n"
     marks = picked((",*", ""), solution.rays_used[order].astype(np.int64))
-    seen = zip(rays.point[order].tolist(), rays.image[order].tolist(), numbers, marks, strict=True)
-    rows = [form.format(ids[i], names[j], names[j], *figures, mark) for i, j, figures, mark in seen]
+    measures = zip(rays.point[order].tolist(), rays.image[order].tolist(), numbers, marks, strict=True)
+    rows = [form.format(ids[i], names[j], names[j], *figures, mark) for i, j, figures, mark in measures]
     return "".join([_RESIDUALS_HEAD, *rows])
 
 

@@ -149,17 +149,17 @@ def _tables(tables: RefinedTables) -> dict[str, Any]:
     }
 
 
-def _elevations(said: dict[str, Any]) -> dict[str, float]:
-    unit = KM if said.get("unit") == "km" else 1.0
-    return {"m_minElevation": float(said["minheight"]) * unit, "m_maxElevation": float(said["maxheight"]) * unit}
+def _elevations(heights: dict[str, Any]) -> dict[str, float]:
+    unit = KM if heights.get("unit") == "km" else 1.0
+    return {"m_minElevation": float(heights["minheight"]) * unit, "m_maxElevation": float(heights["maxheight"]) * unit}
 
 
-def _sun(said: dict[str, Any], tables: RefinedTables, body: Turning) -> dict[str, list[float]]:
+def _sun(stated: dict[str, Any], tables: RefinedTables, body: Turning) -> dict[str, list[float]]:
     """The Sun in m and m/s, body-fixed, at the image's middle, from which getSunPosition goes on evenly."""
-    times = np.asarray(said["ephemeris_times"], dtype=np.float64) - tables.epoch
-    vectors = [np.asarray(said.get(key, np.zeros((times.size, 3))), dtype=np.float64) * KM
+    times = np.asarray(stated["ephemeris_times"], dtype=np.float64) - tables.epoch
+    vectors = [np.asarray(stated.get(key, np.zeros((times.size, 3))), dtype=np.float64) * KM
                for key in ("positions", "velocities")]  # fmt: skip
-    place, motion = (np.array([np.interp(0.0, times, one[:, axis]) for axis in range(3)]) for one in vectors)
+    place, motion = (np.array([np.interp(0.0, times, vector[:, axis]) for axis in range(3)]) for vector in vectors)
     ((matrix,), (angular_rate,)) = body(np.zeros(1))
     fixed = matrix @ place
     velocity = matrix @ motion - np.cross(angular_rate, fixed)
@@ -264,9 +264,9 @@ def write_csm(
         has: which field is said.
     """
     originals = originals or {}
-    known = {image.name for image in solution.network.images}
-    for name in sorted((originals.keys() | (files or {}).keys()) - known):
-        raise InputError(f"file of {name}", "no image of the solution", f"one that was adjusted ({min(known)}, ...)")
+    names = {image.name for image in solution.network.images}
+    for name in sorted((originals.keys() | (files or {}).keys()) - names):
+        raise InputError(f"file of {name}", "no image of the solution", f"one that was adjusted ({min(names)}, ...)")
     stems = file_stems(solution, files)
     texts = dict[str, str | bytes]()
     for j, stem in enumerate(stems):
@@ -274,8 +274,8 @@ def write_csm(
         original = _original(image, originals.get(image.name), _heights(solution))
         tables = refined_tables(image, solution.correction(j))
         body = body_table(tables, _body_rotation(image, originals.get(image.name)))
-        said = _provenance(solution) + _inertial_words(image, image.name in originals)
-        data = _support_data(image, tables, body, original) | {"mgsgraph": said}
+        provenance = _provenance(solution) + _inertial_words(image, image.name in originals)
+        data = _support_data(image, tables, body, original) | {"mgsgraph": provenance}
         if support:
             _require_timing(image)
             texts[stem + SUPPORT_DATA] = _text(data)
@@ -307,7 +307,7 @@ def _provenance(solution: Solution) -> str:
 
 
 def _inertial_words(image: PushbroomImage, original: bool) -> str:
-    """What reference_frame doesn't say where nobody knows how the body turns in J2000."""
+    """reference_frame of an image whose body's rotation in J2000 is unknown."""
     if isinstance(image.trajectory, Trajectory) or original:
         return ""
     return " Inertial axes are not J2000's but the body's own at center_ephemeris_time."
@@ -332,19 +332,19 @@ def _heights(solution: Solution) -> dict[str, Any]:
 
 
 def _original(image: PushbroomImage, path: Path | None, heights: dict[str, Any]) -> dict[str, Any]:
-    """What support data say that the adjustment doesn't know; with ALE's own words for what nobody said."""
+    """What support data say that the adjustment doesn't know; with ALE's own words for what is missing."""
     unknown = {
         "isis_camera_version": 2, "name_platform": "UNKNOWN", "name_sensor": "UNKNOWN", "detector_line_summing": 1,
         "reference_height": heights, "naif_keywords": {},
     }  # fmt: skip
     if path is None:
         return unknown
-    said = read_json(path)
-    if (said.get("image_lines"), said.get("image_samples")) != (image.lines, image.samples):
-        found = f"{said.get('image_lines')} x {said.get('image_samples')} lines x samples"
+    content = read_json(path)
+    if (content.get("image_lines"), content.get("image_samples")) != (image.lines, image.samples):
+        found = f"{content.get('image_lines')} x {content.get('image_samples')} lines x samples"
         raise InputError(str(path), found, f"those of image {image.name}, {image.lines} x {image.samples}")
-    known = (*unknown, "sun_position", "body_rotation", "instrument_pointing")
-    return unknown | {key: said[key] for key in known if key in said}
+    keys = (*unknown, "sun_position", "body_rotation", "instrument_pointing")
+    return unknown | {key: content[key] for key in keys if key in content}
 
 
 def _body_rotation(image: PushbroomImage, path: Path | None) -> Turning:
@@ -372,9 +372,9 @@ def _require_timing(image: PushbroomImage) -> None:
         return
     late = np.concatenate([timing.first_lines[1:], timing.first_lines[1:] + 0.5])
     k = np.tile(np.arange(timing.first_lines.size - 1), 2)
-    gone_on = timing.start_times[k] + (late - timing.first_lines[k]) * timing.periods[k]
+    extrapolated = timing.start_times[k] + (late - timing.first_lines[k]) * timing.periods[k]
     true = timing.start_times[k + 1] + (late - timing.first_lines[k + 1]) * timing.periods[k + 1]
-    off = np.abs(gone_on - true) / timing.periods[k + 1]
+    off = np.abs(extrapolated - true) / timing.periods[k + 1]
     if off.max() > _TIMING_TOLERANCE:
         line = timing.first_lines[k[off.argmax()] + 1]
         raise InputError(
@@ -392,23 +392,23 @@ def _support_data(
     if summing != image.interior.sample_summing:
         where = f"image {image.name}, detector_sample_summing"
         raise InputError(where, f"{image.interior.sample_summing:g}", "a whole number")
-    kept = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
-    found = support_fields(
+    carried = {k: v for k, v in original.items() if k not in ("sun_position", "body_rotation", "instrument_pointing")}
+    fields = support_fields(
         image, tables.epoch, _position_table(tables, body), _pointing_table(tables, body, original),
         _body_table(tables.epoch, body, original), _no_sun(tables),
     )  # fmt: skip
-    return kept | found | {
+    return carried | fields | {
         "detector_sample_summing": summing,
         "naif_keywords": _naif_keywords(original["naif_keywords"], image.interior.focal_length),
-        "sun_position": original.get("sun_position", found["sun_position"]),
+        "sun_position": original.get("sun_position", fields["sun_position"]),
     }
 
 
-def _naif_keywords(said: Mapping[str, Any], focal_length: float) -> dict[str, Any]:
+def _naif_keywords(stated: Mapping[str, Any], focal_length: float) -> dict[str, Any]:
     """ISIS's keywords: positions are geometric whatever they were, and the focal length may have been adjusted."""
     renewed: dict[str, Any] = {"_LIGHTTIME_CORRECTION": "NONE", "_FOCAL_LENGTH": focal_length / MM}
-    ends = {key: end for key in said for end in renewed if key.endswith(end)}
-    keywords = dict(said) | {key: renewed[end] for key, end in ends.items()}
+    ends = {key: end for key in stated for end in renewed if key.endswith(end)}
+    keywords = dict(stated) | {key: renewed[end] for key, end in ends.items()}
     if "_LIGHTTIME_CORRECTION" not in ends.values():
         keywords["INS0_LIGHTTIME_CORRECTION"] = "NONE"
     return keywords
@@ -426,11 +426,11 @@ def _body_table(epoch: float, body: AttitudeTable, original: Mapping[str, Any]) 
     return _rotation_table(epoch + body.times, *body.at(body.times), original.get("body_rotation"))
 
 
-def _rotation_table(times: Array, matrices: Array, rates: Array, said: Any) -> RotationTable:
+def _rotation_table(times: Array, matrices: Array, rates: Array, stated: Any) -> RotationTable:
     """Rotation table of attitudes (n, 3, 3), inertial to the frame, with angular rates (n, 3), rad/s about the frame's
     axes; those of ALE and NAIF are about inertial ones.
     """
-    frames = said.get("constant_frames") if isinstance(said, dict) else None
+    frames = stated.get("constant_frames") if isinstance(stated, dict) else None
     return msgspec.structs.replace(
         rotation_table(times, rotation.continuous(rotation.from_matrix(matrices)), np.eye(3)),
         time_dependent_frames=[frames[0], J2000] if frames else None,

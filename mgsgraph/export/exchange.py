@@ -63,7 +63,7 @@ _ELSEWHERE = "name another file; or say --replace"
 
 @dataclass(frozen=True, slots=True)
 class Conversion(Record):
-    """What was read, written and lost."""
+    """Networks and files read and written, and what was lost."""
 
     network: ControlNetwork
     written: tuple[Path, ...]
@@ -76,7 +76,7 @@ class Conversion(Record):
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What of the networks that are read is written."""
+    """The part of the read networks that is written."""
 
     duplicates: Duplicates = Duplicates.REFUSE
     """What becomes of points that several files have."""
@@ -87,7 +87,7 @@ class Selection:
 
 
 class Lossy(InputError):
-    """A format that can't hold all of a network, where all was asked for; `lost` says of what."""
+    """A format can't hold all of a network, and `strict` forbids losses; `lost` lists them."""
 
     def __init__(self, output: Path, lost: Sequence[str]) -> None:
         found = f"it can't hold {many(len(lost), 'kind')} of things ({lost[0]}{'; ...' if len(lost) > 1 else ''})"
@@ -148,7 +148,7 @@ def read_networks(
             dropped = many(tracks.contradictory, "point")
             notes.append(f"Left out, having two places in one image, as the Ames Stereo Pipeline does: {dropped}")
         if setting.prefix is None and not setting.old_names():
-            names = dict.fromkeys(name for one in matches for name in one.images)
+            names = dict.fromkeys(name for match in matches for name in match.images)
             notes.append(f"Images, by the names of the match files: {some(list(names), len(names))}")
     networks += [_read(path, form, setting) for path, form in forms if form not in _MATCHES]
     require_one_body(networks, setting)
@@ -161,21 +161,21 @@ def read_networks(
 def _require_inside(network: ControlNetwork, sizes: Mapping[str, tuple[int, int]]) -> None:
     """Raise InputError unless all measures that count lie on those images whose sizes are known."""
     beyond = [
-        (point.id, one)
+        (point.id, m)
         for point in network.points
-        for one in point.measures
-        if not (one.ignore or point.ignore)
-        and (size := sizes.get(one.serial_number)) is not None
-        and one.line is not None
-        and one.sample is not None
-        and not all(_EDGE <= place <= count + _EDGE for place, count in zip((one.line, one.sample), size, strict=True))
+        for m in point.measures
+        if not (m.ignore or point.ignore)
+        and (size := sizes.get(m.serial_number)) is not None
+        and m.line is not None
+        and m.sample is not None
+        and not all(_EDGE <= place <= count + _EDGE for place, count in zip((m.line, m.sample), size, strict=True))
     ]
     if beyond:
-        name, one = beyond[0]
-        lines, samples = sizes[one.serial_number]
+        name, worst = beyond[0]
+        lines, samples = sizes[worst.serial_number]
         raise InputError(
-            f"{network.source}, point {name}, image {one.serial_number}",
-            f"line {one.line:g}, sample {one.sample:g} (counted from 1), and {len(beyond) - 1} more beyond theirs",
+            f"{network.source}, point {name}, image {worst.serial_number}",
+            f"line {worst.line:g}, sample {worst.sample:g} (counted from 1), and {len(beyond) - 1} more beyond theirs",
             f"places inside {lines} lines x {samples} samples",
             "the case's image may be another one or a part of it; leave the size out to convert nevertheless",
         )
@@ -183,23 +183,23 @@ def _require_inside(network: ControlNetwork, sizes: Mapping[str, tuple[int, int]
 
 def _listed(paths: Paths) -> list[Path]:
     """One path or several, as a list; InputError for none, or one twice."""
-    found = [Path(one) for one in ([paths] if isinstance(paths, str | Path) else paths)]
-    if not found:
+    listed = [Path(item) for item in ([paths] if isinstance(paths, str | Path) else paths)]
+    if not listed:
         raise InputError("convert", "nothing to read", "one file or more")
-    seen = set[Path]()
-    for path in found:
-        if (place := resolved(path, "")) in seen:
+    resolved_paths = set[Path]()
+    for path in listed:
+        if (place := resolved(path, "")) in resolved_paths:
             raise InputError(str(path), "given twice", "each file once")
-        seen.add(place)
-    return found
+        resolved_paths.add(place)
+    return listed
 
 
 def _match(path: Path, form: Format, setting: ExchangeSetting) -> MatchFile:
     """One match file; its images by the names that are known, unless a prefix is."""
     if not os.path.exists(path):  # said before its name is taken apart, which may be a pattern that met nothing
         raise InputError(str(path), "no such file", remedy="check the path")
-    known = () if setting.prefix is not None else setting.old_names()
-    return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, known, setting.prefix))
+    names = () if setting.prefix is not None else setting.old_names()
+    return (read_match if form == Format.MATCH else read_match_text)(path, named_images(path, names, setting.prefix))
 
 
 def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
@@ -214,20 +214,20 @@ def _read(path: Path, form: Format, setting: ExchangeSetting) -> ControlNetwork:
 
 
 def _merged(networks: Sequence[ControlNetwork], duplicates: Duplicates, notes: list[str]) -> ControlNetwork:
-    """All points, with the head of the first network that names its body; what is to be said goes to `notes`."""
+    """All points, with the head of the first network that names its body; sentences are added to `notes`."""
     if len(networks) == 1:
         return networks[0]
-    points, said = united(networks, duplicates)
-    notes += said
-    return structs.replace(leading(networks), points=points, source=", ".join(one.source for one in networks))
+    points, sentences = united(networks, duplicates)
+    notes += sentences
+    return structs.replace(leading(networks), points=points, source=", ".join(network.source for network in networks))
 
 
 def _other_heads(networks: Sequence[ControlNetwork]) -> list[str]:
-    """A note, where networks have heads that several can't have together."""
+    """A note where heads of networks differ and one must be chosen."""
     first = leading(networks)
     bare = structs.replace(first, points=(), source="")
-    others = [one.source for one in networks if one.network_id and structs.replace(one, points=(), source="") != bare]
-    return [f"NetworkId, Description and dates are those of {first.source}"] if others else []
+    sources = [n.source for n in networks if n.network_id and structs.replace(n, points=(), source="") != bare]
+    return [f"NetworkId, Description and dates are those of {first.source}"] if sources else []
 
 
 def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwork:
@@ -244,8 +244,8 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
 
     def of_point(point: ControlPoint) -> ControlPoint:
         measures = tuple(
-            structs.replace(one, serial_number=names.get(one.serial_number, one.serial_number))
-            for one in point.measures
+            structs.replace(measure, serial_number=names.get(measure.serial_number, measure.serial_number))
+            for measure in point.measures
         )
         return structs.replace(point, measures=measures)
 
@@ -253,7 +253,7 @@ def _renamed(network: ControlNetwork, names: Mapping[str, str]) -> ControlNetwor
 
 
 def contents(network: ControlNetwork, output: Path, form: Format, setting: ExchangeSetting) -> dict[Path, bytes]:
-    """Contents of the files that a network becomes, by their paths; InputError where it can't."""
+    """Contents of a network's files by their paths; InputError where the format can't hold it."""
     if form in _MATCHES:
         return match_files(network, prefix_of(output, images_of(network)), form == Format.MATCH_TEXT)
     if form == Format.GCP:
@@ -322,16 +322,16 @@ def convert(
         remedy = "name what is written last; or say --replace"
         raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
     network, notes = read_networks(paths, setting, read_as, selection.duplicates)
-    network, said = in_images(network, selection.images) if selection.images else (network, [])
+    network, sentences = in_images(network, selection.images) if selection.images else (network, [])
     files, more = _files(network, output, form, setting, selection.split)
-    lost = losses(network, form)
+    lossy = losses(network, form)
     _require_others(paths, files)
     for path in files:
-        require_free(path, None if anything else earlier_network(form, path), remedy=_ELSEWHERE)
-    if strict and lost:
-        raise Lossy(output, lost)
+        require_free(path, None if anything else replaceable_network(form, path), remedy=_ELSEWHERE)
+    if strict and lossy:
+        raise Lossy(output, lossy)
     _write(files)
-    return Conversion(network, tuple(files), (*notes, *said, *more), tuple(lost))
+    return Conversion(network, tuple(files), (*notes, *sentences, *more), tuple(lossy))
 
 
 def _files(
@@ -340,14 +340,14 @@ def _files(
     """Contents of all files by their paths; of parts the names are numbered, and there are sentences about them."""
     if not split:
         return contents(network, output, form, setting), []
-    files, said = dict[Path, bytes](), list[str]()
+    files, sentences = dict[Path, bytes](), list[str]()
     for number, part in enumerate(connected_parts(network), start=1):
         path = output.with_name(f"{output.stem}_{number}{output.suffix}")
         files |= contents(part, path, form, setting)
         names = images_of(part)
-        said.append(f"Part {number}: {many(len(part.points), 'point')} in {many(len(names), 'image')} "
+        sentences.append(f"Part {number}: {many(len(part.points), 'point')} in {many(len(names), 'image')} "
                     f"({some(names, len(names))})")  # fmt: skip
-    return files, said
+    return files, sentences
 
 
 def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
@@ -363,11 +363,11 @@ def connected_parts(network: ControlNetwork) -> list[ControlNetwork]:
     members: dict[int, list[ControlPoint]] = {}
     bare = list[ControlPoint]()
     for point, images in zip(network.points, used, strict=True):
-        first = images[:1] or [number[one.serial_number] for one in point.measures[:1]]
+        first = images[:1] or [number[measure.serial_number] for measure in point.measures[:1]]
         (members.setdefault(part[first[0]], []) if first else bare).append(point)
-    found = sorted(members.values(), key=len, reverse=True) or [[]]
-    found[0] += bare
-    return [structs.replace(network, points=tuple(points)) for points in found]
+    groups_by_size = sorted(members.values(), key=len, reverse=True) or [[]]
+    groups_by_size[0] += bare
+    return [structs.replace(network, points=tuple(points)) for points in groups_by_size]
 
 
 def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None:
@@ -378,11 +378,11 @@ def _require_others(inputs: Sequence[Path], files: Mapping[Path, bytes]) -> None
 
 
 def _write(files: Mapping[Path, bytes]) -> None:
-    """All of them, or none: each is written aside before the first takes its place."""
+    """All files or none: each is written to a temporary file before the first is moved."""
     with ExitStack() as stack:
         asides = [stack.enter_context(fresh_file(path, "a file that may be written")) for path in files]
-        for aside, content in zip(asides, files.values(), strict=True):
-            aside.write_bytes(content)
+        for temporary, content in zip(asides, files.values(), strict=True):
+            temporary.write_bytes(content)
 
 
 _NVM = "a network of VisualSFM"
@@ -390,8 +390,8 @@ _OFFSETS = offsets_path(Path(".nvm")).name.removeprefix(".nvm")
 _PAIR = ("first", "second")
 
 
-def earlier_network(form: Format, path: Path) -> Output:
-    """What a file has to be by its content to be replaced by a network of a format, or by a part of one."""
+def replaceable_network(form: Format, path: Path) -> Output:
+    """Content by which a file may be replaced by a network of a format, or by a part of one."""
     match form:
         case Format.PVL:
             return begins("an ISIS control network as PVL", r"\s*Object\s*=\s*ControlNetwork\b")
@@ -412,7 +412,7 @@ def earlier_network(form: Format, path: Path) -> Output:
 
 
 def _read_by(read: Callable[[Path], object]) -> Callable[[Path], bool]:
-    """Whether a reader takes a file, of a kind whose beginning doesn't tell."""
+    """Whether a reader accepts a file whose beginning doesn't tell its kind."""
 
     def known(path: Path) -> bool:
         try:

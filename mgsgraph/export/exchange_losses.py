@@ -37,7 +37,7 @@ _TAKEN = {
 
 
 def _keys(*tables: dict[str, str]) -> dict[str, str]:
-    """ISIS's keywords by what they are in the record."""
+    """ISIS's keywords by fields of the record."""
     return {attribute: key for table in tables for key, attribute in table.items()}
 
 
@@ -74,16 +74,16 @@ def losses(network: ControlNetwork, form: Format) -> list[str]:
     """
     if form in (Format.PVL, Format.NET):
         return []
-    taken = _taken(network, form)
+    written = _taken(network, form)
     lines = _left_out(network, form)
     if head := [word for name, word in _OF_NETWORK.items() if getattr(network, name)]:
         lines.append(f"{listed(head)} of the network")
-    measures = [measure for point in taken for measure in _measures(point, form)]
-    lines += _fields(taken, _OF_POINT, _HELD[form], "point") + _fields(measures, _OF_MEASURE, _HELD[form], "measure")
+    measures = [measure for point in written for measure in _measures(point, form)]
+    lines += _fields(written, _OF_POINT, _HELD[form], "point") + _fields(measures, _OF_MEASURE, _HELD[form], "measure")
     lines += _figures(measures)
     if form in _TABLES:
         return lines + _of_table(network)
-    lines += _line("MeasureType of {}", sum(one.type != MeasureType.CANDIDATE for one in measures), "measure")
+    lines += _line("MeasureType of {}", sum(m.type != MeasureType.CANDIDATE for m in measures), "measure")
     rows = measures_of(network, *_TAKEN[form])
     if form == Format.NVM:
         return lines + _of_nvm(rows)
@@ -95,7 +95,7 @@ def _taken(network: ControlNetwork, form: Format) -> list[ControlPoint]:
     if form not in _TAKEN:
         return list(network.points)
     types, least = _TAKEN[form]
-    return [one for one in network.points if takes_part(one, types) and len(_measures(one, form)) >= least]
+    return [point for point in network.points if takes_part(point, types) and len(_measures(point, form)) >= least]
 
 
 def _measures(point: ControlPoint, form: Format) -> list[ControlMeasure]:
@@ -113,11 +113,11 @@ def _left_out(network: ControlNetwork, form: Format) -> list[str]:
     lines += _line("{}", sum(point.ignore for point in network.points), "ignored point")
     few = sum(len(_measures(point, form)) < least for point in rest)
     lines += _line("{} that fewer than two images see", few, "point")
-    return lines + _line("{}", sum(one.ignore for point in rest for one in point.measures), "ignored measure")
+    return lines + _line("{}", sum(measure.ignore for point in rest for measure in point.measures), "ignored measure")
 
 
 def _line(words: str, count: int, noun: str) -> list[str]:
-    """A line, if there is any."""
+    """A line for a count above zero."""
     return [words.format(many(count, noun))] if count else []
 
 
@@ -143,11 +143,11 @@ def _figures(measures: Sequence[ControlMeasure]) -> list[str]:
 
 def _of_table(network: ControlNetwork) -> list[str]:
     points = network.points
-    measures = [one for point in points for one in point.measures]
-    bare = sum(one.apriori is None and bool(one.apriori_covariance) for one in points)
-    placeless = sum(one.line is None or one.sample is None for one in measures)
-    wrong = sum(one.line_sigma is not None and one.line_sigma <= 0.0 for one in measures)
-    wrong += sum(one.sample_sigma is not None and one.sample_sigma <= 0.0 for one in measures)
+    measures = [measure for point in points for measure in point.measures]
+    bare = sum(point.apriori is None and bool(point.apriori_covariance) for point in points)
+    placeless = sum(measure.line is None or measure.sample is None for measure in measures)
+    wrong = sum(measure.line_sigma is not None and measure.line_sigma <= 0.0 for measure in measures)
+    wrong += sum(measure.sample_sigma is not None and measure.sample_sigma <= 0.0 for measure in measures)
     return [
         *_line("{} of zero or less", wrong, "sigma"),
         *_line("the a-priori covariance of {} without an a-priori place", bare, "point"),
@@ -174,22 +174,22 @@ def _unstated(rows: PixelMeasures) -> list[str]:
 
 def _of_nvm(rows: PixelMeasures) -> list[str]:
     points = rows.points
-    apriori = sum(one.apriori is not None for one in points)
-    missing = sum(one.apriori is None and one.adjusted is None for one in points)
+    apriori = sum(point.apriori is not None for point in points)
+    missing = sum(point.apriori is None and point.adjusted is None for point in points)
     return [
         *_line("PointId of {} (they are counted anew)", len(points), "point"),
-        *_line("PointType of {} (all are free)", sum(one.type != PointType.FREE for one in points), "point"),
+        *_line("PointType of {} (all are free)", sum(point.type != PointType.FREE for point in points), "point"),
         *_line("the a-priori place of {} (it is an adjusted one)", apriori, "point"),
         *_line("the missing place of {} (0 0 0 is written)", missing, "point"),
     ]
 
 
 def _of_control(rows: PixelMeasures) -> list[str]:
-    fixed = sum(one.type == PointType.FIXED and bool(one.apriori_covariance) for one in rows.points)
+    fixed = sum(point.type == PointType.FIXED and bool(point.apriori_covariance) for point in rows.points)
     ids = 0 if keeps_ids(rows.points) else len(rows.points)
     return [
         *_line("PointId of {} (they are numbered)", ids, "point"),
-        *_line("covariances between X, Y and Z of {}", sum(_skew(one) for one in rows.points), "point"),
+        *_line("covariances between X, Y and Z of {}", sum(_skew(point) for point in rows.points), "point"),
         *_line("the a-priori covariance of {}", fixed, "fixed point"),
         *_unstated(rows),
     ]

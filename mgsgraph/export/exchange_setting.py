@@ -1,4 +1,4 @@
-"""What a conversion between network formats is told beside the files: case, radii, names."""
+"""Settings of a conversion between network formats: case, radii, names."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,13 +17,13 @@ from mgsgraph.geometry.body import Ellipsoid, may_be, target_name
 from mgsgraph.record import Record
 
 _SIZE = re.compile(r"([1-9][0-9]{0,8})x([1-9][0-9]{0,8})", re.IGNORECASE)
-_SAID = "--body, --radii, --case"
+_OPTIONS = "--body, --radii, --case"
 """Where a setting comes from, for messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExchangeSetting(Record):
-    """What files don't say of themselves.
+    """Settings that files don't state.
 
     Examples
     --------
@@ -61,9 +61,9 @@ def case_setting(case: Path) -> ExchangeSetting:
     """
     from mgsgraph.case.case_file import decode, read_image
 
-    wanted = decode(case)
+    tables = decode(case)
     images = [
-        read_image(entry, wanted.spice, case.parent, f"{case}, images[{j}]") for j, entry in enumerate(wanted.images)
+        read_image(entry, tables.spice, case.parent, f"{case}, images[{j}]") for j, entry in enumerate(tables.images)
     ]
     body = images[0].body
     target = target_name(body)
@@ -84,17 +84,17 @@ def setting_of(
 
     Raises InputError for a malformed one, or one twice.
     """
-    known = case_setting(case) if case is not None else ExchangeSetting()
+    of_case = case_setting(case) if case is not None else ExchangeSetting()
     stated = {}
     for name, text in _pairs("--size", "NAME=LINESxSAMPLES", sizes):
         if not (size := _SIZE.fullmatch(text)):
             raise InputError("--size", repr(f"{name}={text}"), "NAME=LINESxSAMPLES, as E0200665=9856x1024")
         stated[name] = int(size[1]), int(size[2])
     return replace(
-        known,
-        sizes=dict(known.sizes) | stated,
-        ellipsoid=known.ellipsoid if radii is None else Ellipsoid(*radii),
-        target=target or known.target,
+        of_case,
+        sizes=dict(of_case.sizes) | stated,
+        ellipsoid=of_case.ellipsoid if radii is None else Ellipsoid(*radii),
+        target=target or of_case.target,
         renamed=dict(_pairs("--rename", "OLD=NEW", rename)),
         prefix=prefix,
         shifted=shifted,
@@ -117,8 +117,8 @@ def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSettin
     """Raise InputError if networks and setting name several bodies, or an ellipsoid that can't be the named one's, or
     on which points don't lie.
     """
-    stated = [(one.source, one.target_name) for one in networks if one.target_name]
-    stated += [(_SAID, setting.target)] if setting.target else []
+    stated = [(network.source, network.target_name) for network in networks if network.target_name]
+    stated += [(_OPTIONS, setting.target)] if setting.target else []
     for where, name in stated[1:]:
         if name.casefold() != stated[0][1].casefold():
             found, expected = f"the target body {name}", f"{stated[0][1]}, as in {stated[0][0]}"
@@ -126,21 +126,21 @@ def require_one_body(networks: Sequence[ControlNetwork], setting: ExchangeSettin
     if setting.ellipsoid is not None and stated and not may_be(setting.ellipsoid, stated[0][1]):
         found = f"an equatorial radius of {setting.ellipsoid.equatorial:.10g} m"
         expected = f"that of {stated[0][1]}, the target body in {stated[0][0]}"
-        raise InputError(_SAID, found, expected, "radii are in m")
+        raise InputError(_OPTIONS, found, expected, "radii are in m")
     if setting.ellipsoid is None:
         return
-    for one in networks:
-        known = [place for point in one.points if (place := point.apriori or point.adjusted)]
-        require_places(np.array(known).reshape(-1, 3), setting.ellipsoid, one.source)
+    for network in networks:
+        positions = [place for point in network.points if (place := point.apriori or point.adjusted)]
+        require_places(np.array(positions).reshape(-1, 3), setting.ellipsoid, network.source)
 
 
 def leading(networks: Sequence[ControlNetwork]) -> ControlNetwork:
     """The network whose head several of them get: the first one that names its body, else the first one."""
-    return next((one for one in networks if one.target_name), networks[0])
+    return next((network for network in networks if network.target_name), networks[0])
 
 
 def ellipsoid_of(network: ControlNetwork, output: Path, setting: ExchangeSetting) -> Ellipsoid:
-    """As it is said, or as the network has it."""
+    """The stated ellipsoid, or that of the network."""
     if setting.ellipsoid is not None:
         return setting.ellipsoid
     radii = network.target_radii

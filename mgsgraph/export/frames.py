@@ -77,9 +77,9 @@ def to_pandas(solution: Solution, what: str = "points") -> "DataFrame":
     >>> list(frame.columns[:3]), len(frame)
     (['id', 'class', 'kind'], 28)
     """
-    found = _table(solution, what, _PLAIN | _PLACED)
+    table = _table(solution, what, _PLAIN | _PLACED)
     library("pandas", _EXTRA, f"table of {what}")
-    return found.drop(GEOMETRY).arrow.to_pandas()
+    return table.drop(GEOMETRY).arrow.to_pandas()
 
 
 def to_geopandas(solution: Solution, what: str = "points") -> "GeoDataFrame":
@@ -141,14 +141,14 @@ def to_xarray(solution: Solution, places: int = 31) -> "Dataset":
     ({'image': 2, 'place': 3, 'axis': 3, 'angle': 3, 'camera_axis': 3}, ['lines', 'times', 'position_before'])
     """
     xarray = library("xarray", _EXTRA, "orientation profiles")
-    profiles, images = orientation_profiles(solution, places=places), [one.name for one in solution.network.images]
-    said, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()
-    for name in (field for field in said if isinstance(getattr(profiles, field), np.ndarray)):
+    profiles, images = orientation_profiles(solution, places=places), [image.name for image in solution.network.images]
+    texts, variables, labels = meanings(OrientationProfile), dict[str, Any](), dict[str, Any]()
+    for name in (field for field in texts if isinstance(getattr(profiles, field), np.ndarray)):
         values = getattr(profiles, name)
         dimension, parts = _AXES.get(name.split("_")[0], ("", ()))
         dimensions = ("image", "place", *([dimension] if dimension else []))
         labels |= {dimension: list(parts)} if dimension else {}
-        attributes = {"long_name": said[name], "units": _unit(said[name])}
+        attributes = {"long_name": texts[name], "units": _unit(texts[name])}
         variables[name] = dimensions, values.reshape(len(images), places, *values.shape[1:]), attributes
     body = solution.network.images[0].body
     about = {

@@ -84,9 +84,9 @@ def exaggeration(lengths: Array, extent: float) -> float:
     At least 1, at most a million; 1 where there is nothing to show.
     """
     sound = lengths[np.isfinite(lengths) & (lengths > 0.0)]
-    wanted = _SHOWN * extent / float(np.quantile(sound, 1.0 - _LARGEST)) if sound.size else 1.0
+    factor = _SHOWN * extent / float(np.quantile(sound, 1.0 - _LARGEST)) if sound.size else 1.0
     steps = np.array([1.0, 2.0, 5.0])[:, None] * 10.0 ** np.arange(7)
-    return float(steps[steps <= max(min(wanted, _MOST), 1.0)].max())
+    return float(steps[steps <= max(min(factor, _MOST), 1.0)].max())
 
 
 def extent(places: Array) -> float:
@@ -103,40 +103,40 @@ def footprint_layers(solution: Solution) -> list[Layer]:
     network = solution.network
     before = network_footprints(network, solution.places_before)
     after = _adjusted_footprints(solution)
-    said = "at the middle height of the points that each one measures"
+    heights = "at the middle height of the points that each one measures"
     return [
-        _footprints(solution, before, "footprints_nominal", f"Images with their nominal orientation, {said}."),
-        _footprints(solution, after, "footprints_adjusted", f"Images with their adjusted orientation, {said}."),
+        _footprints(solution, before, "footprints_nominal", f"Images with their nominal orientation, {heights}."),
+        _footprints(solution, after, "footprints_adjusted", f"Images with their adjusted orientation, {heights}."),
     ]
 
 
 def _adjusted_footprints(solution: Solution) -> tuple[Footprint, ...]:
-    """With adjusted focal lengths, too."""
+    """Footprints with adjusted orientation and focal length."""
     images = tuple(solution.image(j) for j in range(len(solution.network.images)))
     return network_footprints(replace(solution.network, images=images), solution.places, solution.correction)
 
 
 def _footprints(solution: Solution, footprints: tuple[Footprint, ...], name: str, about: str) -> Layer:
     network, rays = solution.network, ray_statistics(solution)
-    owners = ["", *(one.name for one in network.passes)]
+    owners = ["", *(owner.name for owner in network.passes)]
     edges = np.array([image.span for image in network.images])
-    heights = [geodetic(one.outline, one.body)[:, 2] for one in footprints]
+    heights = [geodetic(footprint.outline, footprint.body)[:, 2] for footprint in footprints]
     fields = {
         "image": [image.name for image in network.images],
         "pass": picked(owners, network.pass_of + 1),
         "held": network.held,
-        "whole": np.array([one.whole for one in footprints]),
+        "whole": np.array([footprint.whole for footprint in footprints]),
         "lines": np.array([image.lines for image in network.images]),
         "samples": np.array([image.samples for image in network.images]),
         **columns(["first_line_et_s", "last_line_et_s"], edges),
         "area_km2": areas(footprints) / KM**2,
-        "height_m": np.array([float(one.mean()) if one.size else np.nan for one in heights]),
+        "height_m": np.array([float(values.mean()) if values.size else np.nan for values in heights]),
         "rays": rays.total,
         "rays_used": rays.count.sum(axis=1),
         **columns(["residual_rms_line_px", "residual_rms_sample_px"], rays.rms_of_images),
     }
     shapes = np.empty(len(footprints), dtype=object)
-    shapes[:] = [map_polygon(one.outline) for one in footprints]
+    shapes[:] = [map_polygon(footprint.outline) for footprint in footprints]
     return Layer(name, about, "MultiPolygon", shapes, fields)
 
 
@@ -158,11 +158,11 @@ def point_layers(solution: Solution) -> list[Layer]:
     classes = solution.network.points.classes
     return [
         Layer(
-            f"{one.name.lower()}_points", f"Adjusted places of {what}; no shape where nothing determines one.", "Point",
-            map_points(solution.places[mine]), _rows(fields, mine),
+            f"{kind.name.lower()}_points", f"Adjusted places of {what}; no shape where undetermined.", "Point",
+            map_points(solution.places[members]), _rows(fields, members),
         )
-        for one, what in _CLASSES.items() if one in solution.network.classes
-        for mine in [np.flatnonzero(classes == one)]
+        for kind, what in _CLASSES.items() if kind in solution.network.classes
+        for members in [np.flatnonzero(classes == kind)]
     ]  # fmt: skip
 
 
@@ -203,7 +203,7 @@ def _components(frame: Array, vectors: Array) -> Array:
 
 def _rows(fields: Fields, rows: Index) -> dict[str, Any]:
     """Some rows of columns."""
-    return {name: one[rows] if isinstance(one, np.ndarray) else picked(one, rows) for name, one in fields.items()}
+    return {name: v[rows] if isinstance(v, np.ndarray) else picked(v, rows) for name, v in fields.items()}
 
 
 # --- error ellipses
@@ -211,13 +211,13 @@ def _rows(fields: Fields, rows: Index) -> dict[str, Any]:
 
 def ellipse_layers(solution: Solution) -> list[Layer]:
     """Error ellipses of the adjusted points towards east and north, true and exaggerated."""
-    mine = np.flatnonzero(adjusted_points(solution))
-    places, frame = solution.places[mine], east_north_up(solution.places[mine])
-    covariances = frame @ solution.covariances[mine] @ np.swapaxes(frame, 1, 2)
+    points = np.flatnonzero(adjusted_points(solution))
+    places, frame = solution.places[points], east_north_up(solution.places[points])
+    covariances = frame @ solution.covariances[points] @ np.swapaxes(frame, 1, 2)
     semi_axes, axes = error_ellipses(covariances[:, :2, :2])  # minor first
     factor = exaggeration(semi_axes[:, 1], extent(solution.places))
     azimuth = np.arctan2(axes[:, 0, 1], axes[:, 1, 1]) / DEG % 180.0
-    fields = _point_names(solution, mine) | {
+    fields = _point_names(solution, points) | {
         **columns(["semi_minor_m", "semi_major_m"], semi_axes),
         **columns(["scaled_semi_minor_m", "scaled_semi_major_m"], semi_axes * solution.sigma0),
         "azimuth_deg": azimuth,
@@ -245,12 +245,12 @@ def _rings(semi_axes: Array) -> Array:
 def _point_names(solution: Solution, points: Index) -> dict[str, Any]:
     """Names and classes of points, one for each row."""
     network = solution.network
-    names = [one.name.lower() for one in PointClass]
+    names = [kind.name.lower() for kind in PointClass]
     return {"point": picked(network.points.ids, points), "class": picked(names, network.points.classes[points])}
 
 
 def _both(name: str, about: str, factor: float) -> list[tuple[str, str, float]]:
-    """Name, words and factor of a layer and of its exaggerated fellow."""
+    """Name, words and factor of a layer and of its exaggerated copy."""
     more = f"{about} Shapes are exaggerated {factor:g} times, figures are not."
     return [(name, about, 1.0), (f"{name}_exaggerated", more, factor)]
 
@@ -277,30 +277,30 @@ def vector_layers(solution: Solution) -> list[Layer]:
     ]  # fmt: skip
 
 
-def _arrows(name: str, about: str, found: Vectors, size: float) -> list[Layer]:
-    frame = east_north_up(found.starts)
-    parts, length = _components(frame, found.steps), np.linalg.norm(found.steps, axis=1)
-    factor = exaggeration(np.linalg.norm(parts[found.typical, :2], axis=1), size)
-    fields = {**found.fields, **columns(["east_m", "north_m", "up_m"], parts), "length_m": length}
-    ends, level = found.starts + found.steps, np.einsum("nij,ni->nj", frame[:, :2], parts[:, :2])
+def _arrows(name: str, about: str, vectors: Vectors, size: float) -> list[Layer]:
+    frame = east_north_up(vectors.starts)
+    parts, length = _components(frame, vectors.steps), np.linalg.norm(vectors.steps, axis=1)
+    factor = exaggeration(np.linalg.norm(parts[vectors.typical, :2], axis=1), size)
+    fields = {**vectors.fields, **columns(["east_m", "north_m", "up_m"], parts), "length_m": length}
+    ends, level = vectors.starts + vectors.steps, np.einsum("nij,ni->nj", frame[:, :2], parts[:, :2])
     return [
-        Layer(one, words, "MultiLineString", map_lines(found.starts, ends + (scale - 1.0) * level),
+        Layer(layer_name, words, "MultiLineString", map_lines(vectors.starts, ends + (scale - 1.0) * level),
               _stated(fields, scale))
-        for one, words, scale in _both(name, about, factor)
+        for layer_name, words, scale in _both(name, about, factor)
     ]  # fmt: skip
 
 
 def _corrections(solution: Solution) -> Vectors:
     """All adjusted points that had a place before."""
     step = solution.places - solution.places_before
-    mine = np.flatnonzero(adjusted_points(solution) & np.isfinite(step).all(axis=1))
-    fields = {**_point_names(solution, mine), "rejected": rejected_points(solution)[mine]}
-    return Vectors(solution.places_before[mine], step[mine], ~fields["rejected"], fields)
+    points = np.flatnonzero(adjusted_points(solution) & np.isfinite(step).all(axis=1))
+    fields = {**_point_names(solution, points), "rejected": rejected_points(solution)[points]}
+    return Vectors(solution.places_before[points], step[points], ~fields["rejected"], fields)
 
 
 def _misregistration(solution: Solution) -> Vectors:
     """Laser points in every image that they fall into with the adjusted orientation."""
-    parts = [_in_image(solution, j, one) for j, one in enumerate(_adjusted_footprints(solution))]
+    parts = [_in_image(solution, j, footprint) for j, footprint in enumerate(_adjusted_footprints(solution))]
     points, starts, ends, before, after = (np.concatenate(column) for column in zip(*parts, strict=True))
     images = [name for part, name in zip(parts, (image.name for image in solution.network.images), strict=True)
               for _ in range(part[0].size)]  # fmt: skip
@@ -313,30 +313,30 @@ def _misregistration(solution: Solution) -> Vectors:
     return Vectors(starts, ends - starts, np.ones(points.size, dtype=bool), fields)
 
 
-def _in_image(solution: Solution, j: int, seen: Footprint) -> tuple[Index, Array, Array, Array, Array]:
+def _in_image(solution: Solution, j: int, footprint: Footprint) -> tuple[Index, Array, Array, Array, Array]:
     """Laser points (k,) in an image, where its nominal orientation puts them and where they are (k, 3), and their
     places (k, 2) in it before and after.
     """
-    mine = _near(seen, solution.places, solution.members(PointClass.LASER))
+    near = _near(footprint, solution.places, solution.members(PointClass.LASER))
     nominal, adjusted = solution.network.images[j], solution.image(j)
-    points, known = solution.places[mine], solution.places_before[mine]
+    points, nominal_points = solution.places[near], solution.places_before[near]
     after, _ = adjusted.ground_to_image(points, solution.correction(j))
-    before, _ = nominal.ground_to_image(known)
+    before, _ = nominal.ground_to_image(nominal_points)
     with np.errstate(invalid="ignore"):
         inside = np.all((after >= 0.0) & (after <= [nominal.lines, nominal.samples]), axis=1)
     height = geodetic(points[inside], nominal.body)[:, 2]
     starts, _ = nominal.image_to_ground(after[inside, 0], after[inside, 1], height)
-    there = np.isfinite(starts).all(axis=1)
-    kept = np.flatnonzero(inside)[there]
-    return mine[kept], starts[there], points[kept], before[kept], after[kept]
+    finite = np.isfinite(starts).all(axis=1)
+    chosen = np.flatnonzero(inside)[finite]
+    return near[chosen], starts[finite], points[chosen], before[chosen], after[chosen]
 
 
-def _near(seen: Footprint, places: Array, points: Index) -> Index:
+def _near(footprint: Footprint, places: Array, points: Index) -> Index:
     """Those of some points that are near a footprint; all of them where it has no outline."""
-    if seen.outline.shape[0] == 0:
+    if footprint.outline.shape[0] == 0:
         return points
-    reach = np.linalg.norm(seen.outline - seen.centre, axis=1).max() + _REACH
-    return np.asarray(points[np.linalg.norm(places[points] - seen.centre, axis=1) < reach])
+    reach = np.linalg.norm(footprint.outline - footprint.centre, axis=1).max() + _REACH
+    return np.asarray(points[np.linalg.norm(places[points] - footprint.centre, axis=1) < reach])
 
 
 def _residuals(solution: Solution) -> Vectors:
@@ -344,22 +344,22 @@ def _residuals(solution: Solution) -> Vectors:
     rays, steps = solution.network.rays, np.full((solution.network.rays.point.size, 3), np.nan)
     heights = geodetic(solution.places, solution.network.images[0].body)[:, 2]
     for j in np.unique(rays.image).tolist():
-        mine = np.flatnonzero((rays.image == j) & np.isfinite(solution.residuals).all(axis=1))
-        line, sample = (rays.places[mine] - solution.residuals[mine]).T
-        _, rate = solution.image(j).image_to_ground(line, sample, heights[rays.point[mine]], solution.correction(j))
-        steps[mine] = np.einsum("nij,nj->ni", rate, solution.residuals[mine])
+        of_image = np.flatnonzero((rays.image == j) & np.isfinite(solution.residuals).all(axis=1))
+        line, sample = (rays.places[of_image] - solution.residuals[of_image]).T
+        _, rate = solution.image(j).image_to_ground(line, sample, heights[rays.point[of_image]], solution.correction(j))
+        steps[of_image] = np.einsum("nij,nj->ni", rate, solution.residuals[of_image])
     starts = solution.places[rays.point]
-    kept = np.flatnonzero(np.isfinite(starts + steps).all(axis=1))
+    finite = np.flatnonzero(np.isfinite(starts + steps).all(axis=1))
     names = [image.name for image in solution.network.images]
     fields = {
-        **_point_names(solution, rays.point[kept]),
-        "image": picked(names, rays.image[kept]),
-        "used": solution.rays_used[kept],
-        **columns(["isis_line", "isis_sample"], rays.places[kept] + ISIS_OFFSET),
-        **columns(["residual_line_px", "residual_sample_px"], solution.residuals[kept]),
-        **columns(["normalised_line", "normalised_sample"], (solution.residuals / solution.network.ray_sigmas)[kept]),
+        **_point_names(solution, rays.point[finite]),
+        "image": picked(names, rays.image[finite]),
+        "used": solution.rays_used[finite],
+        **columns(["isis_line", "isis_sample"], rays.places[finite] + ISIS_OFFSET),
+        **columns(["residual_line_px", "residual_sample_px"], solution.residuals[finite]),
+        **columns(["normalised_line", "normalised_sample"], (solution.residuals / solution.network.ray_sigmas)[finite]),
     }
-    return Vectors(starts[kept], steps[kept], solution.rays_used[kept], fields)
+    return Vectors(starts[finite], steps[finite], solution.rays_used[finite], fields)
 
 
 
@@ -404,9 +404,9 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
         *footprint_layers(solution), *point_layers(solution), *ellipse_layers(solution), *vector_layers(solution),
     ]  # fmt: skip
     written = [folder / GEOPACKAGE]
-    with fresh_file(written[0]) as aside, made_beside(written[0], folder=True) as scratch:
+    with fresh_file(written[0]) as temporary, made_beside(written[0], folder=True) as scratch:
         _write_layers(layers, _statements(solution, layers), scratch / GEOPACKAGE, solution)
-        (scratch / GEOPACKAGE).replace(aside)  # GDAL wants the ending, and leaves its journals beside it
+        (scratch / GEOPACKAGE).replace(temporary)  # GDAL wants the ending, and leaves its journals beside it
     if grid is not None:
         written.append(folder / RASTER)
         write_sigma_raster(grid, body, written[-1])
@@ -416,11 +416,11 @@ def write_gis(solution: Solution, folder: Path, grid: SigmaGrid | None = None) -
 def _write_layers(layers: list[Layer], statements: dict[str, str], path: Path, solution: Solution) -> None:
     pyogrio, body = library("pyogrio", "gis", "GIS layers"), solution.network.images[0].body
     crs = authority_code(body) or wkt2(geographic_crs(body))  # by its code, or a GeoPackage loses the authority
-    said = Layer(ABOUT, "Where this came from, and what the layers mean.", "", np.zeros(0), {
+    about = Layer(ABOUT, "Where this came from, and what the layers mean.", "", np.zeros(0), {
         "subject": list(statements), "statement": list(statements.values()),
     })  # fmt: skip
     with _dated(pyogrio, f"{_calendar(solution)[1]}Z"):
-        for layer in (*layers, said):
+        for layer in (*layers, about):
             try:
                 _write_layer(pyogrio, layer, crs, path)
             except (RuntimeError, ValueError) as error:  # pyogrio's errors are of these kinds
@@ -434,7 +434,7 @@ def _write_layer(pyogrio: ModuleType, layer: Layer, crs: str, path: Path) -> Non
     pyogrio.raw.write(
         path,
         geometry=shapely.to_wkb(_rounded(layer.shapes)) if spatial else None,
-        field_data=[_digits(name, np.asarray(one)) for name, one in layer.fields.items()],
+        field_data=[_digits(name, np.asarray(values)) for name, values in layer.fields.items()],
         fields=np.array(list(layer.fields), dtype=object),
         layer=layer.name,
         driver="GPKG",
@@ -447,13 +447,13 @@ def _write_layer(pyogrio: ModuleType, layer: Layer, crs: str, path: Path) -> Non
 
 
 def _rounded(shapes: Shapes) -> Shapes:
-    """With those digits that are the same wherever in memory they were computed; narrow wedges at a pole stay whole."""
-    rounded = shapely.transform(shapes, lambda one: one.round(_DECIMALS))
+    """Rounded to digits that don't depend on memory alignment; narrow wedges at a pole stay valid."""
+    rounded = shapely.transform(shapes, lambda xy: xy.round(_DECIMALS))
     return np.where(shapely.is_valid(rounded), rounded, shapes)
 
 
 def _digits(name: str, column: np.ndarray) -> np.ndarray:
-    """Likewise, of all numbers but times."""
+    """The same for all numbers but times."""
     if column.dtype.kind == "f" and not name.endswith("et_s"):
         return np.char.mod("%.12g", column).astype(float)
     return column if column.dtype.kind in "fib" else column.astype(object)
@@ -461,7 +461,7 @@ def _digits(name: str, column: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _dated(pyogrio: ModuleType, moment: str) -> Iterator[None]:
-    """What GDAL takes for the time of day, so that the same solution gives the same bytes."""
+    """The time of day for GDAL, fixed so that the same solution gives the same bytes."""
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": moment})
     try:
@@ -473,7 +473,7 @@ def _dated(pyogrio: ModuleType, moment: str) -> Iterator[None]:
 def _calendar(solution: Solution) -> tuple[str, str]:
     """When the first and the last line of all images were read, TDB."""
     edges = np.array([image.span for image in solution.network.images])
-    first, last = (_NOON + np.timedelta64(round(1e3 * one), "ms") for one in (edges.min(), edges.max()))
+    first, last = (_NOON + np.timedelta64(round(1e3 * edge), "ms") for edge in (edges.min(), edges.max()))
     return str(first), str(last)
 
 

@@ -17,7 +17,7 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import rejected_points
 from mgsgraph.errors import InputError
 from mgsgraph.export.bundle_out import covariance_factor, write_bundle_out
-from mgsgraph.export.network_content import ADJUSTED_BY, Kept, with_content
+from mgsgraph.export.network_content import ADJUSTED_BY, Restored, with_content
 from mgsgraph.files.altimetry.lidar import LidarMeasure, LidarShot, lidar_coordinates, lidar_text
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl import write_pvl_network
@@ -46,7 +46,7 @@ _UPPER = np.triu_indices(3)
 
 
 class IsisFiles(NamedTuple):
-    """What was written, and what is to be said of it."""
+    """Files written, and sentences about them."""
 
     paths: list[Path]
     """Files."""
@@ -89,8 +89,8 @@ def write_isis(
     """
     images = frozenset(image.name for image in solution.network.images)
 
-    def complete(network: ControlNetwork) -> Kept:
-        return Kept(network) if source is None else with_content(network, source, images)
+    def complete(network: ControlNetwork) -> Restored:
+        return Restored(network) if source is None else with_content(network, source, images)
 
     network, notes = complete(adjusted_network(solution, scaled=scaled, target=target))
     paths = [folder / NETWORK, folder / NETWORK_TEXT]
@@ -132,26 +132,26 @@ def adjusted_network(
         If no point is left, or sigma0 is asked for and there is none.
     """
     network = solution.network
-    wanted = (network.ray_counts > 0) & (laser | (network.points.classes != PointClass.LASER))
-    indices = np.flatnonzero(wanted).tolist()
+    chosen = (network.ray_counts > 0) & (laser | (network.points.classes != PointClass.LASER))
+    indices = np.flatnonzero(chosen).tolist()
     if not indices:
         raise InputError(f"solution {solution.name!r}", "no point that is measured in an image", "some for a network")
     factor, rejected = covariance_factor(solution, scaled), rejected_points(solution).tolist()
     measures, body = _measures(solution), network.images[0].body
-    prior = _triangles(network.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
+    prior = _triangles(network.independent.points.covariances, network.points.kinds == PointKind.CONSTRAINED)
     free = network.points.kinds != PointKind.FIXED
     adjusted = _triangles(solution.covariances * factor, solution.determined & free)
-    known, first, after = (_places(one) for one in (network.points.places, solution.places_before, solution.places))
+    stated, first, after = (_places(p) for p in (network.points.places, solution.places_before, solution.places))
     points = []
     for i in indices:
         kind = PointKind(int(network.points.kinds[i]))
-        constrained, intersected = kind == PointKind.CONSTRAINED, known[i] is None and first[i] is not None
+        constrained, intersected = kind == PointKind.CONSTRAINED, stated[i] is None and first[i] is not None
         points.append(ControlPoint(
             id=network.points.ids[i], type=_TYPES[kind], measures=tuple(measures[i]), chooser_name=PROGRAM,
             jigsaw_rejected=rejected[i], reference=_reference(measures[i]),
             apriori_source=AprioriSource.AVERAGE_OF_MEASURES if intersected else AprioriSource.NONE,
             latitude_constrained=constrained, longitude_constrained=constrained, radius_constrained=constrained,
-            apriori=known[i] or first[i], apriori_covariance=prior[i],
+            apriori=stated[i] or first[i], apriori_covariance=prior[i],
             adjusted=after[i], adjusted_covariance=adjusted[i],
         ))  # fmt: skip
     return ControlNetwork(
@@ -172,22 +172,22 @@ def rejected_rays(solution: Solution) -> Mask:
 
 
 def _measures(solution: Solution) -> list[list[ControlMeasure]]:
-    """Of each point, in the order of the rays; those that are back-projections are candidates, nobody measured them."""
+    """Of each point, in the order of the rays; back-projections are candidates, which were not measured."""
     rays, images = solution.network.rays, [image.name for image in solution.network.images]
-    found = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
+    measures = list[list[ControlMeasure]]([] for _ in solution.network.points.ids)
     guessed = rays.back_projected if rays.back_projected is not None else np.zeros(rays.point.size, dtype=np.bool_)
     numbers = (rays.places + ISIS_OFFSET, solution.residuals, solution.network.ray_sigmas)
     marks = (rejected_rays(solution), guessed)
     columns = [column.tolist() for column in (rays.point, rays.image, *numbers, *marks)]
     for i, j, place, residual, sigma, rejected, guess in zip(*columns, strict=True):
-        known = math.isfinite(residual[0]) and math.isfinite(residual[1])
-        found[i].append(ControlMeasure(
+        has_residual = math.isfinite(residual[0]) and math.isfinite(residual[1])
+        measures[i].append(ControlMeasure(
             serial_number=images[j], type=MeasureType.CANDIDATE if guess else MeasureType.REGISTERED_SUBPIXEL,
-            line=place[0], sample=place[1], line_residual=residual[0] if known else None,
-            sample_residual=residual[1] if known else None, jigsaw_rejected=rejected,
+            line=place[0], sample=place[1], line_residual=residual[0] if has_residual else None,
+            sample_residual=residual[1] if has_residual else None, jigsaw_rejected=rejected,
             line_sigma=sigma[0], sample_sigma=sigma[1],
         ))  # fmt: skip
-    return found
+    return measures
 
 
 def _reference(measures: Sequence[ControlMeasure]) -> int:
@@ -200,11 +200,11 @@ def _places(places: Array) -> list[tuple[float, float, float] | None]:
     return [(x, y, z) if math.isfinite(x + y + z) else None for x, y, z in places.tolist()]
 
 
-def _triangles(covariances: Array, known: Mask) -> list[tuple[float, ...]]:
+def _triangles(covariances: Array, finite: Mask) -> list[tuple[float, ...]]:
     """xx, xy, xz, yy, yz, zz of covariances (n, 3, 3); empty for those that are not known."""
-    known = known & np.isfinite(covariances).all(axis=(1, 2))
+    finite = finite & np.isfinite(covariances).all(axis=(1, 2))
     upper = covariances[:, *_UPPER].tolist()
-    return [tuple(row) if there else () for row, there in zip(upper, known.tolist(), strict=True)]
+    return [tuple(row) if is_finite else () for row, is_finite in zip(upper, finite.tolist(), strict=True)]
 
 
 def _description(solution: Solution, scaled: bool) -> str:
@@ -230,28 +230,28 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
     jigsaw can't use. Adjusted covariances are multiplied by `factor`. Raises InputError for a point with two ranges
     that differ: the format holds one.
     """
-    network, ranges = solution.network, solution.network.ranges
-    used = np.flatnonzero(solution.ranges_used)
+    network = solution.network.independent  # as jigsaw takes them
+    ranges, used = network.ranges, np.flatnonzero(solution.ranges_used)
     points, first = np.unique(ranges.point[used], return_index=True)
     first = used[first]
-    one = dict(zip(points.tolist(), first.tolist(), strict=True))
+    range_of = dict(zip(points.tolist(), first.tolist(), strict=True))
     carriers = dict[int, list[str]]()
     for r in used.tolist():
-        i, same = int(ranges.point[r]), one[int(ranges.point[r])]
+        i, same = int(ranges.point[r]), range_of[int(ranges.point[r])]
         if (ranges.values[r], ranges.times[r], ranges.sigmas[r]) != (
             ranges.values[same], ranges.times[same], ranges.sigmas[same]
         ):  # fmt: skip
             where = f"lidar data, point {network.points.ids[i]}, range"
             raise InputError(where, "two that differ", "one, for all images taken along with it")
         carriers.setdefault(i, []).append(network.images[int(ranges.image[r])].name)
-    known = np.all(np.isfinite(network.points.places), axis=1, keepdims=True)
-    before = np.where(known, network.points.places, solution.places_before)
+    stated = np.all(np.isfinite(network.points.places), axis=1, keepdims=True)
+    before = np.where(stated, network.points.places, solution.places_before)
     constrained = network.points.kinds == PointKind.CONSTRAINED
     prior, prior_matrices = lidar_coordinates(before, network.points.covariances * constrained[:, None, None])
     adjusted, adjusted_matrices = lidar_coordinates(solution.places, solution.covariances * factor)
     measures = _lidar_measures(solution)
     shots = []
-    for i, r in one.items():
+    for i, r in range_of.items():
         latitude, longitude, radius = prior[i].tolist()
         after = adjusted[i].tolist() if np.isfinite(adjusted[i]).all() else [None] * 3
         shots.append(LidarShot(
@@ -266,9 +266,9 @@ def adjusted_lidar_text(solution: Solution, factor: float = 1.0) -> str:
 
 def _lidar_measures(solution: Solution) -> dict[int, list[LidarMeasure]]:
     """Measures that took part, by index of the point."""
-    found = dict[int, list[LidarMeasure]]()
+    measures = dict[int, list[LidarMeasure]]()
     rays, names = solution.network.rays, [image.name for image in solution.network.images]
     for k in np.flatnonzero(solution.rays_used).tolist():
         line, sample = (rays.places[k] + ISIS_OFFSET).tolist()
-        found.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))
-    return found
+        measures.setdefault(int(rays.point[k]), []).append(LidarMeasure(line, sample, names[int(rays.image[k])]))
+    return measures

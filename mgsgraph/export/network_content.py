@@ -1,4 +1,4 @@
-"""What the networks of an adjustment say besides what it needs, taken back into the network that is exported.
+"""Restores content of an adjustment's networks that the adjustment doesn't need in the exported network.
 
 Types of measures, their a-priori places, figures of merit, dates and choosers, and ignored points and measures stand in
 the files that were read. A solution remembers these files and their digests (`networks` in solution.json). What can't
@@ -14,7 +14,7 @@ from msgspec import structs
 
 from mgsgraph.errors import InputError
 from mgsgraph.export.exchange_setting import leading
-from mgsgraph.files.networks.editing import SAME_PLACE, apart, united, with_measures
+from mgsgraph.files.networks.editing import SAME_PLACE, separation, united, with_measures
 from mgsgraph.files.networks.pvl import MEASURE_TYPES
 from mgsgraph.files.networks.record import ControlMeasure, ControlNetwork, ControlPoint, Duplicates, PointType
 from mgsgraph.files.networks.table import read_whole
@@ -28,12 +28,12 @@ ADJUSTED_BY = f"Adjusted by {PROGRAM}"
 """What descriptions of exported networks say."""
 _OF_A_PRIORI = ("apriori", "apriori_covariance", "apriori_source")
 _CONSTRAINED = ("latitude_constrained", "longitude_constrained", "radius_constrained")
-_LOST = "types, a-priori places, figures of merit and dates of measures"
+_MISSING = "types, a-priori places, figures of merit and dates of measures"
 _NAME_IT = "name the network: --ties NETWORK"
 
 
 class Sources(NamedTuple):
-    """The networks that a solution's points were read from, as far as they are still there."""
+    """The networks that a solution's points were read from, as far as they still exist."""
 
     network: ControlNetwork | None
     """All of them as one, as `united` makes it; None where none is there."""
@@ -62,14 +62,14 @@ def source_networks(folder: Path, stated: Sequence[Path], body: Ellipsoid) -> So
     if not stated:
         for path, digest in _remembered(folder):
             if not path.is_file():
-                notes.append(f"{path} isn't there any more: {_LOST} aren't known; {_NAME_IT}")
+                notes.append(f"{path} isn't there any more: {_MISSING} aren't known; {_NAME_IT}")
             elif sha256_of(path) != digest:
                 notes.append(f"{path} has changed since the adjustment: nothing is taken from it; {_NAME_IT}")
             else:
                 paths.append(path)
     networks = [read_whole(path, body) for path in paths]
     if not networks:
-        return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_LOST}; {_NAME_IT}",))
+        return Sources(None, tuple(notes) or (f"No network of the points is known, nor {_MISSING}; {_NAME_IT}",))
     points, _ = united(networks, Duplicates.FIRST)
     return Sources(structs.replace(leading(networks), points=points, source=some([str(p) for p in paths], len(paths))),
                    tuple(notes))  # fmt: skip
@@ -84,15 +84,15 @@ def _remembered(folder: Path) -> list[tuple[Path, str]]:
         return [(Path(entry["path"]), str(entry["sha256"])) for entry in read_record(file).get("networks", [])]
 
 
-class Kept(NamedTuple):
-    """A network with its content of old, and what became of it in sentences."""
+class Restored(NamedTuple):
+    """A network with its original content, and sentences about the changes."""
 
     network: ControlNetwork
     notes: tuple[str, ...] = ()
 
 
-def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Kept:
-    """An adjusted network with all that its source says.
+def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Collection[str]) -> Restored:
+    """An adjusted network with all content of its source.
 
     Parameters
     ----------
@@ -109,16 +109,16 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
     InputError
         If the source has none of the points.
     """
-    mine = {point.id: point for point in adjusted.points}
+    by_id = {point.id: point for point in adjusted.points}
     points, met = list[ControlPoint](), Counter[str]()
     for original in source.points:
-        seen = [k for k, one in enumerate(original.measures) if one.serial_number in images]
-        met["elsewhere"] += len(original.measures) - len(seen)
-        own = mine.pop(original.id, None)
-        if not seen and own is None:
+        in_images = [k for k, measure in enumerate(original.measures) if measure.serial_number in images]
+        met["elsewhere"] += len(original.measures) - len(in_images)
+        own = by_id.pop(original.id, None)
+        if not in_images and own is None:
             met["points elsewhere"] += 1
             continue
-        original = with_measures(original, seen)
+        original = with_measures(original, in_images)
         if own is None:
             met["unused"] += 1
             points.append(original)
@@ -129,19 +129,19 @@ def with_content(adjusted: ControlNetwork, source: ControlNetwork, images: Colle
         found = "none of the points that were adjusted"
         raise InputError(source.source, found, "the network that was adjusted", "name another one (--ties)")
     network = structs.replace(
-        adjusted, points=(*points, *mine.values()), network_id=source.network_id or adjusted.network_id,
+        adjusted, points=(*points, *by_id.values()), network_id=source.network_id or adjusted.network_id,
         target_name=source.target_name or adjusted.target_name, created=source.created,
         target_radii=source.target_radii or adjusted.target_radii,
         description=_described(source.description, adjusted.description),
     )  # fmt: skip
-    return Kept(network, _notes(met, source.source))
+    return Restored(network, _notes(met, source.source))
 
 
 def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> ControlPoint:
-    found = {one.serial_number: one for one in own.measures}
+    own_measures = {m.serial_number: m for m in own.measures}
     measures = list[ControlMeasure]()
     for measure in original.measures:
-        adjusted = None if measure.ignore else found.pop(measure.serial_number, None)
+        adjusted = None if measure.ignore else own_measures.pop(measure.serial_number, None)
         met["unused measures"] += adjusted is None
         measures.append(measure if adjusted is None else _measure(measure, adjusted, met))
     changed: dict[str, Any] = {name: getattr(own, name) for name in ("jigsaw_rejected", "adjusted",
@@ -151,11 +151,11 @@ def _united(original: ControlPoint, own: ControlPoint, met: Counter[str]) -> Con
     if original.type != own.type and own.type == PointType.CONSTRAINED:
         changed |= dict.fromkeys(_CONSTRAINED, True)
     reference = own.reference if original.reference is None else original.reference
-    return structs.replace(original, measures=(*measures, *found.values()), reference=reference, **changed)
+    return structs.replace(original, measures=(*measures, *own_measures.values()), reference=reference, **changed)
 
 
 def _measure(original: ControlMeasure, adjusted: ControlMeasure, met: Counter[str]) -> ControlMeasure:
-    if apart(original, adjusted) > SAME_PLACE:
+    if separation(original, adjusted) > SAME_PLACE:
         met["moved"] += 1
         return adjusted
     met[MEASURE_TYPES[original.type]] += 1
@@ -170,28 +170,28 @@ def _measure(original: ControlMeasure, adjusted: ControlMeasure, met: Counter[st
     )  # fmt: skip
 
 
-def _described(earlier: str, now: str) -> str:
-    """What a network said of itself, without the word of an earlier adjustment, and what is said of this one."""
-    own = earlier.partition(ADJUSTED_BY)[0].rstrip(". ")
+def _described(before: str, now: str) -> str:
+    """A network's description, without that of an earlier adjustment, and the description of this one."""
+    own = before.partition(ADJUSTED_BY)[0].rstrip(". ")
     return f"{own}. {now}" if own else now
 
 
 def _notes(met: Counter[str], source: str) -> tuple[str, ...]:
     types = [f"{met[word]} {word}" for word in MEASURE_TYPES.values() if met[word]]
-    kept = [f"AprioriLine and AprioriSample of {met['AprioriLine']}"] if met["AprioriLine"] else []
-    kept += [f"GoodnessOfFit of {met['GoodnessOfFit']}"] if met["GoodnessOfFit"] else []
-    said = [f"Kept of {source}: all of {many(met['taken'], 'point')}" +
-            (f" and their measures ({listed([*types, *kept])})" if types else "")]  # fmt: skip
+    places = [f"AprioriLine and AprioriSample of {met['AprioriLine']}"] if met["AprioriLine"] else []
+    places += [f"GoodnessOfFit of {met['GoodnessOfFit']}"] if met["GoodnessOfFit"] else []
+    sentences = [f"Kept of {source}: all of {many(met['taken'], 'point')}" +
+            (f" and their measures ({listed([*types, *places])})" if types else "")]  # fmt: skip
     for word, sentence in (
         ("sigmas", "Not held: that {} had no sigma; those of the adjustment are written"),
         ("moved", "Not held: what it says of {} elsewhere than those that were adjusted"),
         ("elsewhere", "Left out: {} in images that were not adjusted"),
     ):
-        said += [sentence.format(many(met[word], "measure"))] if met[word] else []
+        sentences += [sentence.format(many(met[word], "measure"))] if met[word] else []
     if met["points elsewhere"]:
-        said.append(f"Left out: {many(met['points elsewhere'], 'point')} that none of the adjusted images sees")
+        sentences.append(f"Left out: {many(met['points elsewhere'], 'point')} that none of the adjusted images sees")
     if met["unused"] or met["unused measures"]:
         what = listed([many(met[word], noun) for word, noun in (("unused", "point"), ("unused measures", "measure"))
                        if met[word]])  # fmt: skip
-        said.append(f"Without residuals, as the adjustment took nothing of them (ignored ones): {what}")
-    return tuple(said)
+        sentences.append(f"Without residuals, as the adjustment took nothing of them (ignored ones): {what}")
+    return tuple(sentences)

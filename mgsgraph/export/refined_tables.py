@@ -80,7 +80,7 @@ def refined_tables(image: PushbroomImage, correction: OrientationCorrection) -> 
     epoch = image.trajectory.epoch + 0.5 * float(start + stop)
     shift = epoch - image.trajectory.epoch
     pixel, distance = _middle_pixel(image, correction)
-    found: dict[str, tuple[Array, Pose]] = {}
+    poses: dict[str, tuple[Array, Pose]] = {}
     for intervals in _LADDER:
         times = _even_times(epoch, float(start) - shift, float(stop) - shift, intervals)
         off = _interpolation_errors(image, correction, times + shift)
@@ -88,19 +88,19 @@ def refined_tables(image: PushbroomImage, correction: OrientationCorrection) -> 
             "m_positions": off[0] <= POSITION_TOLERANCE * pixel,
             "m_quaternions": off[1] <= ATTITUDE_TOLERANCE * pixel / distance,
         }
-        for field in (field for field, held in near.items() if held and field not in found):
-            found[field] = times, pose_at(image, correction, times + shift)
-        if len(found) == len(near):
+        for field in (field for field, held in near.items() if held and field not in poses):
+            poses[field] = times, pose_at(image, correction, times + shift)
+        if len(poses) == len(near):
             break
     for field, px in {"m_positions": off[0] / pixel, "m_quaternions": off[1] * distance / pixel}.items():
-        if field not in found and px > _LOSS:
+        if field not in poses and px > _LOSS:
             raise InputError(
                 f"image {image.name}, {field}", f"a path that {_LADDER[-1]} even intervals over the image hold to "
                 f"{px:.2g} pixels", f"{_LOSS:g} or less", "export spice, whose kernels follow any path",
             )  # fmt: skip
-        if field not in found:
-            found[field] = times, pose_at(image, correction, times + shift)
-    (position_times, place), (attitude_times, attitude) = found["m_positions"], found["m_quaternions"]
+        if field not in poses:
+            poses[field] = times, pose_at(image, correction, times + shift)
+    (position_times, place), (attitude_times, attitude) = poses["m_positions"], poses["m_quaternions"]
     return RefinedTables(
         epoch, shift, position_times, place.position, place.velocity,
         attitude_times, rotation.continuous(rotation.from_matrix(attitude.matrix)), attitude.angular_rate,

@@ -26,7 +26,7 @@ _FINE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings(Record):
-    """What a solution doesn't say of itself.
+    """Settings that a solution doesn't hold.
 
     Examples
     --------
@@ -51,7 +51,7 @@ class ExportSettings(Record):
 
 
 class Exported(NamedTuple):
-    """What was written, and what kernels say when they are read back."""
+    """Files written, and differences of kernels that were read back."""
 
     target: Target
     folder: Path
@@ -68,7 +68,7 @@ class Exported(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What came of it, in a sentence; what to beware of in more."""
+        """The result in a sentence, and sentences of caution."""
         beware = {
             "They are farther off than they should be.": self.largest > _FINE,
             "The solution did NOT converge.": not self.converged,
@@ -116,25 +116,25 @@ def export_solution(
     require_supported((target,), settings)
     _require_same_target(out, target)
     solution = read_solution(path)
-    with fresh_folder(out, EXPORT) as aside, _called_as_asked(aside, out):
-        written, notes = _WRITERS[target](solution, aside, settings, path)
-        names = tuple(sorted(file.relative_to(aside).as_posix() for file in written))
+    with fresh_folder(out, EXPORT) as temporary, _called_as_asked(temporary, out):
+        written, notes = _WRITERS[target](solution, temporary, settings, path)
+        names = tuple(sorted(file.relative_to(temporary).as_posix() for file in written))
         done = Exported(target, out, names, converged=solution.converged, notes=notes)
         if settings.verify:
-            done = _verified(done, solution, aside)
-        write_json(aside / EXPORT, _record(done, solution, settings))
+            done = _verified(done, solution, temporary)
+        write_json(temporary / EXPORT, _record(done, solution, settings))
     return done
 
 
 def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:
-    """With what kernels say when SPICE alone reads them; InputError where they don't show a point."""
+    """With differences of kernels read by SPICE alone; InputError where they don't show a point."""
     from mgsgraph.export.spice_back import spice_differences
     from mgsgraph.export.spice_nodes import reprojection
 
     differences = spice_differences(folder, reprojection(solution))
-    if lost := np.count_nonzero(~np.isfinite(differences)):
+    if missing := np.count_nonzero(~np.isfinite(differences)):
         raise InputError(
-            f"export to {done.target.value}", f"{lost} measures don't come back",
+            f"export to {done.target.value}", f"{missing} measures don't come back",
             "all of them", "this is a fault of mgsgraph: report it",
         )
     return done._replace(measures=differences.size, largest=float(differences.max()) if differences.size else np.nan)
@@ -144,22 +144,22 @@ def _require_same_target(out: Path, target: Target) -> None:
     """Raise InputError where the folder holds an export to another target."""
     if not (out / EXPORT).is_file():  # no export: `fresh_folder` says what is there
         return
-    earlier = read_record(out / EXPORT).get("target")
-    if earlier != target.value:
-        found = f"an export to {earlier}, which would be lost"
+    present = read_record(out / EXPORT).get("target")
+    if present != target.value:
+        found = f"an export to {present}, which would be lost"
         raise InputError(str(out), found, f"one to {target.value}, or none", "choose another --out")
 
 
 @contextmanager
-def _called_as_asked(aside: Path, out: Path) -> Iterator[None]:
-    """Errors of files name the folder that was asked for, not the one that is written to meanwhile."""
+def _called_as_asked(temporary: Path, out: Path) -> Iterator[None]:
+    """Errors of files name the output folder, not the temporary one."""
     try:
         yield
     except InputError as error:
-        if not error.where.startswith(str(aside)):
+        if not error.where.startswith(str(temporary)):
             raise
         remedy = error.remedy or "free some space, or choose another --out"
-        where = f"{out}{error.where.removeprefix(str(aside))}"
+        where = f"{out}{error.where.removeprefix(str(temporary))}"
         raise InputError(where, error.found, error.expected, remedy) from None
 
 
@@ -175,13 +175,13 @@ def require_supported(targets: Sequence[Target], settings: ExportSettings) -> No
     """Raise InputError for a setting that would do nothing with any of the targets."""
     for name, (option, used_by) in _USED_BY.items():
         if getattr(settings, name) not in (getattr(_DEFAULT, name), []) and not set(targets) & set(used_by):
-            where, expected = (" or ".join(one.value for one in several) for several in (targets, used_by))
+            where, expected = (" or ".join(target.value for target in several) for several in (targets, used_by))
             found, remedy = "an option that it ignores", "leave it out"
             raise InputError(f"export to {where}, {option}", found, f"it with {expected} alone", remedy)
 
 
 def settings_for(target: Target, settings: ExportSettings) -> ExportSettings:
-    """Those settings that a target uses, of those of several targets."""
+    """The settings that a target uses, out of those of several targets."""
     unused = [name for name, (_, used_by) in _USED_BY.items() if target not in used_by]
     return replace(settings, **{name: getattr(_DEFAULT, name) for name in unused})
 
@@ -216,8 +216,8 @@ def _isis(solution: Solution, folder: Path, settings: ExportSettings, path: Path
     sources = Sources(None)
     if settings.networks or np.any(solution.network.points.classes == PointClass.TIE):
         sources = source_networks(path, settings.networks, solution.network.images[0].body)
-    made = write_isis(solution, folder, settings.scaled, source=sources.network)
-    return made.paths, (*made.notes, *sources.notes)
+    output = write_isis(solution, folder, settings.scaled, source=sources.network)
+    return output.paths, (*output.notes, *sources.notes)
 
 
 def _asp(solution: Solution, folder: Path, settings: ExportSettings, path: Path) -> _Written:
@@ -247,8 +247,8 @@ _WRITERS: dict[Target, Callable[[Solution, Path, ExportSettings, Path], _Written
 
 
 def _record(done: Exported, solution: Solution, settings: ExportSettings) -> dict[str, Any]:
-    said = {"program": PROGRAM, "format": FORMAT, "name": solution.name, "converged": solution.converged}
+    content = {"program": PROGRAM, "format": FORMAT, "name": solution.name, "converged": solution.converged}
     verified = {"measures": done.measures, "largest_difference_px": done.largest} if done.measures else {}
     support = {name: str(path) for name, path in (settings.support or {}).items()}
-    return {**said, "target": done.target.value, **verified, "scaled": settings.scaled, "support": support,
+    return {**content, "target": done.target.value, **verified, "scaled": settings.scaled, "support": support,
             "notes": list(done.notes), "files": list(done.files)}  # fmt: skip

@@ -87,7 +87,7 @@ class MissionClock:
 
 @dataclass(frozen=True, slots=True)
 class SpiceNaming:
-    """What a solution doesn't know of its mission. Nothing of it is needed: every image then has ids of its own."""
+    """Ids of the mission, which a solution lacks. They are optional: without them every image has ids of its own."""
 
     images: Mapping[str, NaifIds] = field(default_factory=dict)
     """By image; those of the same ids must not overlap in time."""
@@ -139,7 +139,7 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Export:
-    """What all files are made of."""
+    """Data of all files."""
 
     body: Body
     paths: Paths
@@ -162,8 +162,8 @@ class _Export:
     @property
     def segments(self) -> Iterator[tuple[Carrier, AdjustedNodes, Array, str]]:
         """Each image with its nodes, their times (s TDB past J2000), and what its segments are called."""
-        for one, nodes in zip(self.carriers, self.nodes, strict=True):
-            yield one, nodes, nodes.times + nodes.epoch, one.image.name[:_SEGMENT]
+        for carrier, nodes in zip(self.carriers, self.nodes, strict=True):
+            yield carrier, nodes, nodes.times + nodes.epoch, carrier.image.name[:_SEGMENT]
 
 
 def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
@@ -172,8 +172,8 @@ def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
     body = _body(solution, naming)
     network, carriers = solution.network, _carriers(solution, naming, reprojection(solution))
     nodes = [
-        adjusted_nodes(one.image, solution.correction(j), (one.covered[0] - 1.0, one.covered[1] + 1.0))
-        for j, one in enumerate(carriers)
+        adjusted_nodes(carrier.image, solution.correction(j), (carrier.covered[0] - 1.0, carrier.covered[1] + 1.0))
+        for j, carrier in enumerate(carriers)
     ]  # a line more than is promised: times are rounded
     paths = united_paths(carriers, nodes, network.pass_of.tolist(), naming.images)
     clock = naming.clock or MissionClock(CLOCK, ())
@@ -194,14 +194,14 @@ def _body(solution: Solution, naming: SpiceNaming) -> Body:
     return Body(name, code, (ellipsoid.equatorial, ellipsoid.equatorial, ellipsoid.polar), relative)
 
 
-def _carriers(solution: Solution, naming: SpiceNaming, wanted: Reprojection) -> list[Carrier]:
+def _carriers(solution: Solution, naming: SpiceNaming, measured: Reprojection) -> list[Carrier]:
     """Every image, with ids of its own where the mission's aren't given."""
-    measures, carriers = images_of(wanted), []
+    measures, carriers = images_of(measured), []
     for j in range(len(solution.network.images)):
         image, own = solution.image(j), CLOCK - 1 - j
-        seen = wanted.places[measures[image.name], 0] if image.name in measures else np.array([0.0])
+        seen_at = measured.places[measures[image.name], 0] if image.name in measures else np.array([0.0])
         margin = max(_FEWEST, _MARGIN * image.lines)
-        first, last = min(0.0, float(seen.min())) - margin, max(float(image.lines), float(seen.max())) + margin
+        first, last = min(0.0, float(seen_at.min())) - margin, max(float(image.lines), float(seen_at.max())) + margin
         ids = naming.images.get(image.name, NaifIds(own, 1000 * own))
         carriers.append(Carrier(ids.spacecraft, ids.camera, 1000 * own, image, (first, last)))
     return carriers
@@ -210,10 +210,10 @@ def _carriers(solution: Solution, naming: SpiceNaming, wanted: Reprojection) -> 
 def _comments(
     solution: Solution, body: Body, paths: Paths, nodes: Sequence[AdjustedNodes]
 ) -> tuple[str, ...]:
-    """Where the files come from, and what holds in all of them; printable ASCII."""
+    """Origin of the files, and facts about all of them; printable ASCII."""
     versions = ", ".join(f"{name} {version}" for name, version in solution.versions.items())
     state = "converged" if solution.converged else "NOT converged"
-    said = [
+    lines = [
         f"Orientation adjusted by {PROGRAM} ({versions}).",
         f"Solution {solution.name!r}: {state}, sigma0 {solution.sigma0:.6g}, "
         f"{solution.fit.degrees_of_freedom} degrees of freedom.",
@@ -223,29 +223,29 @@ def _comments(
         *_words_of_passes(solution, paths),
         "",
     ]
-    for one, part in zip(paths.carriers, nodes, strict=True):
+    for carrier, part in zip(paths.carriers, nodes, strict=True):
         start, stop = part.epoch + part.times[[0, -1]]
-        said += [
-            f"Image {one.image.name}: spacecraft {one.spacecraft}, camera {one.camera} ({one.frame}),",
-            f"  lines {one.covered[0]:.1f} .. {one.covered[1]:.1f} of 0 .. {one.image.lines}, "
+        lines += [
+            f"Image {carrier.image.name}: spacecraft {carrier.spacecraft}, camera {carrier.camera} ({carrier.frame}),",
+            f"  lines {carrier.covered[0]:.1f} .. {carrier.covered[1]:.1f} of 0 .. {carrier.image.lines}, "
             f"{start:.6f} .. {stop:.6f} s TDB past J2000,",
             f"  {part.times.size} nodes; interpolation between them is off by {part.error:.1e} px at most "
             f"(limit {TOLERANCE:g} px).",
         ]
-    plain = [line if line.isascii() and line.isprintable() else ascii(line)[1:-1] for line in said]
+    plain = [line if line.isascii() and line.isprintable() else ascii(line)[1:-1] for line in lines]
     return tuple(part for line in plain for part in (wrap(line, _WIDTH, subsequent_indent="  ") or [""]))
 
 
 def _words_of_passes(solution: Solution, paths: Paths) -> list[str]:
     """Which spacecraft each pass is, and why an image of it is another."""
-    said, images = [], solution.network.images
-    for one in solution.network.passes:
-        names = [images[j].name for j in one.images.tolist() if images[j].name not in paths.apart]
+    sentences, images = [], solution.network.images
+    for pass_ in solution.network.passes:
+        names = [images[j].name for j in pass_.images.tolist() if images[j].name not in paths.departures]
         code = next(carrier.spacecraft for carrier in paths.carriers if carrier.image.name in names)
-        said.append(f"Pass {one.name!r}: one trajectory, spacecraft {code}, of the images {', '.join(names)}.")
-    for name, off in paths.apart.items():
-        said.append(f"Image {name}: a spacecraft of its own, {off:.3g} m off the trajectory of its pass.")
-    return said
+        sentences.append(f"Pass {pass_.name!r}: one trajectory, spacecraft {code}, of the images {', '.join(names)}.")
+    for name, off in paths.departures.items():
+        sentences.append(f"Image {name}: a spacecraft of its own, {off:.3g} m off the trajectory of its pass.")
+    return sentences
 
 
 def _texts(folder: Path, export: _Export) -> tuple[list[str], tuple[str, ...]]:
@@ -301,18 +301,18 @@ def _write_positions(name: str, export: _Export) -> None:
 
 
 def _write_attitudes(name: str, export: _Export) -> None:
-    with _opened(name, export) as handle:
-        for one, nodes, times, segment in export.segments:
+    with _opened(name, export) as file:
+        for carrier, nodes, times, title in export.segments:
             matrices = nodes.matrices
-            _add_attitudes(handle, one.camera, export, export.body.frame, segment, times, matrices, nodes.angular_rate)
+            _add_attitudes(file, carrier.camera, export, export.body.frame, title, times, matrices, nodes.angular_rate)
 
 
 def _write_rotation(name: str, export: _Export) -> None:
     """How the body turned over each image, at the nodes of its own table: J2000 to the body-fixed frame."""
     with _opened(name, export) as handle:
-        for one, nodes, times, segment in export.segments:
-            assert isinstance(one.image.trajectory, Trajectory)
-            table, (first, last) = one.image.trajectory.body, nodes.times[[0, -1]]
+        for carrier, nodes, times, segment in export.segments:
+            assert isinstance(carrier.image.trajectory, Trajectory)
+            table, (first, last) = carrier.image.trajectory.body, nodes.times[[0, -1]]
             inner = table.times[(table.times > first) & (table.times < last)] + nodes.epoch
             places = np.unique(np.concatenate([times[[0, -1]], inner]))
             matrices, angular_rate = table.at(places - nodes.epoch)

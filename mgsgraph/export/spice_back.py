@@ -1,4 +1,4 @@
-"""Exported SPICE kernels, read back by SPICE alone: where do the images show the points?
+"""Reads exported kernels by SPICE alone, and computes the image coordinates of the points.
 
 Nothing is taken from the writer or from our geometry. The line is found by the secant method on what the instrument
 kernel says of detector, optics and line times (its comments have the formulas).
@@ -21,20 +21,20 @@ _META_KERNEL = "adjusted.tm"
 _NUDGE = 1e-5
 """mm."""
 _STEPS = 30
-_REST = 1e-5
+_CONVERGED = 1e-5
 """lines, at which the secant method ends: attitudes are looked up to 3e-6 of LROC-NAC's, as exact as a time is."""
 _SEEN = 1e-3
 """px: nearer than this to the detector a point is seen there, not lost at an end of the lines covered."""
 
 
-def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
-    """How far from the solution's places the kernels show the points.
+def spice_differences(folder: Path, expected: Reprojection) -> Numbers:
+    """Distances of the points' image coordinates by the kernels from those of the solution.
 
     Parameters
     ----------
     folder : Path
         With the meta-kernel adjusted.tm.
-    wanted : Reprojection
+    expected : Reprojection
         Points and where the solution sees them.
 
     Returns
@@ -47,15 +47,15 @@ def spice_differences(folder: Path, wanted: Reprojection) -> Numbers:
     InputError
         When there is no meta-kernel, SPICE refuses a file, or an image has no camera constants.
     """
-    meta, differences = folder / _META_KERNEL, np.full(len(wanted.image), np.inf)
+    meta, differences = folder / _META_KERNEL, np.full(len(expected.image), np.inf)
     with loaded([meta], folder), spice_words(str(meta)):
         cameras = _cameras()
-        for name, mine in images_of(wanted).items():
+        for name, of_image in images_of(expected).items():
             if name not in cameras:
                 raise InputError(str(meta), f"no camera constants of the image {name}", "those of every image")
             with np.errstate(all="ignore"):  # far outside the image the polynomials of the optics overflow
-                place = _seen(cameras[name], wanted.points[mine])
-            differences[mine] = np.linalg.norm(place - wanted.places[mine], axis=1)
+                place = _seen(cameras[name], expected.points[of_image])
+            differences[of_image] = np.linalg.norm(place - expected.places[of_image], axis=1)
     return np.where(np.isnan(differences), np.inf, differences)
 
 
@@ -65,7 +65,7 @@ def _variable(name: str) -> list[Any]:
 
 
 class _Camera(NamedTuple):
-    """What the instrument kernel says of one image."""
+    """Constants of one image from the instrument kernel."""
 
     spacecraft: int
     frame: int
@@ -88,23 +88,23 @@ class _Camera(NamedTuple):
 
 
 def _cameras() -> dict[str, _Camera]:
-    found = {}
+    cameras = {}
     for number in _variable("MGSGRAPH_INSTRUMENTS"):
-        said = {key: _variable(f"INS{int(number)}_{key}") for key in (
+        keys = {key: _variable(f"INS{int(number)}_{key}") for key in (
             "IMAGE", "IMAGE_LINES", "SPACECRAFT", "FRAME_ID", "BODY", "BODY_FRAME", "FOCAL_LENGTH", "ITRANSL",
             "ITRANSS", "DETECTOR_CENTRE", "DETECTOR_FIRST", "SAMPLE_SUMMING", "DISTORTION", "OD_K", "LINES_COVERED",
             "LINE_TIMES",
         )}  # fmt: skip
-        frame = int(said["FRAME_ID"][0])
-        found[said["IMAGE"][0]] = _Camera(
-            int(said["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(said["BODY"][0]),
-            said["BODY_FRAME"][0], said["FOCAL_LENGTH"][0], np.array(said["ITRANSL"]), np.array(said["ITRANSS"]),
-            np.array(said["DETECTOR_CENTRE"]), np.array(said["DETECTOR_FIRST"]), said["SAMPLE_SUMMING"][0],
-            said["DISTORTION"][0], said["OD_K"], *_added(int(number)),
-            (said["LINES_COVERED"][0], said["LINES_COVERED"][1]), int(said["IMAGE_LINES"][0]),
-            np.array(said["LINE_TIMES"]).reshape(-1, 3),
+        frame = int(keys["FRAME_ID"][0])
+        cameras[keys["IMAGE"][0]] = _Camera(
+            int(keys["SPACECRAFT"][0]), frame, int(_variable(f"CK_{frame}_SCLK")[0]), int(keys["BODY"][0]),
+            keys["BODY_FRAME"][0], keys["FOCAL_LENGTH"][0], np.array(keys["ITRANSL"]), np.array(keys["ITRANSS"]),
+            np.array(keys["DETECTOR_CENTRE"]), np.array(keys["DETECTOR_FIRST"]), keys["SAMPLE_SUMMING"][0],
+            keys["DISTORTION"][0], keys["OD_K"], *_added(int(number)),
+            (keys["LINES_COVERED"][0], keys["LINES_COVERED"][1]), int(keys["IMAGE_LINES"][0]),
+            np.array(keys["LINE_TIMES"]).reshape(-1, 3),
         )  # fmt: skip
-    return found
+    return cameras
 
 
 def _added(number: int) -> tuple[list[float], list[float]]:
@@ -123,13 +123,13 @@ def _seen(camera: _Camera, points: Numbers) -> Numbers:
     for _ in range(_STEPS):
         off, samples = _off_line(camera, points, lines)
         step = -off * (lines - before) / (off - off_before)
-        step = np.where((off == 0.0) | (np.abs(lines - before) <= _REST) | np.isnan(step), 0.0, step)
+        step = np.where((off == 0.0) | (np.abs(lines - before) <= _CONVERGED) | np.isnan(step), 0.0, step)
         before, off_before = lines, off
         lines = np.clip(lines + step, *camera.covered)
-        if not np.any(np.abs(lines - before) > _REST):
+        if not np.any(np.abs(lines - before) > _CONVERGED):
             break
-    found = (np.abs(lines - before) <= _REST) & (np.abs(off_before) < _SEEN)
-    return np.where(found[:, None], np.column_stack([lines, samples]), np.nan)
+    converged = (np.abs(lines - before) <= _CONVERGED) & (np.abs(off_before) < _SEEN)
+    return np.where(converged[:, None], np.column_stack([lines, samples]), np.nan)
 
 
 def _off_line(camera: _Camera, points: Numbers, lines: Numbers) -> tuple[Numbers, Numbers]:
@@ -177,9 +177,9 @@ def _distorted(camera: _Camera, ideal: Numbers) -> Numbers:
         return np.asarray(plane * whole - np.array(camera.point)[:, None])
 
     for _ in range(_STEPS):
-        here = ideally(place)
-        (a, c), (b, d) = ((ideally(place + _NUDGE * axis[:, None]) - here) / _NUDGE for axis in np.eye(2))
-        x, y = ideal - here
+        computed = ideally(place)
+        (a, c), (b, d) = ((ideally(place + _NUDGE * axis[:, None]) - computed) / _NUDGE for axis in np.eye(2))
+        x, y = ideal - computed
         place = place + np.array([d * x - b * y, a * y - c * x]) / (a * d - b * c)
     return place
 

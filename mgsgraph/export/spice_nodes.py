@@ -91,10 +91,10 @@ def adjusted_nodes(
         wrong = off > TOLERANCE
         if not wrong.any():
             return AdjustedNodes(*nodes, error=float(off.max()), pixel=pixel)
-        known = nodes[1]
-        times = np.sort(np.concatenate([known, 0.5 * (known[1:] + known[:-1])[wrong]]))
+        previous = nodes[1]
+        times = np.sort(np.concatenate([previous, 0.5 * (previous[1:] + previous[:-1])[wrong]]))
     raise InputError(
-        f"image {image.name}, orientation", f"{off.max():.3g} px between nodes {np.diff(known).min():.3g} s apart",
+        f"image {image.name}, orientation", f"{off.max():.3g} px between nodes {np.diff(previous).min():.3g} s apart",
         f"less than {TOLERANCE} px", "an orientation without jumps",
     )  # fmt: skip
 
@@ -107,12 +107,12 @@ def _nodes(image: PushbroomImage, correction: OrientationCorrection, times: Arra
     epoch = image.trajectory.epoch
     lines = image.timing.lines((times + epoch) - epoch)
     reached, periods = image.timing.at(lines)  # in a pause of the timing, the time at which it goes on
-    kept = np.unique(reached, return_index=True)[1]
-    kept = kept[np.diff(reached[kept], prepend=-np.inf) > _NEAR]
-    pose = image.pose(lines[kept], correction)
-    rate = 1.0 / periods[kept, None]
+    chosen = np.unique(reached, return_index=True)[1]
+    chosen = chosen[np.diff(reached[chosen], prepend=-np.inf) > _NEAR]
+    pose = image.pose(lines[chosen], correction)
+    rate = 1.0 / periods[chosen, None]
     angular_rate = np.einsum("nji,nj->ni", pose.matrix, pose.angular_rate * rate)
-    return epoch, (reached[kept] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, angular_rate
+    return epoch, (reached[chosen] + epoch) - epoch, pose.position, pose.velocity * rate, pose.matrix, angular_rate
 
 
 def _first_times(
@@ -128,8 +128,8 @@ def _first_times(
         kinks.append(correction.nodes.times + (correction.nodes.epoch - trajectory.epoch))
     inner = np.concatenate([np.linspace(start, stop, _FIRST_INTERVALS + 1), *kinks])
     inner = np.unique(inner[(inner > start + _NEAR) & (inner < stop - _NEAR)])
-    apart = np.diff(inner, prepend=start) > _NEAR
-    return np.concatenate([[start], inner[apart], [stop]])
+    distinct = np.diff(inner, prepend=start) > _NEAR
+    return np.concatenate([[start], inner[distinct], [stop]])
 
 
 def _pauses(timing: LineTiming) -> list[Array]:
@@ -146,14 +146,14 @@ def _pixel(image: PushbroomImage, correction: OrientationCorrection) -> tuple[fl
     samples = np.full(_PLACES, 0.5 * image.samples)
     ground, by_place = image.image_to_ground(lines, samples, 0.0, correction)
     origins, directions = image.sightlines(lines, samples, correction)
-    seen = np.isfinite(ground).all(axis=1)
-    if not seen.any():  # an image of the sky
+    on_ground = np.isfinite(ground).all(axis=1)
+    if not on_ground.any():  # an image of the sky
         distance = float(np.linalg.norm(origins, axis=1).max())
         return distance * image.pixel_angle, distance
-    along = unit_vectors(directions)[seen]
-    size = by_place[seen]
+    along = unit_vectors(directions)[on_ground]
+    size = by_place[on_ground]
     across = size - along[:, :, None] * np.einsum("ni,nik->nk", along, size)[:, None, :]
-    distance = np.linalg.norm(ground[seen] - origins[seen], axis=1)
+    distance = np.linalg.norm(ground[on_ground] - origins[on_ground], axis=1)
     return float(np.linalg.norm(across, axis=1).min()), float(distance.max())
 
 
@@ -195,7 +195,7 @@ class Paths(NamedTuple):
     """(m,) one for each image."""
     of_spacecraft: dict[int, list[PathSegment]]
     """Of each spacecraft in order of time, none at the time of another."""
-    apart: dict[str, float]
+    departures: dict[str, float]
     """Images of a pass that have a spacecraft id of their own, and m by which their path is off that of the pass."""
 
 
@@ -220,25 +220,25 @@ def united_paths(
     InputError
         Where images of one spacecraft are at the same time on paths of their own, or two images of one camera are.
     """
-    found = Paths(list(carriers), {}, {})
+    paths = Paths(list(carriers), {}, {})
     of_pass = dict[int, int]()
-    for j in np.argsort([_span(one)[0] for one in nodes], kind="stable").tolist():
+    for j in np.argsort([_span(part)[0] for part in nodes], kind="stable").tolist():
         own, owner, name = carriers[j], int(pass_of[j]), carriers[j].image.name
         if owner >= 0 and name not in stated:
             spacecraft = of_pass.setdefault(owner, own.spacecraft)
-            off = _off(found.of_spacecraft.get(spacecraft, []), nodes, j)
+            off = _off(paths.of_spacecraft.get(spacecraft, []), nodes, j)
             if off <= SAME_PATH * nodes[j].pixel:
-                own = found.carriers[j] = replace(own, spacecraft=spacecraft)
+                own = paths.carriers[j] = replace(own, spacecraft=spacecraft)
             else:
-                found.apart[name] = off
-        path = found.of_spacecraft.setdefault(own.spacecraft, [])
-        _require_one_path(path, found.carriers, nodes, pass_of, j)
+                paths.departures[name] = off
+        path = paths.of_spacecraft.setdefault(own.spacecraft, [])
+        _require_one_path(path, paths.carriers, nodes, pass_of, j)
         first, last = _span(nodes[j])
         first = max([first, *(segment.last for segment in path)])
         if last - first > _LEAST:
             path.append(PathSegment(j, first, last))
-    _require_one_attitude(found.carriers, nodes)
-    return found
+    _require_one_attitude(paths.carriers, nodes)
+    return paths
 
 
 def _span(nodes: AdjustedNodes) -> tuple[float, float]:
@@ -255,7 +255,7 @@ def _off(path: Sequence[PathSegment], nodes: Sequence[AdjustedNodes], image: int
             continue
         times = own.times + own.epoch
         times = np.concatenate([[first, last], times[(times > first) & (times < last)]])
-        places = [_table(one).at(times - one.epoch)[0] for one in (own, nodes[segment.image])]
+        places = [_table(part).at(times - part.epoch)[0] for part in (own, nodes[segment.image])]
         off = max(off, float(np.linalg.norm(places[0] - places[1], axis=1).max()))
     return off
 
@@ -285,7 +285,7 @@ def _require_one_path(
 def _require_one_attitude(carriers: Sequence[Carrier], nodes: Sequence[AdjustedNodes]) -> None:
     """Raise InputError unless images of the same camera are at different times."""
     latest = dict[int, int]()
-    for j in np.argsort([_span(one)[0] for one in nodes], kind="stable").tolist():
+    for j in np.argsort([_span(part)[0] for part in nodes], kind="stable").tolist():
         before = latest.get(carriers[j].camera)
         if before is not None and _span(nodes[before])[1] >= _span(nodes[j])[0]:
             names = f"{carriers[before].image.name} and {carriers[j].image.name}"
@@ -327,15 +327,15 @@ def reprojection(solution: Solution) -> Reprojection:
     places, times = np.full((rays.point.size, 2), np.nan), np.full(rays.point.size, np.nan)
     points = solution.places[rays.point]
     for j, image in enumerate(images):
-        mine = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
-        seen, _ = solution.image(j).ground_to_image(points[mine], solution.correction(j), rays.places[mine, 0])
-        places[mine], times[mine] = seen, image.timing.at(seen[:, 0])[0] + image.trajectory.epoch
-    known = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
-    names = [images[j].name for j in rays.image[known].tolist()]
-    return Reprojection(tuple(names), points[known], places[known], times[known])
+        rows = np.flatnonzero((rays.image == j) & solution.determined[rays.point])
+        computed, _ = solution.image(j).ground_to_image(points[rows], solution.correction(j), rays.places[rows, 0])
+        places[rows], times[rows] = computed, image.timing.at(computed[:, 0])[0] + image.trajectory.epoch
+    finite = np.flatnonzero(np.isfinite(places).all(axis=1) & np.isfinite(points).all(axis=1))
+    names = [images[j].name for j in rays.image[finite].tolist()]
+    return Reprojection(tuple(names), points[finite], places[finite], times[finite])
 
 
-def images_of(wanted: Reprojection) -> dict[str, Index]:
+def images_of(measured: Reprojection) -> dict[str, Index]:
     """Which measures, ascending, each image has."""
-    names = np.array(wanted.image)
-    return {name: np.flatnonzero(names == name) for name in dict.fromkeys(wanted.image)}
+    names = np.array(measured.image)
+    return {name: np.flatnonzero(names == name) for name in dict.fromkeys(measured.image)}

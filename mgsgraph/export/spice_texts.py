@@ -31,12 +31,12 @@ from mgsgraph.units import KM, MM
 
 @dataclass(frozen=True, slots=True)
 class _Stated:
-    """One model, as the kernel has it."""
+    """One distortion model, as in the kernel."""
 
     kind: type[Distortion]
     powers: tuple[int, ...]
     """Of metres, the units of the record's numbers."""
-    said: str
+    formula: str
     """The formula, in lines of the kernel's comment."""
 
 
@@ -62,10 +62,10 @@ _MODELS = {
 
 
 def optics_comment() -> str:
-    """What the kernel's comment says of its models."""
+    """Comment of the kernel about its distortion models."""
     lines = []
     for name, model in _MODELS.items():
-        first, *rest = model.said.split("\n")
+        first, *rest = model.formula.split("\n")
         lines += [f"            {name:<11}{first}", *(f"            {'':<11}{line}" for line in rest)]
     lines += [
         "            OD_RADIAL, OD_POINT (where an adjustment found them) go on from there, with (x, y) of the model:",
@@ -76,7 +76,7 @@ def optics_comment() -> str:
 
 
 def adjusted_optics(distortion: Distortion) -> dict[str, list[float]]:
-    """What an adjustment added to a model: radial coefficients in powers of mm, and the principal point in mm."""
+    """Adjusted terms of a model: radial coefficients in powers of mm, and the principal point in mm."""
     if not isinstance(distortion, CorrectedDistortion):
         return {}
     radial = [value * MM ** (2 * n + 2) for n, value in enumerate(distortion.radial)]
@@ -93,11 +93,11 @@ def stated_optics(distortion: Distortion, name: str) -> tuple[str, list[float]]:
     for word, model in _MODELS.items():
         if isinstance(distortion, model.kind):
             fields = astuple(cast(Any, distortion))
-            values = np.hstack([np.ravel(one) for one in fields]) if model.powers else np.zeros(1)
+            values = np.hstack([np.ravel(field) for field in fields]) if model.powers else np.zeros(1)
             scales = [MM**power for power in model.powers or (0,)]
             return word, (values / scales).tolist()
-    found, known = f"the model {type(distortion).__name__}", ", ".join(_MODELS)
-    raise InputError(f"image {name}, distortion", found, f"one of {known}", "export csm instead")
+    found, models = f"the model {type(distortion).__name__}", ", ".join(_MODELS)
+    raise InputError(f"image {name}, distortion", found, f"one of {models}", "export csm instead")
 
 
 CLOCK = -900_000
@@ -139,12 +139,12 @@ class Body:
 
     @property
     def frame_id(self) -> int:
-        """Of that frame, in the range that NAIF leaves to users."""
+        """Id of that frame, in the range that NAIF leaves to users."""
         return 1_900_000 + self.code
 
     @property
     def rotation_id(self) -> int:
-        """What body.bc calls it."""
+        """Id of the body's rotation in body.bc."""
         return -900_000_000 - self.code
 
 
@@ -192,7 +192,7 @@ SCLK01_COEFFICIENTS_{n}  = ( 0.0 {zero!r} 1.0 )
 
 def frames_text(body: Body, carriers: Sequence[Carrier], clock: int) -> str:
     """FK of the body-fixed frame and of all cameras."""
-    cameras = {one.camera: one for one in carriers}.values()
+    cameras = {carrier.camera: carrier for carrier in carriers}.values()
     return f"""KPL/FK
 
 {body.frame} is the body-fixed frame of the adjusted coordinates. SPK and CK refer to it, so that places on the
@@ -206,7 +206,7 @@ Camera frames: +Z out of the lens, x and y as in the instrument kernel.
 \\begintext
 
 \\begindata
-{chr(10).join(_camera_frame(one, clock) for one in cameras)}
+{chr(10).join(_camera_frame(carrier, clock) for carrier in cameras)}
 \\begintext
 """
 
@@ -238,11 +238,11 @@ def _body_frame(body: Body, clock: int) -> str:
     )
 
 
-def _camera_frame(one: Carrier, clock: int) -> str:
-    n = one.camera
+def _camera_frame(owner: Carrier, clock: int) -> str:
+    n = owner.camera
     return (
-        f"FRAME_{one.frame} = {n}\nFRAME_{n}_NAME = '{one.frame}'\nFRAME_{n}_CLASS = 3\nFRAME_{n}_CLASS_ID = {n}\n"
-        f"FRAME_{n}_CENTER = {one.spacecraft}\nCK_{n}_SCLK = {clock}\nCK_{n}_SPK = {one.spacecraft}"
+        f"FRAME_{owner.frame} = {n}\nFRAME_{n}_NAME = '{owner.frame}'\nFRAME_{n}_CLASS = 3\nFRAME_{n}_CLASS_ID = {n}\n"
+        f"FRAME_{n}_CENTER = {owner.spacecraft}\nCK_{n}_SCLK = {clock}\nCK_{n}_SPK = {owner.spacecraft}"
     )
 
 
@@ -267,9 +267,9 @@ def instruments_text(body: Body, carriers: Sequence[Carrier], named: bool) -> st
     InputError
         When an image's name or distortion can't be held by it.
     """
-    listed = "\n    ".join(str(one.instrument) for one in carriers)  # lines end at 132 characters
-    blocks = "\n\n".join(_instrument(body, one) for one in carriers)
-    cameras = sorted({one.camera for one in carriers}) if named else []
+    listed = "\n    ".join(str(carrier.instrument) for carrier in carriers)  # lines end at 132 characters
+    blocks = "\n\n".join(_instrument(body, carrier) for carrier in carriers)
+    cameras = sorted({carrier.camera for carrier in carriers}) if named else []
     isis = "\n".join(
         f"{variable} = {value}"
         for camera in cameras for key, value in _ISIS_KEYWORDS
@@ -303,8 +303,8 @@ attitude of 1.15 s before) are in them already and must not be applied again.
 """
 
 
-def _instrument(body: Body, one: Carrier) -> str:
-    image, interior = one.image, one.image.interior
+def _instrument(body: Body, carrier: Carrier) -> str:
+    image, interior = carrier.image, carrier.image.interior
     model, coefficients = stated_optics(interior.distortion, image.name)
     to_pixel = interior.to_pixel.copy()
     to_pixel[:, 1:] *= MM
@@ -318,9 +318,9 @@ def _instrument(body: Body, one: Carrier) -> str:
         "IMAGE": _text(image.name, f"image {image.name}"),
         "IMAGE_LINES": str(image.lines),
         "IMAGE_SAMPLES": str(image.samples),
-        "SPACECRAFT": str(one.spacecraft),
-        "FRAME_ID": str(one.camera),
-        "FRAME": f"'{one.frame}'",
+        "SPACECRAFT": str(carrier.spacecraft),
+        "FRAME_ID": str(carrier.camera),
+        "FRAME": f"'{carrier.frame}'",
         "BODY": str(body.code),
         "BODY_FRAME": f"'{body.frame}'",
         "FOCAL_LENGTH": _numbers([interior.focal_length / MM]),
@@ -332,22 +332,22 @@ def _instrument(body: Body, one: Carrier) -> str:
         "DISTORTION": f"'{model}'",
         "OD_K": _numbers(coefficients),
         **{key: _numbers(values) for key, values in adjusted_optics(interior.distortion).items()},
-        "LINES_COVERED": _numbers(one.covered),
+        "LINES_COVERED": _numbers(carrier.covered),
         "LINE_TIMES": _numbers(times),
-        **_field_of_view(one),
+        **_field_of_view(carrier),
     }
-    return "\n".join(f"INS{one.instrument}_{key} = {value}" for key, value in fields.items())
+    return "\n".join(f"INS{carrier.instrument}_{key} = {value}" for key, value in fields.items())
 
 
-def _field_of_view(one: Carrier) -> dict[str, str]:
+def _field_of_view(carrier: Carrier) -> dict[str, str]:
     """What SPICE's getfov wants, in the camera's frame: a line of the detector, a pixel high."""
-    interior = one.image.interior
-    ends, by_sample = interior.focal_plane(np.array([0.0, 0.5, 1.0]) * one.image.samples)
+    interior = carrier.image.interior
+    ends, by_sample = interior.focal_plane(np.array([0.0, 0.5, 1.0]) * carrier.image.samples)
     # across the line of the detector: half a square pixel
     across = 0.5 * by_sample[1, ::-1] * [-1.0, 1.0] / interior.sample_summing
     corners = [ends[0] - across, ends[0] + across, ends[2] + across, ends[2] - across]
     return {
-        "FOV_FRAME": f"'{one.frame}'",
+        "FOV_FRAME": f"'{carrier.frame}'",
         "FOV_SHAPE": "'POLYGON'",
         "FOV_CLASS_SPEC": "'CORNERS'",
         "BORESIGHT": _numbers([*ends[1] / MM, interior.focal_length / MM]),
@@ -364,18 +364,18 @@ def _text(text: str, where: str) -> str:
 
 
 def _numbers(values: Sequence[float] | Array) -> str:
-    shown = [repr(float(value)) for value in values]
-    rows = [" ".join(shown[k : k + _NUMBERS_PER_LINE]) for k in range(0, len(shown), _NUMBERS_PER_LINE)]
+    texts = [repr(float(value)) for value in values]
+    rows = [" ".join(texts[k : k + _NUMBERS_PER_LINE]) for k in range(0, len(texts), _NUMBERS_PER_LINE)]
     return "( " + "\n    ".join(rows) + " )"
 
 
 def list_text(names: Sequence[str], comments: Sequence[str]) -> str:
     """Meta-kernel of files beside it."""
     listed = "\n".join(f"  '$KERNELS/{name}'" for name in names)
-    said = "\n".join(comments)
+    text = "\n".join(comments)
     return f"""KPL/MK
 
-{said}
+{text}
 
 Load it from its own folder, or put that folder's path in place of the dot.
 

@@ -1,4 +1,4 @@
-"""What an image of CTX, LROC NAC or HRSC needs: its file by ODE or its volumes, kernels of its time by meta-kernel and
+"""Files for an image of CTX, LROC NAC or HRSC: its own by ODE or its volumes, kernels of its time by meta-kernel and
 labels, laser shots over its ground by ODE.
 """
 
@@ -52,9 +52,9 @@ class CameraSearch:
         file = self._file(product, answer)
         root = getattr(self._archives, camera.images)
         label = self._label(product, root + file)
-        taken = Interval.of(label)
+        exposure = Interval.of(label)
         box = box_of(answer, label)
-        kernels = self._kernels(camera, taken, str(product))
+        kernels = self._kernels(camera, exposure, str(product))
         shots, why = self._shots(camera, box, str(product))
         addendum, lacking = self._addendum(camera, str(product))
         orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label and label.text("ORBIT_NUMBER").isdigit() else 0
@@ -64,12 +64,12 @@ class CameraSearch:
         )  # fmt: skip
 
     def _asked(self, product: CameraProduct) -> str:
-        """What ODE says of a product; empty for a camera that it isn't asked about."""
+        """ODE's answer about a product; empty for a camera without a query."""
         camera = product.camera
         if not camera.query:
             return ""
-        wanted = product.name.lower() if camera.moon else product.name
-        return self._store.remote.listing(self._archives.ode + camera.query.format(wanted))
+        name = product.name.lower() if camera.moon else product.name
+        return self._store.remote.listing(self._archives.ode + camera.query.format(name))
 
     def _file(self, product: CameraProduct, answer: str) -> str:
         """Path of the image below its archive."""
@@ -78,11 +78,11 @@ class CameraSearch:
         pattern = camera.file.format(product.name)
         stem, _, suffix = pattern.rpartition(r"\.")
         if camera.query:
-            found = re.search(f"({stem})" + r"\.\w+", answer, re.IGNORECASE)
-            if found is None:
+            match = re.search(f"({stem})" + r"\.\w+", answer, re.IGNORECASE)
+            if match is None:
                 unknown = "not known to the Orbital Data Explorer"
                 raise InputError(where, unknown, expected, "check the id, or the mirror")
-            return f"{found[1]}.{suffix}"
+            return f"{match[1]}.{suffix}"
         root = getattr(self._archives, camera.images)
         listed = set(re.findall(r"mexhrs_\d{4}", self._store.remote.listing(root))) or {"mexhrs_4000", "mexhrs_1001"}
         for volume in sorted(listed, reverse=True):
@@ -100,26 +100,26 @@ class CameraSearch:
         if b"PDS_VERSION_ID" not in head[:200]:
             raise InputError(url, f"it begins with {head[:16]!r}", "an image with its PDS3 label", "try another mirror")
         label = flat_label(head.split(b"\0", 1)[0].decode("latin-1"), url)
-        found = label.text("PRODUCT_ID").strip().upper().removesuffix(".IMG")
-        if found != product.name:
-            raise InputError(f"{url}, PRODUCT_ID", repr(found), str(product), "the archive has another image there")
+        name = label.text("PRODUCT_ID").strip().upper().removesuffix(".IMG")
+        if name != product.name:
+            raise InputError(f"{url}, PRODUCT_ID", repr(name), str(product), "the archive has another image there")
         if (instrument := label.text("INSTRUMENT_ID").upper()) != product.camera.instrument:
             raise InputError(url, f"an image of {instrument}", f"one of {product.camera.instrument}")
         return label
 
     # --- kernels
 
-    def _kernels(self, camera: ArchivedCamera, taken: Interval, where: str) -> tuple[str, ...]:
+    def _kernels(self, camera: ArchivedCamera, exposure: Interval, where: str) -> tuple[str, ...]:
         """Paths below the kernels' archive, in the meta-kernel's order: of its time, and those of all times."""
         root = getattr(self._archives, camera.kernels)
-        folder, name = self._meta_kernel(camera, root, taken.middle.year, where)
+        folder, name = self._meta_kernel(camera, root, exposure.middle.year, where)
         text = read_text(self._store.get(WantedFile(f"{root}{folder}{name}", kernel_path(name))), encoding="latin-1")
         data = "DATA/" if folder.isupper() else "data/"
         listed = [match[1] for match in _KERNEL.finditer(re.sub(r"\+'\s*'", "", text))]
-        chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, taken)]
+        chosen = [data + path for path in dict.fromkeys(listed) if self._holds(camera, root + data, path, exposure)]
         for kind in ("spk", "ck"):
             if not any(f"/{kind}/" in path.lower() for path in chosen):
-                raise InputError(f"{where}, {name}", f"no {kind.upper()} that holds {taken}", "kernels of its time")
+                raise InputError(f"{where}, {name}", f"no {kind.upper()} that holds {exposure}", "kernels of its time")
         return tuple(chosen)
 
     def _meta_kernel(self, camera: ArchivedCamera, root: str, year: int, where: str) -> tuple[str, str]:
@@ -127,13 +127,13 @@ class CameraSearch:
         for folder in ("extras/mk/", "EXTRAS/MK/"):
             page = self._store.remote.listing(root + folder)
             pattern = camera.meta_kernel.format(year)
-            found = sorted(set(re.findall(rf"(?<=[\"/>])({pattern})(?=[\"<])", page, re.IGNORECASE)))
-            if found:
-                return folder, found[-1]
+            names = sorted(set(re.findall(rf"(?<=[\"/>])({pattern})(?=[\"<])", page, re.IGNORECASE)))
+            if names:
+                return folder, names[-1]
         expected = camera.meta_kernel.format(year)
         raise InputError(f"{where}, kernels of {year}", f"no meta-kernel in {root}extras/mk/", expected)
 
-    def _holds(self, camera: ArchivedCamera, data: str, path: str, taken: Interval) -> bool:
+    def _holds(self, camera: ArchivedCamera, data: str, path: str, exposure: Interval) -> bool:
         """Whether a kernel is wanted: text of any time; an orbit or attitude by the dates in its name, or its label."""
         kind, _, name = path.rpartition("/")
         kind = kind.lower()
@@ -141,8 +141,8 @@ class CameraSearch:
             return True
         if kind == "ck" and not camera.attitude.match(name):
             return False
-        wanted = taken.wider(MARGIN)
-        if (covered := dates_in(name)) is not None and not covered.meets(wanted):
+        interval = exposure.wider(MARGIN)
+        if (covered := dates_in(name)) is not None and not covered.meets(interval):
             return False
         if covered is not None:
             return True
@@ -151,8 +151,8 @@ class CameraSearch:
             text = read_text(self._store.get(WantedFile(data + label, kernel_path(label.lower()))), encoding="latin-1")
         except NotInArchive:
             return True
-        said = Interval.said_by(flat_label(text, label))
-        return said is None or said.meets(wanted)
+        stated = Interval.stated_by(flat_label(text, label))
+        return stated is None or stated.meets(interval)
 
     def _addendum(self, camera: ArchivedCamera, where: str) -> tuple[str, tuple[str, ...]]:
         """Path of ISIS's addendum below its data, and a sentence where there is none."""
@@ -172,8 +172,8 @@ class CameraSearch:
         if box is None:
             return "", (f"{where}: no laser shots, its place is not known before its kernels are here",)
         wider = Box(*(side + more for side, more in zip(box, (-_EDGE, _EDGE, -_EDGE, _EDGE), strict=True)))
-        found = shots_in(wider, camera.altimetry, self._archives, self._store.remote)
-        return found, () if found else (f"{where}: no laser shots, ODE has none over its ground",)
+        path = shots_in(wider, camera.altimetry, self._archives, self._store.remote)
+        return path, () if path else (f"{where}: no laser shots, ODE has none over its ground",)
 
 
 def shots_in(box: Box, data_set: str, archives: Archives, remote: Remote) -> str:
@@ -184,17 +184,17 @@ def shots_in(box: Box, data_set: str, archives: Archives, remote: Remote) -> str
     west, east = (0.0, 360.0) if east - west >= 360.0 else (west % 360.0, east % 360.0 or 360.0)
     limits = max(south, -90.0), min(north, 90.0), west, east
     sides = zip(("minlat", "maxlat", "westernlon", "easternlon"), limits, strict=True)
-    asked = f"livegds/?query={data_set}&results=v&output=JSON" + "".join(f"&{name}={side:.4f}" for name, side in sides)
-    found = _URL.search(remote.listing(archives.ode + asked))
-    return found[1] if found else ""
+    query = f"livegds/?query={data_set}&results=v&output=JSON" + "".join(f"&{name}={side:.4f}" for name, side in sides)
+    match = _URL.search(remote.listing(archives.ode + query))
+    return match[1] if match else ""
 
 
 def box_of(answer: str, label: Block) -> Box | None:
     """Where an image lies, by ODE's answer or its label's footprint; None where neither says."""
     names = ("Minimum_latitude", "Maximum_latitude", "Westernmost_longitude", "Easternmost_longitude")
-    found = [re.search(rf"{name}\W+?([-+]?\d+(?:\.\d+)?)", answer) for name in names]
-    if all(found):
-        return Box(*(float(one[1]) for one in found if one))
+    matches = [re.search(rf"{name}\W+?([-+]?\d+(?:\.\d+)?)", answer) for name in names]
+    if all(matches):
+        return Box(*(float(match[1]) for match in matches if match))
     corners = ("FOOTPRINT_POINT_LATITUDE", "FOOTPRINT_POINT_LONGITUDE")
     if not all(name in label for name in corners):
         return None
@@ -215,8 +215,8 @@ def box_of(answer: str, label: Block) -> Box | None:
 
 def dates_in(name: str) -> Interval | None:
     """From the first of the dates in a kernel's name (YYMMDD or YYYYDDD) to the end of the second; None without two."""
-    found = _DATES.search(name)
-    days = list(_days(found.groups())) if found else []
+    match = _DATES.search(name)
+    days = list(_days(match.groups())) if match else []
     return Interval(days[0], days[1] + timedelta(days=1)) if len(days) == 2 and days[0] <= days[1] else None
 
 

@@ -50,7 +50,7 @@ def meta_kernel(needs: Sequence[ImageNeeds]) -> str:
     """Text of a meta-kernel that names files beside it, in the order of loading."""
     kernels = [LEAP_SECONDS, *FIXED, *kernels_of(needs)]
     if needs[0].camera is not None:
-        kernels = list(dict.fromkeys(one for image in needs for one in (*image.kernels, image.addendum) if one))
+        kernels = list(dict.fromkeys(path for image in needs for path in (*image.kernels, image.addendum) if path))
     names = [Path(kernel_path(kernel)).name for kernel in kernels]
     listed = "\n".join(f"  '{name}'" for name in names)
     return f"""{META_KERNEL_HEAD}
@@ -86,33 +86,33 @@ def case_text(needs: Sequence[ImageNeeds], grid: Grid | None, folder: Path) -> s
 
 
 def _orientation(image: ImageNeeds) -> str:
-    """What is known of the images' orientation, by the mission of one of them."""
+    """Prior of the images' orientation, by the mission of one of them."""
     nominal = _MOC_NOMINAL if image.camera is None else ""
     mission = "MGS" if image.camera is None else image.camera.kernels.partition("_")[0].upper()
     return "".join([
-        "[orientation]\n", nominal, _said("degree = 2", "of the corrections"), *accuracy_of(mission).lines(),
-        _said("trend = [1.0, 0.1, 0.01]", "of these, for the terms 1, u, u^2"),
+        "[orientation]\n", nominal, _commented("degree = 2", "of the corrections"), *accuracy_of(mission).lines(),
+        _commented("trend = [1.0, 0.1, 0.01]", "of these, for the terms 1, u, u^2"),
     ])
 
 
 def _image(image: ImageNeeds, focal_length: float) -> str:
     return "".join([
         "[[images]]\n",
-        _said(f'name = "{image.product.name}"', f"{image.start}, orbit {image.orbit}"),
+        _commented(f'name = "{image.product.name}"', f"{image.start}, orbit {image.orbit}"),
         f'label = "{image.image_path}"\n',
-        _said('constants = "ik"', "of NAIF's instrument kernel, but for"),
-        _said(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
+        _commented('constants = "ik"', "of NAIF's instrument kernel, but for"),
+        _commented(f"focal_length_m = {focal_length}", "by which a pixel sees 3.7497 microradians, as in ISIS"),
     ])
 
 
 def _other_image(image: ImageNeeds) -> str:
     return "".join([
-        "[[images]]\n", _said(f'name = "{image.product.name}"', image.start), f'label = "{image.image_path}"\n',
+        "[[images]]\n", _commented(f'name = "{image.product.name}"', image.start), f'label = "{image.image_path}"\n',
     ])
 
 
 def _other_shots(image: ImageNeeds) -> str:
-    """Laser shots over an image, for a person to choose from: many profiles, seldom one that was taken along."""
+    """Laser shots over an image, for the user to choose from: many profiles, seldom one that was taken along."""
     return (
         f"# laser shots about {image.product.name}; which ones fall in it:\n"
         f"# mgsgraph footprints {CASE} {image.shots_path}\n"
@@ -120,7 +120,7 @@ def _other_shots(image: ImageNeeds) -> str:
     )
 
 
-def _said(line: str, comment: str) -> str:
+def _commented(line: str, comment: str) -> str:
     return f"{line:39} # {comment}\n"
 
 
@@ -133,10 +133,10 @@ def camera_focal_length(folder: Path) -> float:
         A kernel that has no pixel size.
     """
     path = folder / _INSTRUMENT
-    found = _PIXEL_SIZE.search(read_text(path, encoding="latin-1"))
-    if found is None or not _LEAST < (size := number_of(found[1], f"{path}, INS-94031_PIXEL_SIZE")) < _LARGEST:
-        said = "no INS-94031_PIXEL_SIZE" if found is None else f"INS-94031_PIXEL_SIZE = {found[1]} m"
-        raise InputError(str(path), said, "NAIF's instrument kernel of MOC", "try another mirror")
+    match = _PIXEL_SIZE.search(read_text(path, encoding="latin-1"))
+    if match is None or not _LEAST < (size := number_of(match[1], f"{path}, INS-94031_PIXEL_SIZE")) < _LARGEST:
+        problem = "no INS-94031_PIXEL_SIZE" if match is None else f"INS-94031_PIXEL_SIZE = {match[1]} m"
+        raise InputError(str(path), problem, "NAIF's instrument kernel of MOC", "try another mirror")
     return round(size / _PIXEL_ANGLE, 6)
 
 
@@ -148,6 +148,6 @@ def _terrain(grid: Grid) -> str:
     lines = ["[terrain]\n", f"radius = {files(grid.stems)}\n"]
     if len(grid.stems) == 1:  # of several tiles a case takes the radii only
         lines.append(f"topography = {files([topography(grid.stems[0])])}\n")
-    lines.append(_said(f"vertical_sigma_m = {grid.sigma}", "between its posts (docs/fetch.md)"))
-    lines.append(_said("planimetric_sigma_m = 100.0", "MOLA's (Kirk et al. 2002)"))
+    lines.append(_commented(f"vertical_sigma_m = {grid.sigma}", "between its posts (docs/fetch.md)"))
+    lines.append(_commented("planimetric_sigma_m = 100.0", "MOLA's (Kirk et al. 2002)"))
     return "".join(lines)

@@ -43,7 +43,7 @@ _PIECE = 1 << 16
 """bytes read at a time, at the most."""
 _LATER = (429, 500, 502, 503, 504)
 """Statuses of a server that may do better later."""
-_NOT_THERE = (404, 410)
+_MISSING = (404, 410)
 _NOTHING_MORE = 416
 """Status of a file that ends before the byte asked for."""
 _REDIRECTS = 10
@@ -74,7 +74,7 @@ def _write(path: Path, how: int, content: bytes) -> None:
 
 @dataclass(frozen=True, slots=True)
 class RemoteSource:
-    """What an archive says of a file."""
+    """An archive's statements about a file."""
 
     url: str
     total: int | None
@@ -87,7 +87,7 @@ class RemoteSource:
     @property
     def sound(self) -> bool:
         """Whether its values are of the kinds that they should be: it may have been read from a file."""
-        texts = all(isinstance(one, str) for one in (self.url, self.etag, self.modified))
+        texts = all(isinstance(text, str) for text in (self.url, self.etag, self.modified))
         return texts and (self.total is None or (type(self.total) is int and self.total >= 0))
 
     @property
@@ -98,8 +98,8 @@ class RemoteSource:
     def same_content(self, other: "RemoteSource") -> bool:
         """Whether the other is the same content, as far as both say."""
         return all(
-            not mine or not others or mine == others
-            for mine, others in ((self.etag, other.etag), (self.modified, other.modified), (self.total, other.total))
+            not own or not theirs or own == theirs
+            for own, theirs in ((self.etag, other.etag), (self.modified, other.modified), (self.total, other.total))
         )
 
 
@@ -141,7 +141,7 @@ class PartialFile:
         return {"Range": f"bytes={self.size}-", "If-Range": self.source.validator}
 
     def begin(self, source: RemoteSource) -> None:
-        """Begin anew: nothing is there."""
+        """Begin again with an empty file."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(self.path.parent).free
@@ -165,7 +165,7 @@ class PartialFile:
             raise self._refusal(error) from None
 
     def finish(self) -> None:
-        """Let it take the file's place."""
+        """Move it to the file's place."""
         try:
             self.file.replace(self.path)
             self._said.unlink(missing_ok=True)
@@ -173,7 +173,7 @@ class PartialFile:
             raise self._refusal(error) from None
 
     def discard(self) -> None:
-        """Forget what is there."""
+        """Delete the partial file."""
         self.source = None
         try:
             self.file.unlink(missing_ok=True)
@@ -188,7 +188,7 @@ class PartialFile:
 
 
 class Refused(InputError):
-    """An answer that means no, however often one asks."""
+    """An answer that is final: another try is useless."""
 
 
 class NotInArchive(Refused):
@@ -196,7 +196,7 @@ class NotInArchive(Refused):
 
 
 class Stopped(Exception):
-    """Another download has failed, or the user has interrupted: this one shall end."""
+    """Another download failed, or the user interrupted: this download ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +215,7 @@ class RetryPolicy:
 
 
 class _Trouble(Exception):
-    """Something that may go better next time; `after` s the server asks to be left alone."""
+    """An error that may pass; the server asks to wait `after` s."""
 
     def __init__(self, found: str, after: float = 0.0) -> None:
         super().__init__(found)
@@ -310,32 +310,32 @@ class Remote:
                 return
             part.discard()
         with self._answer(url, part.wanted()) as answer:
-            said = _source(url, answer)
+            stated = _source(url, answer)
             if answer.status_code == _NOTHING_MORE:
                 part.discard()
                 raise _Trouble("it is shorter than was announced before")
-            if said.total is not None and said.total > limit:
-                raise _too_long(url, f"{said.total / 1e6:.0f} MB", limit)
+            if stated.total is not None and stated.total > limit:
+                raise _too_long(url, f"{stated.total / 1e6:.0f} MB", limit)
             if answer.status_code != 206:
-                part.begin(said)
-            elif part.source is None or not part.source.same_content(said) or _first(answer) != part.size:
+                part.begin(stated)
+            elif part.source is None or not part.source.same_content(stated) or _first(answer) != part.size:
                 part.discard()
                 raise _Trouble("its content has changed while it was being fetched")
             size = part.size
-            progress(size, said.total)
+            progress(size, stated.total)
             for piece in _pieces(answer):
                 if self._stop.is_set():
                     raise Stopped
                 size += len(piece)
-                if size > (limit if said.total is None else said.total):
+                if size > (limit if stated.total is None else stated.total):
                     part.discard()
-                    if said.total is None:
+                    if stated.total is None:
                         raise _too_long(url, "no end", limit)
-                    raise _Trouble(f"more bytes came than the {said.total} that were announced")
+                    raise _Trouble(f"more bytes came than the {stated.total} that were announced")
                 part.add(piece)
-                progress(size, said.total)
+                progress(size, stated.total)
         if not part.whole:
-            raise _Trouble(f"{part.size} bytes came of {said.total} that were announced")
+            raise _Trouble(f"{part.size} bytes came of {stated.total} that were announced")
 
     @contextmanager
     def _answer(self, url: str, headers: Mapping[str, str]) -> Iterator["requests.Response"]:
@@ -434,7 +434,7 @@ def _too_long(url: str, found: str, limit: int) -> InputError:
 def _require_content(url: str, answer: "requests.Response") -> None:
     """Raise _Trouble or InputError unless the answer is a file, or a part of one."""
     status = f"{answer.status_code} {answer.reason}".strip()
-    if answer.status_code in _NOT_THERE:
+    if answer.status_code in _MISSING:
         raise NotInArchive(url, f"not there ({status})", remedy="check the mirror, or the archive's own pages")
     if answer.status_code in _LATER:
         raise _Trouble(f"the server says {status}", _count(answer.headers.get("Retry-After", "")) or 0.0)
@@ -454,7 +454,7 @@ def _source(url: str, answer: "requests.Response") -> RemoteSource:
 
 
 def _pieces(answer: "requests.Response") -> Iterator[bytes]:
-    """Content as it comes: of what broke off nothing is lost that had arrived (as it would be in larger reads)."""
+    """Content as it comes: all bytes that arrived before an interruption are kept (larger reads would lose some)."""
     from urllib3.exceptions import HTTPError, ReadTimeoutError
 
     try:
@@ -468,12 +468,12 @@ def _pieces(answer: "requests.Response") -> Iterator[bytes]:
 
 def _up_to(answer: "requests.Response", count: int) -> bytes:
     """The first bytes of an answer's content."""
-    found = b""
+    content = b""
     for piece in _pieces(answer):
-        found += piece
-        if len(found) >= count:
+        content += piece
+        if len(content) >= count:
             break
-    return found[:count]
+    return content[:count]
 
 
 def _first(answer: "requests.Response") -> int | None:
@@ -490,8 +490,8 @@ def _count(text: str) -> int | None:
 def _words(error: Exception) -> str:
     """The innermost reason of an exception of requests, in a few words."""
     reason: object = error
-    while inner := [one for one in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
-                    if isinstance(one, Exception)]:  # fmt: skip
+    while inner := [cause for cause in (getattr(reason, "reason", None), *getattr(reason, "args", ()))
+                    if isinstance(cause, Exception)]:  # fmt: skip
         reason = inner[0]
     text = getattr(reason, "strerror", None) or str(reason)
     return " ".join(str(text).rpartition(": ")[2].split())[:120]

@@ -65,14 +65,14 @@ class Fetched(Record):
     @property
     def sentences(self) -> list[str]:
         """What there is now, one line each."""
-        said = [
+        lines = [
             f"{image.product}: {image.start}, {f'orbit {image.orbit}, ' if image.orbit else ''}"
             f"{_kernels(image)}, {Path(image.pedr or image.shots_path).name or 'no laser profile'}"
             for image in self.images
         ]
         size = sum(self.brought.values()) / 1e6
-        said.append(f"{many(len(self.brought), 'file')} fetched, {size:.1f} MB; {self.here} were here already")
-        return [printable(one) for one in (*said, *self.notes)]
+        lines.append(f"{many(len(self.brought), 'file')} fetched, {size:.1f} MB; {self.here} were here already")
+        return [printable(line) for line in (*lines, *self.notes)]
 
     def commands(self) -> list[str]:
         """What to type next; none for a single image."""
@@ -149,7 +149,7 @@ def fetch_images(
         notes += [note for image in needs for note in image.notes]
         places = list[tuple[float, float]]()
         for image in needs if choice == "128" else ():
-            with errors_from(f"{image.product}, whose place its tiles hang on"):
+            with errors_from(f"{image.product}, whose place its tiles depend on"):
                 places += ground_places(image, folder)
         grid = None if choice == "none" or _on_the_moon(needs) else grid_of(choice, places)
         if grid is not None:
@@ -202,12 +202,12 @@ def fetch_shots(
     with _opened(folder, retry, say, progress) as store:
         lock = store.lock
         if not lock.whole(name):
-            found = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
-            if not found:
+            path = shots_in(Box(south, north, west, east), DATA_SETS[altimeter], archives, store.remote)
+            if not path:
                 raise InputError(f"{altimeter} in {box}", "no table of shots by ODE", "a box that its profiles cross")
             if name in lock.files:  # ODE makes another table each time it is asked
                 del lock.files[name]
-            store.get(WantedFile(archives.ode + found, name))
+            store.get(WantedFile(archives.ode + path, name))
         return store.path(name)
 
 
@@ -216,13 +216,13 @@ def _opened(
     folder: Path, retry: RetryPolicy | None, say: Callable[[str], None], progress: Progress
 ) -> Iterator[DownloadFolder]:
     """The folder, ours alone as long as this lasts."""
-    with closing(Remote(retry, say)) as remote, claimed(_made(folder), "another mgsgraph is fetching into it"):
+    with closing(Remote(retry, say)) as remote, claimed(_made_folder(folder), "another mgsgraph is fetching into it"):
         lock = Lock.read(folder)
         lock.write()
         yield DownloadFolder(lock, remote, progress)
 
 
-def _made(folder: Path) -> Path:
+def _made_folder(folder: Path) -> Path:
     """The folder, made where there is none; InputError where it is neither empty nor an earlier one of ours."""
     try:
         if folder.exists() and not (folder / LOCK).exists():
@@ -256,7 +256,7 @@ def _on_the_moon(needs: Iterable[ImageNeeds]) -> bool:
 
 def _kernels(image: ImageNeeds) -> str:
     """Names of an image's SPK and CK."""
-    return ", ".join(Path(one).name for one in image.kernels if one.lower().split("/")[-2] in ("spk", "ck"))
+    return ", ".join(Path(path).name for path in image.kernels if path.lower().split("/")[-2] in ("spk", "ck"))
 
 
 def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
@@ -281,24 +281,24 @@ def ground_places(image: ImageNeeds, folder: Path) -> list[tuple[float, float]]:
     from mgsgraph.units import DEG
 
     label, kernels = folder / image.image_path, [folder / "kernels/mgs.tm"]
-    taken = read_labelled_image(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
+    picture = read_labelled_image(label, kernels, constants="ik", focal_length=camera_focal_length(folder))
     lines, samples = np.array([0.0, 0.0, 0.5, 1.0, 1.0]), np.array([0.0, 1.0, 0.5, 0.0, 1.0])
-    points, _ = taken.image_to_ground(lines * taken.lines, samples * taken.samples)
-    seen = planetocentric(points[np.all(np.isfinite(points), axis=1)]) / DEG
-    if not len(seen):
+    points, _ = picture.image_to_ground(lines * picture.lines, samples * picture.samples)
+    places = planetocentric(points[np.all(np.isfinite(points), axis=1)]) / DEG
+    if not len(places):
         raise InputError(image.image_path, "looks past Mars", "ground")
-    return [(float(longitude), float(latitude)) for longitude, latitude, _ in seen]
+    return [(float(longitude), float(latitude)) for longitude, latitude, _ in places]
 
 
 def _write_own(lock: Lock, name: str, text: str) -> list[str]:
     """Write the case file or the meta-kernel unless the user has made it theirs; what there is to say of it."""
-    path, mine = lock.folder / name, hashlib.sha256(text.encode()).hexdigest()
+    path, digest = lock.folder / name, hashlib.sha256(text.encode()).hexdigest()
     if path.exists():
         content = read_bytes(path)
-        earlier = name not in lock.written and content.startswith(META_KERNEL_HEAD.encode())  # that was not locked then
-        if not earlier and hashlib.sha256(content).hexdigest() not in (lock.written.get(name), mine):
+        old = name not in lock.written and content.startswith(META_KERNEL_HEAD.encode())  # that was not locked then
+        if not old and hashlib.sha256(content).hexdigest() not in (lock.written.get(name), digest):
             return [f"{path} is not as it was written here, and was left alone; move it away to have a new one"]
     write_file(path, text, remedy=_REMEDY)
-    lock.written[name] = mine
+    lock.written[name] = digest
     lock.write()
     return []

@@ -21,13 +21,13 @@ class Interval(NamedTuple):
     @classmethod
     def of(cls, label: Block) -> "Interval":
         """START_TIME and STOP_TIME of a label; InputError where one is missing, no time, or they are exchanged."""
-        found = cls(*(utc(label.text(key), label.where(key)) for key in ("START_TIME", "STOP_TIME")))
-        if found.start > found.stop:
-            raise InputError(label.where(), f"START_TIME {found.start} after STOP_TIME {found.stop}", "the reverse")
-        return found
+        own = cls(*(utc(label.text(key), label.where(key)) for key in ("START_TIME", "STOP_TIME")))
+        if own.start > own.stop:
+            raise InputError(label.where(), f"START_TIME {own.start} after STOP_TIME {own.stop}", "the reverse")
+        return own
 
     @classmethod
-    def said_by(cls, label: Block) -> "Interval | None":
+    def stated_by(cls, label: Block) -> "Interval | None":
         """The same; None for a label that says no times."""
         stated = [str(label.entries[key.lower()].value) for key in ("START_TIME", "STOP_TIME") if key in label]
         return cls.of(label) if len(stated) == 2 and not any(text.upper() in _NONE for text in stated) else None
@@ -94,12 +94,12 @@ def phase_of(when: datetime) -> int:
     return max(0, sum(start <= when for start in _STARTS) - 1)
 
 
-def find_kernels(taken: Interval, cover: Cover, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def find_kernels(exposure: Interval, cover: Cover, where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Paths of the SPK and the CK of an image, and sentences about what could not be confirmed.
 
     Parameters
     ----------
-    taken : Interval
+    exposure : Interval
         When the image was taken.
     cover : callable
         Reads kernels' labels.
@@ -113,27 +113,27 @@ def find_kernels(taken: Interval, cover: Cover, where: str) -> tuple[tuple[str, 
     """
     paths, notes = [], []
     for kind, (stem, suffix) in KINDS.items():
-        phases, confirmed = _phases(taken, stem, cover, f"{where}, {kind}")
+        phases, confirmed = _phases(exposure, stem, cover, f"{where}, {kind}")
         paths += [f"{stem}{_NAMES[k]}{suffix}" for k in phases]
         if not confirmed:
             notes.append(f"{where}: {paths[-1]} has no label that would confirm its time; it is taken by its name")
     return tuple(paths), tuple(notes)
 
 
-def _phases(taken: Interval, stem: str, cover: Cover, where: str) -> tuple[list[int], bool]:
+def _phases(exposure: Interval, stem: str, cover: Cover, where: str) -> tuple[list[int], bool]:
     """Phases that hold an interval, in order, and whether labels say so; the predicted one is asked first."""
-    predicted, wanted = phase_of(taken.middle), taken.wider(MARGIN)
+    predicted, wanted = phase_of(exposure.middle), exposure.wider(MARGIN)
     reach = range(max(0, predicted - _REACH), min(len(_NAMES), predicted + _REACH + 1))
-    found: dict[int, Interval] = {}
+    covered: dict[int, Interval] = {}
     for k in sorted(reach, key=lambda k: (abs(k - predicted), k)):
-        said = cover(f"{stem}{_NAMES[k]}.lbl")
-        if said is None and k == predicted:
+        stated = cover(f"{stem}{_NAMES[k]}.lbl")
+        if stated is None and k == predicted:
             return [k], False
-        if said is not None and said.meets(wanted):
-            found[k] = said
-        if all(any(one.holds(end) for one in found.values()) for end in wanted):
+        if stated is not None and stated.meets(wanted):
+            covered[k] = stated
+        if all(any(interval.holds(end) for interval in covered.values()) for end in wanted):
             break
-    if not all(any(one.holds(end) for one in found.values()) for end in taken):
-        near = ", ".join(f"{_NAMES[k]} {one}" for k, one in sorted(found.items())) or "none of its time"
-        raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {taken}", near)
-    return sorted(found), True
+    if not all(any(interval.holds(end) for interval in covered.values()) for end in exposure):
+        near = ", ".join(f"{_NAMES[k]} {interval}" for k, interval in sorted(covered.items())) or "none of its time"
+        raise InputError(where, f"no kernel of {_NAMES[reach[0]]} .. {_NAMES[reach[-1]]} holds {exposure}", near)
+    return sorted(covered), True

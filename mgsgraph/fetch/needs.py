@@ -86,10 +86,10 @@ class Archives(Record):
             A file that can't be read or is no TOML, a key that is no archive, or no address of http or https.
         """
         table = toml_table(read_text(path, limit=LARGEST_TOML), str(path))
-        known = [field.name for field in fields(cls)]
+        names = [field.name for field in fields(cls)]
         for key, value in table.items():
-            if key not in known:
-                raise InputError(f"{path}, {key}", "no archive of that name", ", ".join(known))
+            if key not in names:
+                raise InputError(f"{path}, {key}", "no archive of that name", ", ".join(names))
             if not isinstance(value, str):
                 raise InputError(f"{path}, {key}", repr(value)[:60], "an address in quotation marks")
             require_address(value, f"{path}, {key}")
@@ -231,10 +231,10 @@ class ProductId(NamedTuple):
         """
         match = _ID.fullmatch(text.strip())
         if match is None:
-            known = ", ".join(camera.example for camera in CAMERAS)
+            examples = ", ".join(camera.example for camera in CAMERAS)
             raise InputError(
                 f"image {text!r}"[:80], "not the id of an image of MOC, CTX, LROC NAC or HRSC",
-                f"one such as E02/00665, e0200665, {known}",
+                f"one such as E02/00665, e0200665, {examples}",
             )
         product = cls(match[1].upper(), match[2])
         if not _MAPPING.fullmatch(product.phase):
@@ -265,7 +265,7 @@ def products_of(texts: Sequence[str]) -> tuple[Product, ...]:
 
 def require_one_mission(products: Iterable[Product]) -> None:
     """Raise InputError for images of several missions: a folder has the kernels of one."""
-    missions = {one.camera.kernels if isinstance(one, CameraProduct) else "mgs_kernels" for one in products}
+    missions = {product.camera.kernels if isinstance(product, CameraProduct) else "mgs_kernels" for product in products}
     if len(missions) > 1:
         names = ", ".join(sorted(name.partition("_")[0].upper() for name in missions))
         raise InputError("images", f"of several missions ({names})", "images of one", "fetch them into a folder each")
@@ -328,7 +328,7 @@ class ImageNeeds(Record):
 
     def entry(self) -> dict[str, Any]:
         """For a lock."""
-        entry = {one.name: getattr(self, one.name) for one in fields(self)}
+        entry = {field.name: getattr(self, field.name) for field in fields(self)}
         return entry | {"product": str(self.product)}
 
     @property
@@ -359,28 +359,28 @@ def kernel_path(kernel: str) -> str:
 
 def kernels_of(needs: Iterable[ImageNeeds]) -> tuple[str, ...]:
     """Of all images, each once, SPK before CK and each kind by time, for what is loaded later wins."""
-    mine = dict.fromkeys(kernel for image in sorted(needs, key=lambda one: one.start) for kernel in image.kernels)
-    return tuple(sorted(mine, key=lambda kernel: kernel.startswith("ck/")))
+    kernels = dict.fromkeys(kernel for image in sorted(needs, key=lambda need: need.start) for kernel in image.kernels)
+    return tuple(sorted(kernels, key=lambda kernel: kernel.startswith("ck/")))
 
 
 def wanted_files(needs: Iterable[ImageNeeds], archives: Archives) -> tuple[WantedFile, ...]:
     """All files but those of the terrain, each once."""
     needs = tuple(needs)
-    found = list[WantedFile]()
+    files = list[WantedFile]()
     for image in needs:
         root = archives.images if image.camera is None else getattr(archives, image.camera.images)
-        found.append(WantedFile(root + image.image, image.image_path))
+        files.append(WantedFile(root + image.image, image.image_path))
     if any(image.camera is None for image in needs):
-        found.append(WantedFile(archives.leap_seconds + LEAP_SECONDS, f"kernels/{LEAP_SECONDS}"))
-        found += [WantedFile(archives.kernels + kernel, kernel_path(kernel)) for kernel in (*FIXED, *kernels_of(needs))]
+        files.append(WantedFile(archives.leap_seconds + LEAP_SECONDS, f"kernels/{LEAP_SECONDS}"))
+        files += [WantedFile(archives.kernels + kernel, kernel_path(kernel)) for kernel in (*FIXED, *kernels_of(needs))]
     for image in needs:
         if image.camera is not None:
             root = getattr(archives, image.camera.kernels)
-            found += [WantedFile(root + kernel, kernel_path(kernel)) for kernel in image.kernels]
-            found += [WantedFile(archives.isis + one, kernel_path(one)) for one in [image.addendum] if one]
-    found += [WantedFile(archives.pedr + image.pedr, image.pedr_path) for image in needs if image.pedr]
-    found += [WantedFile(archives.ode + image.shots, image.shots_path) for image in needs if image.shots]
-    return tuple(dict.fromkeys(found))
+            files += [WantedFile(root + kernel, kernel_path(kernel)) for kernel in image.kernels]
+            files += [WantedFile(archives.isis + path, kernel_path(path)) for path in [image.addendum] if path]
+    files += [WantedFile(archives.pedr + image.pedr, image.pedr_path) for image in needs if image.pedr]
+    files += [WantedFile(archives.ode + image.shots, image.shots_path) for image in needs if image.shots]
+    return tuple(dict.fromkeys(files))
 
 
 class Grid(NamedTuple):
@@ -401,9 +401,9 @@ _EDGE = 0.1
 
 def terrain_of(text: str) -> MegdrResolution:
     """A choice by its name; InputError for any other."""
-    for known in get_args(MegdrResolution):
-        if text == known:
-            return cast(MegdrResolution, known)
+    for choice in get_args(MegdrResolution):
+        if text == choice:
+            return cast(MegdrResolution, choice)
     raise InputError("terrain", repr(text), "4, 16 or 128 pixels per degree, or none")
 
 

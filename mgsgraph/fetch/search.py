@@ -45,33 +45,33 @@ def orbit_at(when: datetime) -> int:
     return _KNOWN_ORBIT + round((when - _KNOWN_TIME) / _PERIOD)
 
 
-def find_profile(orbit: int, taken: Interval, archives: Archives, remote: Remote, where: str) -> tuple[str, str]:
+def find_profile(orbit: int, exposure: Interval, archives: Archives, remote: Remote, where: str) -> tuple[str, str]:
     """Path of the PEDR file below its archive, and a sentence: why there is none, or what is not confirmed.
 
     Parameters
     ----------
     orbit : int
         Mapping orbit of the image.
-    taken : Interval
+    exposure : Interval
         When it was taken.
     archives, remote
         Where, and how.
     where : str
         The image, for the sentences.
     """
-    if taken.start > RANGING_ENDED:
+    if exposure.start > RANGING_ENDED:
         return "", f"{where}: no laser profile, MOLA's ranging ended on {RANGING_ENDED:%Y-%m-%d}"
     for path in _candidates(orbit + FIRST, archives, remote):
         try:
             head = remote.head(archives.pedr + path, HEADER_RECORDS * FRAME.itemsize)
         except NotInArchive:
             continue
-        covered = Interval.said_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
+        covered = Interval.stated_by(flat_label(_label_text(head, archives.pedr + path), archives.pedr + path))
         if covered is None:
             return path, f"{where}: the label of {path} says no times; it is taken by its orbit"
-        if covered.holds(taken.middle):
+        if covered.holds(exposure.middle):
             return path, ""
-        if covered.stop < taken.middle:
+        if covered.stop < exposure.middle:
             return "", f"{where}: no laser profile, {path} ends at {covered.stop:%Y-%m-%dT%H:%M:%S} before it"
     return "", f"{where}: no laser profile, the archive has no file of its day"
 
@@ -170,7 +170,7 @@ Rows = Callable[[str], Sequence[IndexRow]]
 """Index of a volume by its name; empty where there is no such volume."""
 
 
-class Found(NamedTuple):
+class LocatedImage(NamedTuple):
     """An image, and where it is."""
 
     volume: str
@@ -192,7 +192,7 @@ def volumes_of(texts: Sequence[str]) -> tuple[str, ...]:
     return named
 
 
-def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
+def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> LocatedImage:
     """Look an image up.
 
     Parameters
@@ -214,8 +214,8 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
         """Latest id of a volume, or of the next that has an index, but for few that are out of order."""
         for volume in volumes[number:]:
             looked.append(volume)
-            if found := rows(volume):
-                return sorted(row.product.order for row in found)[-1 - len(found) // _TAIL]
+            if sample := rows(volume):
+                return sorted(row.product.order for row in sample)[-1 - len(sample) // _TAIL]
         return _AFTER_ALL
 
     looked = list[str]()
@@ -227,7 +227,7 @@ def find_image(product: ProductId, volumes: Sequence[str], rows: Rows) -> Found:
                 if not row.narrow:
                     found = f"of the wide angle ({row.instrument})"
                     raise InputError(f"image {product}", found, "a narrow-angle image, whose geometry is modelled")
-                return Found(volume, row)
+                return LocatedImage(volume, row)
     through = sorted(volume for volume in {*looked} if rows(volume))
     found = f"in no volume that was looked through ({some(through, len(through))})" if through else "no volume there"
     raise InputError(f"image {product}", found, "a narrow-angle image", "check the id, the mirror, or --volume")
@@ -268,10 +268,10 @@ class Search:
             raise InputError(f"index of {volume}, {product}", repr(row.file), "a path such as m08060/m0806047.imq")
         file = f"{volume}/{row.file}"
         label = self._image_label(product, self._archives.images + file)
-        taken, where = Interval.of(label), str(product)
-        orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label else orbit_at(taken.middle)
-        kernels, unconfirmed = find_kernels(taken, self._cover, where)
-        pedr, why = find_profile(orbit, taken, self._archives, self._store.remote, where)
+        exposure, where = Interval.of(label), str(product)
+        orbit = label.count("ORBIT_NUMBER") if "ORBIT_NUMBER" in label else orbit_at(exposure.middle)
+        kernels, unconfirmed = find_kernels(exposure, self._cover, where)
+        pedr, why = find_profile(orbit, exposure, self._archives, self._store.remote, where)
         return ImageNeeds(
             product, file, label.text("START_TIME"), label.text("STOP_TIME"), orbit, kernels, pedr,
             (*unconfirmed, *([why] if why else [])),
@@ -305,4 +305,4 @@ class Search:
             path = self._store.get(WantedFile(self._archives.kernels + label, kernel_path(label)))
         except NotInArchive:
             return None
-        return Interval.said_by(flat_label(read_text(path, encoding="latin-1"), str(path)))
+        return Interval.stated_by(flat_label(read_text(path, encoding="latin-1"), str(path)))

@@ -85,7 +85,7 @@ class Lock:
                 {str(name): str(digest) for name, digest in content["written"].items()},
             )
         except (TypeError, ValueError, KeyError, AttributeError):
-            found, remedy = "entries that are not ours", "move the folder away, and fetch anew"
+            found, remedy = "entries that are not ours", "move the folder away, and fetch again"
             raise InputError(str(path), found, remedy=remedy) from None
 
     def write(self) -> None:
@@ -107,7 +107,7 @@ def _locked(name: str, entry: Mapping[str, Any]) -> LockedFile:
     texts = [entry[key] for key in ("url", "sha256", "fetched")]
     file = LockedFile(texts[0], entry["size"], *texts[1:])
     require_address(file.url, name)
-    if not is_ours(name) or type(file.size) is not int or not all(isinstance(one, str) for one in texts):
+    if not is_ours(name) or type(file.size) is not int or not all(isinstance(text, str) for text in texts):
         raise ValueError(name)
     return file
 
@@ -168,14 +168,14 @@ class DownloadFolder:
     def get_all(self, wanted: Iterable[WantedFile]) -> None:
         """Several files, two at a time; the first error ends all, and what has come is kept."""
         with ThreadPoolExecutor(_AT_ONCE) as pool:
-            waiting = [pool.submit(self.get, one) for one in wanted]
+            waiting = [pool.submit(self.get, file) for file in wanted]
             try:
                 for done in as_completed(waiting):
                     done.result()
             except BaseException:
                 self.remote.stop()
-                for one in waiting:
-                    one.cancel()
+                for future in waiting:
+                    future.cancel()
                 raise
 
     def mend(self) -> None:
@@ -271,6 +271,6 @@ def require_content(path: Path, name: str) -> None:
 def _require_whole_image(path: Path, name: str) -> None:
     """A label at the head, and as many bytes as it says, at least."""
     label = read_label(path)
-    said = label.count("RECORD_BYTES") * label.count("FILE_RECORDS")
-    if path.stat().st_size < said:  # longer ones are whole, too: some archives pad
-        raise InputError(name, f"{path.stat().st_size} bytes", f"{said} by its own label")
+    stated = label.count("RECORD_BYTES") * label.count("FILE_RECORDS")
+    if path.stat().st_size < stated:  # longer ones are whole, too: some archives pad
+        raise InputError(name, f"{path.stat().st_size} bytes", f"{stated} by its own label")

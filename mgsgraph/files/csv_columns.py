@@ -61,7 +61,7 @@ class Columns:
         return f"{self.path}, {self.row} {self.numbers[row]}"
 
     def filled(self, name: str) -> Mask:
-        """Which cells (n,) of a column hold anything."""
+        """Which cells (n,) of a column are filled."""
         return np.asarray(pc.not_equal(self.values[name], ""))
 
     def chosen(self, rows: Index) -> "Columns":
@@ -94,18 +94,18 @@ class CsvText:
         return ", ".join(filter(None, (str(self.path), f"line {self.numbers[row]}", name)))
 
     def texts(self, *names: str) -> dict[str, pa.Array]:
-        """Columns (n) of texts without blanks around them; InputError for a row that is none, or of another number of
+        """Columns (n) of texts without blanks around them; InputError for a bad row, or one with another number of
         fields.
         """
         if not self.body:
             return dict.fromkeys(names, pa.array([], pa.large_string()))
         try:
-            found = self._read(names, pa.large_string())
+            columns = self._read(names, pa.large_string())
         except pa.ArrowInvalid as error:
             for k, row in enumerate(self.body.decode().split("\n")):
                 _require_width(_fields(row, self.where(k)), len(self.names), self.where(k))
             raise InputError(str(self.path), f"no CSV ({error})", "RFC 4180") from None
-        return {name: pc.utf8_trim_whitespace(column) for name, column in found.items()}
+        return {name: pc.utf8_trim_whitespace(column) for name, column in columns.items()}
 
     def shown(self, name: str) -> Names:
         """Texts (n) of a column, none of which is empty; InputError for one that can't be shown."""
@@ -120,10 +120,10 @@ class CsvText:
         """
         full = [name for name in names if name not in gaps]
         try:
-            found = {name: np.asarray(column) for name, column in self._read(full, pa.float64()).items()}
+            columns = {name: np.asarray(column) for name, column in self._read(full, pa.float64()).items()}
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # where, or what Arrow doesn't know, is seen below
-            found = {}
-        sound = {name: values for name, values in found.items() if np.all(np.abs(values) < largest)}
+            columns = {}
+        sound = {name: values for name, values in columns.items() if np.all(np.abs(values) < largest)}
         for name, column in self.texts(*(name for name in names if name not in sound)).items():
             sound[name] = measured(column, partial(self.where, name=name), largest)
             if name not in gaps and np.any(missing := np.isnan(sound[name])):
@@ -136,11 +136,11 @@ class CsvText:
 
         if not names:
             return {}
-        every = [str(k) for k in range(len(self.names))]
+        column_names = [str(k) for k in range(len(self.names))]
         kinds = {str(self.names.index(name)): kind for name in names}
         table = arrow_csv.read_csv(
             pa.BufferReader(self.body),
-            arrow_csv.ReadOptions(column_names=every, block_size=_BLOCK, use_threads=len(self.body) > _BLOCK),
+            arrow_csv.ReadOptions(column_names=column_names, block_size=_BLOCK, use_threads=len(self.body) > _BLOCK),
             convert_options=arrow_csv.ConvertOptions(column_types=kinds, include_columns=list(kinds), null_values=[]),
         )
         if len(table) != len(self):
@@ -202,20 +202,20 @@ def _numbers_of(texts: pa.Array, largest: float) -> Array | None:
     """(n,) numbers that texts (n) spell in decimal, NaN for empty ones; None where one spells none, or one that is not
     smaller than the `largest`.
     """
-    there = pc.not_equal(texts, "")
+    nonempty = pc.not_equal(texts, "")
     try:
-        values = np.asarray(pc.if_else(there, texts, None).cast(pa.float64()).fill_null(0.0))
+        values = np.asarray(pc.if_else(nonempty, texts, None).cast(pa.float64()).fill_null(0.0))
     except pa.ArrowInvalid:
         return None
-    return np.where(np.asarray(there), values, np.nan) if np.all(np.abs(values) < largest) else None
+    return np.where(np.asarray(nonempty), values, np.nan) if np.all(np.abs(values) < largest) else None
 
 
 def measured(column: pa.Array, where: Callable[[int], str], largest: float = LARGEST_NUMBER) -> Array:
     """(n,) finite numbers below the `largest` of a table's column, NaN for empty cells; InputError, with the words for
     `where` the k-th of them is, for the first that is none.
     """
-    if (found := _numbers_of(column, largest)) is not None:
-        return found
+    if (numbers := _numbers_of(column, largest)) is not None:
+        return numbers
     values = np.full(len(column), np.nan)
     for k, text in enumerate(column.to_pylist()):  # Arrow doesn't know all numbers, such as "+1.5"
         if text:
@@ -243,7 +243,7 @@ MATRIX = tuple(f"covariance_{axes}_m2" for axes in ("xx", "xy", "xz", "yy", "yz"
 UNCERTAINTIES = (AXES, RADIAL, NORMAL, MATRIX)
 """Ways to say how well it is known, one of which a table has."""
 OF_POINT = ("type", "point_ignore", *dict.fromkeys(name for group in (*PLACES, *UNCERTAINTIES) for name in group))
-"""Columns that are of the point: said in one of its rows, or alike in all."""
+"""Columns that are of the point: stated in one of its rows, or the same in all."""
 OF_MEASURE = (*ISIS, *OURS, "sigma_line_px", "sigma_sample_px", "measure_type", "ignore", "reference")
 """Columns that are of the measure, besides its image."""
 COLUMNS = ("id", "image", *OF_POINT, *OF_MEASURE)
@@ -269,7 +269,7 @@ _MOST = 360.0, 90.0
 """Degrees of a longitude and a latitude."""
 LARGEST_SIGMA = 1e100
 """Of sigmas, whose squares must be numbers."""
-_ALIKE = 0.7
+_LIKENESS = 0.7
 """Of difflib: 'note' is not meant to be 'ignore'."""
 _COUNTS = "name line and sample isis_line and isis_sample if the first pixel is (1, 1), as in ISIS"
 
@@ -304,14 +304,14 @@ def header_of(fields: Sequence[str], where: str) -> tuple[str, ...]:
 
 def whole(names: Sequence[str], groups: Sequence[Sequence[str]], where: str = "") -> tuple[str, ...]:
     """The one group of columns of which a table has any; InputError for a part of it or for two groups."""
-    mine = {name for group in groups for name in group if name in names}
+    present = {name for group in groups for name in group if name in names}
     for group in groups:
-        if mine == set(group):
+        if present == set(group):
             return tuple(group)
-    if not mine:
+    if not present:
         return ()
-    ways = ", or ".join(" and ".join(group) for group in groups if mine & set(group))
-    raise InputError(where, f"columns {', '.join(name for name in names if name in mine)}", ways)
+    ways = ", or ".join(" and ".join(group) for group in groups if present & set(group))
+    raise InputError(where, f"columns {', '.join(name for name in names if name in present)}", ways)
 
 
 def on_body(columns: Sequence[str], values: Array, body: Ellipsoid | None, where: Callable[[int, str], str]) -> Array:
@@ -374,7 +374,7 @@ def upper_triangles(columns: Sequence[str], values: Array, directions: Array) ->
 def _unknown(name: str, names: Sequence[str], where: str) -> InputError:
     if not name:
         return InputError(where, "a column without a name", "a name for each", "remove it, with the comma before it")
-    close = get_close_matches(name, COLUMNS, n=1, cutoff=_ALIKE)
+    close = get_close_matches(name, COLUMNS, n=1, cutoff=_LIKENESS)
     nearest = _MEANT.get(name) or (close[0] if close else "")
     remedy = f"rename it to {nearest!r}" if nearest else f"the columns there are: {', '.join(COLUMNS)}"
     if nearest and set(OURS) & set(names):

@@ -42,10 +42,10 @@ def ellipsoid_of(crs: Any, where: str) -> Ellipsoid:
     a = _metres(shape.get("radius", shape.get("semi_major_axis")))
     flattening = shape.get("inverse_flattening")
     b = _metres(shape.get("semi_minor_axis")) or (a * (1.0 - 1.0 / flattening) if a and flattening else a)
-    said = " ".join(f"{axis.get('name')} {axis.get('direction')}" for axis in axes).lower()
+    directions = " ".join(f"{axis.get('name')} {axis.get('direction')}" for axis in axes).lower()
     found = "coordinates of no known body"
-    if a and b and "west" not in said:
-        spherical = system.get("coordinate_system", {}).get("subtype") == "spherical" or "planetocentric" in said
+    if a and b and "west" not in directions:
+        spherical = system.get("coordinate_system", {}).get("subtype") == "spherical" or "planetocentric" in directions
         if a == b or not spherical:
             return Ellipsoid(a, b)
         found = "planetocentric latitudes on an ellipsoid"
@@ -82,14 +82,14 @@ def vertical_of(crs: Any) -> tuple[str, str]:
 
 
 def require_surface(vertical: str, unit: str, stated: str, where: str) -> None:
-    """Raise InputError where a vertical system contradicts what heights are taken to be above.
+    """Raise InputError where a vertical system contradicts the reference surface of heights.
 
     Parameters
     ----------
     vertical, unit : str
         As `vertical_of` gives them.
     stated : str
-        "radius", "sphere", "ellipsoid" or "areoid"; empty where it is of no matter.
+        "radius", "sphere", "ellipsoid" or "areoid"; empty where it does not matter.
     where : str
         The file, for messages.
     """
@@ -125,15 +125,15 @@ def datum_of_wkt(wkt: str, where: str) -> Ellipsoid:
 
 def is_same(first: Ellipsoid, other: Ellipsoid) -> bool:
     """Whether two statements of a datum differ by digits at most."""
-    apart = max(abs(first.equatorial - other.equatorial), abs(first.polar - other.polar))
-    return apart <= _SAME * other.equatorial
+    difference = max(abs(first.equatorial - other.equatorial), abs(first.polar - other.polar))
+    return difference <= _SAME * other.equatorial
 
 
-def require_same(first: Ellipsoid, other: Ellipsoid, where: str, said: str) -> None:
+def require_same(first: Ellipsoid, other: Ellipsoid, where: str, stated_by: str) -> None:
     """Raise InputError where two statements of a datum differ."""
     if not is_same(first, other):
-        found, expected = (f"{one.equatorial:.9g} and {one.polar:.9g} m" for one in (first, other))
-        raise InputError(where, f"a datum of {found}", f"{expected}, as {said} says", "mend the wrong one")
+        found, expected = (f"{ellipsoid.equatorial:.9g} and {ellipsoid.polar:.9g} m" for ellipsoid in (first, other))
+        raise InputError(where, f"a datum of {found}", f"{expected}, as {stated_by} says", "fix the wrong one")
 
 
 def wkt_of(ellipsoid: Ellipsoid) -> str:

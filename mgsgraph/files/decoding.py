@@ -46,7 +46,7 @@ _WORDS = {
 }  # fmt: skip
 """msgspec's names of types."""
 _NO_VALUE = object()
-_ALIKE = 0.6
+_LIKENESS = 0.6
 """Likeness (difflib) from which on a known key may be meant by an unknown one."""
 
 
@@ -76,17 +76,17 @@ def toml_table(text: str, where: str) -> dict[str, Any]:
     """What a TOML text says; InputError, with the line, when it is malformed, nested too deeply, or holds a
     whole number that can't be any.
     """
-    if found := _DEEP.search(text):
-        line = text.count("\n", 0, found.start()) + 1
-        raise InputError(f"{where}, line {line}", "keys or brackets nested too deeply", "TOML that a person can read")
+    if match := _DEEP.search(text):
+        line = text.count("\n", 0, match.start()) + 1
+        raise InputError(f"{where}, line {line}", "keys or brackets nested too deeply", "TOML of few levels")
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(where, f"malformed TOML ({error})", remedy="mend that line") from None
+        raise InputError(where, f"malformed TOML ({error})", remedy="fix that line") from None
     except RecursionError:
-        raise InputError(where, "brackets nested too deeply", "TOML that a person can read") from None
+        raise InputError(where, "brackets nested too deeply", "TOML of few levels") from None
     except ValueError as error:  # Python's limit of digits, which tomllib lets through
-        raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="mend that number") from None
+        raise InputError(where, f"malformed TOML ({str(error).split(';')[0]})", remedy="fix that number") from None
     require_bearable(table, where, infinite=True)
     return table
 
@@ -99,13 +99,13 @@ def validated(
     """
     table, text = (given.tables, given.text) if isinstance(given, Toml) else (given, "")
     try:
-        found = msgspec.convert(table, kind)
+        record = msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         raise _refusal(str(error), table, kind, str(source), remedy, text) from None
     except UnicodeEncodeError:  # JSON may escape one
         raise InputError(str(source), "half a character", "text") from None
     _refuse_nan(table, str(source))
-    return found
+    return record
 
 
 def line_of(text: str, place: Sequence[str | int]) -> int | None:
@@ -116,26 +116,26 @@ def line_of(text: str, place: Sequence[str | int]) -> int | None:
     """
     lines, counts = dict[_Place, int](), dict[_Place, int]()
     table: _Place = ()
-    plain = _LONG_TEXT.sub(lambda found: "\n" * found[0].count("\n"), text)
+    plain = _LONG_TEXT.sub(lambda match: "\n" * match[0].count("\n"), text)
     for number, line in enumerate(plain.split("\n"), start=1):
         head, pair = _TABLE.match(line), _PAIR.match(line)
-        found: _Place = () if head else table
+        key_path: _Place = () if head else table
         keys = _keys(head[2] if head else pair[1] if pair else "")
         for k, key in enumerate(keys, start=1):
-            found = (*found, key)
-            lines.setdefault(found, number)
+            key_path = (*key_path, key)
+            lines.setdefault(key_path, number)
             if head and head[1] == "[[" and k == len(keys):
-                counts[found] = counts.get(found, -1) + 1
-            if head and found in counts:
-                found = (*found, counts[found])
-                lines.setdefault(found, number)
-        table = found if head else table
+                counts[key_path] = counts.get(key_path, -1) + 1
+            if head and key_path in counts:
+                key_path = (*key_path, counts[key_path])
+                lines.setdefault(key_path, number)
+        table = key_path if head else table
     wanted = tuple(place)
     return next((lines[wanted[:k]] for k in range(len(wanted), 0, -1) if wanted[:k] in lines), None)
 
 
 def _keys(dotted: str) -> list[str]:
-    """The parts of a key as they are meant, without quotation marks."""
+    """The parts of a key, without quotation marks."""
     keys, value = list[str](), tomllib.loads(f"{dotted} = 0") if dotted else {}
     while isinstance(value, dict) and value:
         ((key, value),) = value.items()
@@ -147,11 +147,11 @@ def _refusal(
     message: str, table: dict[str, Any], kind: type[msgspec.Struct], source: str, remedy: str, text: str
 ) -> InputError:
     """The InputError for what msgspec says: what is wrong, and " - at `$.images[0].name`"."""
-    said, _, place = message.partition(" - at `$")
+    detail, _, place = message.partition(" - at `$")
     place = place.rstrip("`").removeprefix(".")
     steps = _STEP.findall(place)
     value, owner = _value_at(table, steps)
-    key = _KEY.fullmatch(said)
+    key = _KEY.fullmatch(detail)
     if text:
         wanted = [name or int(index) for name, index in steps if name or index.isdecimal()]
         line = line_of(text, [*wanted, key[2]] if key else wanted)
@@ -160,19 +160,19 @@ def _refusal(
     if key:
         if key[1] == "missing required":
             return InputError(where, f"no key {key[2]!r}", remedy=remedy)
-        known = [field.encode_name for one in _kinds_at(kind, steps) if _is_record(one) for field in _fields(one)]
-        close = get_close_matches(key[2], known, n=1, cutoff=_ALIKE)
-        expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(known)}"
+        known_keys = [field.encode_name for at in _kinds_at(kind, steps) if _is_record(at) for field in _fields(at)]
+        close = get_close_matches(key[2], known_keys, n=1, cutoff=_LIKENESS)
+        expected = f"did you mean {close[0]!r}?" if close else f"known keys are {', '.join(known_keys)}"
         if homes := sorted(set(_homes(kind, key[2]))):
             expected = f"it is a key of {' and '.join(f'[{home}]' if home else 'the head' for home in homes)}"
         return InputError(where, f"the unknown key {key[2]!r}", remedy="; ".join(filter(None, (expected, remedy))))
     if value is _NO_VALUE:
-        return InputError(where, said[0].lower() + said[1:], remedy=remedy)
-    if said == "Number out of range":
+        return InputError(where, detail[0].lower() + detail[1:], remedy=remedy)
+    if detail == "Number out of range":
         return InputError(where, "a number out of range", "a finite number", remedy)
-    words = [repr(word) for one in _kinds_at(kind, steps) if typing.get_origin(one) is typing.Literal
-             for word in typing.get_args(one)]  # fmt: skip
-    expected = f"one of {', '.join(sorted(words))}" if words else said.removeprefix("Expected ").partition(", got")[0]
+    words = [repr(word) for choice in _kinds_at(kind, steps) if typing.get_origin(choice) is typing.Literal
+             for word in typing.get_args(choice)]  # fmt: skip
+    expected = f"one of {', '.join(sorted(words))}" if words else detail.removeprefix("Expected ").partition(", got")[0]
     for type_name, word in _WORDS.items():
         expected = expected.replace(type_name, word)
     return InputError(where, repr(value)[:60], expected, remedy)
@@ -184,8 +184,8 @@ def _value_at(table: Any, steps: list[tuple[str, str]]) -> tuple[Any, str]:
     try:
         for name, index in steps:
             value = value[name] if name else value[int(index)]
-            if index and isinstance(value, dict) and isinstance(said := value.get("name", value.get("id")), str):
-                owner = f" ({said[:60]})"
+            if index and isinstance(value, dict) and isinstance(label := value.get("name", value.get("id")), str):
+                owner = f" ({label[:60]})"
     except (LookupError, TypeError, ValueError):  # msgspec gives no key of a mapping
         return _NO_VALUE, owner
     return value, owner
@@ -219,11 +219,11 @@ def _kinds_at(kind: Any, steps: list[tuple[str, str]]) -> list[Any]:
         return _kinds_at(inner.get(names[0]), [(name, "") for name in names[1:]]) if names else [kind]
     if typing.get_origin(kind) is typing.Literal:
         return [] if names else [kind]
-    return [found for part in typing.get_args(kind) for found in _kinds_at(part, steps)]
+    return [inner_kind for part in typing.get_args(kind) for inner_kind in _kinds_at(part, steps)]
 
 
 def _refuse_nan(value: object, where: str) -> None:
-    """TOML has nan; nothing here may be it."""
+    """Refuse nan, which TOML allows."""
     if isinstance(value, float) and math.isnan(value):
         raise InputError(where, "nan", "a number")
     if isinstance(value, dict):

@@ -1,7 +1,7 @@
 """Keys that bear on geometry, one table for each format: read, compared with what says the same a second time, or
 refused where they say anything else than what is meant here.
 
-Readers look here for what to refuse, `check` for keys that nobody reads, and the page of formats prints the tables. A
+Readers look here for what to refuse, `check` for keys that nothing reads, and the page of formats prints the tables. A
 name is a regular expression in capitals. Units are those of the file.
 """
 
@@ -15,7 +15,7 @@ from mgsgraph.files.pvl import Block
 
 
 class Use(StrEnum):
-    """What becomes of a key."""
+    """How a key is used."""
 
     READ = "read"
     COMPARED = "compared"
@@ -30,18 +30,18 @@ class Key(NamedTuple):
     use: Use
     meaning: str
     """What it says; unit, frame."""
-    twin: str = ""
+    same_as: str = ""
     """What says the same in the same input; of a refused one its usual values, for a reader's eye."""
     usual: str = ""
     """Regular expression of values, in capitals, with which a refused key says what is meant here."""
 
 
-def _read(name: str, meaning: str, twin: str = "") -> Key:
-    return Key(name, Use.READ, meaning, twin)
+def _read(name: str, meaning: str, same_as: str = "") -> Key:
+    return Key(name, Use.READ, meaning, same_as)
 
 
-def _compared(name: str, meaning: str, twin: str) -> Key:
-    return Key(name, Use.COMPARED, meaning, twin)
+def _compared(name: str, meaning: str, same_as: str) -> Key:
+    return Key(name, Use.COMPARED, meaning, same_as)
 
 
 def _refused(name: str, meaning: str, usual: str = "", words: str = "") -> Key:
@@ -247,7 +247,7 @@ _OTHERS = re.compile(
 
 
 def texts(block: Block) -> dict[str, str]:
-    """What stands behind each keyword of a block, as text."""
+    """Value of each keyword of a block, as text."""
     items = {key: entry.value for key, entry in block.entries.items()}
     return {key: value if isinstance(value, str) else ", ".join(value) for key, value in items.items()}
 
@@ -257,12 +257,12 @@ def _of(name: str, keys: Iterable[Key]) -> Key | None:
 
 
 def unread(names: Iterable[str], keys: Iterable[Key]) -> list[str]:
-    """Names that look geometric and that a format's table does not have."""
-    known = tuple(keys)
+    """Names that look geometric and are not in a format's table."""
+    table = tuple(keys)
     return [
         name for name in names
-        if _GEOMETRIC.search(name.upper()) and not _OTHERS.fullmatch(name.upper()) and _of(name, known) is None
-        and not any(re.fullmatch(one, name.upper()) for one in _NO_MATTER)
+        if _GEOMETRIC.search(name.upper()) and not _OTHERS.fullmatch(name.upper()) and _of(name, table) is None
+        and not any(re.fullmatch(pattern, name.upper()) for pattern in _NO_MATTER)
     ]  # fmt: skip
 
 
@@ -278,12 +278,12 @@ def require_once(root: Block, keys: Iterable[Key]) -> None:
     """Raise InputError where two objects of a label contradict each other about a key of the format's table, but for
     those of single columns.
     """
-    known, said = tuple(keys), dict[str, tuple[str, Block]]()
+    table, first_stated = tuple(keys), dict[str, tuple[str, Block]]()
     for block in all_blocks(root):
         for name, value in texts(block).items() if block.name != "column" else ():
             plain = value.strip("\"' ").upper()
-            before, other = said.setdefault(name, (plain, block))
-            if before != plain and _of(name, known) is not None:
+            before, other = first_stated.setdefault(name, (plain, block))
+            if before != plain and _of(name, table) is not None:
                 raise InputError(block.where(name), repr(value)[:60], f"{before}, as {other.where(name)} says")
 
 
@@ -304,4 +304,4 @@ def require_usual(values: Mapping[str, str], keys: Iterable[Key], where: str) ->
         key = _of(name, refused)
         if key is not None and not re.fullmatch(f"(?:{key.usual})", value.strip().strip("\"'").upper()):
             remedy = f"convert the file first ({key.meaning})"
-            raise InputError(f"{where}, {name}", repr(value)[:60], key.twin, remedy)
+            raise InputError(f"{where}, {name}", repr(value)[:60], key.same_as, remedy)

@@ -94,7 +94,7 @@ INSTEAD = {
 
 
 def kind_of(path: Path) -> Kind | None:
-    """What a file is; None for what is not known here, for what can't be read, and for what is no file."""
+    """Kind of a file; None for an unknown kind, an unreadable file, and a path that is no file."""
     try:
         head = head_of(path, _HEAD)
         if head.startswith(b"\x1f\x8b"):
@@ -105,8 +105,8 @@ def kind_of(path: Path) -> Kind | None:
 
 
 def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
-    """What each look at a file's head finds, the surest first; None where it finds nothing."""
-    yield _MEGDR_KINDS[found[1].lower()] if (found := _MEGDR.fullmatch(path.name)) else None
+    """Kind by each test of a file's head, the surest first; None where a test fails."""
+    yield _MEGDR_KINDS[match[1].lower()] if (match := _MEGDR.fullmatch(path.name)) else None
     yield _tiff(head)
     yield _kernel(head)
     text = head.split(b"\0", 1)[0].decode("latin-1").replace("\r\n", "\n").lstrip("\ufeffï»¿ \n\t")
@@ -128,7 +128,7 @@ def _possible_kinds(head: bytes, path: Path) -> Iterator[Kind | None]:
 
 
 def _of_others(text: str, path: Path) -> Kind | None:
-    """What other programs have cameras and their corrections in."""
+    """Camera files and corrections of other programs."""
     if text.startswith("<") and (root := _XML.match(text)):
         return _ROOTS.get(root[1])
     if path.suffix.lower() == ".sup" or re.search(r"^[ \t]*SENSOR_TYPE[ \t]+\w", text, re.MULTILINE):
@@ -137,7 +137,7 @@ def _of_others(text: str, path: Path) -> Kind | None:
 
 
 def _is_list(path: Path, text: str) -> bool:
-    """Whether a file in every line is named, by their forms, or by one that is there."""
+    """Whether each line names a file: all look like file names, or one exists."""
     names = [name for _, name in _named_in(text)]
     return any(os.path.isfile(path.parent / name) for name in names) or (
         bool(names) and all(map(_FILE_NAME.fullmatch, names))
@@ -204,8 +204,8 @@ def _label(text: str, path: Path, size: int) -> Kind:
     if re.search(r"^[ \t]*\^Core\s*=", text, re.MULTILINE | re.IGNORECASE) is None and start and size < int(start[1]):
         return Kind.CUBE_LABEL
     mapped = re.search(r"^[ \t]*Group\s*=\s*Mapping", text, re.MULTILINE | re.IGNORECASE)
-    taken = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
-    if mapped and not taken:
+    instrument = re.search(r"^[ \t]*Group\s*=\s*Instrument", text, re.MULTILINE | re.IGNORECASE)
+    if mapped and not instrument:
         return Kind.RASTER
     return Kind.MAPPED_CUBE if mapped else Kind.CUBE
 
@@ -228,7 +228,7 @@ def _json(path: Path) -> Kind | None:
 
 
 def _shots(head: bytes, path: Path) -> Kind | None:
-    """Binary records, which have no header: sizes, and what stands at places of the first ones."""
+    """By sizes of binary records, which have no header, and values in the first ones."""
     size = path.stat().st_size
     if path.suffix.lower() == ".b" and size % FRAME.itemsize == 0:
         return Kind.SHOTS
@@ -313,7 +313,7 @@ def described(path: Path, kind: Kind) -> str:
 
 
 def image_name(path: Path, kind: ImageKind) -> str:
-    """By which control networks call the image: ISIS's serial number, or what support data call it, or the file."""
+    """Name of the image in control networks: ISIS's serial number, or the name in support data, or the file's."""
     if kind == "cube":
         return serial_number(path)
     if kind == "label":

@@ -1,4 +1,4 @@
-"""The door by which every file from outside comes in: a regular file, of a bearable size, in errors that name it.
+"""Opens every file from outside: a regular file of a limited size, with errors that name it.
 
 What a damaged file makes its parser raise becomes an InputError in one place, `understood`.
 """
@@ -26,7 +26,7 @@ from mgsgraph.geometry.records import LONGEST_NAME
 LARGEST = 1 << 32
 """bytes of a file that is read whole."""
 ANY_SIZE = 1 << 63
-"""The same of one of which a part is read: no limit."""
+"""The same of a file of which a part is read: no limit."""
 LARGEST_TEXT = 1 << 30
 """bytes of one that is read as text, which takes several times as much memory."""
 DEEPEST = 100
@@ -70,7 +70,7 @@ def _system_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(path: Path, limit: int = LARGEST) -> Iterator[BufferedReader]:
-    """A file from outside, opened to read its bytes: the only way in which one is.
+    """A file from outside, opened to read its bytes; no other function opens one.
 
     Parameters
     ----------
@@ -94,14 +94,14 @@ def _regular(path: Path, limit: int) -> int:
         descriptor = os.open(path, _FLAGS)
     except ValueError:  # a zero or a lone surrogate, out of JSON
         raise InputError(str(path), "no name of a file", "a path") from None
-    found = os.fstat(descriptor)
-    kind = next((word for is_kind, word in _NO_FILES if is_kind(found.st_mode)), "")
-    if not kind and found.st_size <= limit:
+    status = os.fstat(descriptor)
+    kind = next((word for is_kind, word in _NO_FILES if is_kind(status.st_mode)), "")
+    if not kind and status.st_size <= limit:
         return descriptor
     os.close(descriptor)
     if kind:
         raise InputError(str(path), kind, "a file")
-    raise InputError(str(path), f"{found.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
+    raise InputError(str(path), f"{status.st_size / 1e6:.0f} MB", f"at most {limit / 1e6:.0f} MB of such a file")
 
 
 def read_bytes(path: Path, limit: int = LARGEST) -> bytes:
@@ -176,7 +176,7 @@ def unpacked_gzip(content: bytes, where: str, limit: int = LARGEST_TEXT) -> byte
     """
     pieces, size = list[bytes](), 0
     limit = min(limit, max(_LEAST_LIMIT, _MOST_PACKED * len(content)))
-    with understood(where, "a gzip file", "fetch it anew"):
+    with understood(where, "a gzip file", "fetch it again"):
         while content:
             member = zlib.decompressobj(wbits=31)
             pieces.append(member.decompress(content, limit + 1 - size))
@@ -217,7 +217,7 @@ def json_object(text: str | bytes, where: str) -> dict[str, Any]:
         value = json.loads(text, parse_constant=refuse, object_pairs_hook=unique)
     except json.JSONDecodeError as error:
         place = f"{where}, line {error.lineno}, column {error.colno}"
-        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file anew") from None
+        raise InputError(place, f"malformed or truncated JSON ({error.msg})", remedy="write the file again") from None
     except RecursionError:
         raise _too_deep(where) from None
     except InputError:
@@ -237,8 +237,8 @@ def require_bearable(value: object, where: str, infinite: bool = False) -> None:
     level = [value]
     for _ in range(DEEPEST):
         inner = list[object]()
-        for one in level:
-            for item in one.values() if isinstance(one, dict) else one if isinstance(one, list) else ():
+        for outer in level:
+            for item in outer.values() if isinstance(outer, dict) else outer if isinstance(outer, list) else ():
                 kind = type(item)
                 if kind is dict or kind is list:
                     inner.append(item)

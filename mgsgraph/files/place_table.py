@@ -96,7 +96,7 @@ def read_places(path: Path, body: Ellipsoid, sort: Sort | None = None) -> PlaceT
     names = {name.lower(): name for name in table.values}
     for name in filter(_DISTANCE.fullmatch, names):  # else it would be kept beside the places, as of the surface
         expected = f"{GEODETIC[2]} or {PLANETOCENTRIC[2]}, in metres"
-        raise InputError(f"{path}, {table.header}", f"the column {name!r}", expected, "rename it, and mend its unit")
+        raise InputError(f"{path}, {table.header}", f"the column {name!r}", expected, "rename it, and fix its unit")
     pixel = next((pair for pair in (ISIS, OURS) if set(pair) <= set(names)), ())
     ground = next((group for group in (*PLACES, _SURFACE) if set(group) <= set(names)), ())
     if pixel and ground and sort is None:

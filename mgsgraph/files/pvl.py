@@ -53,7 +53,7 @@ _Value = TypeVar("_Value", str, tuple[str, ...])
 
 
 class Entry(NamedTuple):
-    """What stands behind a keyword."""
+    """Value of a keyword."""
 
     value: str | tuple[str, ...]
     """A word or string, or the items of a list."""
@@ -232,7 +232,7 @@ def _closed_blocks(root: Block, left_out: int | None) -> Iterator[tuple[list[Blo
     if len(stack) > 1:
         raise InputError(
             document.where(stack[-1].position), f"the {stack[-1].kind} that begins here is never closed",
-            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it anew",
+            f"End_{stack[-1].kind.capitalize()}", "the file is cut short: write it again",
         )  # fmt: skip
 
 
@@ -259,7 +259,7 @@ def _closed(document: Document, stack: list[Block], kind: str, entry: Entry) -> 
 
 
 def _statements(document: Document) -> Iterator[tuple[str, Entry]]:
-    """Keywords in lower case with what stands behind them, in the text's order."""
+    """Keywords in lower case with their values, in the text's order."""
     text, position = document.text, 0
     while True:
         plain = _PLAIN.match(text, position)
@@ -282,7 +282,7 @@ def _statements(document: Document) -> Iterator[tuple[str, Entry]]:
 
 
 def _statement(document: Document, position: int) -> tuple[str, Entry, int]:
-    """Keyword in lower case, what stands behind it, and where the next statement may begin."""
+    """Keyword in lower case, its value, and where the next statement may begin."""
     match = _KEYWORD.match(document.text, position)
     keyword = match[1].lower() if match else ""
     closes = keyword in _CLOSE or keyword == "end"
@@ -423,7 +423,7 @@ def cube_size(cube: Block) -> tuple[int, int]:
 
 
 def instrument_of(path: Path) -> str:
-    """What the label of an image calls its instrument, in capitals: MOC-NA, MOC-WA, HRSC."""
+    """Name of the instrument in an image's label, in capitals: MOC-NA, MOC-WA, HRSC."""
     root = read_label(path)
     if "PDS_VERSION_ID" in root:
         return root.text("INSTRUMENT_ID").upper()
@@ -446,16 +446,16 @@ def data_location(path: Path, root: Block) -> tuple[Path, int]:
 
 def _beside(path: Path, name: str, root: Block) -> Path:
     """The file of this name, in any case, in the label's folder."""
-    if found := files_called(path, name):
-        return found[0]
+    if files := files_called(path, name):
+        return files[0]
     raise InputError(root.where("^IMAGE"), f"the file {name}, which is not there", "it in the label's folder")
 
 
 def files_called(path: Path, name: str) -> list[Path]:
     """Those of this name, in any case, in a file's folder; the one in just this case is the first."""
     beside = path.parent.iterdir() if path.parent.is_dir() else ()
-    found = [file for file in beside if file.name.lower() == name.lower()]
-    return sorted(found, key=lambda file: file.name != name)
+    matches = [file for file in beside if file.name.lower() == name.lower()]
+    return sorted(matches, key=lambda file: file.name != name)
 
 
 def bytes_around(image: Block) -> tuple[int, int]:
@@ -489,11 +489,11 @@ def text_value(text: str, where: str) -> str:
     if not text:
         return "Null"
     quote = "'" if '"' in text else '"'
-    found = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
+    fault = "a line break" if _LINE_BREAK.search(text) else "both kinds of quotes" if quote in text else ""
     if any("\ud800" <= character <= "\udfff" for character in text):
-        found = "half a character"
-    if found:
-        raise InputError(where, f"{found} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
+        fault = "half a character"
+    if fault:
+        raise InputError(where, f"{fault} in {text[:60]!r}", "what PVL can hold", "change it, or write another format")
     return f"{quote}{text}{quote}"
 
 

@@ -1,4 +1,4 @@
-"""Files written whole or not at all, over nothing but an earlier output of their kind; folders for one process.
+"""Atomic files, which replace only an earlier output of their kind; folders for one process.
 
 Among them records of what the program has written, as JSON that ends with its checksum (by it a flipped bit is found),
 and pages for a browser: one HTML file each, with no outside address, all with the head of `templates/page.html`.
@@ -37,8 +37,8 @@ class Output:
 
 def begins(what: str, pattern: str) -> Output:
     """A kind of file that is known by how its text begins, in a line of its first bytes."""
-    wanted = re.compile(pattern, re.IGNORECASE)
-    return Output(what, lambda path: wanted.match(head_of(path, _HEAD).decode("utf-8-sig", "replace")) is not None)
+    regex = re.compile(pattern, re.IGNORECASE)
+    return Output(what, lambda path: regex.match(head_of(path, _HEAD).decode("utf-8-sig", "replace")) is not None)
 
 
 # --- writing
@@ -69,15 +69,15 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "", over: Output | 
     require_free(path, over, expected, remedy)
     with writing_to(path, expected, remedy):
         require_folder_above(path, str(path), remedy)
-        with made_beside(path) as aside:
-            yield aside
+        with made_beside(path) as temporary:
+            yield temporary
             require_free(path, over, expected, remedy)
-            aside.replace(path)
+            temporary.replace(path)
 
 
 @contextmanager
 def writing_to(path: str | Path, expected: str = "", remedy: str = "") -> Iterator[None]:
-    """One line for what the system has against a file or folder that is being written."""
+    """One line for a system error while a file or folder is written."""
     try:
         yield
     except OSError as error:
@@ -101,9 +101,9 @@ def require_free(path: Path, over: Output | None = None, expected: str = "", rem
 def write_file(
     path: Path, content: str | bytes, expected: str = "", remedy: str = "", over: Output | None = None
 ) -> None:
-    """Write a file that is there whole or not at all: bytes, or text as UTF-8; see `fresh_file`."""
-    with fresh_file(path, expected, remedy, over) as aside:
-        aside.write_bytes(content.encode() if isinstance(content, str) else content)
+    """Write a file atomically: bytes, or text as UTF-8; see `fresh_file`."""
+    with fresh_file(path, expected, remedy, over) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def require_writable(folder: Path) -> None:
@@ -123,14 +123,14 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]
 
 
 def claim(descriptor: int, path: Path, found: str) -> None:
-    """Lock what is open, as long as it is; InputError with `found` where another process has."""
+    """Lock an open file, as long as it is open; InputError with `found` where another process has."""
     if not lock(descriptor):
         raise InputError(str(path), found, remedy="wait for it, or choose another --out")
 
 
 @contextmanager
 def claimed(folder: Path, found: str) -> Iterator[None]:
-    """Hold a folder that is there; InputError with `found` where another process does."""
+    """Lock an existing folder; InputError with `found` where another process has."""
     if sys.platform == "win32":  # opens no folders
         yield
         return
@@ -162,8 +162,8 @@ def write_page(template: str, content: Mapping[str, Any], path: Path) -> None:
         loader=jinja2.PackageLoader("mgsgraph", ""), autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    with fresh_file(path, "a file that may be written", "choose another --out", page_of(template)) as aside:
-        pages.get_template(template).stream(content).dump(str(aside), encoding="utf-8")
+    with fresh_file(path, "a file that may be written", "choose another --out", page_of(template)) as temporary:
+        pages.get_template(template).stream(content).dump(str(temporary), encoding="utf-8")
 
 
 MATCH = "match.json"
@@ -173,7 +173,7 @@ FILES = "sha256"
 _KEY = "crc32"
 _MARK = f',\n "{_KEY}": "%08x"\n}}\n'
 """How a record ends: with the CRC-32 of what stands before."""
-_ALIKE = 10
+_MARK_BYTES = 10
 """bytes of 18 that an end has in common with the mark, from which on it is the mark, or was: flipped bits may hit it;
 other ends of JSON have 3.
 """
@@ -200,8 +200,8 @@ def read_record(path: Path) -> dict[str, Any]:
     end = (_MARK % 0).encode()
     body, mark = content[: -len(end)], content[-len(end) :]
     sealed = mark == (_MARK % zlib.crc32(body)).encode()
-    alike = sum(one == other for k, (one, other) in enumerate(zip(mark, end, strict=False)) if end[k : k + 1] != b"0")
-    record = json_object(content, where) if sealed or alike < _ALIKE else {_KEY: ""}
+    same = sum(a == b for k, (a, b) in enumerate(zip(mark, end, strict=False)) if end[k : k + 1] != b"0")
+    record = json_object(content, where) if sealed or same < _MARK_BYTES else {_KEY: ""}
     if not sealed and _KEY in record:
         raise InputError(where, "is damaged, or was changed (its checksum is another one)", remedy=_REMEDY)
     record.pop(_KEY, None)
@@ -216,8 +216,8 @@ def require_as_recorded(path: Path, content: bytes) -> None:
     beside = path.with_name(MATCH)
     if not beside.is_file() or path.stat().st_mtime > beside.stat().st_mtime + _AT_ONCE:
         return
-    known = read_record(beside).get(FILES)
-    digest = known.get(path.name) if isinstance(known, dict) else None
+    recorded = read_record(beside).get(FILES)
+    digest = recorded.get(path.name) if isinstance(recorded, dict) else None
     if digest is not None and digest != sha256(content).hexdigest():
         found, expected = "is damaged, or was changed since", f"the content that {MATCH} beside it has noted"
         remedy = "match again; if it was changed on purpose, touch it, or give it another name or folder"

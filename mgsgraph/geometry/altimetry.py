@@ -42,7 +42,7 @@ def _flight(first: str, last: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Altimeter(Record):
-    """One instrument; NaN where nothing published says.
+    """One instrument; NaN where nothing is published.
 
     Examples
     --------
@@ -107,7 +107,7 @@ MLA = Altimeter(
 )  # fmt: skip
 ANY = Altimeter("an altimeter", None, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, "shots with ground = 0", "")
 """One of which the file says nothing."""
-ALTIMETERS = {one.name: one for one in (MOLA, LOLA, LALT, MLA)}
+ALTIMETERS = {altimeter.name: altimeter for altimeter in (MOLA, LOLA, LALT, MLA)}
 """By name."""
 
 
@@ -116,32 +116,32 @@ _HALF_LIGHT = 0.5 * SPEED_OF_LIGHT
 _FAR_OFF = 3.0
 """Times by which lengths may be longer or shorter than expected, before their unit is doubted."""
 _SAME_TIME, _SAME_PLACE = 1e-5, 1e-2
-"""s and m, to which shots of two files are alike that are the same one."""
+"""s and m, by which the same shot may differ between two files."""
 _FIRST_MINUTE = 10**11
 """Numbers of crossings from which on they are a year to a minute."""
 SPOT_WIDTHS = 4.0
 """Standard deviations of the Gaussian energy in a laser spot's diameter."""
 
 
-def require_lengths(found: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
+def require_lengths(lengths: Array, expected: Array, what: str, source: str, near: float = _FAR_OFF) -> None:
     """Raise InputError where lengths (n,) in m are more than `near` times those expected (n,) in m, or less, by the
     median ratio, which says whether metres and kilometres were exchanged.
     """
-    ratio = float(np.median(found / expected))
+    ratio = float(np.median(lengths / expected))
     if 1.0 / near < ratio < near:
         return
     remedy = exchanged_units(ratio) or "check file and images"
     raise InputError(
-        source, f"{what} of {np.median(found) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
+        source, f"{what} of {np.median(lengths) / 1e3:,.6g} km (median), {ratio:,.4g} times what they should be",
         f"about {np.median(expected) / 1e3:,.6g} km", remedy,
     )  # fmt: skip
 
 
 def exchanged_units(ratio: float) -> str:
-    """What to mend where a length is so many times what it should be; empty where no unit explains it."""
+    """What to fix where a length is so many times what it should be; empty where no unit explains it."""
     units = {1000.0: "metres stand where the format has kilometres", 0.001: "kilometres stand where it has metres"}
     exchanged = [words for factor, words in units.items() if abs(ratio / factor - 1.0) < 0.5]
-    return f"{exchanged[0]}: mend the unit" if exchanged else ""
+    return f"{exchanged[0]}: fix the unit" if exchanged else ""
 
 
 def require_on_body(footprints: Array, body: Ellipsoid, source: str, names: Sequence[str] = ()) -> None:
@@ -163,6 +163,19 @@ def footprint_covariances(footprints: Array, horizontal: float, vertical: float 
     outward = unit_vectors(footprints)
     more = (np.asarray(vertical)[..., None, None] ** 2 - horizontal**2) * outward[:, :, None] * outward[:, None]
     return np.asarray(horizontal**2 * np.eye(3) + more)
+
+
+def with_common_errors(sigmas: Array | float, covariances: Array, errors: Array) -> tuple[Array, Array, Array]:
+    """Ranges of `sigmas` (n,), m, and footprints of `covariances` (n, 3, 3), m^2, with one more error in common, which
+    takes a footprint as far on along the beam as it makes the range too long: one sigma of it (n, 3) in m, along the
+    beam away from the instrument. Returned are the sigmas that remain where the footprint is known, covariances of the
+    footprints, and what of the footprint's error each range has, too (n, 3), m per m.
+    """
+    whole = covariances + errors[:, :, None] * errors[:, None]
+    lengths = np.linalg.norm(errors, axis=1)
+    shares = np.linalg.solve(whole, (lengths[:, None] * errors)[:, :, None])[:, :, 0]
+    remain = lengths * (lengths - np.einsum("ni,ni->n", shares, errors))
+    return np.sqrt(np.square(sigmas) + remain), whole, shares
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,6 +215,9 @@ class LaserProfile(Record):
     """(k) name of the image; made of any sequence of them."""
     measures: Array
     """(k, 2) line, sample, first pixel's centre at (0.5, 0.5)."""
+    shares: Array | None = None
+    """(n, 3) m per m, how much of the error of its footprint each range has, too; `range_sigmas` are then of the rest,
+    which is independent of that error."""
 
     def __post_init__(self) -> None:
         measured, along = RepeatedNames.of(self.measure_image), RepeatedNames.of(self.simultaneous_image)
@@ -225,6 +241,7 @@ class LaserProfile(Record):
             simultaneous_shot=frozen_index(self.simultaneous_shot, f"{self.source}, images", len(along), n),
             measure_shot=frozen_index(self.measure_shot, f"{self.source}, measures", k, n),
             measures=frozen(self.measures, f"{self.source}, measures", (k, 2)),
+            shares=None if self.shares is None else frozen(self.shares, f"{self.source}, shares", (n, 3)),
         )
 
     def __repr__(self) -> str:
@@ -329,7 +346,7 @@ class AltimeterShots(Record):
 
     def chosen(self, which: Mask | Index) -> "AltimeterShots":
         """The shots of a mask (n,) or of indices, in their order."""
-        names = [one.name for one in fields(self) if one.name not in ("source", "altimeter")]
+        names = [field.name for field in fields(self) if field.name not in ("source", "altimeter")]
         some: dict[str, Any] = {name: read_only(getattr(self, name)[which]) for name in names}
         return replace(self, **some)
 
@@ -345,7 +362,6 @@ class AltimeterShots(Record):
         name: str = "",
         height_sigma: float | None = None,
         pulse_share: float = 0.0,
-        ranged: bool = True,
     ) -> LaserProfile:
         """The shots as observations of an adjustment, without image measures.
 
@@ -363,9 +379,7 @@ class AltimeterShots(Record):
             m, of each footprint's height; `ground_sigma` when absent.
         pulse_share : float
             Sigma of a range's further error, in standard deviations of its echo. The footprint follows from the range
-            and has the same error along the beam.
-        ranged : bool
-            Both are used: then either has twice its variance (`terrain`), for together they tell no more.
+            and has the same error along the beam: what the two have in common.
 
         Raises
         ------
@@ -378,23 +392,25 @@ class AltimeterShots(Record):
             )
         n = self.times.size
         ids = self.ids
-        broad = (1.0 + ranged) * (pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)) ** 2
-        beams = np.where(np.isfinite(self.spacecraft), self.spacecraft - self.footprints, self.footprints)
+        broad = pulse_share * _HALF_LIGHT * np.nan_to_num(self.pulses)
+        beams = np.where(np.isfinite(self.spacecraft), self.footprints - self.spacecraft, -self.footprints)
         beams /= np.linalg.norm(beams, axis=1, keepdims=True)
         covariances = footprint_covariances(self.footprints, ground_sigma, height_sigma or ground_sigma)
+        sigmas, covariances, shares = with_common_errors(range_sigma, covariances, broad[:, None] * beams)
         return LaserProfile(
             source=self.source,
             ids=ids.prefixed(f"{name}:") if name else ids,
             times=self.times,
             ranges=self.ranges,
-            range_sigmas=np.sqrt(range_sigma**2 + broad),
+            range_sigmas=sigmas,
             footprints=self.footprints,
-            covariances=covariances + broad[:, None, None] * beams[:, :, None] * beams[:, None],
+            covariances=covariances,
             simultaneous_shot=np.arange(n if simultaneous else 0),
             simultaneous_image=RepeatedNames((simultaneous or "",), np.zeros(n if simultaneous else 0, dtype=np.int64)),
             measure_shot=np.zeros(0, dtype=np.int64),
             measure_image=RepeatedNames.of(()),
             measures=np.zeros((0, 2)),
+            shares=shares if np.any(broad) else None,
         )
 
     def __repr__(self) -> str:
@@ -406,15 +422,15 @@ class AltimeterShots(Record):
 def joined_shots(parts: Sequence[AltimeterShots]) -> AltimeterShots:
     """Shots of several files of one altimeter, in the order of time; those that several files have are there once.
 
-    Where files number other shots alike (lines of tables), frames are numbered anew.
+    Where files give the same number to other shots (lines of tables), frames are renumbered.
     """
-    names = {one.altimeter.name: one.source for one in parts}
+    names = {part.altimeter.name: part.source for part in parts}
     if len(names) > 1:
         found = " and ".join(f"{source} ({name})" for name, source in names.items())
         raise InputError(found, "shots of several altimeters", "files of one", "select them one after the other")
     values = {
-        one.name: np.concatenate([getattr(part, one.name) for part in parts])
-        for one in fields(AltimeterShots) if one.name not in ("source", "altimeter")
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(AltimeterShots) if field.name not in ("source", "altimeter")
     }  # fmt: skip
     places = np.round(values["footprints"] / _SAME_PLACE).astype(np.int64)
     keys = np.column_stack([np.round(values["times"] / _SAME_TIME).astype(np.int64), places])
@@ -473,13 +489,13 @@ class AltimetryCloud(Record):
 
     def chosen(self, which: Mask) -> "AltimetryCloud":
         """The shots of a mask (n,), and of the profiles those that still have any."""
-        kept, profile = np.unique(self.profile[which], return_inverse=True)
+        profiles, profile = np.unique(self.profile[which], return_inverse=True)
         return replace(
             self,
             ids=self.ids[which],
             points=self.points[which],
             times=self.times[which],
-            profiles=tuple(self.profiles[k] for k in kept),
+            profiles=tuple(self.profiles[k] for k in profiles),
             profile=profile,
         )
 

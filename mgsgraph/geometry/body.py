@@ -109,7 +109,7 @@ def naif_id(name: str) -> int | None:
 
 def body_name(code: int) -> str:
     """What SPICE calls a body by its NAIF id; empty for one whose size isn't known here."""
-    return next((name for name, (known, _, _) in _BODIES.items() if known == code), "")
+    return next((name for name, (naif_id, _, _) in _BODIES.items() if naif_id == code), "")
 
 
 def require_possible(body: Ellipsoid, target: str, where: str) -> None:
@@ -123,8 +123,8 @@ def require_possible(body: Ellipsoid, target: str, where: str) -> None:
     name = target.upper() if target.upper() in _BODIES else target_name(body)
     if name == "UNKNOWN":
         if body.equatorial > _LARGE:
-            found = min(_BODIES, key=lambda one: abs(np.log(_RADII[one] / body.equatorial)))
-            expected = f"a body that there is (the one nearest in size is {found} of {_RADII[found] / KM:g} km)"
+            nearest = min(_BODIES, key=lambda known: abs(np.log(_RADII[known] / body.equatorial)))
+            expected = f"a body that there is (the one nearest in size is {nearest} of {_RADII[nearest] / KM:g} km)"
             raise InputError(where, size, expected, unit)
         return
     equatorial, polar = (KM * radius for radius in _BODIES[name][1:])

@@ -17,20 +17,20 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.record import Record
 
-Bent = tuple[Array, Array]
+Undistorted = tuple[Array, Array]
 """Places (n, 2) in m and their Jacobians (n, 2, 2)."""
 Four = tuple[float, float, float, float]
 Ten = tuple[float, float, float, float, float, float, float, float, float, float]
 
 _STEPS = 20
-_AT_REST = 1e-13
+_CONVERGED = 1e-13
 """m, 1e-8 of a pixel."""
 
 
 class Distortion(Protocol):
     """How the optics bend: measured (distorted) focal-plane place to the ideal one."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         ...
 
@@ -39,7 +39,7 @@ class Distortion(Protocol):
 class NoDistortion:
     """A lens without distortion: measured places are the ideal ones."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2): the same places."""
         return place, np.broadcast_to(np.eye(2), (place.shape[0], 2, 2))
 
@@ -51,7 +51,7 @@ class LrocNacDistortion:
     k: float
     """1/m^2."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         y = place[:, 1]
         denominator = 1.0 + self.k * y * y
@@ -65,7 +65,7 @@ class ShadowCamDistortion:
     k: float
     """1/m^2."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         square = self.k * place[:, 1] ** 2
         return _along_y(place, place[:, 1] * (1.0 + square), 1.0 + 3.0 * square)
@@ -84,7 +84,7 @@ class RadialDistortion:
     k2: float
     """1/m^4."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         square = np.einsum("ni,ni->n", place, place)
         scale = 1.0 - self.k0 - square * (self.k1 + square * self.k2)
@@ -103,7 +103,7 @@ class CahvorDistortion:
     y: float
     """m, centre."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         centre = np.array([self.x, self.y])
         ideal, jacobian = self.radial.undistort(place - centre)
@@ -122,7 +122,7 @@ class KaguyaDistortion:
     y: Four
     """The same for y."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         radius, outward = _polar(place)
         added, slope = _polynomials(self.x, self.y, radius)
@@ -140,7 +140,7 @@ class KaguyaMiDistortion:
     y: Four
     """The same for y."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         added, slope = _polynomials(self.x, self.y, place[:, 1])
         return place + added, np.eye(2) + slope[:, :, None] * np.array([0.0, 1.0])
@@ -159,7 +159,7 @@ class MocWideAngleDistortion:
     focal_length: float
     """m."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         scaled = place / np.array([1.0, self.scale])
         radius, outward = _polar(scaled)
@@ -187,7 +187,7 @@ class ThemisIrDistortion:
     a2: float
     """1/m."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         square = (1.0 + self.a1) ** 2 + 4.0 * self.a2 * place[:, 1]
         root = np.sqrt(np.where(square > 0.0, square, np.nan))
@@ -205,11 +205,11 @@ class TransverseDistortion:
     y: Ten
     """The same for y_d."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         return _inverted(self._distorted, place)
 
-    def _distorted(self, place: Array) -> Bent:
+    def _distorted(self, place: Array) -> Undistorted:
         x, y = place.T
         zero, one = np.zeros_like(x), np.ones_like(x)
         of = np.array([self.x, self.y])
@@ -226,7 +226,7 @@ class DawnDistortion:
     k: float
     """1/m^2."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         return _inverted(RadialDistortion(0.0, -self.k, 0.0).undistort, place)  # the same polynomial, the other way
 
@@ -245,12 +245,12 @@ class RadtanDistortion:
     focal_length: float
     """m."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         ideal, jacobian = _inverted(self._distorted, place / self.focal_length)
         return ideal * self.focal_length, jacobian
 
-    def _distorted(self, place: Array) -> Bent:
+    def _distorted(self, place: Array) -> Undistorted:
         square = np.einsum("ni,ni->n", place, place)[:, None]
         radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
         slope = 2.0 * (self.k1 + square * (2.0 * self.k2 + square * 3.0 * self.k3))
@@ -274,7 +274,7 @@ class CorrectedDistortion:
     radial: tuple[float, float, float]
     """1/m^2, 1/m^4 and 1/m^6: c1, c2, c3."""
 
-    def undistort(self, place: Array) -> Bent:
+    def undistort(self, place: Array) -> Undistorted:
         """Ideal places (n, 2) in m and their Jacobians (n, 2, 2) of distorted places (n, 2) in m."""
         ideal, jacobian = self.nominal.undistort(place)
         square, (c1, c2, c3) = np.einsum("ni,ni->n", ideal, ideal), self.radial
@@ -284,13 +284,13 @@ class CorrectedDistortion:
         return scaled - np.array(self.point), outward @ jacobian
 
 
-def _outward(place: Array, scale: Array, slope: Array) -> Bent:
+def _outward(place: Array, scale: Array, slope: Array) -> Undistorted:
     """Places times scales (n,), with their Jacobians: a scale changes by the slope (n,) times its place."""
     jacobian = scale[:, None, None] * np.eye(2) + slope[:, None, None] * place[:, :, None] * place[:, None, :]
     return place * scale[:, None], jacobian
 
 
-def _along_y(place: Array, y: Array, slope: Array) -> Bent:
+def _along_y(place: Array, y: Array, slope: Array) -> Undistorted:
     """Places whose x stays, with their Jacobians: the slope (n,) of y (n,)."""
     jacobian = np.zeros((place.shape[0], 2, 2))
     jacobian[:, 0, 0], jacobian[:, 1, 1] = 1.0, slope
@@ -313,17 +313,17 @@ def _polynomials(x: Four, y: Four, of: Array) -> tuple[Array, Array]:
     return values, slopes
 
 
-def _inverted(distort: Callable[[Array], Bent], place: Array) -> Bent:
-    """Ideal places of distorted ones (n, 2) by Newton's method, and their Jacobians; NaN where it does not settle."""
+def _inverted(distort: Callable[[Array], Undistorted], place: Array) -> Undistorted:
+    """Ideal places of distorted ones (n, 2) by Newton's method, and their Jacobians; NaN where it does not converge."""
     ideal = place
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_STEPS):
             distorted, forward = distort(ideal)
             step = solved(forward, (place - distorted)[:, :, None])[:, :, 0]
             ideal = ideal + step
-            if not np.any(np.abs(step) > _AT_REST):  # NaN has converged, too
+            if not np.any(np.abs(step) > _CONVERGED):  # NaN has converged, too
                 break
-        settled = np.all(np.abs(step) <= _AT_REST, axis=1)
+        settled = np.all(np.abs(step) <= _CONVERGED, axis=1)
         jacobian = solved(distort(ideal)[1], np.eye(2))
     return np.where(settled[:, None], ideal, np.nan), np.where(settled[:, None, None], jacobian, np.nan)
 
@@ -413,8 +413,8 @@ class InteriorOrientation(Record):
 
 
     def looks(self, samples: Array) -> tuple[Array, Array]:
-        """What samples (n,) look along in camera components, (n, 3) m with the focal length along the axis, and how it
-        changes per sample, (n, 3) m.
+        """Viewing directions of samples (n,) in camera components, (n, 3) m with the focal length along the axis, and
+        their changes per sample, (n, 3) m.
         """
         place, slope = self.focal_plane(samples)
         length = np.full((samples.size, 1), self.focal_length)

@@ -24,7 +24,7 @@ def vector(values, k):
 
 
 @compiled
-def put(values, k, vector):
+def set_vector(values, k, vector):
     """Set row k of an array (n, 3)."""
     values[k, 0], values[k, 1], values[k, 2] = vector
 
@@ -74,17 +74,17 @@ def places(times, table, position, velocity):
     """Positions (n, 3) and velocities (n, 3) of a table at times (n,)."""
     for i in range(times.size):
         place, motion = place_at(times[i], table)
-        put(position, i, place)
-        put(velocity, i, motion)
+        set_vector(position, i, place)
+        set_vector(velocity, i, motion)
 
 
 @cached_kernel
-def quaternions(matrix, found):
+def quaternions(matrix, result):
     """Unit quaternions (n, 4) of rotation matrices (n, 3, 3)."""
     for i in range(matrix.shape[0]):
         m = matrix[i]
         rows = vector(m, 0), vector(m, 1), vector(m, 2)
-        found[i, 0], found[i, 1], found[i, 2], found[i, 3] = matrix_quaternion(rows)
+        result[i, 0], result[i, 1], result[i, 2], result[i, 3] = matrix_quaternion(rows)
 
 
 @cached_kernel
@@ -93,8 +93,8 @@ def attitudes(times, table, matrix, angular_rate):
     for i in range(times.size):
         attitude, turn = attitude_at(times[i], table)
         for j in range(3):
-            put(matrix[i], j, attitude[j])
-        put(angular_rate, i, turn)
+            set_vector(matrix[i], j, attitude[j])
+        set_vector(angular_rate, i, turn)
 
 
 @cached_kernel
@@ -106,11 +106,11 @@ def sampled_poses(times, position_table, camera_table, body_table, position, vel
         to_body, body_turning = attitude_at(times[i], body_table)
         fixed = transform(to_body, place)
         attitude = product(to_camera, transpose(to_body))
-        put(position, i, fixed)
-        put(velocity, i, subtract(transform(to_body, motion), cross(body_turning, fixed)))
-        put(angular_rate, i, subtract(camera_turning, transform(attitude, body_turning)))
+        set_vector(position, i, fixed)
+        set_vector(velocity, i, subtract(transform(to_body, motion), cross(body_turning, fixed)))
+        set_vector(angular_rate, i, subtract(camera_turning, transform(attitude, body_turning)))
         for j in range(3):
-            put(matrix[i], j, attitude[j])
+            set_vector(matrix[i], j, attitude[j])
 
 
 @cached_kernel
@@ -120,15 +120,15 @@ def polynomial_poses(s, rate, places, angles, position, velocity, matrix, angula
         place, motion = polynomial_at(places, s[i])
         opk, opk_rate = polynomial_at(angles, s[i])
         attitude = transpose(opk_rotation(opk))
-        put(position, i, place)
-        put(velocity, i, scale(rate, motion))
-        put(angular_rate, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
+        set_vector(position, i, place)
+        set_vector(velocity, i, scale(rate, motion))
+        set_vector(angular_rate, i, scale(rate, transform(opk_paper_axes(opk), opk_rate)))
         for j in range(3):
-            put(matrix[i], j, attitude[j])
+            set_vector(matrix[i], j, attitude[j])
 
 
 @cached_kernel
-def turned_attitudes(nominal, angular_rate, turn, turn_rate, matrix, found):
+def turned_attitudes(nominal, angular_rate, turn, turn_rate, matrix, result):
     """Matrices (n, 3, 3) and angular rates (n, 3) of nominal quaternions (n, 4), corrected by turns (n, 3) about
     the axes of the camera.
     """
@@ -137,6 +137,6 @@ def turned_attitudes(nominal, angular_rate, turn, turn_rate, matrix, found):
         attitude, _, rate = about_axes(
             (q[0], q[1], q[2], q[3]), vector(angular_rate, i), 0.0, vector(turn, i), vector(turn_rate, i)
         )
-        put(found, i, rate)
+        set_vector(result, i, rate)
         for j in range(3):
-            put(matrix[i], j, attitude[j])
+            set_vector(matrix[i], j, attitude[j])

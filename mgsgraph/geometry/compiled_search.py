@@ -13,7 +13,7 @@ from mgsgraph.factors.collinearity import (
     residual,
     to_lines_and_samples,
 )
-from mgsgraph.geometry.compiled_pose import place_at, put, vector
+from mgsgraph.geometry.compiled_pose import place_at, set_vector, vector
 
 make_equations_compilable()
 
@@ -29,8 +29,8 @@ def ray_at(point, planes, k, part):
 
 
 @compiled
-def bent_side(w, depth, along, table):
-    """That of a bent detector, which goes on straight beyond its table."""
+def curved_side(w, depth, along, table):
+    """The same of a curved detector, which goes on straight beyond its table."""
     end = min(max(along / depth, table[0][0]), table[0][-1])
     place, slope = place_at(end, table)
     return w - depth * place[1] - (along - depth * end) * slope[1]
@@ -39,10 +39,10 @@ def bent_side(w, depth, along, table):
 @compiled
 def root(first, last, slope):
     """Where from 0 to 1 the parabola with these values at 0 and 1, of unlike sign, and this slope at 0 is zero."""
-    bent = last - first - slope
-    root = np.sqrt(max(slope * slope - 4.0 * bent * first, 0.0))
-    for one in (-slope - root, -slope + root):
-        share = 2.0 * first / one
+    curvature = last - first - slope
+    root = np.sqrt(max(slope * slope - 4.0 * curvature * first, 0.0))
+    for denominator in (-slope - root, -slope + root):
+        share = 2.0 * first / denominator
         if 0.0 <= share <= 1.0:
             return share
     return first / (first - last)
@@ -53,10 +53,10 @@ def nearest(before, after, slope):
     """Where from 0 to 1 w has its zero, or is nearest to it and may reach it, and which of the two (0, 1); else -1."""
     if (before >= 0.0) != (after >= 0.0):
         return root(before, after, slope), 0
-    bent = after - before - slope
-    if not slope * before <= 0.0 or not bent * before > 0.0:
+    curvature = after - before - slope
+    if not slope * before <= 0.0 or not curvature * before > 0.0:
         return -1.0, 1
-    share = -0.5 * slope / bent
+    share = -0.5 * slope / curvature
     if share > 1.1 or (before + 0.5 * share * slope) / before > NEAR * abs(slope / before):
         return -1.0, 1
     return min(share, 1.0), 1
@@ -71,14 +71,14 @@ def scan_grid(points, lines, planes, blocks, table, widths, which, values):
         off = np.sqrt(point[0] ** 2 + point[1] ** 2 + point[2] ** 2)
         w = ray_at(point, planes, 0, 0)
         for block in range(margins.shape[0]):
-            w, earlier = ray_at(point, planes, ends[block + 1], 0), w
-            if min(abs(w), abs(earlier)) > margins[block, 0] + off * margins[block, 1] and w * earlier > 0.0:
+            w, previous = ray_at(point, planes, ends[block + 1], 0), w
+            if min(abs(w), abs(previous)) > margins[block, 0] + off * margins[block, 1] and w * previous > 0.0:
                 continue
             before = after = 0.0
             for k in range(ends[block] - 1, ends[block + 1]):
                 before, after = after, ray_at(point, planes, k + 1, 0)
                 if widths[0] > 0.0 and abs(after) <= widths[0] * abs(ray_at(point, planes, k + 1, 2)):
-                    after = bent_side(after, ray_at(point, planes, k + 1, 2), ray_at(point, planes, k + 1, 1), table)
+                    after = curved_side(after, ray_at(point, planes, k + 1, 2), ray_at(point, planes, k + 1, 1), table)
                 if k < ends[block]:
                     continue
                 share, dip = nearest(before, after, ray_at(point, planes, k, 3))
@@ -111,12 +111,12 @@ def newton_steps(points, pose, detector, focal, step, derivative, across):
         ray = transform(attitude, subtract(vector(points, i), vector(position, i)))
         ray = ray[0], ray[1], ray[2] if ray[2] > 0.0 else np.nan
         motion = image_motion(ray, ray_motion(attitude, ray, vector(velocity, i), vector(rate, i)), focal)
-        here, along = focal_plane(ray, focal), (slope[i, 0], slope[i, 1])
+        projected, along = focal_plane(ray, focal), (slope[i, 0], slope[i, 1])
         by = to_lines_and_samples(motion, along)
-        off = residual(by, here, (place[i, 0], place[i, 1]), 0.0)
+        off = residual(by, projected, (place[i, 0], place[i, 1]), 0.0)
         step[i, 0], step[i, 1] = -off[0], -off[1]
-        across[i, 0] = (here[1] - place[i, 1]) * along[0] - (here[0] - place[i, 0]) * along[1]
+        across[i, 0] = (projected[1] - place[i, 1]) * along[0] - (projected[0] - place[i, 0]) * along[1]
         across[i, 1] = motion[1] * along[0] - motion[0] * along[1]
         rows = by_ray(by, ray, focal)
         for k in range(2):
-            put(derivative[i], k, scale(-1.0, by_point(rows[k], attitude)))
+            set_vector(derivative[i], k, scale(-1.0, by_point(rows[k], attitude)))

@@ -1,4 +1,4 @@
-"""Footprints of images on the ellipsoid, and by how much they overlap; the date line and the poles are places like any.
+"""Footprints of images on the ellipsoid, and by how much they overlap; the date line and the poles are no exceptions.
 
 Areas are true on the ellipsoid: outlines go to the sphere of the same area (authalic latitude; Snyder 1987, Map
 Projections, p. 16) and from there to the equal-area plane around each pair's middle (Lambert; p. 182), where shapely
@@ -46,8 +46,8 @@ def map_degrees(points: Array) -> Array:
 
 def map_points(points: Array) -> Shapes:
     """Points (n) of places (n, 3) in m; None where these are NaN."""
-    shapes, there = _nothing(points.shape[0]), np.isfinite(points).all(axis=1)
-    shapes[there] = shapely.points(map_degrees(points[there]))
+    shapes, finite = _nothing(points.shape[0]), np.isfinite(points).all(axis=1)
+    shapes[finite] = shapely.points(map_degrees(points[finite]))
     return shapes
 
 
@@ -127,8 +127,8 @@ def _in_the_map(shape: Any) -> Any:
     dimension = shapely.get_dimensions(shape)
     pieces = shapely.get_parts(shapely.union_all(parts))  # a ring around a pole is cut at its own ends, too
     sizes = shapely.area(pieces) if dimension == 2 else shapely.length(pieces)
-    kept = pieces[sizes > _SPECK * sizes.max()]  # what only touches the date line is no part
-    return (shapely.multipolygons if dimension == 2 else shapely.multilinestrings)(kept)
+    large = pieces[sizes > _SPECK * sizes.max()]  # what only touches the date line is no part
+    return (shapely.multipolygons if dimension == 2 else shapely.multilinestrings)(large)
 
 
 def geojson(shape: Any) -> dict[str, Any] | None:
@@ -271,10 +271,10 @@ def footprint(
     lines = np.concatenate([down, np.ones(across), 1.0 - down, np.zeros(across)]) * image.lines
     samples = np.concatenate([np.zeros(along), side, np.ones(along), 1.0 - side]) * image.samples
     places, _ = image.image_to_ground(lines, samples, height, correction)
-    seen = np.all(np.isfinite(places), axis=1)
-    usable = int(np.count_nonzero(seen)) >= 3 and not _goes_round(places[:along][seen[:along]])
-    ring = places[seen] if usable else np.zeros((0, 3))
-    return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(seen)) and usable)
+    visible = np.all(np.isfinite(places), axis=1)
+    usable = int(np.count_nonzero(visible)) >= 3 and not _goes_round(places[:along][visible[:along]])
+    ring = places[visible] if usable else np.zeros((0, 3))
+    return Footprint(image.name, np.concatenate([ring, ring[:1]]), image.body, bool(np.all(visible)) and usable)
 
 
 def _goes_round(edge: Array) -> bool:
@@ -289,10 +289,10 @@ def areas(footprints: Sequence[Footprint]) -> Array:
     if not footprints:
         return np.zeros(0)
     outlines, radius = _directions(footprints)
-    found = np.zeros(len(footprints))
-    there = _there(footprints)
-    found[there] = shapely.area(_polygons(outlines[there], _middles(outlines[there]), radius))
-    return found
+    result = np.zeros(len(footprints))
+    nonempty = _nonempty(footprints)
+    result[nonempty] = shapely.area(_polygons(outlines[nonempty], _middles(outlines[nonempty]), radius))
+    return result
 
 
 def overlaps(footprints: Sequence[Footprint]) -> Overlaps:
@@ -309,13 +309,13 @@ def overlaps(footprints: Sequence[Footprint]) -> Overlaps:
     if len(footprints) < 2:
         return Overlaps(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0))
     outlines, radius = _directions(footprints)
-    pairs = _near(outlines, _there(footprints))
+    pairs = _near(outlines, _nonempty(footprints))
     cut = np.zeros(pairs.shape[0])
     for first in range(0, pairs.shape[0], _CHUNK):
-        one, other = _polygon_pairs(outlines, pairs[first : first + _CHUNK], radius)
-        cut[first : first + _CHUNK] = shapely.area(shapely.intersection(one, other))
-    kept = cut > 0.0
-    pairs, cut = pairs[kept], cut[kept]
+        left, right = _polygon_pairs(outlines, pairs[first : first + _CHUNK], radius)
+        cut[first : first + _CHUNK] = shapely.area(shapely.intersection(left, right))
+    overlapping = cut > 0.0
+    pairs, cut = pairs[overlapping], cut[overlapping]
     smaller = areas(footprints)[pairs].min(axis=1) if pairs.size else cut
     return Overlaps(pairs, cut, np.minimum(cut / smaller, 1.0))
 
@@ -325,16 +325,16 @@ def gaps(footprints: Sequence[Footprint], pairs: Index) -> Array:
 
     Measured in the equal-area plane around the pair's middle: true to a few per cent for gaps below 0.5 rad.
     """
-    found = np.full(len(pairs), np.nan)
-    sound = np.flatnonzero(_there(footprints)[pairs].all(axis=1)) if len(pairs) else np.zeros(0, dtype=np.int64)
+    distances = np.full(len(pairs), np.nan)
+    sound = np.flatnonzero(_nonempty(footprints)[pairs].all(axis=1)) if len(pairs) else np.zeros(0, dtype=np.int64)
     if sound.size:
         outlines, radius = _directions(footprints)
-        found[sound] = shapely.distance(*_polygon_pairs(outlines, pairs[sound], radius))
-    return found
+        distances[sound] = shapely.distance(*_polygon_pairs(outlines, pairs[sound], radius))
+    return distances
 
 
-def _there(footprints: Sequence[Footprint]) -> Mask:
-    return np.array([one.outline.shape[0] > 0 for one in footprints])
+def _nonempty(footprints: Sequence[Footprint]) -> Mask:
+    return np.array([footprint.outline.shape[0] > 0 for footprint in footprints])
 
 
 def _directions(footprints: Sequence[Footprint]) -> tuple[Array, float]:
@@ -348,13 +348,13 @@ def _directions(footprints: Sequence[Footprint]) -> tuple[Array, float]:
     for other in footprints:
         if other.body != body:
             raise InputError(f"footprint of {other.name}", "another body than the first one's", "one body")
-    longest = max(max(one.outline.shape[0] for one in footprints), 1)
+    longest = max(max(footprint.outline.shape[0] for footprint in footprints), 1)
     outlines = np.zeros((len(footprints), longest, 3))
     outlines[:, :, 0] = 1.0
-    for one, row in zip(footprints, outlines, strict=True):
-        count = one.outline.shape[0]
+    for footprint, row in zip(footprints, outlines, strict=True):
+        count = footprint.outline.shape[0]
         if count:
-            row[:count], row[count:] = one.outline, one.outline[-1]
+            row[:count], row[count:] = footprint.outline, footprint.outline[-1]
     return _authalic(outlines, body)
 
 
@@ -419,7 +419,7 @@ def _polygon_pairs(outlines: Array, pairs: Index, radius: float) -> tuple[NDArra
     return _polygons(outlines[pairs[:, 0]], between, radius), _polygons(outlines[pairs[:, 1]], between, radius)
 
 
-def _near(outlines: Array, there: Mask) -> Index:
+def _near(outlines: Array, nonempty: Mask) -> Index:
     """(p, 2) pairs that may overlap, the smaller index first, in order: their caps meet, and so do the boxes along and
     across either one. Found about the one with the larger cap, so that a few wide images don't make all look far.
     """
@@ -427,13 +427,13 @@ def _near(outlines: Array, there: Mask) -> Index:
 
     centres = _middles(outlines)
     reach = np.arccos(np.clip(np.einsum("mki,mi->mk", outlines, centres), -1.0, 1.0)).max(axis=1) + _SLACK
-    mine = np.flatnonzero(there)
-    chords = 2.0 * np.sin(np.minimum(reach[mine], 0.5 * np.pi)) + _SLACK
-    around = cKDTree(centres[mine]).query_ball_point(centres[mine], chords)
-    one = np.repeat(mine, np.array([len(others) for others in around], dtype=np.int64))
-    other = mine[np.array([k for others in around for k in others], dtype=np.int64)]
-    kept = (reach[other] < reach[one]) | ((reach[other] == reach[one]) & (one < other))
-    pairs = np.sort(np.stack([one[kept], other[kept]], axis=1), axis=1)
+    members = np.flatnonzero(nonempty)
+    chords = 2.0 * np.sin(np.minimum(reach[members], 0.5 * np.pi)) + _SLACK
+    around = cKDTree(centres[members]).query_ball_point(centres[members], chords)
+    first = np.repeat(members, np.array([len(neighbors) for neighbors in around], dtype=np.int64))
+    second = members[np.array([k for neighbors in around for k in neighbors], dtype=np.int64)]
+    unique = (reach[second] < reach[first]) | ((reach[second] == reach[first]) & (first < second))
+    pairs = np.sort(np.stack([first[unique], second[unique]], axis=1), axis=1)
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     cosine = np.einsum("pi,pi->p", centres[pairs[:, 0]], centres[pairs[:, 1]])
     pairs = pairs[np.arccos(np.clip(cosine, -1.0, 1.0)) <= reach[pairs].sum(axis=1)]

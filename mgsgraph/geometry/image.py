@@ -1,4 +1,4 @@
-"""One pushbroom image: when each line was taken, from where, and how image and ground places belong together.
+"""One pushbroom image: when and from where each line was taken, and the relation of image and ground coordinates.
 
 Ground to image is a search over the lines (`geometry.line_search`).
 
@@ -89,7 +89,7 @@ class LineTiming(Record):
 
 
 class ExteriorOrientation(Protocol):
-    """Where the camera is and how it stands over its image: sampled (`Trajectory`) or as polynomials of time."""
+    """Position and attitude of the camera over its image: sampled (`Trajectory`) or as polynomials of time."""
 
     @property
     def epoch(self) -> float:
@@ -148,7 +148,7 @@ class PushbroomImage(Record):
     body: Ellipsoid
     """Reference ellipsoid of the body it shows."""
     remarks: tuple[str, ...] = ()
-    """What its reader decided or put right, in phrases."""
+    """What its reader decided or corrected, in phrases."""
     mission: str = ""
     """As ISIS's serial numbers begin (MGS, MRO, LRO, KAGUYA, MEX); empty where its file doesn't say."""
 
@@ -276,15 +276,15 @@ class PushbroomImage(Record):
         jacobian : (n, 2, 3)
             d(line, sample) / d(point), per m.
         """
-        found, size = self.sightings(points, correction), np.array([self.lines, self.samples])
-        chosen = np.arange(found.point.size)
-        if np.any(np.diff(found.point) == 0):
-            beside = np.abs(found.places / size - 0.5).max(axis=1)
-            away = np.maximum(beside, 0.5) if start is None else np.abs(found.places[:, 0] - start[found.point])
-            chosen = np.lexsort([found.places[:, 0], away, found.hidden, found.point])
-            chosen = chosen[np.flatnonzero(np.diff(found.point, prepend=-1))]
+        hits, size = self.sightings(points, correction), np.array([self.lines, self.samples])
+        chosen = np.arange(hits.point.size)
+        if np.any(np.diff(hits.point) == 0):
+            beside = np.abs(hits.places / size - 0.5).max(axis=1)
+            away = np.maximum(beside, 0.5) if start is None else np.abs(hits.places[:, 0] - start[hits.point])
+            chosen = np.lexsort([hits.places[:, 0], away, hits.hidden, hits.point])
+            chosen = chosen[np.flatnonzero(np.diff(hits.point, prepend=-1))]
         places, jacobian = np.full((len(points), 2), np.nan), np.full((len(points), 2, 3), np.nan)
-        places[found.point[chosen]], jacobian[found.point[chosen]] = found.places[chosen], found.jacobian[chosen]
+        places[hits.point[chosen]], jacobian[hits.point[chosen]] = hits.places[chosen], hits.jacobian[chosen]
         return places, jacobian
 
     def sightings(self, points: Array, correction: OrientationCorrection | None = None) -> "Sightings":
@@ -316,16 +316,16 @@ class PushbroomImage(Record):
         ray = transform(attitude, rotation.components(points - pose.position))
         motion = ray_motion(attitude, ray, rotation.components(pose.velocity), rotation.components(pose.angular_rate))
         slope = rotation.components(self.interior.focal_plane(places[:, 1])[1])
-        scale, found = to_lines_and_samples(image_motion(ray, motion, focal), slope), []
+        scale, rows = to_lines_and_samples(image_motion(ray, motion, focal), slope), []
         for row, of_image in zip(by_ray(scale, ray, focal), scale, strict=True):
             parts = by_point(row, attitude), by_rotation(row, ray, axes), by_interior(of_image, ray)
-            by_place, *others = map(rotation.stacked, parts)  # of residuals, which are opposite to the place
-            found.append(np.hstack([by_place, *(-other for other in others)]))
-        return np.stack(found, axis=1)
+            by_place, *rest = map(rotation.stacked, parts)  # of residuals, which are opposite to the place
+            rows.append(np.hstack([by_place, *(-other for other in rest)]))
+        return np.stack(rows, axis=1)
 
 
 _NODES = 2049
-"""Records at which polynomials of the attitude are laid out again; the great arc between two is then on the curve."""
+"""Records at which polynomials of the attitude are sampled; the great arc between two is then on the curve."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -74,8 +74,8 @@ def intersect_rays(origins: Array, directions: Array, point_of_ray: Index, point
     weakest = least_eigenvalue(normal) / np.maximum(count, 1)
     good = (count >= 2) & (weakest > 1e-14)
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.stack(solve_symmetric(normal, right), axis=1) + reference
-    places = np.where(good[:, None], found, np.nan)
+        solution = np.stack(solve_symmetric(normal, right), axis=1) + reference
+    places = np.where(good[:, None], solution, np.nan)
     offset = subtract(tuple(np.nan_to_num(places - reference)[point_of_ray].T), shifted)
     across = subtract(offset, scale(dot(offset, unit), unit))
     square = np.bincount(point_of_ray, dot(across, across), points)
@@ -164,8 +164,8 @@ def _clearance(origins: Array, unit: Array, at: Array, terrain: TerrainGrid) -> 
     """Heights (n,) in m of the places on rays above the model; NaN beside it."""
     points = origins + at[:, None] * unit
     clear = np.full(len(points), np.nan)
-    known = np.isfinite(at)
-    clear[known] = np.linalg.norm(points[known], axis=1) - terrain.at(points[known])
+    finite = np.isfinite(at)
+    clear[finite] = np.linalg.norm(points[finite], axis=1) - terrain.at(points[finite])
     return clear
 
 
@@ -190,7 +190,7 @@ _ROUGH = 40
 
 
 class TrackHeight(NamedTuple):
-    """What a profile says at a crossing."""
+    """Height of a profile at a crossing."""
 
     shots: Index
     """(2,) before and after it."""
@@ -229,21 +229,21 @@ def crossing(first: Array, second: Array, sigmas: tuple[float, float]) -> tuple[
         if at is None:
             return None
         before, near = at, [_nearest(track, at, _NEAR) for track in tracks]
-        at = _meeting([_line(track[mine]) for track, mine in zip(tracks, near, strict=True)])
+        at = _meeting([_line(track[members]) for track, members in zip(tracks, near, strict=True)])
         if at is not None and np.linalg.norm(at - before) < _STILL:
             break
     else:
         return None
-    found = [
+    heights = [
         _height(track, np.linalg.norm(points, axis=1), at, sigma)
         for track, points, sigma in zip(tracks, (first, second), sigmas, strict=True)
     ]
-    return None if found[0] is None or found[1] is None else (found[0], found[1])
+    return None if heights[0] is None or heights[1] is None else (heights[0], heights[1])
 
 
 def gradient(tracks: tuple[TrackHeight, TrackHeight]) -> Array:
     """(2,) m per m east and north, of the ground whose slopes along two tracks are known."""
-    return np.asarray(np.linalg.solve([one.along for one in tracks], [one.slope for one in tracks]))
+    return np.asarray(np.linalg.solve([track.along for track in tracks], [track.slope for track in tracks]))
 
 
 def _plane(points: Array, ways: Array, centre: Array) -> Array:
@@ -259,12 +259,12 @@ def _line(track: Array) -> tuple[Array, Array]:
 
 def _meeting(lines: list[tuple[Array, Array]]) -> Array | None:
     """(2,) where two lines meet; None where they are nearly parallel."""
-    (start, one), (other, two) = lines
-    across = one[0] * two[1] - one[1] * two[0]
+    (start, first), (other, second) = lines
+    across = first[0] * second[1] - first[1] * second[0]
     if abs(across) < np.sin(LEAST_ANGLE):
         return None
-    apart = other - start
-    return np.asarray(start + one * ((apart[0] * two[1] - apart[1] * two[0]) / across))
+    offset = other - start
+    return np.asarray(start + first * ((offset[0] * second[1] - offset[1] * second[0]) / across))
 
 
 def _nearest(track: Array, at: Array, count: int) -> Index:
@@ -275,29 +275,29 @@ def _nearest(track: Array, at: Array, count: int) -> Index:
 
 def _height(track: Array, radii: Array, at: Array, sigma: float) -> TrackHeight | None:
     """Height of a profile at a place (2,) on its track."""
-    mine = _nearest(track, at, _ROUGH)
+    nearby = _nearest(track, at, _ROUGH)
     along = _line(track[_nearest(track, at, _NEAR)])[1]
-    place = (track[mine] - at) @ along
-    mine, place = mine[np.argsort(place)], np.sort(place)
+    place = (track[nearby] - at) @ along
+    nearby, place = nearby[np.argsort(place)], np.sort(place)
     after = int(np.searchsorted(place, 0.0))
     if after in (0, place.size):
         return None
-    gaps = np.linalg.norm(np.diff(track[mine], axis=0), axis=1)
+    gaps = np.linalg.norm(np.diff(track[nearby], axis=0), axis=1)
     gap = float(gaps[after - 1])
     if gap > _GAP * np.median(gaps):
         return None
     share = float(-place[after - 1] / max(place[after] - place[after - 1], 1e-9))
-    shares, heights = np.array([1.0 - share, share]), radii[mine]
+    shares, heights = np.array([1.0 - share, share]), radii[nearby]
     about = np.abs(place) <= _SLOPE
     about[after - 1 : after + 1] = True
     slope = float(np.polyfit(place[about], heights[about], 1)[0])
     rough = _missed(place, heights, sigma) * gap / float(np.median(gaps)) * 2.0 * np.sqrt(share * (1.0 - share))
     sigma = float(np.hypot(rough, sigma * np.linalg.norm(shares)))
-    return TrackHeight(mine[after - 1 : after + 1], shares, along, slope, sigma)
+    return TrackHeight(nearby[after - 1 : after + 1], shares, along, slope, sigma)
 
 
 def _missed(place: Array, heights: Array, sigma: float) -> float:
-    """m, rms of what a straight line between two shots misses in the middle: of shots one and two away on either side,
+    """m, rms error of a straight line between two shots in the middle: of shots one and two away on either side,
     where there is one in the middle, and as it falls from two to one, from one to a half; without the shots' own
     noise, which is `sigma` for each.
     """
@@ -311,5 +311,5 @@ def _missed(place: Array, heights: Array, sigma: float) -> float:
         )
         for lag in (1, 2)
     ]
-    one, two = (max(float(square) - _OWN * sigma**2, 0.0) for square in squares)
-    return float(np.sqrt(one * min(one / max(two, 1e-9), 1.0)))
+    single, double = (max(float(square) - _OWN * sigma**2, 0.0) for square in squares)
+    return float(np.sqrt(single * min(single / max(double, 1e-9), 1.0)))

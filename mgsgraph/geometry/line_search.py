@@ -34,7 +34,7 @@ _DETECTOR = 33
 """Samples at which a detector's bend is tabulated."""
 _BLOCK = 16
 """Intervals of the grid that are looked at together first."""
-_STEPS, _AT_REST = 60, 1e-7
+_STEPS, _CONVERGED = 60, 1e-7
 """Steps of Newton's method; pixels of a step that ends it."""
 _JOINT = 0.01
 """Lines of a pause that is one of rounded times alone: a place within it is the end of the segment before it."""
@@ -92,13 +92,13 @@ class _Brackets(NamedTuple):
 
 def sightings(scan: Scan, points: Array) -> Sightings:
     """All places at which an image sees points (n, 3) in m, body-fixed, within `EDGE`."""
-    found = _brackets(scan, points)
-    if np.any(found.dip):
-        parted = _parted(scan, points, found.of(found.dip))
-        every = found.of(~found.dip), *parted
-        found = _Brackets(*[np.concatenate([getattr(one, name) for one in every]) for name in _Brackets._fields])
-        found = found.of(np.lexsort([found.ends[:, 0], found.point]))
-    return _settled(scan, points, found)
+    brackets = _brackets(scan, points)
+    if np.any(brackets.dip):
+        split = _split(scan, points, brackets.of(brackets.dip))
+        parts = brackets.of(~brackets.dip), *split
+        brackets = _Brackets(*[np.concatenate([getattr(part, name) for part in parts]) for name in _Brackets._fields])
+        brackets = brackets.of(np.lexsort([brackets.ends[:, 0], brackets.point]))
+    return _converged(scan, points, brackets)
 
 
 def _grid(scan: Scan) -> tuple[Array, Pose]:
@@ -106,16 +106,16 @@ def _grid(scan: Scan) -> tuple[Array, Pose]:
     low, high = -EDGE[0] * scan.size[0], (1.0 + EDGE[0]) * scan.size[0]
     lines = np.concatenate([scan.knots + _PAST, scan.breaks, np.nextafter(scan.breaks, -np.inf)])
     lines = np.unique(np.concatenate([np.linspace(low, high, _EVEN), lines[(lines > low) & (lines < high)]]))
-    pose, apart = scan.pose(lines), np.diff(lines)
+    pose, steps = scan.pose(lines), np.diff(lines)
     rate = np.linalg.norm(pose.angular_rate, axis=1)
     rate += np.linalg.norm(pose.velocity, axis=1) / np.linalg.norm(pose.position, axis=1)
-    parts = np.ceil(np.maximum(rate[:-1], rate[1:]) * apart / _TURN)
+    parts = np.ceil(np.maximum(rate[:-1], rate[1:]) * steps / _TURN)
     parts = np.clip(np.nan_to_num(parts, nan=1.0), 1, _MOST_PARTS).astype(np.int64)
     if np.all(parts == 1):
         return lines, pose
     of = np.repeat(np.arange(parts.size), parts)
     share = (np.arange(of.size) - (np.cumsum(parts) - parts)[of]) / parts[of]
-    lines = np.append(lines[of] + share * apart[of], lines[-1])
+    lines = np.append(lines[of] + share * steps[of], lines[-1])
     return lines, scan.pose(lines)
 
 
@@ -139,9 +139,9 @@ def _bend(scan: Scan) -> _Bend:
     axes = np.array([[-along[1], along[0]], along])
     place, slope, centre = (place - place[middle]) @ axes.T, slope @ axes.T, axes @ place[middle]
     bad = np.flatnonzero(~((slope[:, 1] > 0.0) & np.isfinite(place[:, 0])))
-    mine = slice(np.max(bad[bad < middle], initial=-1) + 1, np.min(bad[bad > middle], initial=_DETECTOR))
-    zero, place, slope = np.zeros(_DETECTOR)[mine], place[mine], slope[mine]
-    table = place[:, 1], np.column_stack([samples[mine], place[:, 0], zero])
+    span = slice(np.max(bad[bad < middle], initial=-1) + 1, np.min(bad[bad > middle], initial=_DETECTOR))
+    zero, place, slope = np.zeros(_DETECTOR)[span], place[span], slope[span]
+    table = place[:, 1], np.column_stack([samples[span], place[:, 0], zero])
     rates = np.column_stack([np.ones_like(zero), slope[:, 0], zero]) / slope[:, 1:]
     width = float(np.abs(place[:, 0]).max() + 2.0 * _TURN * scan.interior.focal_length * np.abs(rates[:, 1]).max())
     straight = width < 1e-6 * float(np.linalg.norm(slope[0]))
@@ -152,8 +152,8 @@ def _bend(scan: Scan) -> _Bend:
 def _brackets(scan: Scan, points: Array) -> _Brackets:
     """Pieces of the grid between which points (n, 3) are seen, or may be."""
     lines, pose = _grid(scan)
-    bend, known = _bend(scan), points[np.isfinite(points).all(axis=1)]
-    origin = known.mean(axis=0) if len(known) else np.zeros(3)
+    bend, finite = _bend(scan), points[np.isfinite(points).all(axis=1)]
+    origin = finite.mean(axis=0) if len(finite) else np.zeros(3)
     planes = _planes(bend.axes, np.diff(lines, append=lines[-1]), pose, pose.position - origin)
     blocks, room = _blocks(lines, planes, bend.width), 2 * len(points) + 16
     while True:
@@ -205,7 +205,7 @@ def _step(scan: Scan, points: Array, place: Array) -> tuple[Array, Array, Array,
     return step, derivative, across, pose.position
 
 
-def _parted(scan: Scan, points: Array, dips: _Brackets) -> tuple[_Brackets, _Brackets]:
+def _split(scan: Scan, points: Array, dips: _Brackets) -> tuple[_Brackets, _Brackets]:
     """Brackets before and after the lines at which w is nearest to zero, where it is beyond zero there."""
     place, ends = dips.place.copy(), dips.ends.copy()
     while True:
@@ -225,9 +225,9 @@ def _parted(scan: Scan, points: Array, dips: _Brackets) -> tuple[_Brackets, _Bra
     return before, after
 
 
-def _settled(scan: Scan, points: Array, found: _Brackets) -> Sightings:
+def _converged(scan: Scan, points: Array, brackets: _Brackets) -> Sightings:
     """Places in brackets, by Newton's method, a step that leaves its bracket replaced by bisection."""
-    place, ends, live = found.place.copy(), found.ends.copy(), np.arange(found.point.size)
+    place, ends, live = brackets.place.copy(), brackets.ends.copy(), np.arange(brackets.point.size)
     limits = np.concatenate([[-np.inf], scan.breaks, [np.inf]])
     segment = np.searchsorted(scan.breaks, ends[:, 0], side="right")
     lowest, highest = limits[segment], np.nextafter(limits[segment + 1], -np.inf)
@@ -236,22 +236,22 @@ def _settled(scan: Scan, points: Array, found: _Brackets) -> Sightings:
     for _ in range(_STEPS):
         if not live.size:
             break
-        step[live], derivative[live], across, camera[live] = _step(scan, points[found.point[live]], place[live])
+        step[live], derivative[live], across, camera[live] = _step(scan, points[brackets.point[live]], place[live])
         line, move = place[live, 0], step[live]
         sure = np.abs(move[:, 0]) > _JOINT + 1e-3 * np.abs(move[:, 1])
-        before = (across[:, 0] > 0.0) == found.above[live]
-        for end, mine in ((0, sure & before), (1, sure & ~before)):
-            ends[live[mine], end] = line[mine]
+        before = (across[:, 0] > 0.0) == brackets.above[live]
+        for end, chosen in ((0, sure & before), (1, sure & ~before)):
+            ends[live[chosen], end] = line[chosen]
         low, high = np.maximum(ends[live, 0] - _SLACK, lowest[live]), np.minimum(ends[live, 1] + _SLACK, highest[live])
-        wanted = line + move[:, 0]
-        inside = (wanted >= ends[live, 0] - _SLACK) & (wanted <= ends[live, 1] + _SLACK)
-        place[live, 0] = np.where(inside, np.clip(wanted, low, high), ends[live].mean(axis=1))
+        target = line + move[:, 0]
+        inside = (target >= ends[live, 0] - _SLACK) & (target <= ends[live, 1] + _SLACK)
+        place[live, 0] = np.where(inside, np.clip(target, low, high), ends[live].mean(axis=1))
         place[live, 1] += move[:, 1]
-        live = live[(np.abs(place[live, 0] - line) > _AT_REST) | (np.abs(move[:, 1]) > _AT_REST)]
-    joint = (np.diff(found.ends, axis=1)[:, 0] < 1e-6) & (np.append(scan.pauses, np.inf)[segment] < _JOINT)
-    rest = np.abs(step).max(axis=1) < np.where(joint, _JOINT, 1e-6)
+        live = live[(np.abs(place[live, 0] - line) > _CONVERGED) | (np.abs(move[:, 1]) > _CONVERGED)]
+    joint = (np.diff(brackets.ends, axis=1)[:, 0] < 1e-6) & (np.append(scan.pauses, np.inf)[segment] < _JOINT)
+    at_zero = np.abs(step).max(axis=1) < np.where(joint, _JOINT, 1e-6)
     within = np.all((place >= -EDGE * scan.size) & (place <= (1.0 + EDGE) * scan.size), axis=1)
-    seen = np.flatnonzero(rest & within)
-    mine = points[found.point[seen]]
-    hidden = np.einsum("ni,ni->n", mine, camera[seen] - mine) <= 0.0
-    return Sightings(found.point[seen], place[seen], derivative[seen], hidden)
+    visible = np.flatnonzero(at_zero & within)
+    ground = points[brackets.point[visible]]
+    hidden = np.einsum("ni,ni->n", ground, camera[visible] - ground) <= 0.0
+    return Sightings(brackets.point[visible], place[visible], derivative[visible], hidden)

@@ -236,7 +236,7 @@ class Sine(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationPrior(Record):
-    """What is known of one image's orientation corrections beforehand: zero mean, and a sigma for each coefficient.
+    """Prior of one image's orientation corrections: zero mean, and a sigma for each coefficient.
 
     Examples
     --------
@@ -290,8 +290,8 @@ class OrientationCorrection(Record):
 
     def __post_init__(self) -> None:
         if self.angles not in get_args(Angles):
-            known = ", ".join(get_args(Angles))
-            raise InputError("orientation correction, angles", repr(self.angles), f"one of {known}")
+            options = ", ".join(get_args(Angles))
+            raise InputError("orientation correction, angles", repr(self.angles), f"one of {options}")
         coefficients = frozen(self.coefficients, "orientation coefficients", (None, 6))
         if self.nodes is not None and coefficients.shape[0] < len(self.nodes):
             found, expected = f"{coefficients.shape[0]} rows", f"one for each of {len(self.nodes)} nodes, at least"
@@ -308,7 +308,7 @@ class OrientationCorrection(Record):
         parts = [polynomial(moments.u, self.polynomial_terms - 1)[0]]
         if self.nodes is not None:
             parts.append(self.nodes.dense(moments.times, moments.epoch)[0])
-        return np.hstack([*parts, *(one.at(moments.times, moments.epoch)[0] for one in self.sines)])
+        return np.hstack([*parts, *(sine.at(moments.times, moments.epoch)[0] for sine in self.sines)])
 
     def at(self, moments: Moments) -> tuple[Array, Array]:
         """Correction (n, 6) in m and rad at n lines, and its derivative per line (n, 6)."""
@@ -320,8 +320,8 @@ class OrientationCorrection(Record):
             near = self.coefficients[self.polynomial_terms + first[:, None] + np.arange(SUPPORT)]
             correction += np.einsum("nk,nkc->nc", values, near)
             slope += np.einsum("nk,nkc->nc", rates * moments.periods[:, None], near)
-        for k, one in enumerate(reversed(self.sines), start=1):
-            values, rates = one.at(moments.times, moments.epoch)
+        for k, sine in enumerate(reversed(self.sines), start=1):
+            values, rates = sine.at(moments.times, moments.epoch)
             own = self.coefficients[len(self.coefficients) - 4 * k :][:4]
             correction += values @ own
             slope += rates * moments.periods[:, None] @ own

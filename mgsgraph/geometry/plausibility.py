@@ -1,4 +1,4 @@
-"""Whether the geometry of an image can be: units that were mistaken, and tables that contradict themselves.
+"""Whether the geometry of an image is possible: exchanged units, and tables that contradict themselves.
 
 Images that are one and the same were taken at the same times from the same places in the same directions.
 """
@@ -39,7 +39,7 @@ def require_plausible(image: PushbroomImage, where: str) -> None:
     """
     body, unit = image.body, "check the units of positions and radii (km, or m where the file says so)"
     table = getattr(image.trajectory, "position", None)
-    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where its velocities are nobody's
+    if isinstance(table, PositionTable):  # a body-fixed path may have corners, where no velocity is right
         require_flight(table, where, 1.0 if isinstance(image.trajectory, Trajectory) else 0.5)
     require_possible(body, "", where)
     middle = image.middle
@@ -71,10 +71,10 @@ def require_on_ground(points: Array, angles: Array, body: Ellipsoid, where: str)
     met = (angles > _CONVERGENT) & np.isfinite(points).all(axis=1)
     if np.count_nonzero(met) < _FEW or body.polar < _FLATTEST * body.equatorial:  # a plane, to which no radius belongs
         return
-    found, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)
-    if not 1.0 / near < np.median(found / ground) < near:
+    measured, ground, near = distances(points[met]), surface_radii(points[met], body), nearness(body)
+    if not 1.0 / near < np.median(measured / ground) < near:
         raise InputError(
-            where, f"rays that meet {np.median(found) / KM:.6g} km from the body's centre, half of them at least",
+            where, f"rays that meet {np.median(measured) / KM:.6g} km from the body's centre, half of them at least",
             f"points near its surface, {np.median(ground) / KM:.6g} km from there",
             "check the radii in the images' files, and that the ties are of these images",
         )  # fmt: skip
@@ -145,7 +145,7 @@ def turning(times: Array, quaternions: Array, rates: Array) -> tuple[Array, Arra
 
 
 def turning_otherwise(times: Array, quaternions: Array, rates: Array, noise: float = 0.0) -> str:
-    """How attitudes turn otherwise than the angular velocities beside them say; empty where they do as these say.
+    """How attitudes turn differently from their angular velocities; empty where both agree.
 
     Parameters as of `turning`; of rates, which change between samples, the median interval counts. The noise is that of
     attitudes that were measured, rad/s.
@@ -153,7 +153,7 @@ def turning_otherwise(times: Array, quaternions: Array, rates: Array, noise: flo
     turned, mean = turning(times, quaternions, rates)
     if not len(turned):
         return ""
-    off, size = (float(np.median(np.linalg.norm(one, axis=1))) for one in (turned - mean, mean))
+    off, size = (float(np.median(np.linalg.norm(vectors, axis=1))) for vectors in (turned - mean, mean))
     if not (size > 0.0 and off > max(_CONTRADICTION * size, noise)):
         return ""
     turn = float(np.median(np.linalg.norm(turned, axis=1)))
@@ -166,7 +166,7 @@ _LINES = 0.5
 """Lines by which the times of their first and last edges may differ."""
 _PIXELS = 1.0
 """By which what they see may differ: one image read by two roads differs by thousandths."""
-_APART = 1e3
+_FAR = 1e3
 """m between two cameras at mid-image from which on they are of two spacecraft."""
 
 
@@ -189,50 +189,50 @@ class ImageTimes(NamedTuple):
         return self.epoch + float(self.timing.at(np.zeros(1))[0][0])
 
 
-def begun_together(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
-    """Pairs of images, by their numbers, whose first lines were taken at the same time; they alone can be twins."""
-    starts = [one.start for one in times]
-    order, found = np.argsort(starts, kind="stable").tolist(), []
+def simultaneous_starts(times: Sequence[ImageTimes]) -> list[tuple[int, int]]:
+    """Pairs of images, by their numbers, whose first lines begin at the same time; they alone can be duplicates."""
+    starts = [image.start for image in times]
+    order, pairs = np.argsort(starts, kind="stable").tolist(), []
     for k, first in enumerate(order):
         for second in order[k + 1 :]:
             if starts[second] - starts[first] > _LINES * float(times[first].timing.periods.max()):
                 break
-            found.append((first, second))
-    return found
+            pairs.append((first, second))
+    return pairs
 
 
-def twins(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
+def duplicate_images(images: Sequence[PushbroomImage]) -> list[tuple[int, int]]:
     """Pairs of images, by their numbers, that are the same image under two names.
 
     Cameras that take images at the same time (LROC's left and right one, the channels of HRSC) look elsewhere, and are
     distinguished by that: the ground on the ellipsoid under a grid of pixels is compared.
     """
-    near = begun_together([ImageTimes.of(image) for image in images])
+    near = simultaneous_starts([ImageTimes.of(image) for image in images])
     flown = {j: images[j].pose(images[j].middle[0]).position[0] for j in {j for pair in near for j in pair}}
-    near = [(j, k) for j, k in near if np.linalg.norm(flown[j] - flown[k]) < _APART]
+    near = [(j, k) for j, k in near if np.linalg.norm(flown[j] - flown[k]) < _FAR]
     return sorted((min(pair), max(pair)) for pair in near if _same(images[pair[0]], images[pair[1]]))
 
 
 def require_distinct(images: Sequence[PushbroomImage], where: str) -> None:
     """Raise InputError for one image under two names; `where` they stand."""
-    for first, second in twins(images)[:1]:
+    for first, second in duplicate_images(images)[:1]:
         both = f"{images[first].name} and {images[second].name}"
         found = f"{both}, which are one image: the same times, the same trajectory"
         raise InputError(where, found, "each image once", "take one of the two out")
 
 
-def _same(one: PushbroomImage, other: PushbroomImage) -> bool:
-    if (one.lines, one.samples, one.body.equatorial) != (other.lines, other.samples, other.body.equatorial):
+def _same(first: PushbroomImage, second: PushbroomImage) -> bool:
+    if (first.lines, first.samples, first.body.equatorial) != (second.lines, second.samples, second.body.equatorial):
         return False
-    end = np.array([float(one.lines)])
-    stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (one, other)]
-    if abs(stops[0] - stops[1]) > _LINES * one.timing.periods.max():
+    end = np.array([float(first.lines)])
+    stops = [image.trajectory.epoch + image.timing.at(end)[0][0] for image in (first, second)]
+    if abs(stops[0] - stops[1]) > _LINES * first.timing.periods.max():
         return False
     lines, samples = (axis.ravel() for axis in np.meshgrid(
-        np.linspace(0.0, one.lines, 3), np.linspace(0.0, one.samples, 3)
+        np.linspace(0.0, first.lines, 3), np.linspace(0.0, first.samples, 3)
     ))  # fmt: skip
-    ground, slopes = one.image_to_ground(lines, samples)
-    apart = np.linalg.norm(other.image_to_ground(lines, samples)[0] - ground, axis=1)
+    ground, slopes = first.image_to_ground(lines, samples)
+    distances = np.linalg.norm(second.image_to_ground(lines, samples)[0] - ground, axis=1)
     pixel = np.linalg.norm(slopes, axis=1).max(axis=1)
-    seen = np.isfinite(apart)
-    return bool(np.any(seen) and np.all(apart[seen] < _PIXELS * pixel[seen]))
+    finite = np.isfinite(distances)
+    return bool(np.any(finite) and np.all(distances[finite] < _PIXELS * pixel[finite]))

@@ -1,4 +1,4 @@
-"""What every record does on construction: its arrays are copied to read-only float64 and checked once."""
+"""Construction of records: their arrays are copied to read-only float64 and checked once."""
 
 from collections.abc import Sequence
 from typing import Any, TypeVar
@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 
 
 def is_frozen(value: Any, kind: Any) -> bool:
-    """Whether a value is an array of a kind that nobody can write to, so that a record needs no copy of it."""
+    """Whether a value is a read-only array of a kind, so that a record needs no copy of it."""
     if not isinstance(value, np.ndarray) or value.dtype != kind:
         return False
     while isinstance(value, np.ndarray):
@@ -32,22 +32,22 @@ def is_frozen(value: Any, kind: Any) -> bool:
 
 
 def of_kind(value: Any, kind: type[_Scalar]) -> NDArray[_Scalar]:
-    """An array of a kind: the value itself where nobody can write to it, else a copy."""
-    found: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
-    return found
+    """An array of a kind: the value itself where it is read-only, else a copy."""
+    array: NDArray[_Scalar] = value if is_frozen(value, kind) else np.array(value, dtype=kind)
+    return array
 
 
-def read_only(made: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """An array that was just made, and that nobody else knows: it becomes read-only, so that no record copies it."""
-    made.flags.writeable = False
-    return made
+def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
+    """An array that was just made and has no other reference: it becomes read-only, so that no record copies it."""
+    array.flags.writeable = False
+    return array
 
 
 def repeated(value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Read-only array of a shape that holds one value again and again, in the memory of one."""
-    one = np.array(value, dtype=np.float64)
-    one.flags.writeable = False
-    return np.broadcast_to(one, shape)
+    element = np.array(value, dtype=np.float64)
+    element.flags.writeable = False
+    return np.broadcast_to(element, shape)
 
 
 def repeats(values: NDArray[Any]) -> bool:

@@ -76,9 +76,9 @@ def from_matrix(matrix: Array) -> Array:
     """Unit quaternions (..., 4), scalar first, of rotation matrices (..., 3, 3) (Shepperd's method)."""
     from mgsgraph.geometry.compiled_pose import quaternions  # compiled: not before it is needed
 
-    found = np.empty((*matrix.shape[:-2], 4))
-    quaternions(np.ascontiguousarray(matrix, dtype=np.float64).reshape(-1, 3, 3), found.reshape(-1, 4))
-    return found
+    result = np.empty((*matrix.shape[:-2], 4))
+    quaternions(np.ascontiguousarray(matrix, dtype=np.float64).reshape(-1, 3, 3), result.reshape(-1, 4))
+    return result
 
 
 def continuous(quaternion: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The ground as two images show it, averaged over a footprint, and how high a point lies above it.
+"""The ground surface of two images, averaged over a footprint, and heights of points above it.
 
 Dense matches say where a pixel x = (line, sample) of the first image lies in the second: y = D(x). Averaged over what a
 laser spot (or a cell of a terrain model) covers, D is a smooth function that no orientation changes. A point P, which
@@ -156,23 +156,23 @@ def averaged_surface(
     spots = (anchors - first) / step
     trend = _Trend(anchors, places)
     left = places - trend.at(anchors)
-    taken = np.ones(len(anchors), dtype=bool)
+    selected = np.ones(len(anchors), dtype=bool)
     for _ in range(2):
-        found = _local_planes(spots[taken], left[taken], variances[taken], shape, least_share)
-        if not np.any(found.covered):
+        planes = _local_planes(spots[selected], left[selected], variances[selected], shape, least_share)
+        if not np.any(planes.covered):
             raise InputError(
                 "stereo surface", f"{len(anchors)} dense matches, nowhere enough for a footprint of {4 * width:.0f} m",
                 "images that overlap and match", "take a smaller spacing of the matches",
             )  # fmt: skip
-        taken = _alike(spots, left, _continued(found.values, found.covered))
+        selected = _inliers(spots, left, _continued(planes.values, planes.covered))
     rows, columns = np.meshgrid(*(np.arange(size) for size in shape), indexing="ij")
     nodes = first + np.stack([rows, columns], axis=2).reshape(-1, 2) * step
-    whole = trend.at(nodes).reshape(*shape, 2) + _continued(found.values, found.covered)
+    whole = trend.at(nodes).reshape(*shape, 2) + _continued(planes.values, planes.covered)
     places = RESOLUTION * np.rint(whole / RESOLUTION)
     independent = max(1.0, 4.0 * np.pi * width**2 / window**2)  # windows that the Gaussian's equivalent area holds
-    sigmas = np.sqrt(found.variance / independent)
-    rounded = [coarse(np.where(found.covered, one, 0.0)) for one in (sigmas, found.roughness)]
-    return StereoSurface(first, step, places, found.covered, *rounded)
+    sigmas = np.sqrt(planes.variance / independent)
+    rounded = [coarse(np.where(planes.covered, values, 0.0)) for values in (sigmas, planes.roughness)]
+    return StereoSurface(first, step, places, planes.covered, *rounded)
 
 
 def coarse(values: Array) -> Array:
@@ -224,19 +224,19 @@ def _moments(spots: Array, shape: tuple[int, ...]) -> Callable[[Array], Array]:
     return moment
 
 
-def _alike(spots: Array, values: Array, averages: Array) -> Mask:
+def _inliers(spots: Array, values: Array, averages: Array) -> Mask:
     """(n,) matches at `spots` (n, 2) counted in nodes whose values (n, 2) are no farther from the averages (r, c, 2) at
     nodes than those about them: on a canyon's edge all are far.
     """
     from scipy.ndimage import map_coordinates
 
-    moment, kept = _moments(spots, averages.shape[:2]), np.ones(len(spots), dtype=bool)
-    every = np.maximum(moment(np.ones(len(spots))), 1e-12)
+    moment, inliers = _moments(spots, averages.shape[:2]), np.ones(len(spots), dtype=bool)
+    counts = np.maximum(moment(np.ones(len(spots))), 1e-12)
     for k in range(2):
         off = np.abs(values[:, k] - map_coordinates(averages[:, :, k], spots.T, order=1))
-        usual = _OF_NORMAL * map_coordinates(moment(off) / every, spots.T, order=1)
-        kept &= off <= _OUTLIER * usual + 1e-12
-    return kept
+        usual = _OF_NORMAL * map_coordinates(moment(off) / counts, spots.T, order=1)
+        inliers &= off <= _OUTLIER * usual + 1e-12
+    return inliers
 
 
 def _local_planes(
@@ -260,7 +260,7 @@ def _local_planes(
     spread = np.linalg.det(normal) > 1e-3 * np.prod(np.diagonal(normal, axis1=2, axis2=3), axis=2)
     covered = (s > least_share * usual) & spread
     normal = np.where(covered[:, :, None, None], normal, np.eye(3))
-    found, scatter = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+    fitted, scatter = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     for k in range(2):
         f = values[:, k]
         t = [moment(weights) for weights in (f, y * f, x * f)]
@@ -268,23 +268,23 @@ def _local_planes(
         plane = np.linalg.solve(normal, right[:, :, :, None])[:, :, :, 0]
         squares = moment(f * f) - np.einsum("rcp,rcp->rc", plane, right)
         scatter[:, :, k] = np.sqrt(np.maximum(squares, 0.0) / np.maximum(s, 1e-12))
-        found[:, :, k] = np.where(covered, plane[:, :, 0], 0.0)
-    return _Planes(found, covered, moment(variances) / np.maximum(s, 1e-12), scatter.max(axis=2))
+        fitted[:, :, k] = np.where(covered, plane[:, :, 0], 0.0)
+    return _Planes(fitted, covered, moment(variances) / np.maximum(s, 1e-12), scatter.max(axis=2))
 
 
 def _continued(values: Array, covered: Mask) -> Array:
     """Values (r, c, 2) of nodes that are not covered are averages of what is near, however far that is."""
     from scipy.ndimage import gaussian_filter
 
-    result, known = np.where(covered[:, :, None], values, 0.0), covered.copy()
+    result, filled = np.where(covered[:, :, None], values, 0.0), covered.copy()
     width = _NODES_PER_WIDTH
-    while not known.all() and width < 2.0 * max(covered.shape):
-        weight = gaussian_filter(known.astype(np.float64), width, mode="constant")
-        new = ~known & (weight > 1e-3)
+    while not filled.all() and width < 2.0 * max(covered.shape):
+        weight = gaussian_filter(filled.astype(np.float64), width, mode="constant")
+        new = ~filled & (weight > 1e-3)
         for k in range(2):
-            near = gaussian_filter(np.where(known, result[:, :, k], 0.0), width, mode="constant")
+            near = gaussian_filter(np.where(filled, result[:, :, k], 0.0), width, mode="constant")
             result[new, k] = near[new] / weight[new]
-        known, width = known | new, 2.0 * width
+        filled, width = filled | new, 2.0 * width
     return result
 
 
@@ -326,9 +326,9 @@ def heights_above(
     which they are seen.
     """
 
-    def part(mine: slice) -> SurfaceHeights:
-        flat, begin = None if level is None else level[mine], None if start is None else start[mine]
-        return _heights_above(surface, (first, second), points[mine], corrections, flat, begin)
+    def part(rows: slice) -> SurfaceHeights:
+        flat, begin = None if level is None else level[rows], None if start is None else start[rows]
+        return _heights_above(surface, (first, second), points[rows], corrections, flat, begin)
 
     return SurfaceHeights(*map(np.concatenate, zip(*in_threads(part, shares(len(points), _WORTHWHILE)), strict=True)))
 
@@ -341,34 +341,34 @@ def _heights_above(
     level: Mask | None,
     start: Array | None,
 ) -> SurfaceHeights:
-    """The same of some points."""
+    """`heights_above` for some points."""
     (first, second), guesses = images, (None, None) if start is None else start.T
-    (places, by_point), (others, other_by_point) = (
-        image.ground_to_image(points, *one)
-        for image, *one in zip(images, corrections, guesses, strict=True)
+    (places, by_point), (other_places, other_by_point) = (
+        image.ground_to_image(points, *arguments)
+        for image, *arguments in zip(images, corrections, guesses, strict=True)
     )
-    seen = np.isfinite(places[:, 0]) & np.isfinite(others[:, 0])
-    known = np.where(seen[:, None], places, surface.first)
-    disparity, slopes = surface.disparity(known)
+    visible = np.isfinite(places[:, 0]) & np.isfinite(other_places[:, 0])
+    usable = np.where(visible[:, None], places, surface.first)
+    disparity, slopes = surface.disparity(usable)
     if level is not None:
         slopes[level] = _level_slopes(points[level], by_point[level], other_by_point[level])
-    towards = -first.sightlines(known[:, 0], known[:, 1], corrections[0])[1]
+    towards = -first.sightlines(usable[:, 0], usable[:, 1], corrections[0])[1]
     epipolar = np.einsum("nij,nj->ni", other_by_point, towards)
     epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
     back = -np.einsum("ni,nij->nj", epipolar, slopes)
     gradient = np.einsum("ni,nij->nj", epipolar, other_by_point) + np.einsum("ni,nij->nj", back, by_point)
     size = np.linalg.norm(gradient, axis=1, keepdims=True)
-    off = others - disparity
+    off = other_places - disparity
     of_first = np.einsum("ni,nij->nj", back, first.by_correction(points, places, corrections[0]))
-    of_second = np.einsum("ni,nij->nj", epipolar, second.by_correction(points, others, corrections[1]))
+    of_second = np.einsum("ni,nij->nj", epipolar, second.by_correction(points, other_places, corrections[1]))
     covered, sigmas, roughness = surface.at_nodes(places)
     return SurfaceHeights(
         np.einsum("ni,ni->n", epipolar, off) / size[:, 0],
         gradient / size,
         np.stack([of_first, of_second], axis=1) / size[:, :, None],
-        np.stack([places[:, 0], others[:, 0]], axis=1),
-        np.stack([places[:, 1], others[:, 1]], axis=1),
-        covered & seen,
+        np.stack([places[:, 0], other_places[:, 0]], axis=1),
+        np.stack([places[:, 1], other_places[:, 1]], axis=1),
+        covered & visible,
         sigmas / size[:, 0],
         roughness / size[:, 0],
         epipolar[:, 0] * off[:, 1] - epipolar[:, 1] * off[:, 0],

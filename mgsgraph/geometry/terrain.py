@@ -48,7 +48,7 @@ def refined(nodes: NDArray[Any], step: int) -> NDArray[Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaps(Record):
-    """What a terrain model's interpolation between tracks adds to the errors of its posts."""
+    """Errors of a terrain model's posts by interpolation between tracks."""
 
     sigmas: Array
     """(rows, columns) m, of each post's height; 0 for a post that shots made."""
@@ -99,8 +99,8 @@ class SplineSurface(NamedTuple):
         components = rotation.components(points)
         row, column = post_coordinates(components, self.first, self.step, self.coefficients.shape)
         i, j = (
-            np.minimum(np.nan_to_num(one, nan=1.0).astype(np.int64), size - 3)
-            for one, size in zip((row, column), self.coefficients.shape, strict=True)
+            np.minimum(np.nan_to_num(axis, nan=1.0).astype(np.int64), size - 3)
+            for axis, size in zip((row, column), self.coefficients.shape, strict=True)
         )
         around = tuple(tuple(self.coefficients[i + k, j + m] for m in range(-1, 3)) for k in range(-1, 3))
         height, slope = height_above(components, cubic(column - j, row - i, around), self.step)
@@ -159,8 +159,8 @@ def window(
         unit = 2.0 * np.pi / turn
         middle = float(np.angle(np.mean(np.exp(1j * unit * column)))) if wraps else 0.5 * columns * unit
         column = in_turn(unit * column, middle) / unit
-    top, west = (int(np.floor(one.min())) - margin for one in (row, column))
-    bottom, east = (int(np.floor(one.max())) + margin + 2 for one in (row, column))
+    top, west = (int(np.floor(axis.min())) - margin for axis in (row, column))
+    bottom, east = (int(np.floor(axis.max())) + margin + 2 for axis in (row, column))
     around = turn is not None and 2.0 * (east - west) > turn  # a pole lies between the places
     if around and top < bottom - top:
         top = 0
@@ -240,12 +240,12 @@ class TerrainGrid(Record):
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise InputError(f"{where}, {name}", f"{value} m", "a positive number")
         if self.gaps is not None:
-            gaps = Gaps(*(np.array(one, dtype=np.float64) for one in self.gaps))
-            for one in gaps:
-                if one.shape != radii.shape or not np.all(one[np.isfinite(radii)] >= 0.0):
-                    found, expected = f"an array of shape {one.shape}", f"a number >= 0 for each of {radii.shape}"
+            gaps = Gaps(*(np.array(gap, dtype=np.float64) for gap in self.gaps))
+            for gap in gaps:
+                if gap.shape != radii.shape or not np.all(gap[np.isfinite(radii)] >= 0.0):
+                    found, expected = f"an array of shape {gap.shape}", f"a number >= 0 for each of {radii.shape}"
                     raise InputError(f"{where}, gaps between tracks", found, expected)
-                one.flags.writeable = False
+                gap.flags.writeable = False
             assign(self, gaps=gaps)
         radii.flags.writeable = False
         assign(self, radii=radii)
@@ -298,16 +298,16 @@ class TerrainGrid(Record):
         """
         longitudes, latitudes, _ = planetocentric(points).T
         between, _ = self._gaps(longitudes, latitudes)
-        there = np.isfinite(self._patch(longitudes, latitudes).value)
-        return np.where(there, np.hypot(self.vertical_sigma or np.inf, between), np.nan)
+        finite = np.isfinite(self._patch(longitudes, latitudes).value)
+        return np.where(finite, np.hypot(self.vertical_sigma or np.inf, between), np.nan)
 
     def _gaps(self, longitudes: Array, latitudes: Array) -> tuple[Array, Array]:
         """`gaps` at places (n,), m: zero where there are none."""
         if self.gaps is None:
             return np.zeros(longitudes.size), np.zeros(longitudes.size)
         sigmas, reaches = (
-            replace(self, radii=one, kind="topography", gaps=None)._patch(longitudes, latitudes).value
-            for one in self.gaps
+            replace(self, radii=gap, kind="topography", gaps=None)._patch(longitudes, latitudes).value
+            for gap in self.gaps
         )
         return sigmas, reaches
 
@@ -349,8 +349,8 @@ class TerrainGrid(Record):
         """
         self._require("radius", "heights above the terrain")
         height, slope = self.spline().height_above(points)
-        there = np.isfinite(self.at(points))
-        return np.where(there, height, np.nan), np.where(there[:, None], slope, np.nan)
+        inside = np.isfinite(self.at(points))
+        return np.where(inside, height, np.nan), np.where(inside[:, None], slope, np.nan)
 
     def spline(self) -> SplineSurface:
         """The cubic B-spline of its posts."""
@@ -373,14 +373,14 @@ class TerrainGrid(Record):
         longitudes, latitudes, _ = planetocentric(points).T
         at = np.column_stack([self.first_latitude - latitudes, longitudes - self.first_longitude])
         at /= [self.latitude_step, self.longitude_step]
-        found = window(at, self.radii.shape, margin, 2.0 * np.pi / self.longitude_step, self.wraps)
-        if found is None:
+        part = window(at, self.radii.shape, margin, 2.0 * np.pi / self.longitude_step, self.wraps)
+        if part is None:
             return self
-        rows, columns = found
+        rows, columns = part
         return replace(
             self,
             radii=self.radii[rows][:, columns],
-            gaps=None if self.gaps is None else Gaps(*(one[rows][:, columns] for one in self.gaps)),
+            gaps=None if self.gaps is None else Gaps(*(gap[rows][:, columns] for gap in self.gaps)),
             first_longitude=self.first_longitude + int(columns[0]) * self.longitude_step,
             first_latitude=self.first_latitude - rows.start * self.latitude_step,
             wraps=self.wraps and columns.size == self.radii.shape[1],
@@ -402,8 +402,8 @@ class TerrainGrid(Record):
 
     def same_posts(self, other: "TerrainGrid") -> bool:
         """Whether another grid has its posts at the same places."""
-        apart = np.abs(self.box - other.box).max()
-        return self.radii.shape == other.radii.shape and bool(apart < _SAME_PLACE)
+        difference = np.abs(self.box - other.box).max()
+        return self.radii.shape == other.radii.shape and bool(difference < _SAME_PLACE)
 
     def _require(self, kind: TerrainKind, what: str) -> None:
         if self.kind != kind:

@@ -1,4 +1,4 @@
-"""Terrain grids made of others: tiles put together, heights above the areoid put on top of it.
+"""Terrain grids made of others: mosaics of tiles, and sums of the areoid and heights above it.
 
 Errors of a terrain model between the tracks that made it: MEGDR interpolates posts in whose cells no shot fell.
 
@@ -115,7 +115,7 @@ _FLATTEST = 0.2
 
 
 def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
-    """What interpolation between tracks adds to the errors of a grid's posts, by the number of shots in each cell.
+    """Errors of a grid's posts by interpolation between tracks, from the number of shots in each cell.
 
     Raises
     ------
@@ -133,11 +133,11 @@ def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
     size, power = _misfit(np.asarray(grid.radii, dtype=np.float64), shots, (south, float(np.mean(east))), counts.source)
     farthest = float(np.hypot(shots.shape[0] * south, shots.shape[1] * east.max()))
     least, reaches = np.full(shots.shape, np.inf), np.zeros(shots.shape)
-    for one, other, step in _tracks(shots, east, south):
-        farther, nearest = np.maximum(one, other) * step, np.minimum(np.minimum(one, other) * step, farthest)
-        alone = np.isinf(farther)
-        half = np.where(alone, 2.0 * nearest, 0.5 * (nearest + farther))
-        middle = np.where(alone, 1.0, nearest * np.where(alone, 1.0, farther) / np.maximum(half, 1.0) ** 2)
+    for before, after, step in _tracks(shots, east, south):
+        farther, nearest = np.maximum(before, after) * step, np.minimum(np.minimum(before, after) * step, farthest)
+        one_sided = np.isinf(farther)
+        half = np.where(one_sided, 2.0 * nearest, 0.5 * (nearest + farther))
+        middle = np.where(one_sided, 1.0, nearest * np.where(one_sided, 1.0, farther) / np.maximum(half, 1.0) ** 2)
         variance = size * half**power * middle ** min(power, 2.0)
         better = variance < least
         least[better], reaches[better] = variance[better], half[better]
@@ -147,10 +147,10 @@ def track_gaps(grid: TerrainGrid, counts: TerrainGrid) -> Gaps:
 
 def _misfit(radii: Array, shots: Mask, steps: tuple[float, float], source: str) -> tuple[float, float]:
     """A in m^(2 - p) and p of what linear interpolation over a half distance misses, by posts with shots in line."""
-    known = np.where(shots, radii, np.nan)
+    sampled = np.where(shots, radii, np.nan)
     distances, variances, numbers = list[float](), list[float](), list[int]()
     for axis, step in enumerate(steps):
-        values, lag = np.moveaxis(known, axis, 0), 1
+        values, lag = np.moveaxis(sampled, axis, 0), 1
         while 2 * lag < values.shape[0]:
             missed = values[lag:-lag] - 0.5 * (values[: -2 * lag] + values[2 * lag :])
             missed = np.abs(missed[np.isfinite(missed)])
@@ -183,8 +183,8 @@ def _tracks(shots: Mask, east: Array, south: float) -> Iterator[tuple[Array, Arr
 def _next(shots: Mask, way: tuple[int, int]) -> NDArray[np.float64]:
     """(rows, columns) posts back along a way, 0 or 1 rows and -1 to 1 columns a step, to one with shots."""
     rows, along = (shots, way[1]) if way[0] else (shots.T, 0)
-    found = np.where(rows, 0.0, np.inf)
-    for i in range(1, len(found)):
-        before = np.pad(found[i - 1], 1, constant_values=np.inf)[1 - along :][: found.shape[1]]
-        found[i] = np.minimum(found[i], before + 1.0)
-    return found if way[0] else found.T
+    steps = np.where(rows, 0.0, np.inf)
+    for i in range(1, len(steps)):
+        before = np.pad(steps[i - 1], 1, constant_values=np.inf)[1 - along :][: steps.shape[1]]
+        steps[i] = np.minimum(steps[i], before + 1.0)
+    return steps if way[0] else steps.T

@@ -1,4 +1,4 @@
-"""Where the camera was and how it stood: sampled position and attitude, interpolated as ISIS and SPICE do.
+"""Position and attitude of the camera: sampled position and attitude, interpolated as ISIS and SPICE do.
 
 Position tables are inertial and interpolated by cubic Hermite polynomials; attitude tables turn uniformly between two
 samples (the great arc, as SPICE CK type 3 and ISIS). The two are brought to the body-fixed frame at the asked time.
@@ -233,7 +233,7 @@ class FixedTrajectory:
     """Position and attitude in even or uneven steps, body-fixed, as model states of usgscsm have them."""
 
     epoch: float
-    """s TDB past J2000 (or any other zero, where nobody knows) from which all times count."""
+    """s TDB past J2000 (or an unknown zero) from which all times count."""
     position: PositionTable
     """Body-fixed, with body-fixed velocities."""
     camera: AttitudeTable

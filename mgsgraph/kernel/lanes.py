@@ -329,7 +329,7 @@ VELOCITY = 16 * LANES  # 3
 ANGULAR_RATE = 19 * LANES  # 3
 SLOPE = 22 * LANES  # 2: of the detector line, m per sample
 REFERENCE_OFFSET = 24 * LANES  # lines from the measured line to the reference line
-ROOT = 25 * LANES  # 6: upper triangle of a ground prior's square root information
+ROOT = 25 * LANES  # 6: upper triangle of a ground prior's square root information; 3: a range's shares, a normal
 DISTANCE = 31 * LANES  # measured range
 OF_MEASURED, OF_PREDICTED, OF_ANY = 16 * LANES, 25 * LANES, 32 * LANES
 """Registers up to which a ray of either form, and any observation, has constants."""

@@ -225,11 +225,11 @@ def range_rows(w):
         weight = w[_C + WEIGHT + l] * w[ACTIVE + l]
         used = weight > 0.0
         centre, bias = add(vector(w, _C + POSITION, l), vector(w, DELTA, l)), w[DELTA + 3 * LANES + l]
-        value, of_point = range_residual(w[_C + DISTANCE + l], vector(w, POINT, l), centre, bias)
-        of_point = weight * of_point[0], weight * of_point[1], weight * of_point[2]
+        shares, measured = vector(w, _C + ROOT, l), w[_C + DISTANCE + l]
+        value, of_point, of_centre = range_residual(measured, vector(w, POINT, l), centre, bias, shares)
         w[ROWS + RESIDUAL + l] = weight * value if used else 0.0
-        put(w, _FIRST_ROW, l, of_point, used)
-        put(w, _BY_STATE, l, (-of_point[0], -of_point[1], -of_point[2]), used)
+        put(w, _FIRST_ROW, l, (weight * of_point[0], weight * of_point[1], weight * of_point[2]), used)
+        put(w, _BY_STATE, l, (weight * of_centre[0], weight * of_centre[1], weight * of_centre[2]), used)
         w[_BY_STATE + 3 * LANES + l] = -weight
 
 

@@ -155,7 +155,7 @@ def numbers_stored(
     """
     predicted = model.line == PREDICTED
     of_ray = 9 + (4 if model.angles == CAMERA else 3) + (5 if predicted else 0)
-    constants = np.array([of_ray, 3 + 1, 3 + 6, 0, 3 + 3 + 1])
+    constants = np.array([of_ray, 3 + 3 + 1, 3 + 6, 0, 3 + 3 + 1])
     of_basis = terms * np.where((kind == IMAGE) & predicted, 2, 1)
     return np.asarray(constants[kind] + np.where(polynomial, np.minimum(terms, 1), of_basis) + width * shared)
 

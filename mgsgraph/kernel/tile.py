@@ -153,11 +153,9 @@ def load_observation(rows, model, segments, count, begin, i, at, w, s):
             at = copied(rows, segments, count, at, w, s + REFERENCE_OFFSET, 1)
         else:
             at = copied(rows, segments, count, at, w, s + SCALE, 4)
-    elif kind == RANGE:
-        at = copied(rows, segments, count, at, w, s + DISTANCE, 1)
     elif kind == GROUND:
         at = copied(rows, segments, count, at, w, s + ROOT, 6)
-    elif kind == STEREO:
+    elif kind == RANGE or kind == STEREO:
         at = copied(rows, segments, count, at, w, s + ROOT, 3)
         at = copied(rows, segments, count, at, w, s + DISTANCE, 1)
     terms = rows.observation_terms[i]

@@ -1,9 +1,9 @@
-"""What finished measures must stand: rays that meet, heights like their neighbours', and an even spread.
+"""Checks of finished measures: rays that meet, heights like their neighbors', and an even spread.
 
 Whether what was matched between two pictures is one ground: four signs, none of which decides alone.
 
-False matches stand every check of single matches: among thousands of windows some are alike, the way back ends where it
-began, and a correction with eighteen coefficients makes the rays of a dozen meet. Together they betray themselves:
+False matches stand every check of single matches: among thousands of windows some agree, the way back ends where it
+began, and a correction with eighteen coefficients makes the rays of a dozen meet. Together they can be detected:
 few of the surest features end as a match, few agreed on an orientation, they lie in few cells, and their rays miss each
 other by far more than their sigmas say, from one match to the next. Good pairs show one of these signs: noise costs
 matches, jitter of the spacecraft moves rays. So two signs refuse a pair, and one is said. The limits lie between what
@@ -52,28 +52,28 @@ class MeasureChecks(NamedTuple):
     """(n,) m on the ground, the coplanarity residual that remains; NaN where it wasn't asked."""
 
 
-def checked_measures(scene: Scene, found: Measured, step: float, seed: int) -> MeasureChecks:
+def checked_measures(scene: Scene, measures: Measured, step: float, seed: int) -> MeasureChecks:
     """Check measures, pair of pictures by pair; `step` is the pixel of the ground grid in m."""
-    n = found.track.size
+    n = measures.track.size
     coplanar, steady, misfit = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, np.nan)
-    for _, _, mine in by_pair(found.first, found.other):
-        coplanar[mine], steady[mine], misfit[mine] = _of_pair(scene, found.some(mine), step, seed)
+    for _, _, rows in by_pair(measures.first, measures.other):
+        coplanar[rows], steady[rows], misfit[rows] = _of_pair(scene, measures.some(rows), step, seed)
     return MeasureChecks(coplanar, steady, misfit)
 
 
-def _of_pair(scene: Scene, found: Measured, step: float, seed: int) -> tuple[Mask, Mask, Array]:
-    first, second = (scene.pictures[int(j[0])] for j in (found.first, found.other))
+def _of_pair(scene: Scene, measures: Measured, step: float, seed: int) -> tuple[Mask, Mask, Array]:
+    first, second = (scene.pictures[int(j[0])] for j in (measures.first, measures.other))
     sigmas = units_between(first, second, _DEGREE, _UNKNOWN)
-    apart = displacements(first, second, (found.anchors, found.pixels), scene.ground, sigmas)
+    displaced = displacements(first, second, (measures.anchors, measures.pixels), scene.ground, sigmas)
     rng = np.random.default_rng(seed)
-    taken, fits = consensus(apart, _ROUGH * step, scene.ground.height_sigma, rng)
-    across, along = apart.residuals(taken).T
+    correction, fits = consensus(displaced, _ROUGH * step, scene.ground.height_sigma, rng)
+    across, along = displaced.residuals(correction).T
     limit = max(_LIMIT * robust_sigma(across[fits]), _LEAST_LIMIT * step)
     coplanar = np.abs(across - _middle(across[fits])) <= limit
     if np.count_nonzero(coplanar) < _FEWEST:  # so few agree with any orientation
         coplanar[:] = False
     steady = np.zeros(coplanar.size, dtype=bool)
-    steady[coplanar] = _like_neighbours(first.on_chart(scene.ground, found.anchors[coplanar]), along[coplanar], step)
+    steady[coplanar] = _like_neighbours(first.on_chart(scene.ground, measures.anchors[coplanar]), along[coplanar], step)
     return coplanar, steady, across
 
 
@@ -104,9 +104,9 @@ def spread(cells: Index, pairs: Index, quality: Array, most: int) -> Mask:
     new = np.ones(order.size, dtype=bool)
     new[1:] = (np.diff(cells[order]) != 0) | (np.diff(pairs[order]) != 0)
     begin = np.maximum.accumulate(np.where(new, np.arange(order.size), 0))
-    kept = np.zeros(order.size, dtype=bool)
-    kept[order] = np.arange(order.size) - begin < most
-    return kept
+    chosen = np.zeros(order.size, dtype=bool)
+    chosen[order] = np.arange(order.size) - begin < most
+    return chosen
 
 
 # --- pairs of pictures
@@ -127,14 +127,14 @@ _ENOUGH = 4
 
 
 class PairSigns(NamedTuple):
-    """What speaks for or against the matches of two pictures."""
+    """Evidence for and against the matches of two pictures."""
 
     first: str
     """Name of the reference picture."""
     other: str
     """Name of the other one."""
     agreed: float
-    """Share of the coarse matches that agreed; NaN of a pair that was brought together by way of others."""
+    """Share of the coarse matches that agreed; NaN of a pair that was aligned by way of others."""
     found: float
     """Share of the features tried that were found again both ways."""
     filled: float
@@ -144,7 +144,7 @@ class PairSigns(NamedTuple):
 
     @property
     def signs(self) -> tuple[str, ...]:
-        """Those that speak against it, in words with figures."""
+        """Signs against it, in words with figures."""
         return tuple(
             words
             for bad, words in (
@@ -169,27 +169,27 @@ class PairSigns(NamedTuple):
 
 def pair_signs(
     scene: Scene, agreements: Sequence[Agreement], pairs: Sequence[Pair], cell: float, tried: Measured, returned: Mask,
-    kept: Measured, misfit: Array,
+    matched: Measured, misfit: Array,
 ) -> list[PairSigns]:  # fmt: skip
     """Signs of each pair of pictures with matches.
 
     `cell` is the side of the cells in m; `returned` (k,) says which of the measures tried stood all checks of single
     matches, `misfit` (m,) is the coplanarity residual of those kept, m on the ground.
     """
-    agreed = {frozenset(one[:2]): one.agreed / max(one.candidates, 1) for one in agreements}
+    agreed = {frozenset(agreement[:2]): agreement.agreed / max(agreement.candidates, 1) for agreement in agreements}
     cells = {frozenset(pair[:2]): pair.area / cell**2 for pair in pairs}
-    rows, found = {pair[:2]: pair[2] for pair in by_pair(tried.first, tried.other)}, list[PairSigns]()
-    for first, other, mine in by_pair(kept.first, kept.other):
-        both, some = frozenset((first, other)), kept.some(mine)
-        one, second = (scene.pictures[j].image.name for j in (first, other))
+    rows, signs = {pair[:2]: pair[2] for pair in by_pair(tried.first, tried.other)}, list[PairSigns]()
+    for first, other, of_pair in by_pair(matched.first, matched.other):
+        both, some = frozenset((first, other)), matched.some(of_pair)
+        first_name, second = (scene.pictures[j].image.name for j in (first, other))
         plane = scene.pictures[first].on_chart(scene.ground, some.anchors)
         filled = np.unique(cell_numbers(plane, cell)).size / max(cells.get(both, 1.0), 1.0)
         share = float(np.mean(returned[rows[first, other]]))
         stated = float(np.median(some.sigmas)) * float(scene.pixel_sizes[other])
-        scatter = robust_sigma(_from_neighbours(some.anchors[:, 0], misfit[mine])) / stated
-        scatter = scatter if mine.size >= _ENOUGH else math.nan
-        found.append(PairSigns(one, second, agreed.get(both, math.nan), share, min(filled, 1.0), scatter))
-    return found
+        scatter = robust_sigma(_from_neighbours(some.anchors[:, 0], misfit[of_pair])) / stated
+        scatter = scatter if of_pair.size >= _ENOUGH else math.nan
+        signs.append(PairSigns(first_name, second, agreed.get(both, math.nan), share, min(filled, 1.0), scatter))
+    return signs
 
 
 def _from_neighbours(lines: Array, values: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Patches of images around the measures of tie points, on one grid of the ground for each point; how alike they are.
+"""Patches of images around the measures of tie points, on one grid of the ground for each point; their similarity.
 
 A point's grid lies in the tangent plane at the point: rows go south, columns east, and a chip pixel is as large as a
 pixel of the coarsest image that shows the point. An affine map from the nominal orientation takes chip pixels to the
@@ -67,7 +67,7 @@ class ChipFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Likeness:
-    """How alike the chips of k measures are to those of their points' reference measures; NaN for these themselves, and
+    """Similarity of the chips of k measures to those of their points' reference measures; NaN for these themselves, and
     where a chip has no texture, or half of it lies outside its image.
     """
 
@@ -100,15 +100,15 @@ def chip_frames(images: Sequence[PushbroomImage], ties: TiePoints) -> ChipFrames
     image = _images_of(images, ties)
     origins, directions = np.empty((2, point.size, 3))
     for j in np.unique(image):
-        mine = image == j
-        origins[mine], directions[mine] = images[j].sightlines(*ties.measures[mine].T)
+        of_image = image == j
+        origins[of_image], directions[of_image] = images[j].sightlines(*ties.measures[of_image].T)
     positions, skew, _ = intersect_rays(origins, directions, point, n)
     heights = _heights(images, positions)
     to_ground = np.empty((point.size, 2, 2))
     for j in np.unique(image):
-        mine = np.flatnonzero(image == j)
-        ground, by_pixel = images[j].image_to_ground(*ties.measures[mine].T, heights[point[mine]])
-        to_ground[mine] = east_north(ground) @ by_pixel
+        of_image = np.flatnonzero(image == j)
+        ground, by_pixel = images[j].image_to_ground(*ties.measures[of_image].T, heights[point[of_image]])
+        to_ground[of_image] = east_north(ground) @ by_pixel
     size = np.sqrt(np.abs(np.linalg.det(to_ground)))
     spacing = np.full(n, -np.inf)
     np.fmax.at(spacing, point, size)
@@ -131,16 +131,16 @@ def _images_of(images: Sequence[PushbroomImage], ties: TiePoints) -> Index:
 def _heights(images: Sequence[PushbroomImage], positions: Array) -> Array:
     """(n,) m above the ellipsoid; zero where it isn't known, which the affine map hardly feels."""
     body = images[0].body
-    known = np.isfinite(positions[:, 0])
+    finite = np.isfinite(positions[:, 0])
     heights = np.zeros(positions.shape[0])
-    heights[known] = geodetic(positions[known], body)[:, 2]
+    heights[finite] = geodetic(positions[finite], body)[:, 2]
     return np.where(np.abs(heights) < _HIGHEST * body.equatorial, heights, 0.0)
 
 
 def _first_measures(point: Index, points: int) -> Index:
     first = np.full(points, -1, dtype=np.int64)
-    found, where = np.unique(point, return_index=True)
-    first[found] = where
+    numbers, where = np.unique(point, return_index=True)
+    first[numbers] = where
     return first
 
 
@@ -160,17 +160,17 @@ def misfit_beside_neighbours(frames: ChipFrames, ties: TiePoints) -> Array:
     """
     from scipy.spatial import cKDTree  # takes half a second
 
-    misfit, found = frames.skew_pixels, np.full(len(ties.ids), np.nan)
+    misfit, excess = frames.skew_pixels, np.full(len(ties.ids), np.nan)
     for members in _of_same_images(frames, ties):
-        mine = members[np.isfinite(misfit[members])]
-        if mine.size > _LEAST_NEIGHBOURS:
-            near = min(_NEIGHBOURS, mine.size - 1)
-            pixels = ties.measures[frames.reference[mine]]
+        finite = members[np.isfinite(misfit[members])]
+        if finite.size > _LEAST_NEIGHBOURS:
+            near = min(_NEIGHBOURS, finite.size - 1)
+            pixels = ties.measures[frames.reference[finite]]
             beside = cKDTree(pixels).query(pixels, near + 1)[1]
-            others = np.where(beside == np.arange(mine.size)[:, None], np.nan, misfit[mine][beside])
-            others[~np.any(np.isnan(others), axis=1), -1] = np.nan  # of many at one pixel, itself isn't among them
-            found[mine] = misfit[mine] - np.nanmedian(others, axis=1)
-    return found
+            around = np.where(beside == np.arange(finite.size)[:, None], np.nan, misfit[finite][beside])
+            around[~np.any(np.isnan(around), axis=1), -1] = np.nan  # of many at one pixel, itself isn't among them
+            excess[finite] = misfit[finite] - np.nanmedian(around, axis=1)
+    return excess
 
 
 def _of_same_images(frames: ChipFrames, ties: TiePoints) -> list[Index]:
@@ -193,12 +193,12 @@ def chips(pixels: Pixels, measures: Array, step: Array) -> Array:
     `pixels` are the image's (lines, samples), `measures` (m, 2) line and sample, the first pixel's centre at (0.5,
     0.5); `step` (m, 2, 2) is d(line, sample) / d(row, column), as `ChipFrames` has it.
     """
-    found = np.full((measures.shape[0], SIDE, SIDE), np.nan)
+    patches = np.full((measures.shape[0], SIDE, SIDE), np.nan)
     reach = np.linalg.norm(step, axis=1).max(axis=1)
     steps = np.clip(np.rint(np.nan_to_num(reach, nan=1.0)), 1, _MOST_STEPS).astype(int)
     for k in np.flatnonzero(np.isfinite(reach)):  # thousands of numbers each: arrays of all would only fill the memory
-        found[k] = _patch(pixels, measures[k], step[k], int(steps[k]))
-    return found
+        patches[k] = _patch(pixels, measures[k], step[k], int(steps[k]))
+    return patches
 
 
 def _patch(pixels: Pixels, middle: Array, step: Array, steps: int) -> Array:
@@ -220,15 +220,15 @@ def stretched(patches: Array, levels: int = 256) -> NDArray[np.uint8]:
     """
     grey = np.zeros(patches.shape, dtype=np.uint8)
     for patch, drawn in zip(patches, grey, strict=True):
-        known = np.isfinite(patch)
-        if np.any(known):
-            low, high = np.quantile(patch[known], (0.01, 0.99))
-            share = (patch[known] - low) / (high - low) if high > low else np.full(known.sum(), 0.5)
-            drawn[known] = np.rint(np.clip(share, 0.0, 1.0) * (levels - 1)) * (255.0 / (levels - 1))
+        finite = np.isfinite(patch)
+        if np.any(finite):
+            low, high = np.quantile(patch[finite], (0.01, 0.99))
+            share = (patch[finite] - low) / (high - low) if high > low else np.full(finite.sum(), 0.5)
+            drawn[finite] = np.rint(np.clip(share, 0.0, 1.0) * (levels - 1)) * (255.0 / (levels - 1))
     return grey
 
 
-# --- how alike they are
+# --- their similarity
 
 
 def likeness(
@@ -243,26 +243,26 @@ def likeness(
     compared, and of all.
     """
     k = ties.measure_point.size
-    found = Likeness(np.full(k, np.nan), np.full(k, np.nan), np.full((k, 2), np.nan), np.zeros(k, dtype=np.bool_))
+    result = Likeness(np.full(k, np.nan), np.full(k, np.nan), np.full((k, 2), np.nan), np.zeros(k, dtype=np.bool_))
     first = frames.reference[ties.measure_point]
-    wanted = np.ones(k, dtype=np.bool_) if points is None else np.isin(ties.measure_point, points)
-    others = np.flatnonzero(wanted & (first != np.arange(k)))
-    others = others[np.lexsort((frames.image[others], frames.image[first[others]]))]  # each picture few times
-    pair = np.stack([frames.image[first[others]], frames.image[others]])
+    chosen = np.ones(k, dtype=np.bool_) if points is None else np.isin(ties.measure_point, points)
+    compared = np.flatnonzero(chosen & (first != np.arange(k)))
+    compared = compared[np.lexsort((frames.image[compared], frames.image[first[compared]]))]  # each picture few times
+    pair = np.stack([frames.image[first[compared]], frames.image[compared]])
     cuts = np.flatnonzero(np.any(np.diff(pair, axis=1) != 0, axis=0)) + 1
     done = 0
-    for group in np.split(others, cuts) if others.size else ():
+    for group in np.split(compared, cuts) if compared.size else ():
         pixels = [pictures(int(frames.image[rows[0]])) for rows in (first[group], group)]
         for begin in range(0, group.size, _AT_ONCE):
             some = group[begin : begin + _AT_ONCE]
             two = [
-                chips(one, ties.measures[rows], frames.step[rows])
-                for one, rows in zip(pixels, (first[some], some), strict=True)
+                chips(grey, ties.measures[rows], frames.step[rows])
+                for grey, rows in zip(pixels, (first[some], some), strict=True)
             ]
-            found.correlation[some], found.best[some], found.shift[some], found.at_edge[some] = compare(*two)
+            result.correlation[some], result.best[some], result.shift[some], result.at_edge[some] = compare(*two)
             done += some.size
-            progress(done, others.size)
-    return found
+            progress(done, compared.size)
+    return result
 
 
 def compare(first: Array, second: Array) -> tuple[Array, Array, Array, Mask]:
@@ -289,17 +289,17 @@ def compare(first: Array, second: Array) -> tuple[Array, Array, Array, Mask]:
     flat = np.where(np.isnan(surface), -np.inf, surface).reshape(len(surface), -1)
     index = np.stack(np.unravel_index(flat.argmax(axis=1), surface.shape[1:]), axis=1)
     best = flat.max(axis=1)
-    known = np.isfinite(best)
-    at_edge = known & np.any((index == 0) | (index == 2 * REACH), axis=1)
-    shift = np.where(known[:, None], index - REACH, np.nan)
-    inner = np.flatnonzero(known & ~at_edge)
+    finite = np.isfinite(best)
+    at_edge = finite & np.any((index == 0) | (index == 2 * REACH), axis=1)
+    shift = np.where(finite[:, None], index - REACH, np.nan)
+    inner = np.flatnonzero(finite & ~at_edge)
     for axis, (up, right) in enumerate(((1, 0), (0, 1))):
         row, column = index[inner].T
         low, high = surface[inner, row - up, column - right], surface[inner, row + up, column + right]
         bend = low - 2.0 * best[inner] + high
         ways = bend < 0.0  # NaN neighbours leave the whole pixel
         shift[inner[ways], axis] += 0.5 * (low - high)[ways] / bend[ways]
-    return surface[:, REACH, REACH], np.where(known, best, np.nan), shift, at_edge
+    return surface[:, REACH, REACH], np.where(finite, best, np.nan), shift, at_edge
 
 
 def _correlations(first: Array, second: Array) -> Array:
@@ -315,29 +315,29 @@ def _correlations(first: Array, second: Array) -> Array:
     shape = first.shape[1:]
 
     def sums(left: NDArray[np.complex128], right: NDArray[np.complex128]) -> Array:
-        found = np.fft.irfft2(left.conj() * right, shape)
+        correlations = np.fft.irfft2(left.conj() * right, shape)
         near = np.arange(-REACH, REACH + 1)
-        return np.asarray(found[whole, near[:, None], near])
+        return np.asarray(correlations[whole, near[:, None], near])
 
     count = sums(a, b)
-    known = np.rint(count) >= max(_LEAST_SHARE * inner.sum(), 2.0)
-    count = np.where(known, count, np.nan)
+    enough = np.rint(count) >= max(_LEAST_SHARE * inner.sum(), 2.0)
+    count = np.where(enough, count, np.nan)
     mean_a, mean_b = sums(of_a, b) / count, sums(a, of_b) / count
     variance_a, variance_b = sums(square_a, b) / count - mean_a**2, sums(a, square_b) / count - mean_b**2
     covariance = sums(of_a, of_b) / count - mean_a * mean_b
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = covariance / np.sqrt(variance_a * variance_b)
+        correlations = covariance / np.sqrt(variance_a * variance_b)
     textured = (variance_a > _flatness(first)) & (variance_b > _flatness(second))
-    return np.where(textured, np.clip(found, -1.0, 1.0), np.nan)
+    return np.where(textured, np.clip(correlations, -1.0, 1.0), np.nan)
 
 
 def _moments(patches: Array, where: Mask) -> tuple[NDArray[np.complex128], ...]:
     """Fourier transforms of the marks of known pixels, of the grey values less their mean, and of their squares."""
-    known = np.isfinite(patches) & where
-    total = np.maximum(known.sum(axis=(1, 2), keepdims=True), 1)
-    grey = np.where(known, patches, 0.0)
-    grey = np.where(known, grey - grey.sum(axis=(1, 2), keepdims=True) / total, 0.0)
-    return tuple(np.fft.rfft2(part) for part in (known.astype(np.float64), grey, grey**2))
+    finite = np.isfinite(patches) & where
+    total = np.maximum(finite.sum(axis=(1, 2), keepdims=True), 1)
+    grey = np.where(finite, patches, 0.0)
+    grey = np.where(finite, grey - grey.sum(axis=(1, 2), keepdims=True) / total, 0.0)
+    return tuple(np.fft.rfft2(part) for part in (finite.astype(np.float64), grey, grey**2))
 
 
 def _flatness(patches: Array) -> Array:

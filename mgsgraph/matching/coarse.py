@@ -1,4 +1,4 @@
-"""First, on a coarse ground grid: by how much the nominal orientations contradict each other.
+"""First step, on a coarse ground grid: differences of the nominal orientations.
 
 By how much the orientations of two pictures contradict each other at their matches, and which matches do not fit.
 
@@ -19,7 +19,7 @@ import numpy as np
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.matching.patches import Links, Window, features_on, links_on, tiling, together
+from mgsgraph.matching.patches import Links, Window, concatenated, features_on, links_on, tiling
 from mgsgraph.matching.scene import Ground, Pair, Picture, Scene, boxes, first_picture, next_pair
 from mgsgraph.matching.settings import MatchSettings
 from mgsgraph.text import root_mean_square
@@ -27,7 +27,7 @@ from mgsgraph.workers import Progress
 
 SAMPLE = 5
 """Matches of a trial: ten equations, and the prior."""
-_TRIALS = 400
+_SAMPLES = 400
 _UNKNOWN_ANGLE = 1e-2
 """rad, unit of a rotation without a prior."""
 _MAD = 1.4826
@@ -38,9 +38,9 @@ _ROUNDS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Displacements:
-    """Two pictures at n matches: how far apart their rays meet the ground, and what an orientation would do to it."""
+    """Two pictures at n matches: offsets of their rays on the ground, and derivatives by the orientation."""
 
-    apart: Array
+    offsets: Array
     """(n, 2) m, second minus first, across and along the direction of a displacement by height."""
     design: Array
     """(n, 2, 6 d) m per sigma of a coefficient of the second picture's correction."""
@@ -48,12 +48,12 @@ class Displacements:
     """(n,) m of displacement along, per m of height."""
 
     def residuals(self, coefficients: Array) -> Array:
-        """(n, 2) m that remain after a correction in units of its sigmas."""
-        return np.asarray(self.apart + self.design @ coefficients)
+        """(n, 2) m, offsets after a correction in units of its sigmas."""
+        return np.asarray(self.offsets + self.design @ coefficients)
 
     def of(self, some: Mask | Index) -> "Displacements":
         """The displacements of some of the matches (a mask or indices)."""
-        return Displacements(self.apart[some], self.design[some], self.parallax[some])
+        return Displacements(self.offsets[some], self.design[some], self.parallax[some])
 
 
 def sigmas_between(first: Picture, second: Picture, degree: int) -> Array:
@@ -85,7 +85,7 @@ def displacements(
     """
     base = second.on_chart(ground, pixels[1])
     frame, size = _frame(first, second, pixels, ground)
-    apart = np.einsum("nij,nj->ni", frame, base - first.on_chart(ground, pixels[0]))
+    offsets = np.einsum("nij,nj->ni", frame, base - first.on_chart(ground, pixels[0]))
     columns = []
     for power, row in enumerate(sigmas):
         for component, sigma in enumerate(row):
@@ -93,10 +93,10 @@ def displacements(
             step[power, component] = 1e-2 * sigma
             moved = second.on_chart(ground, pixels[1], increased(second.correction, step))
             columns.append(np.einsum("nij,nj->ni", frame, moved - base) / 1e-2)
-    return Displacements(apart, np.stack(columns, axis=2), size)
+    return Displacements(offsets, np.stack(columns, axis=2), size)
 
 
-def apart(first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground) -> Array:
+def match_offsets(first: Picture, second: Picture, pixels: tuple[Array, Array], ground: Ground) -> Array:
     """(n, 2) m, displacements alone: second minus first, across and along the direction of a displacement by height."""
     away = second.on_chart(ground, pixels[1]) - first.on_chart(ground, pixels[0])
     return np.asarray(np.einsum("nij,nj->ni", _frame(first, second, pixels, ground)[0], away))
@@ -120,7 +120,7 @@ def increased(correction: OrientationCorrection | None, step: Array) -> Orientat
 
 
 def consensus(
-    found: Displacements, tolerance: float, height_sigma: float, rng: np.random.Generator
+    displaced: Displacements, tolerance: float, height_sigma: float, rng: np.random.Generator
 ) -> tuple[Array, Mask]:
     """The correction that most of n matches agree on (Fischler & Bolles 1981), in units of its sigmas (6 d,), and
     whether each match fits it (n,).
@@ -128,44 +128,44 @@ def consensus(
     `tolerance` (m) is the sigma of a match's displacement but for height, `height_sigma` (m) that of the ground; within
     three sigmas a match fits. `rng` draws the trials.
     """
-    n = len(found.apart)
-    sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * found.parallax)])
-    best, most = np.zeros(found.design.shape[2]), _fits(found, np.zeros(found.design.shape[2]), sigmas)
-    for _ in range(_TRIALS if n > SAMPLE else 0):
+    n = len(displaced.offsets)
+    sigmas = np.column_stack([np.full(n, tolerance), np.hypot(tolerance, height_sigma * displaced.parallax)])
+    best, most = np.zeros(displaced.design.shape[2]), _fits(displaced, np.zeros(displaced.design.shape[2]), sigmas)
+    for _ in range(_SAMPLES if n > SAMPLE else 0):
         some = rng.choice(n, SAMPLE, replace=False)
-        trial = _solved(found.of(some), sigmas[some])
-        fits = _fits(found, trial, sigmas)
+        trial = _solved(displaced.of(some), sigmas[some])
+        fits = _fits(displaced, trial, sigmas)
         if np.count_nonzero(fits) > np.count_nonzero(most):
             best, most = trial, fits
     for _ in range(_ROUNDS):
-        best = _solved(found.of(most), sigmas[most])
-        again = _fits(found, best, sigmas)
-        if np.array_equal(again, most):
+        best = _solved(displaced.of(most), sigmas[most])
+        refit = _fits(displaced, best, sigmas)
+        if np.array_equal(refit, most):
             break
-        most = again
+        most = refit
     return best, most
 
 
-def _fits(found: Displacements, coefficients: Array, sigmas: Array) -> Mask:
-    return np.asarray(np.all(np.abs(found.residuals(coefficients)) <= 3.0 * sigmas, axis=1))
+def _fits(displaced: Displacements, coefficients: Array, sigmas: Array) -> Mask:
+    return np.asarray(np.all(np.abs(displaced.residuals(coefficients)) <= 3.0 * sigmas, axis=1))
 
 
-def _solved(found: Displacements, sigmas: Array) -> Array:
+def _solved(displaced: Displacements, sigmas: Array) -> Array:
     """Least squares with the prior: unit sigmas about zero."""
-    unknowns = found.design.shape[2]
-    rows = (found.design / sigmas[:, :, None]).reshape(-1, unknowns)
-    right = (-found.apart / sigmas).reshape(-1)
+    unknowns = displaced.design.shape[2]
+    rows = (displaced.design / sigmas[:, :, None]).reshape(-1, unknowns)
+    right = (-displaced.offsets / sigmas).reshape(-1)
     full = np.concatenate([rows, np.eye(unknowns)])
     return np.asarray(np.linalg.lstsq(full, np.concatenate([right, np.zeros(unknowns)]), rcond=None)[0])
 
 
-# --- pictures brought together
+# --- alignment of pictures
 
 
 _COARSER = 4.0
 """How much coarser than the ground grid."""
 _DEGREE = 1
-"""Of the correction that brings two pictures together."""
+"""Of the correction that aligns two pictures."""
 _SIGMAS = 3.0
 """A-priori sigmas within which nominal orientations contradict each other."""
 _TOLERANCE = 1.0
@@ -189,7 +189,7 @@ class NoAgreement(InputError):
 
 
 class Agreement(NamedTuple):
-    """What two pictures agreed on."""
+    """Agreement of two pictures."""
 
     first: int
     second: int
@@ -211,7 +211,7 @@ def search_radius(first: Picture, second: Picture, scene: Scene) -> float:
     Raises
     ------
     InputError
-        Where nothing is known of the orientation beforehand.
+        Where the orientation has no prior.
     """
     variance = 0.0
     for picture in (first, second):
@@ -239,9 +239,9 @@ def _expected(first: Picture, second: Picture, scene: Scene) -> float:
 def _parallax_between(first: Picture, second: Picture, scene: Scene) -> Array:
     """(2,) m per m, displacement by height in the middle of the second picture."""
     middle = 0.5 * np.array([[second.image.lines, second.image.samples]])
-    there = first.project(scene.ground.points(second.on_chart(scene.ground, middle)))
-    there = np.where(np.isfinite(there), there, 0.5 * np.array([[first.image.lines, first.image.samples]]))
-    return np.asarray(second.height_parallax(scene.ground, middle)[0] - first.height_parallax(scene.ground, there)[0])
+    pixel = first.project(scene.ground.points(second.on_chart(scene.ground, middle)))
+    pixel = np.where(np.isfinite(pixel), pixel, 0.5 * np.array([[first.image.lines, first.image.samples]]))
+    return np.asarray(second.height_parallax(scene.ground, middle)[0] - first.height_parallax(scene.ground, pixel)[0])
 
 
 def window(first: Picture, second: Picture, scene: Scene, height_sigma: float, slack: float) -> Window:
@@ -252,39 +252,39 @@ def window(first: Picture, second: Picture, scene: Scene, height_sigma: float, s
     return Window(direction, slack + _SIGMAS * size * height_sigma, slack)
 
 
-class Together(NamedTuple):
-    """Pictures whose orientations were brought together."""
+class Aligned(NamedTuple):
+    """Pictures whose orientations were made to agree."""
 
     scene: Scene
     """With corrections that make pictures agree; they mean nothing by themselves."""
     agreements: list[Agreement]
     """How each picture joined those before."""
     group: Index
-    """(n,) of each picture: pictures of one group agree, those of two were never brought together."""
+    """(n,) of each picture: pictures of one group agree, those of two groups were never compared."""
     refused: list[str]
-    """Why pairs were not brought together; their pictures may be by way of others."""
+    """Why pairs were not aligned; their pictures may be by other pairs."""
 
 
-def brought_together(
+def aligned_pictures(
     scene: Scene,
     pairs: Sequence[Pair],
     settings: MatchSettings,
     step: float,
     progress: Progress,
-) -> Together:
+) -> Aligned:
     """Correct pictures that share ground, one after the other, until they agree with those before.
 
     `scene` has nominal orientations, `step` is the pixel of the fine ground grid in m. InputError where no two pictures
     agree.
     """
     count = len(scene.pictures)
-    left, there, group = set(range(count)), set[int](), np.full(count, -1)
+    left, placed, group = set(range(count)), set[int](), np.full(count, -1)
     done, tried, refused = list[Agreement](), set[Pair](), list[NoAgreement]()
     while left:
         progress("coarse grid", count - len(left), count)
-        pair = next_pair(pairs, there, left, tried)
+        pair = next_pair(pairs, placed, left, tried)
         if pair is None:
-            there = {new := first_picture(pairs, left)}
+            placed = {new := first_picture(pairs, left)}
             group[new] = group.max() + 1
             left.discard(new)
             continue
@@ -296,12 +296,12 @@ def brought_together(
             continue
         done.append(agreement)
         group[pair.second] = group[pair.first]
-        there.add(pair.second)
+        placed.add(pair.second)
         left.discard(pair.second)
     progress("coarse grid", count, count)
     if not done:
         raise refused[0]
-    return Together(scene, done, group, [str(error) for error in refused])
+    return Aligned(scene, done, group, [str(error) for error in refused])
 
 
 def _joined(
@@ -322,24 +322,24 @@ def _joined(
 
 
 def _coarse_links(scene: Scene, pair: Pair, settings: MatchSettings, step: float, radius: float) -> Links:
-    shown = boxes(scene)
-    wanted = shown[pair.first], shown[pair.second] + radius * np.array([[-1.0], [1.0]])
+    extents = boxes(scene)
+    area = extents[pair.first], extents[pair.second] + radius * np.array([[-1.0], [1.0]])
     near = Window(np.array([0.0, 1.0]), radius, radius)
-    return together([
+    return concatenated([
         links_on(features_on(scene, tile, pair[:2], settings.features), tile, {pair[:2]: near}, settings.ratio)
-        for tile in tiling(wanted, step, radius)
+        for tile in tiling(area, step, radius)
     ])
 
 
-def _chance(found: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
-    """Chance of a match to agree with an orientation: what tolerances take of the ground searched."""
-    along = np.hypot(tolerance, height_sigma * found.parallax)
+def _chance(displaced: Displacements, tolerance: float, height_sigma: float, radius: float) -> float:
+    """Chance of a false match to agree with an orientation: the tolerances' share of the searched ground."""
+    along = np.hypot(tolerance, height_sigma * displaced.parallax)
     reach = np.minimum(3.0 * np.column_stack([np.full(along.size, tolerance), along]) / radius, 1.0)
     return float(reach.prod(axis=1).mean()) if along.size else 0.0
 
 
 def _share_needed(chance: float) -> float:
-    """Share of the matches that has to agree, by the chance of each."""
+    """Share of the matches that must agree, by the chance of each."""
     return _CHANCE * chance / (1.0 + (_CHANCE - 1.0) * chance)
 
 
@@ -364,11 +364,11 @@ def corrected_scene(
     points = [scene.ground.points(links.plane[links.links[:, k]]) for k in (0, 1)]
     pixels = first.project(points[0]), second.project(points[1])
     sigmas = units_between(first, second, _DEGREE, radius)
-    found = displacements(first, second, pixels, scene.ground, sigmas)
+    displaced = displacements(first, second, pixels, scene.ground, sigmas)
     tolerance = _TOLERANCE * step
-    step_taken, fits = consensus(found, tolerance, scene.ground.height_sigma, rng)
+    step_taken, fits = consensus(displaced, tolerance, scene.ground.height_sigma, rng)
     agreed, count = int(np.count_nonzero(fits)), len(fits)
-    chance = _chance(found, tolerance, scene.ground.height_sigma, radius)
+    chance = _chance(displaced, tolerance, scene.ground.height_sigma, radius)
     few = agreed < max(_LEAST, count * _share_needed(chance))
     if few or chance_agreements(count, agreed, chance) > _FALSE:
         raise NoAgreement(
@@ -377,13 +377,13 @@ def corrected_scene(
             f"at least {_LEAST}, and more than by chance",
             "widen the search (--search METRES) or refine the grid (--step), or give better orientation or heights",
         )
-    moved = root_mean_square(np.linalg.norm(found.design[fits] @ step_taken, axis=1))
+    moved = root_mean_square(np.linalg.norm(displaced.design[fits] @ step_taken, axis=1))
     correction = increased(second.correction, step_taken.reshape(sigmas.shape) * sigmas)
     pictures = list(scene.pictures)
     pictures[pair.second] = replace(second, correction=correction)
-    heights = found.of(fits).residuals(step_taken)[:, 1] / np.maximum(found.parallax[fits], 1e-6)
+    heights = displaced.of(fits).residuals(step_taken)[:, 1] / np.maximum(displaced.parallax[fits], 1e-6)
     spread = robust_sigma(heights)
-    flat = bool(np.median(found.parallax[fits]) * scene.ground.height_sigma < tolerance)
+    flat = bool(np.median(displaced.parallax[fits]) * scene.ground.height_sigma < tolerance)
     height = np.nan if flat else max(spread, _SMOOTHEST)
     agreement = Agreement(pair.first, pair.second, count, agreed, moved, _expected(first, second, scene), height)
     return replace(scene, pictures=tuple(pictures)), agreement

@@ -77,7 +77,7 @@ class PostMatches(NamedTuple):
 
 
 class _Start(NamedTuple):
-    """Where posts lie in both pictures, as far as semi-global matching knows; n of them."""
+    """Pixels of n posts in both pictures, by semi-global matching."""
 
     row: Index
     """(n,) of the post, counted through the tile's posts."""
@@ -105,18 +105,18 @@ def matches_on(
     displace one picture against the other. `splines` are both pictures between their pixels; `spacing` lies between
     posts, and `step` between pixels of the ground grid, in m.
     """
-    one, two = (ortho_patch(picture, view.ground, tile) for picture in view.pictures)
-    if one is None or two is None:
+    first, second = (ortho_patch(picture, view.ground, tile) for picture in view.pictures)
+    if first is None or second is None:
         return 0, no_matches()
-    shift = disparities(one, two, reach)
+    shift = disparities(first, second, reach)
     rows, columns = tile.nodes(spacing)
     plane = tile.plane(*(axis.ravel().astype(np.float64) for axis in np.meshgrid(columns, rows)))
     row, column = (axis.ravel() for axis in np.meshgrid(np.arange(rows.size), np.arange(columns.size), indexing="ij"))
-    both = (one.valid > 0) & (two.valid > 0)
-    mine = tile.owns(plane) & both[rows[row], columns[column]]
-    sought = mine & np.isfinite(shift[rows[row], columns[column]])
+    both = (first.valid > 0) & (second.valid > 0)
+    owned = tile.owns(plane) & both[rows[row], columns[column]]
+    sought = owned & np.isfinite(shift[rows[row], columns[column]])
     start = _start(view, tile, shift, (row[sought], column[sought]), (rows, columns))
-    return int(mine.sum()), _measured(view, splines, tile, start, step, threads)
+    return int(owned.sum()), _measured(view, splines, tile, start, step, threads)
 
 
 def no_matches() -> PostMatches:
@@ -131,10 +131,10 @@ def _start(
     down, across = pixels[0][post[0]], pixels[1][post[1]]
     disparity = shift[down, across]
     nodes = [node_pixels(picture, view.ground, tile) for picture in view.pictures]
-    here = np.column_stack([down, across]).astype(np.float64)
-    there = here - np.column_stack([np.zeros(disparity.size), disparity])
-    first, second = between_nodes(nodes[0], here / NODE), between_nodes(nodes[1], there / NODE)
-    by_plane = [_by_plane(lattice, at, tile.step) for lattice, at in zip(nodes, (here, there), strict=True)]
+    position = np.column_stack([down, across]).astype(np.float64)
+    matched = position - np.column_stack([np.zeros(disparity.size), disparity])
+    first, second = between_nodes(nodes[0], position / NODE), between_nodes(nodes[1], matched / NODE)
+    by_plane = [_by_plane(lattice, at, tile.step) for lattice, at in zip(nodes, (position, matched), strict=True)]
     turn = np.zeros((disparity.size, 2, 2))
     slopes = np.clip([slope[down, across] for slope in _slopes(shift)], -_STEEPEST, _STEEPEST)
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 1] = 1.0 - slopes[1], -slopes[0], 1.0
@@ -154,10 +154,10 @@ def _by_plane(nodes: Array, at: Array, step: float) -> Array:
 def _slopes(shift: Array) -> tuple[Array, Array]:
     """Change of the disparity from row to row and from column to column, of its mean over a window."""
     cv2 = opencv()
-    known = np.isfinite(shift)
+    finite = np.isfinite(shift)
     size = (_SMOOTH, _SMOOTH)
-    weight = cv2.blur(known.astype(np.float64), size)
-    mean = cv2.blur(np.where(known, shift, 0.0), size) / np.maximum(weight, 1e-9)
+    weight = cv2.blur(finite.astype(np.float64), size)
+    mean = cv2.blur(np.where(finite, shift, 0.0), size) / np.maximum(weight, 1e-9)
     down, across = np.gradient(mean)
     return down, across
 
@@ -169,20 +169,20 @@ def _measured(
     anchors = np.floor(start.first) + 0.5
     begin = start.second + np.einsum("nij,nj->ni", start.affine, anchors - start.first)
     half = half_window(view.ground, view.pictures[0], HALF_WINDOW * step)
-    found = match_least_squares(
+    matches = match_least_squares(
         *splines, anchors, begin, start.affine, half, reach=_REACH, tolerance=_TOLERANCE, threads=threads
     )
     along = -start.by_plane[:, :, 0]
-    covariances = found.covariance_with_relief(along) + FINEST**2 * np.eye(2)
+    covariances = matches.covariance_with_relief(along) + FINEST**2 * np.eye(2)
     moved = np.full(begin.shape, np.nan)
-    good = np.flatnonzero(found.converged)
-    moved[good] = np.linalg.solve(start.by_plane[good], (found.pixels - begin)[good, :, None])[:, :, 0] / tile.step
+    good = np.flatnonzero(matches.converged)
+    moved[good] = np.linalg.solve(start.by_plane[good], (matches.pixels - begin)[good, :, None])[:, :, 0] / tile.step
     sigma = np.sqrt(np.linalg.eigvalsh(covariances[good])[:, 1])
-    sound = np.zeros(found.status.size, dtype=bool)
-    sound[good] = (found.correlation[good] >= _LEAST_CORRELATION) & (sigma <= _LARGEST_SIGMA)
-    kept = sound & _coplanar(moved[:, 1], sound)
-    kept &= _like_neighbours(start, start.disparity - moved[:, 0], kept)
-    return PostMatches(anchors[kept], found.pixels[kept], covariances[kept], found.correlation[kept])
+    sound = np.zeros(matches.status.size, dtype=bool)
+    sound[good] = (matches.correlation[good] >= _LEAST_CORRELATION) & (sigma <= _LARGEST_SIGMA)
+    fits = sound & _coplanar(moved[:, 1], sound)
+    fits &= _like_neighbours(start, start.disparity - moved[:, 0], fits)
+    return PostMatches(anchors[fits], matches.pixels[fits], covariances[fits], matches.correlation[fits])
 
 
 def _coplanar(across: Array, sound: Mask) -> Mask:
@@ -283,8 +283,8 @@ def dense_matches(
     spacing = spacing or _SPACING * step
     sharp = SharpPictures(scene.pictures)
     scene.require_contrast()
-    shown = boxes(scene)
-    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, shown)) is not None]
+    extents = boxes(scene)
+    views = [view for pair in pairs_of(scene) if (view := _view(scene, pair, extents)) is not None]
     if not views:
         found, remedy = "they look at the ground from the same side", "rays that are all but parallel tell no height"
         raise InputError(scene.where, found, "a stereo pair", remedy)
@@ -303,29 +303,29 @@ def dense_matches(
             progress("dense matching", done, most)
         matches = PostMatches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         results.append(DenseMatches(*view.numbers, spacing, posts, *matches))
-    if not any(one.pixels.size for one in results):
+    if not any(result.pixels.size for result in results):
         raise InputError(
-            scene.where, f"none of {sum(one.posts for one in results)} posts matches",
+            scene.where, f"none of {sum(result.posts for result in results)} posts matches",
             "images that look alike, with adjusted orientations", "is the solution that of these images?",
         )  # fmt: skip
-    return tuple(one for one in results if one.pixels.size)
+    return tuple(result for result in results if result.pixels.size)
 
 
-def _view(scene: Scene, pair: Pair, shown: Sequence[Array]) -> View | None:
-    """A pair, the finer picture first; None where the two look from the same side. `shown` has the `boxes` of all."""
+def _view(scene: Scene, pair: Pair, extents: Sequence[Array]) -> View | None:
+    """A pair, the finer picture first; None where the two look from the same side. `extents` has the `boxes` of all."""
     areas = scene.pixel_sizes ** 2
     i, j = pair[:2] if areas[pair.first] <= _FINER * areas[pair.second] else pair[1::-1]
-    one, two = scene.pictures[i], scene.pictures[j]
-    low, high = np.maximum(shown[i][0], shown[j][0]), np.minimum(shown[i][1], shown[j][1])
+    finer, coarser = scene.pictures[i], scene.pictures[j]
+    low, high = np.maximum(extents[i][0], extents[j][0]), np.minimum(extents[i][1], extents[j][1])
     points = scene.ground.points(0.5 * (low + high)[None])
-    first, second = (picture.height_parallax(scene.ground, picture.project(points))[0] for picture in (one, two))
-    apart = second - first
-    rate = float(np.hypot(*apart))
+    first, second = (picture.height_parallax(scene.ground, picture.project(points))[0] for picture in (finer, coarser))
+    parallax = second - first
+    rate = float(np.hypot(*parallax))
     if not rate > _LEAST_PARALLAX:
         return None
-    chart = GroundChart.about(points, np.cross(points[0], (apart / rate) @ scene.ground.chart.axes[:2]))
+    chart = GroundChart.about(points, np.cross(points[0], (parallax / rate) @ scene.ground.chart.axes[:2]))
     ground = replace(scene.ground, chart=chart)
-    return View((i, j), (one, two), ground, rate)
+    return View((i, j), (finer, coarser), ground, rate)
 
 
 def _reach(view: View, step: float) -> int:

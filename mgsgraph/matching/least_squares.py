@@ -56,7 +56,7 @@ class MatchStatus(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastSquaresMatches(Record):
-    """What became of each match; numbers are NaN where it has not converged.
+    """Result of each match; numbers are NaN where it has not converged.
 
     Examples
     --------

@@ -16,18 +16,18 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.matching.checks import cell_numbers, checked_measures, pair_signs, spread
-from mgsgraph.matching.coarse import Agreement, Together, brought_together, window
+from mgsgraph.matching.coarse import Agreement, Aligned, aligned_pictures, window
 from mgsgraph.matching.least_squares import MatchStatus
 from mgsgraph.matching.measuring import Measured, SharpPictures, joined_measures, measured
 from mgsgraph.matching.patches import (
     Links,
     Tile,
     Window,
+    concatenated,
     features_on,
     links_on,
     opencv,
     tiling,
-    together,
 )
 from mgsgraph.matching.scene import Pair, Scene, boxes, joined, pairs_of, require_unblocked
 from mgsgraph.matching.settings import MatchSettings
@@ -86,7 +86,7 @@ class Matches(Record):
     agreements: tuple[Agreement, ...]
     """How the pictures joined."""
     refused: tuple[str, ...]
-    """Why pairs that share ground by their nominal orientations were not brought together."""
+    """Why pairs that share ground by their nominal orientations were not aligned."""
     losses: Losses
     """What was lost on the way."""
     step: float
@@ -113,32 +113,32 @@ class Matches(Record):
 
 
 def _ids(names: tuple[str, ...], pixels: Array, count: int) -> Names:
-    """Names of points that those of another run, which may stand in the same case, don't have."""
+    """Names of points that differ from those of other runs, which may be in the same case."""
     run = zlib.crc32("\n".join(names).encode() + pixels.tobytes())
     return Names.of(f"M{run:08x}_{i + 1:06d}" for i in range(count))
 
 
 def matches_of(
-    found: Measured, misfit: Array, names: tuple[str, ...], order: Index
+    measures: Measured, misfit: Array, names: tuple[str, ...], order: Index
 ) -> tuple[TiePoints, Array, Array, Array]:
     """Tie points, covariances, correlations and misfits of finished measures, which are sorted by track.
 
     `misfit` (k,) is in m, `names` are those of the pictures; `order` (n,) has the tracks, by their positions among the
     distinct ones, in the order in which points are numbered.
     """
-    tracks, begin, inverse = np.unique(found.track, return_index=True, return_inverse=True)
+    tracks, begin, inverse = np.unique(measures.track, return_index=True, return_inverse=True)
     rank = np.empty(tracks.size, dtype=np.int64)
     rank[order] = np.arange(tracks.size)
-    back = np.linalg.inv(found.affine)
-    shared = 0.5 * back @ found.covariances @ np.swapaxes(back, 1, 2)
+    back = np.linalg.inv(measures.affine)
+    shared = 0.5 * back @ measures.covariances @ np.swapaxes(back, 1, 2)
     count = np.bincount(inverse, minlength=tracks.size)
     of_anchor = np.zeros((tracks.size, 2, 2))
     np.add.at(of_anchor, inverse, shared)
     of_anchor /= count[:, None, None]
     point = np.concatenate([rank, rank[inverse]])
-    pixels = np.concatenate([found.anchors[begin], found.pixels])
-    picture = np.concatenate([found.first[begin], found.other])
-    variances = np.concatenate([of_anchor, 0.5 * found.covariances])
+    pixels = np.concatenate([measures.anchors[begin], measures.pixels])
+    picture = np.concatenate([measures.first[begin], measures.other])
+    variances = np.concatenate([of_anchor, 0.5 * measures.covariances])
     first = np.concatenate([np.zeros(tracks.size, dtype=np.int64), np.ones(inverse.size, dtype=np.int64)])
     rows = np.lexsort([picture, first, point])
     nothing = np.full(tracks.size, np.nan)
@@ -154,8 +154,8 @@ def matches_of(
         measures=pixels[rows],
         measure_sigmas=np.sqrt(np.diagonal(variances, axis1=1, axis2=2))[rows],
     )
-    covariances = np.concatenate([np.zeros((n, 2, 2)), found.covariances])[rows]
-    correlation = np.concatenate([nothing, found.correlation])[rows]
+    covariances = np.concatenate([np.zeros((n, 2, 2)), measures.covariances])[rows]
+    correlation = np.concatenate([nothing, measures.correlation])[rows]
     return ties, covariances, correlation, np.concatenate([nothing, misfit])[rows]
 
 
@@ -201,25 +201,25 @@ def match_scene(
     cautions = require_unblocked(scene)
     pairs = pairs_of(scene)
     step = settings.step or scene.step
-    known = brought_together(scene, pairs, settings, step, progress)
-    pairs = [pair for pair in pairs if known.group[pair.first] == known.group[pair.second]]
-    found = _links(known, pairs, settings, step, workers, progress)
-    matches = _measured_matches(known, pairs, found, settings, step, progress)
+    aligned = aligned_pictures(scene, pairs, settings, step, progress)
+    pairs = [pair for pair in pairs if aligned.group[pair.first] == aligned.group[pair.second]]
+    links = _links(aligned, pairs, settings, step, workers, progress)
+    matches = _measured_matches(aligned, pairs, links, settings, step, progress)
     return replace(matches, cautions=cautions + matches.cautions)
 
 
 def _links(
-    known: Together, pairs: Sequence[Pair], settings: MatchSettings, step: float, workers: int | None,
+    aligned: Aligned, pairs: Sequence[Pair], settings: MatchSettings, step: float, workers: int | None,
     progress: Progress,
 ) -> Links:
     """Links on all tiles."""
-    scene = known.scene
-    shown = boxes(scene)
-    tiles = tiling(shown, step, _MARGIN * step)
-    windows = _windows(scene, pairs, known.agreements, step)
+    scene = aligned.scene
+    extents = boxes(scene)
+    tiles = tiling(extents, step, _MARGIN * step)
+    windows = _windows(scene, pairs, aligned.agreements, step)
 
     def work(tile: Tile) -> Links:
-        return _on_tile(scene, tile, shown, windows, settings)
+        return _on_tile(scene, tile, extents, windows, settings)
 
     parts = list[Links]()
     progress("matching", 0, len(tiles))
@@ -231,7 +231,7 @@ def _links(
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return together(parts)
+    return concatenated(parts)
 
 
 @contextmanager
@@ -249,8 +249,8 @@ def _one_thread_each() -> Iterator[None]:
 def _windows(
     scene: Scene, pairs: Sequence[Pair], agreements: Sequence[Agreement], step: float
 ) -> dict[tuple[int, int], Window]:
-    """Of each pair, by how much the ground was seen to leave its model."""
-    sigmas = [one.height_sigma for one in agreements if np.isfinite(one.height_sigma)]
+    """Window of each pair, by the differences of the ground from its model."""
+    sigmas = [agreement.height_sigma for agreement in agreements if np.isfinite(agreement.height_sigma)]
     height = max(sigmas, default=scene.ground.height_sigma)
     return {
         (pair.first, pair.second): window(
@@ -261,13 +261,13 @@ def _windows(
 
 
 def _on_tile(
-    scene: Scene, tile: Tile, shown: Sequence[Array], windows: dict[tuple[int, int], Window], settings: MatchSettings
+    scene: Scene, tile: Tile, extents: Sequence[Array], windows: dict[tuple[int, int], Window], settings: MatchSettings
 ) -> Links:
     low = np.array([tile.west, tile.south])
     high = low + tile.step * np.array([tile.columns, tile.rows])
-    near = [j for j, (least, largest) in enumerate(shown) if np.all(least <= high) and np.all(largest >= low)]
-    found = features_on(scene, tile, near, settings.features)
-    return links_on(found, tile, windows, settings.ratio)
+    near = [j for j, (least, largest) in enumerate(extents) if np.all(least <= high) and np.all(largest >= low)]
+    features = features_on(scene, tile, near, settings.features)
+    return links_on(features, tile, windows, settings.ratio)
 
 
 # --- measures
@@ -282,17 +282,17 @@ class _Cells(NamedTuple):
     """Cells of whose middle two images, at least, have a picture."""
 
 
-def ground_cells(scene: Scene, pairs: Sequence[Pair], wanted: int, least: float = 0.0) -> _Cells:
-    """Square cells of at least `least` m, of which about `wanted` fall on the ground that the largest pair shares."""
-    side = max(float(np.sqrt(max(pair.area for pair in pairs) / wanted)), least)
-    seen = [np.zeros(0, dtype=np.int64)]
+def ground_cells(scene: Scene, pairs: Sequence[Pair], count: int, least: float = 0.0) -> _Cells:
+    """Square cells of at least `least` m, of which about `count` fall on the ground that the largest pair shares."""
+    side = max(float(np.sqrt(max(pair.area for pair in pairs) / count)), least)
+    cells = [np.zeros(0, dtype=np.int64)]
     for picture, ((west, south), (east, north)) in zip(scene.pictures, boxes(scene), strict=True):
         columns, rows = np.arange(west // side, east // side + 1), np.arange(south // side, north // side + 1)
         middle = (np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2) + 0.5) * side
         pixels = picture.project(scene.ground.points(middle))
         inside = np.all((pixels > 0.0) & (pixels < [picture.image.lines, picture.image.samples]), axis=1)
-        seen.append(cell_numbers(middle[inside], side))
-    numbers, counts = np.unique(np.concatenate(seen), return_counts=True)
+        cells.append(cell_numbers(middle[inside], side))
+    numbers, counts = np.unique(np.concatenate(cells), return_counts=True)
     return _Cells(side, set(numbers[counts > 1].tolist()))
 
 
@@ -303,97 +303,97 @@ def _numbered(names: Iterable[tuple[int, ...]]) -> Index:
 
 
 def _measured_matches(
-    known: Together, pairs: Sequence[Pair], found: Links, settings: MatchSettings, step: float, progress: Progress
+    aligned: Aligned, pairs: Sequence[Pair], links: Links, settings: MatchSettings, step: float, progress: Progress
 ) -> Matches:
-    scene = known.scene
+    scene = aligned.scene
     cells = ground_cells(scene, pairs, settings.cells, _LEAST_CELL * step)
-    tracks = _surest(found, joined(found.links, found.likeness, found.picture), cells, settings)
-    tracks = finest_first(scene, found, tracks)
-    likeness = _likeness(found, tracks)
+    tracks = _surest(links, joined(links.links, links.likeness, links.picture), cells, settings)
+    tracks = finest_first(scene, links, tracks)
+    likeness = _likeness(links, tracks)
     progress("measuring", 0, 2)
     sharp = SharpPictures(scene.pictures)
-    first = measured(scene, found, tracks, sharp, settings, step)
+    first = measured(scene, links, tracks, sharp, settings, step)
     progress("measuring", 1, 2)
-    whole = joined_measures([first, _second_look(scene, found, first, sharp, settings, step, len(tracks))])
+    whole = joined_measures([first, _second_look(scene, links, first, sharp, settings, step, len(tracks))])
     progress("measuring", 2, 2)
-    kept, losses, misfit = checked_matches(scene, whole, likeness, settings, step, cells, len(found.links))
-    if kept.track.size == 0:
+    passed, losses, misfit = checked_matches(scene, whole, likeness, settings, step, cells, len(links.links))
+    if passed.track.size == 0:
         raise InputError(
             "matching", f"no match is left of {losses.linked} ({losses.measured} measured, {losses.coplanar} coplanar)",
             "images that look alike", "the pictures may be too different, or the ground bare",
         )
-    returned = _alike(whole, settings) & whole.returns
-    signs = pair_signs(scene, known.agreements, pairs, cells.side, whole, returned, kept, misfit)
-    refused = [one for one in signs if one.refused]
+    returned = _acceptable(whole, settings) & whole.returns
+    signs = pair_signs(scene, aligned.agreements, pairs, cells.side, whole, returned, passed, misfit)
+    refused = [pair for pair in signs if pair.refused]
     if len(refused) == len(signs):
         raise InputError(
             f"images {refused[0].first} and {refused[0].other}",
-            f"{len(np.unique(kept.track))} matches that belong to no common ground: {listed(list(refused[0].signs))}",
+            f"{len(np.unique(passed.track))} matches that belong to no common ground: {listed(list(refused[0].signs))}",
             "matches that bear each other out",
             "the images may hardly overlap, show other ground, or be too noisy: check their orientations and pixels; a "
             "wider search finds more false matches, not more ground",
         )
-    out = {(one.first, one.other) for one in refused}
+    out = {(pair.first, pair.other) for pair in refused}
     names = [picture.image.name for picture in scene.pictures]
-    stay = np.array([(names[i], names[j]) not in out for i, j in zip(kept.first, kept.other, strict=True)])
-    known = known._replace(refused=[*known.refused, *(f"{one.words}: no common ground" for one in refused)])
+    stay = np.array([(names[i], names[j]) not in out for i, j in zip(passed.first, passed.other, strict=True)])
+    aligned = aligned._replace(refused=[*aligned.refused, *(f"{pair.words}: no common ground" for pair in refused)])
     losses = losses._replace(kept=int(np.count_nonzero(stay)))
-    cautions = tuple(f"Doubtful are the matches of {one.words}." for one in signs if one.signs and not one.refused)
-    return replace(_matches(known, kept.some(stay), misfit[stay], losses, step, cells), cautions=cautions)
+    cautions = tuple(f"Doubtful are the matches of {pair.words}." for pair in signs if pair.signs and not pair.refused)
+    return replace(_matches(aligned, passed.some(stay), misfit[stay], losses, step, cells), cautions=cautions)
 
 
-def _surest(found: Links, tracks: list[list[int]], cells: _Cells, settings: MatchSettings) -> list[list[int]]:
+def _surest(links: Links, tracks: list[list[int]], cells: _Cells, settings: MatchSettings) -> list[list[int]]:
     """Some tracks of each cell, the surest first; longer ones before shorter."""
     if not tracks:
         return tracks
-    plane = found.plane[[track[0] for track in tracks]]
-    quality = -_likeness(found, tracks) - np.array([len(track) for track in tracks])
-    group = _numbered(tuple(found.picture[track].tolist()) for track in tracks)
-    kept = spread(cell_numbers(plane, cells.side), group, quality, _TRIED * settings.per_cell)
-    return [tracks[k] for k in np.flatnonzero(kept)]
+    plane = links.plane[[track[0] for track in tracks]]
+    quality = -_likeness(links, tracks) - np.array([len(track) for track in tracks])
+    group = _numbered(tuple(links.picture[track].tolist()) for track in tracks)
+    chosen = spread(cell_numbers(plane, cells.side), group, quality, _TRIED * settings.per_cell)
+    return [tracks[k] for k in np.flatnonzero(chosen)]
 
 
-def finest_first(scene: Scene, found: Links, tracks: list[list[int]]) -> list[list[int]]:
+def finest_first(scene: Scene, links: Links, tracks: list[list[int]]) -> list[list[int]]:
     """Features of each track, that of the finest picture first: its window is what the others are compared with, and a
     coarse one would be compared with what finer pixels alias. Pictures about as fine stay in their order.
     """
     areas = 2.0 * np.log(scene.pixel_sizes)
     rank = np.rint((areas - areas.min()) / np.log(_FINER)).astype(int)
-    return [sorted(track, key=lambda feature: int(rank[found.picture[feature]])) for track in tracks]
+    return [sorted(track, key=lambda feature: int(rank[links.picture[feature]])) for track in tracks]
 
 
-def _likeness(found: Links, tracks: Sequence[list[int]]) -> Array:
+def _likeness(links: Links, tracks: Sequence[list[int]]) -> Array:
     """(t,) mean of how sure each track's features are of one another."""
-    best = np.zeros(len(found.plane))
-    np.maximum.at(best, found.links.ravel(), np.repeat(found.likeness, 2))
+    best = np.zeros(len(links.plane))
+    np.maximum.at(best, links.links.ravel(), np.repeat(links.likeness, 2))
     return np.array([best[track].mean() for track in tracks])
 
 
 def _second_look(
-    scene: Scene, found: Links, first: Measured, sharp: SharpPictures, settings: MatchSettings, step: float, offset: int
+    scene: Scene, links: Links, first: Measured, sharp: SharpPictures, settings: MatchSettings, step: float, offset: int
 ) -> Measured:
-    """What did not fit a track's reference may belong together itself: such tracks are split and measured anew."""
-    lost = np.flatnonzero(~_alike(first, settings) | ~first.returns)
+    """Features that did not fit a track's reference may fit each other: such tracks are split and measured again."""
+    unfit = np.flatnonzero(~_acceptable(first, settings) | ~first.returns)
     tracks = dict[int, list[int]]()
-    for k in lost.tolist():
+    for k in unfit.tolist():
         tracks.setdefault(int(first.track[k]), []).append(int(first.feature[k]))
-    again = measured(scene, found, [track for track in tracks.values() if len(track) > 1], sharp, settings, step)
-    return again._replace(track=again.track + offset)
+    remeasured = measured(scene, links, [track for track in tracks.values() if len(track) > 1], sharp, settings, step)
+    return remeasured._replace(track=remeasured.track + offset)
 
 
-def _alike(found: Measured, settings: MatchSettings) -> Mask:
-    good = found.status == MatchStatus.CONVERGED
+def _acceptable(measures: Measured, settings: MatchSettings) -> Mask:
+    good = measures.status == MatchStatus.CONVERGED
     sigmas = np.full(good.size, np.inf)
-    sigmas[good] = found.some(good).sigmas
-    return np.asarray(good & (found.correlation >= settings.least_correlation) & (sigmas <= settings.largest_sigma))
+    sigmas[good] = measures.some(good).sigmas
+    return np.asarray(good & (measures.correlation >= settings.least_correlation) & (sigmas <= settings.largest_sigma))
 
 
 def checked_matches(
-    scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float, cells: _Cells, linked: int
+    scene: Scene, measures: Measured, likeness: Array, settings: MatchSettings, step: float, cells: _Cells, linked: int
 ) -> tuple[Measured, Losses, Array]:
-    """What stands all checks, best of each cell, and the coplanarity residuals."""
-    alike = _alike(found, settings)
-    sound = found.some(alike & found.returns)
+    """Measures that pass all checks, best of each cell, and the coplanarity residuals."""
+    acceptable = _acceptable(measures, settings)
+    sound = measures.some(acceptable & measures.returns)
     checked = checked_measures(scene, sound, step, settings.seed)
     good = checked.coplanar & checked.steady
     good[good] = one_per_window(scene, sound.some(good), likeness, settings, step)
@@ -401,9 +401,9 @@ def checked_matches(
     best = _best_of_cells(scene, remaining, likeness, cells, settings)
     losses = Losses(
         linked=linked,
-        tried=found.track.size,
-        measured=int(np.count_nonzero(found.status == MatchStatus.CONVERGED)),
-        alike=int(np.count_nonzero(alike)),
+        tried=measures.track.size,
+        measured=int(np.count_nonzero(measures.status == MatchStatus.CONVERGED)),
+        alike=int(np.count_nonzero(acceptable)),
         returned=sound.track.size,
         coplanar=int(np.count_nonzero(checked.coplanar)),
         steady=int(np.count_nonzero(checked.coplanar & checked.steady)),
@@ -413,61 +413,61 @@ def checked_matches(
 
 
 def _best_of_cells(
-    scene: Scene, found: Measured, likeness: Array, cells: _Cells, settings: MatchSettings
+    scene: Scene, measures: Measured, likeness: Array, cells: _Cells, settings: MatchSettings
 ) -> Mask:
     """(k,) measures of the surest tracks of each cell, whole tracks; those split off from others come last.
 
     Not those of the smallest sigmas: which of several sigmas is the smallest is chance, too, and what is chosen for it
     is worse than it says.
     """
-    tracks, begin, inverse = np.unique(found.track, return_index=True, return_inverse=True)
+    tracks, begin, inverse = np.unique(measures.track, return_index=True, return_inverse=True)
     unsure = _unsure(tracks, likeness)
-    others = np.split(found.other, begin[1:]) if begin.size else []
-    group = _numbered((int(j), *other.tolist()) for j, other in zip(found.first[begin], others, strict=True))
-    cell = cell_numbers(_anchor_plane(scene, found.some(begin)), cells.side)
+    other_pictures = np.split(measures.other, begin[1:]) if begin.size else []
+    group = _numbered((int(j), *other.tolist()) for j, other in zip(measures.first[begin], other_pictures, strict=True))
+    cell = cell_numbers(_anchor_plane(scene, measures.some(begin)), cells.side)
     return np.asarray(spread(cell, group, unsure, settings.per_cell)[inverse])
 
 
 def one_per_window(
-    scene: Scene, found: Measured, likeness: Array, settings: MatchSettings, step: float
+    scene: Scene, measures: Measured, likeness: Array, settings: MatchSettings, step: float
 ) -> Mask:
     """(k,) measures of which no other of the same pair lies in the same half window, nearly: of longer tracks first,
     then of surer ones.
 
     Features near each other share the sharpest pixel beside them, and would give one measure twice.
     """
-    rays = np.unique(found.track, return_inverse=True, return_counts=True)[1:]
-    cells = cell_numbers(_anchor_plane(scene, found), settings.half_window * step)
-    pairs = _numbered(zip(found.first.tolist(), found.other.tolist(), strict=True))
-    return spread(cells, pairs, _unsure(found.track, likeness) - rays[1][rays[0]], 1)
+    rays = np.unique(measures.track, return_inverse=True, return_counts=True)[1:]
+    cells = cell_numbers(_anchor_plane(scene, measures), settings.half_window * step)
+    pairs = _numbered(zip(measures.first.tolist(), measures.other.tolist(), strict=True))
+    return spread(cells, pairs, _unsure(measures.track, likeness) - rays[1][rays[0]], 1)
 
 
 def _unsure(tracks: Index, likeness: Array) -> Array:
     """(n,) how sure tracks are, negative; zero of those split off from others."""
-    known = np.append(-likeness, 0.0)
-    return known[np.minimum(tracks, likeness.size)]
+    quality = np.append(-likeness, 0.0)
+    return quality[np.minimum(tracks, likeness.size)]
 
 
-def _anchor_plane(scene: Scene, found: Measured) -> Array:
+def _anchor_plane(scene: Scene, measures: Measured) -> Array:
     """(k, 2) m, positions of the anchors on the chart."""
-    plane = np.empty((found.track.size, 2))
+    plane = np.empty((measures.track.size, 2))
     for j, picture in enumerate(scene.pictures):
-        mine = found.first == j
-        plane[mine] = picture.on_chart(scene.ground, found.anchors[mine])
+        of_picture = measures.first == j
+        plane[of_picture] = picture.on_chart(scene.ground, measures.anchors[of_picture])
     return plane
 
 
 def _matches(
-    known: Together, kept: Measured, misfit: Array, losses: Losses, step: float, cells: _Cells
+    aligned: Aligned, measures: Measured, misfit: Array, losses: Losses, step: float, cells: _Cells
 ) -> Matches:
-    scene = known.scene
-    _, begin = np.unique(kept.track, return_index=True)
-    plane = _anchor_plane(scene, kept.some(begin))
+    scene = aligned.scene
+    _, begin = np.unique(measures.track, return_index=True)
+    plane = _anchor_plane(scene, measures.some(begin))
     order: Index = np.lexsort([plane[:, 0], plane[:, 1]])
     names = tuple(picture.image.name for picture in scene.pictures)
-    ties, covariances, correlation, misfit = matches_of(kept, misfit, names, order)
+    ties, covariances, correlation, misfit = matches_of(measures, misfit, names, order)
     filled = len(cells.whole & set(cell_numbers(plane, cells.side).tolist()))
     return Matches(
-        ties, covariances, correlation, misfit, tuple(known.agreements), tuple(known.refused), losses, step, cells.side,
-        (filled, len(cells.whole)),
+        ties, covariances, correlation, misfit, tuple(aligned.agreements), tuple(aligned.refused), losses,
+        step, cells.side, (filled, len(cells.whole)),
     )  # fmt: skip

@@ -88,28 +88,28 @@ class Measured(NamedTuple):
 
 
 def joined_measures(parts: Sequence[Measured]) -> Measured:
-    """Several as one."""
+    """Several records as one."""
     return Measured(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def measured(
-    scene: Scene, found: Links, tracks: Sequence[list[int]], sharp: SharpPictures, settings: MatchSettings, step: float
+    scene: Scene, links: Links, tracks: Sequence[list[int]], sharp: SharpPictures, settings: MatchSettings, step: float
 ) -> Measured:
-    """Measure tracks of features, `found`, from the sharpest pixel near their first feature into their other pictures,
+    """Measure tracks of features, `links`, from the sharpest pixel near their first feature into their other pictures,
     whose orientations agree; `step` in m is the pixel of the ground grid.
     """
     track, first, other = star(tracks)
     parts = [_empty()]
-    for i, j, mine in by_pair(found.picture[first], found.picture[other]):
-        chosen = track[mine], first[mine], other[mine]
-        parts.append(_between(scene, found, chosen, (i, j), sharp, settings, step))
+    for i, j, of_pair in by_pair(links.picture[first], links.picture[other]):
+        chosen = track[of_pair], first[of_pair], other[of_pair]
+        parts.append(_between(scene, links, chosen, (i, j), sharp, settings, step))
     whole = joined_measures(parts)
     return whole.some(np.lexsort([whole.other, whole.track]))
 
 
 def _between(
     scene: Scene,
-    found: Links,
+    links: Links,
     chosen: tuple[Index, Index, Index],
     pair: tuple[int, int],
     sharp: SharpPictures,
@@ -118,24 +118,24 @@ def _between(
 ) -> Measured:
     """Measure tracks from one picture into one other."""
     (track, first, other), (template, search) = chosen, (sharp[j] for j in pair)
-    one, two = (scene.pictures[j] for j in pair)
+    left, right = (scene.pictures[j] for j in pair)
     halves = [half_window(scene.ground, scene.pictures[j], settings.half_window * step) for j in pair]
-    planes = found.plane[first], found.plane[other]
-    begin, end = one.project(scene.ground.points(planes[0])), two.project(scene.ground.points(planes[1]))
-    by_plane = one.derivatives(scene.ground, planes[0]), two.derivatives(scene.ground, planes[1])
+    planes = links.plane[first], links.plane[other]
+    begin, end = left.project(scene.ground.points(planes[0])), right.project(scene.ground.points(planes[1]))
+    by_plane = left.derivatives(scene.ground, planes[0]), right.derivatives(scene.ground, planes[1])
     affine = np.swapaxes(np.linalg.solve(np.swapaxes(by_plane[0], 1, 2), np.swapaxes(by_plane[1], 1, 2)), 1, 2)
     anchors = sharpest_pixels(template.strength, np.floor(begin).astype(np.int64), halves[0]) + 0.5
     start = end + np.einsum("nij,nj->ni", affine, anchors - begin)
-    parallax = two.height_parallax(scene.ground, start) - one.height_parallax(scene.ground, anchors)
+    parallax = right.height_parallax(scene.ground, start) - left.height_parallax(scene.ground, anchors)
     relief = [_relief(by, away) for by, away in zip(by_plane, (-parallax, parallax), strict=True)]
-    there = match_least_squares(template.spline, search.spline, anchors, start, affine, halves[0], relief[1])
-    good = np.flatnonzero(there.converged)
+    forth = match_least_squares(template.spline, search.spline, anchors, start, affine, halves[0], relief[1])
+    good = np.flatnonzero(forth.converged)
     back = np.zeros(track.size, dtype=bool)
-    back[good] = _returns(there, good, anchors, (search.spline, template.spline), halves[1], relief[0])
-    covariances = there.covariance if relief[1] is None else there.covariance_with_relief(relief[1])
+    back[good] = _returns(forth, good, anchors, (search.spline, template.spline), halves[1], relief[0])
+    covariances = forth.covariance if relief[1] is None else forth.covariance_with_relief(relief[1])
     return Measured(
-        track, np.full(track.size, pair[0]), np.full(track.size, pair[1]), other, anchors, there.pixels, there.affine,
-        covariances + FINEST**2 * np.eye(2), there.correlation, np.asarray(there.status, dtype=np.int64), back,
+        track, np.full(track.size, pair[0]), np.full(track.size, pair[1]), other, anchors, forth.pixels, forth.affine,
+        covariances + FINEST**2 * np.eye(2), forth.correlation, np.asarray(forth.status, dtype=np.int64), back,
     )  # fmt: skip
 
 
@@ -164,24 +164,24 @@ def sharpest_pixels(strength: NDArray[np.float32], pixels: Index, half: tuple[in
     for down in range(-(half[0] // 2), half[0] // 2 + 1):
         for across in range(-(half[1] // 2), half[1] // 2 + 1):
             beside = np.clip(pixels + np.array([down, across]), 0, last)
-            found = strength[beside[:, 0], beside[:, 1]]
-            better = found > best
-            best[better], chosen[better] = found[better], beside[better]
+            values = strength[beside[:, 0], beside[:, 1]]
+            better = values > best
+            best[better], chosen[better] = values[better], beside[better]
     return chosen.astype(np.float64)
 
 
 def _returns(
-    there: LeastSquaresMatches, good: Index, anchors: Array, pictures: tuple[SplinePicture, SplinePicture],
+    forward: LeastSquaresMatches, good: Index, anchors: Array, pictures: tuple[SplinePicture, SplinePicture],
     half: tuple[int, int], relief: Array | None,
 ) -> Mask:
     """Whether matching from the nearest pixel of the other picture ends where the way there says it should."""
-    inverse = np.linalg.inv(there.affine[good])
-    begin = np.floor(there.pixels[good]) + 0.5
-    expected = anchors[good] + np.einsum("nij,nj->ni", inverse, begin - there.pixels[good])
-    again = match_least_squares(*pictures, begin, expected, inverse, half, None if relief is None else relief[good])
-    away = np.linalg.norm(again.pixels - expected, axis=1)
-    sigma = np.sqrt(np.trace(again.covariance, axis1=1, axis2=2))
-    return np.asarray((again.converged) & (away <= _WAY_BACK * sigma + _WAY_BACK_PIXELS))
+    inverse = np.linalg.inv(forward.affine[good])
+    begin = np.floor(forward.pixels[good]) + 0.5
+    expected = anchors[good] + np.einsum("nij,nj->ni", inverse, begin - forward.pixels[good])
+    backward = match_least_squares(*pictures, begin, expected, inverse, half, None if relief is None else relief[good])
+    away = np.linalg.norm(backward.pixels - expected, axis=1)
+    sigma = np.sqrt(np.trace(backward.covariance, axis1=1, axis2=2))
+    return np.asarray((backward.converged) & (away <= _WAY_BACK * sigma + _WAY_BACK_PIXELS))
 
 
 def half_window(ground: Ground, picture: Picture, size: float) -> tuple[int, int]:

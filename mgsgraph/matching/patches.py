@@ -95,12 +95,12 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
     if not touched.any():
         return None
     lines, samples = (refined(nodes[:, :, k], NODE)[: tile.rows, : tile.columns] for k in (0, 1))
-    seen = (lines > 0.5) & (lines < size[0] - 0.5) & (samples > 0.5) & (samples < size[1] - 0.5)
-    if not seen.any():
+    inside = (lines > 0.5) & (lines < size[0] - 0.5) & (samples > 0.5) & (samples < size[1] - 0.5)
+    if not inside.any():
         return None
-    first = int(max(np.floor(lines[seen].min()) - 4, 0))
-    last = min(int(np.ceil(lines[seen].max())) + 4, first + _REMAP_LIMIT)
-    seen &= lines < last - 0.5
+    first = int(max(np.floor(lines[inside].min()) - 4, 0))
+    last = min(int(np.ceil(lines[inside].max())) + 4, first + _REMAP_LIMIT)
+    inside &= lines < last - 0.5
     part = picture.pixels[first:last].astype(np.float32)
     hollow = ~np.isfinite(part)
     if hollow.any():
@@ -114,9 +114,9 @@ def ortho_patch(picture: Picture, ground: Ground, tile: Tile) -> Patch | None:
         reach = [3 + 2 * int(np.ceil(2.0 * sigma)) for sigma in blur]  # a cubic's one pixel, and the filter's
         wide = cv2.dilate(hollow.astype(np.float32), np.ones(reach, np.uint8))
         dead = cv2.remap(wide, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        seen &= dead == 0
+        inside &= dead == 0
     stretched = np.clip((grey - levels[0]) * (255.0 / (levels[1] - levels[0])), 0.0, 255.0).astype(np.uint8)
-    return Patch(np.where(seen, stretched, 0).astype(np.uint8), np.where(seen, 255, 0).astype(np.uint8))
+    return Patch(np.where(inside, stretched, 0).astype(np.uint8), np.where(inside, 255, 0).astype(np.uint8))
 
 
 def node_pixels(picture: Picture, ground: Ground, tile: Tile) -> Array:
@@ -131,11 +131,11 @@ def blur_sigmas(nodes: Array) -> tuple[float, float]:
     """Sigmas in lines and samples of the filter of a picture much finer than the ground grid: unfiltered, the grid's
     pixels would skip most of the picture's, and show their noise and aliases instead. Zero where none is needed.
     """
-    apart = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / NODE for k in (0, 1)]
-    seen = [one[np.isfinite(one).all(axis=1)] for one in apart]
-    if not (len(seen[0]) and len(seen[1])):
+    steps = [np.abs(np.diff(nodes, axis=k)).reshape(-1, 2) / NODE for k in (0, 1)]
+    finite = [step[np.isfinite(step).all(axis=1)] for step in steps]
+    if not (len(finite[0]) and len(finite[1])):
         return 0.0, 0.0
-    lines, samples = np.hypot(*(np.median(one, axis=0) for one in seen)).tolist()
+    lines, samples = np.hypot(*(np.median(step, axis=0) for step in finite)).tolist()
     sigmas = [_BLUR * float(np.sqrt(size**2 - 1.0)) if size > _SKIPS else 0.0 for size in (lines, samples)]
     return sigmas[0], sigmas[1]
 
@@ -156,8 +156,8 @@ _SIXTEENTHS = 16.0
 """OpenCV counts disparities in sixteenths of a pixel."""
 
 
-def disparities(one: Patch, other: Patch, reach: int) -> Array:
-    """(rows, columns) d, pixels: what `one` shows in a column lies in `other`, in the same row, d columns before.
+def disparities(left: Patch, right: Patch, reach: int) -> Array:
+    """(rows, columns) d, pixels: what `left` shows in a column lies in `right`, in the same row, d columns before.
 
     NaN where nothing is alike enough, or a patch has no picture. `reach` is the most that d may be either way, pixels.
     """
@@ -169,9 +169,9 @@ def disparities(one: Patch, other: Patch, reach: int) -> Array:
         disp12MaxDiff=1, preFilterCap=31, uniquenessRatio=_UNIQUE, speckleWindowSize=_SPECKLE,
         speckleRange=_SPECKLE_RANGE, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )  # fmt: skip
-    found = cv2.medianBlur(matcher.compute(one.grey, other.grey), 5).astype(np.float64) / _SIXTEENTHS
-    known = (found >= -count / 2) & (one.valid > 0)
-    return np.where(known, found, np.nan)
+    shifts = cv2.medianBlur(matcher.compute(left.grey, right.grey), 5).astype(np.float64) / _SIXTEENTHS
+    valid = (shifts >= -count / 2) & (left.valid > 0)
+    return np.where(valid, shifts, np.nan)
 
 
 # --- features and links
@@ -181,7 +181,7 @@ _CONTRAST = 0.015
 """SIFT's threshold on contrast: half of Lowe's, for evenly lit plains."""
 _BORDER = 9
 """pixels which features keep from where a picture ends."""
-_TOGETHER = 256
+_AT_ONCE = 256
 """Features that are compared at a time."""
 _SAME = 4.0
 """pixels within which a second-best candidate is the best one over again."""
@@ -228,7 +228,7 @@ class Links(NamedTuple):
     """(k,) the greater, the surer."""
 
 
-def together(parts: Sequence[Links]) -> Links:
+def concatenated(parts: Sequence[Links]) -> Links:
     """Links of several tiles, their positions numbered through."""
     first = np.cumsum([0, *(len(part.plane) for part in parts)])[:-1]
     return Links(
@@ -261,44 +261,44 @@ def tiling(boxes: Sequence[Array], step: float, margin: float) -> list[Tile]:
     return tiles
 
 
-def features_on(scene: Scene, tile: Tile, wanted: Sequence[int], most: int) -> dict[int, Features]:
+def features_on(scene: Scene, tile: Tile, pictures: Sequence[int], most: int) -> dict[int, Features]:
     """Features of the wanted pictures that show something of a tile, by number."""
-    found = dict[int, Features]()
-    for j in wanted:
+    by_picture = dict[int, Features]()
+    for j in pictures:
         patch = ortho_patch(scene.pictures[j], scene.ground, tile)
         if patch is not None:
             features = detect(patch, tile, most)
             if len(features.plane):
-                found[j] = features
-    return found
+                by_picture[j] = features
+    return by_picture
 
 
 def links_on(
-    found: Mapping[int, Features], tile: Tile, windows: Mapping[tuple[int, int], Window], ratio: float
+    by_picture: Mapping[int, Features], tile: Tile, windows: Mapping[tuple[int, int], Window], ratio: float
 ) -> Links:
     """Links between the features of each pair that has a window, first features within the tile itself."""
     numbers, begin = dict[int, int](), 0
-    for j, features in found.items():
+    for j, features in by_picture.items():
         numbers[j], begin = begin, begin + len(features.plane)
     links, likeness = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)]
     for (i, j), window in windows.items():
-        if i in found and j in found:
-            first, second, score = pair_up(found[i], found[j], window, tile.step, ratio)
+        if i in by_picture and j in by_picture:
+            first, second, score = pair_up(by_picture[i], by_picture[j], window, tile.step, ratio)
             links.append(np.column_stack([first + numbers[i], second + numbers[j]]))
             likeness.append(score)
     if not numbers:
-        return together([])
-    plane = np.concatenate([features.plane for features in found.values()])
-    picture = np.concatenate([np.full(len(features.plane), j) for j, features in found.items()])
+        return concatenated([])
+    plane = np.concatenate([features.plane for features in by_picture.values()])
+    picture = np.concatenate([np.full(len(features.plane), j) for j, features in by_picture.items()])
     return owned(Links(plane, picture, np.concatenate(links), np.concatenate(likeness)), tile)
 
 
 def owned(links: Links, tile: Tile) -> Links:
     """Links whose first position lies in the tile without its margin, and no position without a link."""
-    mine = tile.owns(links.plane)[links.links[:, 0]]
-    kept = links.links[mine]
-    used, numbered = np.unique(kept, return_inverse=True)
-    return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[mine])
+    inside = tile.owns(links.plane)[links.links[:, 0]]
+    pairs = links.links[inside]
+    used, numbered = np.unique(pairs, return_inverse=True)
+    return Links(links.plane[used], links.picture[used], numbered.reshape(-1, 2), links.likeness[inside])
 
 
 # --- features
@@ -310,11 +310,11 @@ def detect(patch: Patch, tile: Tile, most: int) -> Features:
     block = np.ones((2 * _BORDER + 1,) * 2, np.uint8)
     inner = cv2.erode(patch.valid, block, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=_CONTRAST)
-    found, descriptors = sift.detectAndCompute(patch.grey, inner)
-    if not found:
+    keypoints, descriptors = sift.detectAndCompute(patch.grey, inner)
+    if not keypoints:
         nothing = np.zeros(0, dtype=np.float32)
         return Features(np.zeros((0, 2)), nothing, nothing, nothing, np.zeros((0, 128), dtype=np.float32))
-    rows = np.array([(*one.pt, one.response, one.size, one.angle) for one in found])
+    rows = np.array([(*keypoint.pt, keypoint.response, keypoint.size, keypoint.angle) for keypoint in keypoints])
     order = np.argsort(rows[:, 1], kind="stable")
     rows, descriptors = rows[order], descriptors[order]
     unit = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12))
@@ -322,40 +322,40 @@ def detect(patch: Patch, tile: Tile, most: int) -> Features:
     return Features(tile.plane(rows[:, 0], rows[:, 1]), thin[:, 2], thin[:, 3], np.radians(thin[:, 4]), unit)
 
 
-def pair_up(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Index, Array]:
+def pair_up(left: Features, right: Features, window: Window, step: float, ratio: float) -> tuple[Index, Index, Array]:
     """Numbers (k,) of features of both pictures that choose each other, each against its second choice, and the cosines
     (k,) of their descriptors.
 
     The window says where the other's may lie, seen from the first; `step` is the ground grid's pixel in m, and `ratio`
     the most that the distance of the best may be of the second best's.
     """
-    forth, likeness = _best(one, other, window, step, ratio)
-    back, _ = _best(other, one, window, step, ratio)
+    forth, likeness = _best(left, right, window, step, ratio)
+    back, _ = _best(right, left, window, step, ratio)
     first = np.flatnonzero(forth >= 0)
     first = first[back[forth[first]] == first]
     return first, forth[first], likeness[first]
 
 
-def _best(one: Features, other: Features, window: Window, step: float, ratio: float) -> tuple[Index, Array]:
+def _best(left: Features, right: Features, window: Window, step: float, ratio: float) -> tuple[Index, Array]:
     """For each feature the one that is most like it in its window, -1 where there is none or not a clear one."""
-    best, likeness = np.full(len(one.plane), -1, dtype=np.int64), np.zeros(len(one.plane))
-    if len(other.plane) == 0:
+    best, likeness = np.full(len(left.plane), -1, dtype=np.int64), np.zeros(len(left.plane))
+    if len(right.plane) == 0:
         return best, likeness
     reach = abs(window.direction[1]) * window.along + abs(window.direction[0]) * window.across
-    for begin in range(0, len(one.plane), _TOGETHER):
-        some = slice(begin, min(begin + _TOGETHER, len(one.plane)))
-        y = one.plane[some, 1]
-        low, high = np.searchsorted(other.plane[:, 1], [y[0] - reach, y[-1] + reach])
+    for begin in range(0, len(left.plane), _AT_ONCE):
+        some = slice(begin, min(begin + _AT_ONCE, len(left.plane)))
+        y = left.plane[some, 1]
+        low, high = np.searchsorted(right.plane[:, 1], [y[0] - reach, y[-1] + reach])
         if low == high:
             continue
         near = slice(int(low), int(high))
-        alike = one.descriptors[some] @ other.descriptors[near].T
-        alike[~_candidates(one, other, some, near, window)] = -1.0
-        top = np.argmax(alike, axis=1)
+        cosines = left.descriptors[some] @ right.descriptors[near].T
+        cosines[~_candidates(left, right, some, near, window)] = -1.0
+        top = np.argmax(cosines, axis=1)
         rows = np.arange(top.size)
-        score = alike[rows, top].copy()
-        apart = np.linalg.norm(other.plane[near][None] - other.plane[near][top][:, None], axis=2) > _SAME * step
-        second = np.where(apart, alike, -1.0).max(axis=1)
+        score = cosines[rows, top].copy()
+        distinct = np.linalg.norm(right.plane[near][None] - right.plane[near][top][:, None], axis=2) > _SAME * step
+        second = np.where(distinct, cosines, -1.0).max(axis=1)
         # distances of unit vectors: d^2 = 2 - 2 cos
         clear = (score > 0.0) & ((1.0 - score) <= ratio**2 * (1.0 - second))
         best[begin + rows[clear]] = low + top[clear]
@@ -363,11 +363,11 @@ def _best(one: Features, other: Features, window: Window, step: float, ratio: fl
     return best, likeness
 
 
-def _candidates(one: Features, other: Features, some: slice, near: slice, window: Window) -> NDArray[np.bool_]:
-    away = other.plane[near][None] - one.plane[some][:, None]
+def _candidates(left: Features, right: Features, some: slice, near: slice, window: Window) -> NDArray[np.bool_]:
+    away = right.plane[near][None] - left.plane[some][:, None]
     along = away @ window.direction
     across = away @ np.array([-window.direction[1], window.direction[0]])
-    turn = np.abs(in_turn((other.direction[near][None] - one.direction[some][:, None]).astype(np.float64)))
-    scale = np.abs(np.log(other.size[near][None] / one.size[some][:, None]))
+    turn = np.abs(in_turn((right.direction[near][None] - left.direction[some][:, None]).astype(np.float64)))
+    scale = np.abs(np.log(right.size[near][None] / left.size[some][:, None]))
     inside = (np.abs(along) <= window.along) & (np.abs(across) <= window.across)
     return np.asarray(inside & (turn <= _TURN) & (scale <= np.log(_SCALE)))

@@ -124,14 +124,14 @@ class Ground(Record):
 
 @dataclass(frozen=True, eq=False)
 class Picture(Record):
-    """An image with its pixels, and the orientation that is believed for now."""
+    """An image with its pixels and its current orientation."""
 
     image: PushbroomImage
     """Geometry."""
     pixels: Pixels
     """(lines, samples)."""
     prior: OrientationPrior
-    """What is known of the corrections of its nominal orientation beforehand."""
+    """Prior of the corrections of its nominal orientation."""
     correction: OrientationCorrection | None = None
     """Of the nominal orientation."""
 
@@ -185,8 +185,8 @@ class Picture(Record):
         InputError
             Where the picture is blank or saturated.
         """
-        apart = max(1, int(np.sqrt(self.pixels.size / _LOOKED_AT)))
-        some = self.pixels[::apart, ::apart]
+        stride = max(1, int(np.sqrt(self.pixels.size / _LOOKED_AT)))
+        some = self.pixels[::stride, ::stride]
         some = some[np.isfinite(some)].astype(np.float64)
         where, remedy = f"picture of {self.image.name}", "leave the image out"
         if some.size == 0:
@@ -256,8 +256,8 @@ def block_steps(pixels: Pixels) -> float:
 
 def _along(pixels: Pixels, axis: int) -> float:
     """The same across one axis, by some of the rows along it."""
-    apart = max(1, pixels.size // _JUDGED)
-    steps = np.abs(np.diff(pixels[::apart].astype(np.float32), axis=axis))
+    stride = max(1, pixels.size // _JUDGED)
+    steps = np.abs(np.diff(pixels[::stride].astype(np.float32), axis=axis))
     with np.errstate(invalid="ignore"):
         means = np.array([float(np.nanmean(part)) if np.any(np.isfinite(part := steps[:, k::_BLOCK])) else 0.0
                           for k in range(_BLOCK)])  # fmt: skip
@@ -304,13 +304,13 @@ def pairs_of(scene: Scene) -> list[Pair]:
     InputError
         Where there is none.
     """
-    found = overlaps(footprints(scene))
-    if not len(found.pairs):
+    shared = overlaps(footprints(scene))
+    if not len(shared.pairs):
         raise InputError(
             scene.where, "no two of them overlap (by their nominal orientation)", "images of common ground",
             "check the images and their kernels",
         )
-    return [Pair(int(i), int(j), float(area)) for (i, j), area in zip(found.pairs, found.areas, strict=True)]
+    return [Pair(int(i), int(j), float(area)) for (i, j), area in zip(shared.pairs, shared.areas, strict=True)]
 
 
 def by_pair(first: Index, other: Index) -> Iterator[tuple[int, int, Index]]:
@@ -328,17 +328,17 @@ def footprints(scene: Scene) -> list[Footprint]:
     InputError
         Where a picture has none.
     """
-    found = [footprint(picture.image, scene.ground.height, picture.correction) for picture in scene.pictures]
-    for one in found:
-        if one.outline.shape[0] == 0:
-            seen = "it sees nothing of the body, or a quarter of the way around it"
-            raise InputError(f"image {one.name}", seen, "an image of the ground", "leave the image out, or cut it")
-    return found
+    shapes = [footprint(picture.image, scene.ground.height, picture.correction) for picture in scene.pictures]
+    for shape in shapes:
+        if shape.outline.shape[0] == 0:
+            problem = "it sees nothing of the body, or a quarter of the way around it"
+            raise InputError(f"image {shape.name}", problem, "an image of the ground", "leave the image out, or cut it")
+    return shapes
 
 
 def boxes(scene: Scene) -> list[Array]:
     """(2, 2) m, least and largest x and y of each picture's footprint on the chart."""
-    planes = [scene.ground.chart.plane(one.outline) for one in footprints(scene)]
+    planes = [scene.ground.chart.plane(shape.outline) for shape in footprints(scene)]
     return [np.stack([plane.min(axis=0), plane.max(axis=0)]) for plane in planes]
 
 
@@ -348,19 +348,19 @@ def first_picture(pairs: Sequence[Pair], left: Collection[int]) -> int:
 
 
 def next_pair(
-    pairs: Sequence[Pair], there: Collection[int], left: Collection[int], tried: Collection[Pair]
+    pairs: Sequence[Pair], aligned: Collection[int], left: Collection[int], tried: Collection[Pair]
 ) -> Pair | None:
-    """The largest overlap of a picture that is there already (first) with one that is left (second), but for pairs that
+    """The largest overlap of an aligned picture (first) with one that is left (second), without pairs that
     were tried (Prim 1957); None where there is none.
     """
     turned = (Pair(j, i, area) if i in left else Pair(i, j, area) for i, j, area in pairs)
-    open_pairs = [pair for pair in turned if pair.first in there and pair.second in left and pair not in tried]
+    open_pairs = [pair for pair in turned if pair.first in aligned and pair.second in left and pair not in tried]
     return max(open_pairs, key=lambda pair: pair.area) if open_pairs else None
 
 
 def joined(links: Index, likeness: Array, picture_of: Index) -> list[list[int]]:
     """Features joined by links (k, 2), the surest first; a link that would bring two features of one picture together,
-    or contradicts a surer one, is left out: so a contradictory track falls apart at its weakest link.
+    or contradicts a surer one, is left out: so a contradictory track is split at its weakest link.
 
     `likeness` (k,) says how sure each link is, `picture_of` (n,) the picture of each feature. Returns the features of
     each track, at least two, by picture.
@@ -368,8 +368,8 @@ def joined(links: Index, likeness: Array, picture_of: Index) -> list[list[int]]:
     track_of = dict[int, int]()
     tracks = dict[int, list[int]]()
     for k in np.argsort(-likeness, kind="stable").tolist():
-        one, other = int(links[k, 0]), int(links[k, 1])
-        ours, theirs = (_track(feature, track_of, tracks) for feature in (one, other))
+        first, second = int(links[k, 0]), int(links[k, 1])
+        ours, theirs = (_track(feature, track_of, tracks) for feature in (first, second))
         if ours == theirs:
             continue
         if {int(picture_of[f]) for f in tracks[ours]} & {int(picture_of[f]) for f in tracks[theirs]}:

@@ -138,7 +138,7 @@ def _radiometry(pixels: Reals, x: Reals) -> bool:
 
 @compiled
 def out_of_shape(x: Reals, e: Reals, half: tuple[int, int], scale: float) -> bool:
-    """Whether gain or A, anywhere in the window, have become what no view of the same ground is."""
+    """Whether gain or A, anywhere in the window, are impossible for a view of the same ground."""
     determinant, change = x[2] * x[5] - x[3] * x[4], 0.0
     if x.size == RELIEF:  # of A + e times the slope of the curved part, which is steepest in a corner
         down = (x[5] * e[0] - x[3] * e[1]) / half[0]
@@ -166,7 +166,7 @@ def _iterate(
     c: NDArray[np.float32], x: Reals, e: Reals, half: tuple[int, int], most: int, tolerance: float, reach: float,
     pixels: Reals,
 ) -> int:
-    """Bring the unknowns to the solution; how that ended."""
+    """Iterate the unknowns to the solution; the final state."""
     lines, samples = c.shape[0] - 3, c.shape[1] - 3
     first_line, first_sample, scale = x[0], x[1], x[2] * x[5] - x[3] * x[4]
     step, settled = np.empty(x.size), False

@@ -54,7 +54,9 @@ class Process(Record):
     correlation_time: float = 0.0
     """s, of gauss-markov and Matern processes; of others 0."""
     estimated: bool = False
-    """Whether its strength is found from the measures, `sigmas` being where the search begins."""
+    """Whether its strength is found from the measures, `sigmas` being its a-priori value."""
+    spread: float = 1.0
+    """Standard deviation beforehand of the logarithm of a strength that is found."""
 
     def __post_init__(self) -> None:
         where = f"process {self.kind}"

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from mgsgraph.geometry.plausibility import twins
+from mgsgraph.geometry.plausibility import duplicate_images
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.network import Network
 from mgsgraph.network.records import PointClass
@@ -103,7 +103,7 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
         found.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
     images = [image.name for image in network.images]
-    first, again = joined_pairs(np.array(twins(network.images), dtype=np.int64).reshape(-1, 2))
+    first, again = joined_pairs(np.array(duplicate_images(network.images), dtype=np.int64).reshape(-1, 2))
     names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
     found.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
     return tuple(one for one in found if one.count)

@@ -48,17 +48,20 @@ class SharedEffects:
         }
         """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
-    def of_ranges(self, image: int, u: Array) -> Array:
+    def of_ranges(self, image: int, u: Array, shares: Array | None) -> Array:
         """(n, columns, 3 or 4) directions in the states of an image's ranges at normalised lines u (n,): m per unit of
-        the laser's place, then of the range.
+        the laser's place, then of the range; `shares` (n, 3) is as of `Ranges`.
         """
         kinds = self._kinds["ranges"][image]
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + (SharedKind.RANGE_BIAS in kinds)))
+        longer = SharedKind.RANGE_BIAS in kinds or shares is not None
+        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + longer))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for kind in kinds:
             if kind.moves_instrument:
                 effect = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
                 found[:, column : column + kind.width, :3] = effect[:, :, :3]
+                if kind.moves_footprints and shares is not None:
+                    found[:, column : column + kind.width, 3] = np.einsum("nca,na->nc", effect[:, :, :3], shares)
             else:
                 found[:, column, 3] = 1.0
             column += kind.width
@@ -182,6 +185,20 @@ def _in_axes(axes: Array | None, effect: Array) -> Array:
     if axes is None:
         return effect
     return np.concatenate([effect[..., :3], effect[..., 3:] @ axes], axis=-1)
+
+
+def known_motions(network: Network) -> Iterator[tuple[Index, Index, Array, bool]]:
+    """Of profiles' shifts and of each shared unknown that moves footprints: points (p,), ascending, the variable of
+    each (p,), how it moves its a-priori position (p, width, 3), m per unit, and whether it acts on ranges, too.
+    """
+    if network.shifts is not None:
+        moved = np.flatnonzero(network.shifts.profile >= 0)
+        variable = len(network.images) + network.shifts.profile[moved]
+        yield moved, variable, east_north(network.points.places[moved]), False
+    for k, one in enumerate(network.shared):
+        if one.kind.moves_footprints:
+            points, motion = footprint_motion(network, one)
+            yield points, np.full(points.size, network.first_shared + k), motion, one.kind.acts_on_ranges
 
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:

@@ -124,6 +124,7 @@ class Network(Record):
             frozen(self.ranges.values, "ranges, values", (r,)),
             range_sigmas,
             frozen_mask(self.ranges.rejected, "ranges: marks of rejection", r),
+            None if self.ranges.shares is None else frozen(self.ranges.shares, "range shares", (r, 3)),
         )
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
@@ -432,21 +433,29 @@ class Network(Record):
             return self.rays.sigmas
         return _kept(scaled(self.rays.sigmas, self.common_rays.members, self.common_rays.total))
 
+    @cached_property
+    def range_sigmas(self) -> Array:
+        """(r,) m, of ranges with what they have in common with their footprints."""
+        if self.ranges.shares is None:
+            return self.ranges.sigmas
+        return _kept(np.sqrt(self.ranges.sigmas**2 + self.ranges.in_common(self.points)[1]))
+
     @property
     def independent(self) -> "Network":
         """The same with larger sigmas in place of errors in common, for what is kept point by point
         (`CommonErrors.independent`); itself without any.
         """
-        if not self.common:
+        if not self.common and self.ranges.shares is None:
             return self
-        rays, surface = self.rays, self.surface
+        rays, surface, (points, ranges) = self.rays, self.surface, self.ranges.independent(self.points)
         if self.common_rays is not None:
             one = self.common_rays
             rays = replace(rays, sigmas=scaled(rays.sigmas, one.members, one.independent))
         if self.common_heights is not None and surface is not None:
             one = self.common_heights
             surface = replace(surface, sigmas=scaled(surface.sigmas, one.members, one.independent))
-        return replace(self, rays=rays, surface=surface, common_rays=None, common_heights=None)
+        found = replace(self, points=points, rays=rays, ranges=ranges, surface=surface)
+        return replace(found, common_rays=None, common_heights=None)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:

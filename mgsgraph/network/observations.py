@@ -108,7 +108,10 @@ def _of_shots(images: Mapping[str, KnownImage], profile: LaserProfile, sigma: fl
     rays = ImageRays(profile.measure_shot, image[:k], profile.measures, np.full((k, 2), sigma))
     require_ranges_of(profile, [images[name].image for name in names], image[k:])
     require_range_sigmas(profile)
-    ranges = Ranges(shot, image[k:], profile.times[shot], profile.ranges[shot], profile.range_sigmas[shot])
+    ranges = Ranges(
+        shot, image[k:], profile.times[shot], profile.ranges[shot], profile.range_sigmas[shot],
+        shares=None if profile.shares is None else profile.shares[shot],
+    )  # fmt: skip
     return _network([images[name] for name in names], points, rays, ranges, profile.source)
 
 

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import combinations
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
@@ -35,6 +36,8 @@ from mgsgraph.geometry.stereo_surface import StereoSurface
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import Names
 from mgsgraph.record import Record
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 class PointClass(IntEnum):
@@ -157,17 +160,42 @@ class Ranges(Record):
     """(r,) m, positive."""
     rejected: Mask | None = None
     """(r,) True for blunders of the last batch adjustment, as for rays."""
+    shares: Array | None = None
+    """(r, 3) m per m, how much of the error of its point's a-priori position each has, too
+    (`LaserProfile.shares`); `sigmas` are then of the rest."""
 
     def chosen(self, rows: Index | Mask) -> "Ranges":
         """Some of them."""
         return Ranges(
             self.point[rows], self.image[rows], self.times[rows], self.values[rows], self.sigmas[rows],
-            _chosen(self.rejected, rows),
+            _chosen(self.rejected, rows), _chosen(self.shares, rows),
         )  # fmt: skip
 
 
-def _chosen(marks: Mask | None, rows: Index | Mask) -> Mask | None:
-    return None if marks is None else marks[rows]
+    def in_common(self, points: GroundPoints) -> tuple[Array, Array]:
+        """Covariances (r, 3) of the error in common with the errors of their points, and what of their variances (r,)
+        these know of, m^2.
+        """
+        shares = np.zeros((self.point.size, 3)) if self.shares is None else self.shares
+        both = np.einsum("rij,rj->ri", points.covariances[self.point], shares)
+        return both, np.asarray(np.einsum("ri,ri->r", both, shares))
+
+    def independent(self, points: GroundPoints) -> tuple[GroundPoints, "Ranges"]:
+        """Points and ranges with the variance of the error in common twice in each, for rows that count as
+        independent.
+        """
+        if self.shares is None:
+            return points, self
+        both, known = self.in_common(points)
+        size, covariances = np.linalg.norm(both, axis=1), points.covariances.copy()
+        beams = both / np.where(size > 0.0, size, 1.0)[:, None]
+        np.add.at(covariances, self.point, both[:, :, None] * beams[:, None])
+        sigmas = np.sqrt(self.sigmas**2 + known + size)
+        return replace(points, covariances=covariances), replace(self, sigmas=sigmas, shares=None)
+
+
+def _chosen(values: NDArray[_Scalar] | None, rows: Index | Mask) -> NDArray[_Scalar] | None:
+    return None if values is None else values[rows]
 
 
 HELD = 1e-4

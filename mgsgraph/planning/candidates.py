@@ -107,15 +107,15 @@ def planned_image(coverage: ImageCoverage, known: KnownImage, ties: PlannedTies)
     if not near:
         return Candidate(name, "image", None, "no overlap with an image of the network", overlap=0.0)
     area = sum(common for _, common in near)
-    others = [one for one, _ in near]
-    parts = _new_ties(coverage, view, others, ties), _existing_ties(coverage, view, ties)
-    additions = [one for one in parts if one is not None]
+    neighbors = [other for other, _ in near]
+    parts = _new_ties(coverage, view, neighbors, ties), _existing_ties(coverage, view, ties)
+    additions = [part for part in parts if part is not None]
     if not additions:
         reason = "no tie point can be placed where it overlaps: too little ground, or rays nearly parallel"
         return Candidate(name, "image", None, reason, overlap=area)
     addition = joined(additions)
-    seen = {image.name for image in addition.images} - {name}
-    return Candidate(name, "image", addition, "", tuple(one for one in coverage.views if one in seen), area)
+    measured = {image.name for image in addition.images} - {name}
+    return Candidate(name, "image", addition, "", tuple(v for v in coverage.views if v in measured), area)
 
 
 def _new_ties(
@@ -132,13 +132,13 @@ def _new_ties(
     network = _network(coverage, _points(ids, PointClass.TIE, points), rays, new_image=view.known)
     if network is None:
         return None
-    kept = ReducedNetwork(network, coverage.state.settings, coverage.state.values, points).determined
-    return select_points(network, np.flatnonzero(kept)) if np.any(kept) else None
+    determined = ReducedNetwork(network, coverage.state.settings, coverage.state.values, points).determined
+    return select_points(network, np.flatnonzero(determined)) if np.any(determined) else None
 
 
 def _tie_places(coverage: ImageCoverage, view: OrientedImage, other: OrientedImage, ties: PlannedTies) -> Array:
     """(n, 3) m, new tie points on an even grid over the overlap of two images."""
-    small, large = sorted((view, other), key=lambda one: one.footprint.area)
+    small, large = sorted((view, other), key=lambda image: image.footprint.area)
     shape = (small.image.lines, small.image.samples)
     if not ties.count:
         return np.zeros((0, 3))
@@ -226,38 +226,38 @@ def planned_point(
     Candidate(control point 'rim': 2 image measures, 0 ranges)
     """
     _require_new(coverage, (name,), name)
-    point, seen, places = coverage.rays(place[None], coverage.near(place[None]))
+    point, images, places = coverage.rays(place[None], coverage.near(place[None]))
     kind: Kind = "tie point" if covariance is None else "control point"
-    if len(seen) < (2 if covariance is None else 1):
+    if len(images) < (2 if covariance is None else 1):
         few = "fewer than two images of the network show it"
         few = few if covariance is None else "no image of the network shows it"
-        return Candidate(name, kind, None, few, tuple(seen))
-    known = None if covariance is None else covariance[None]
-    points = _points([name], PointClass.TIE if known is None else PointClass.CONTROL, place[None], known)
-    addition = _network(coverage, points, (point, seen, places, np.full(places.shape, sigma)))
-    return Candidate(name, kind, addition, "", tuple(seen))
+        return Candidate(name, kind, None, few, tuple(images))
+    covariances = None if covariance is None else covariance[None]
+    points = _points([name], PointClass.TIE if covariances is None else PointClass.CONTROL, place[None], covariances)
+    addition = _network(coverage, points, (point, images, places, np.full(places.shape, sigma)))
+    return Candidate(name, kind, addition, "", tuple(images))
 
 
 def require_candidates(where: str, names: Sequence[str]) -> None:
-    """Raise InputError for no candidate, and for a name that stands twice."""
+    """Raise InputError for no candidate, and for a name given twice."""
     if not names:
         raise InputError(where, "no candidate", "at least one image, profile or control point")
-    for name in sorted({one for one in names if names.count(one) > 1})[:1]:
+    for name in sorted({candidate for candidate in names if names.count(candidate) > 1})[:1]:
         raise InputError(where, f"two candidates named {name!r}", "each name once")
 
 
 def _points(ids: Iterable[str], kind: PointClass, places: Array, covariances: Array | None = None) -> GroundPoints:
     """Points at places (n, 3) in m: constrained with their covariances (n, 3, 3) in m^2, free without."""
     n, constrained = places.shape[0], PointKind.FREE if covariances is None else PointKind.CONSTRAINED
-    known = np.zeros((n, 3, 3)) if covariances is None else covariances
-    return GroundPoints(Names.of(ids), np.full(n, int(kind)), np.full(n, int(constrained)), places, known)
+    given = np.zeros((n, 3, 3)) if covariances is None else covariances
+    return GroundPoints(Names.of(ids), np.full(n, int(kind)), np.full(n, int(constrained)), places, given)
 
 
 def _require_new(coverage: ImageCoverage, ids: Sequence[str], name: str) -> None:
-    there = set(coverage.network.points.ids)
-    for one in ids:
-        if one in there:
-            found = f"the point {one!r}, which is in the network already"
+    present = set(coverage.network.points.ids)
+    for point_id in ids:
+        if point_id in present:
+            found = f"the point {point_id!r}, which is in the network already"
             raise InputError(f"candidate {name}", found, "a new point", "give it another name")
 
 
@@ -278,15 +278,15 @@ def _network(
     used = {*names, *([ranges[1]] if ranges else [])}
     if not used:
         return None
-    known = [view.known for name, view in coverage.views.items() if name in used]
-    known += [new_image] if new_image is not None and new_image.image.name in used else []
-    number = {one.image.name: j for j, one in enumerate(known)}
+    images = [view.known for name, view in coverage.views.items() if name in used]
+    images += [new_image] if new_image is not None and new_image.image.name in used else []
+    number = {image.image.name: j for j, image in enumerate(images)}
     nothing = np.zeros(0, dtype=np.int64)
     shots = Ranges(nothing, nothing, np.zeros(0), np.zeros(0), np.zeros(0))
     if ranges is not None:
         shots = Ranges(ranges[0], np.full(ranges[0].size, number[ranges[1]]), *ranges[2:])
     image = np.array([number[name] for name in names], dtype=np.int64)
-    network = Network(*image_columns(known), points, ImageRays(point, image, places, sigmas), shots, shifts)
+    network = Network(*image_columns(images), points, ImageRays(point, image, places, sigmas), shots, shifts)
     network = with_definitions(network, coverage.definitions)
     if old:
         return network

@@ -135,21 +135,21 @@ def read_candidates(
         With the place, the finding and the remedy: no candidate, unknown keys, a name that is in the network already.
     """
     path = Path(path)
-    wanted = decode_candidates(path)
-    kinds = (wanted.images, wanted.profiles, wanted.control)
-    names = [one.name for kind in kinds for one in kind]
+    tables = decode_candidates(path)
+    kinds = (tables.images, tables.profiles, tables.control)
+    names = [entry.name for kind in kinds for entry in kind]
     require_candidates(str(path), names)
-    coverage, found = ImageCoverage(state), list[Candidate]()
+    coverage, candidates = ImageCoverage(state), list[Candidate]()
     plans = [
-        *(partial(_image, coverage, one, wanted, path, k) for k, one in enumerate(wanted.images)),
-        *(partial(_profile, coverage, one, path, k) for k, one in enumerate(wanted.profiles)),
-        *(partial(_control, coverage, one, path, k) for k, one in enumerate(wanted.control)),
+        *(partial(_image, coverage, entry, tables, path, k) for k, entry in enumerate(tables.images)),
+        *(partial(_profile, coverage, entry, path, k) for k, entry in enumerate(tables.profiles)),
+        *(partial(_control, coverage, entry, path, k) for k, entry in enumerate(tables.control)),
     ]
     for planned in plans:
         with errors_from(str(path)):
-            found.append(planned())
-        progress(len(found), len(plans))
-    return tuple(found)
+            candidates.append(planned())
+        progress(len(candidates), len(plans))
+    return tuple(candidates)
 
 
 def decode_candidates(path: Path) -> CandidatesInput:
@@ -157,14 +157,14 @@ def decode_candidates(path: Path) -> CandidatesInput:
     return validated(read_toml(path, "candidates file"), CandidatesInput, path, "see docs/plan.md")
 
 
-def _image(coverage: ImageCoverage, entry: CandidateImage, wanted: CandidatesInput, path: Path, k: int) -> Candidate:
+def _image(coverage: ImageCoverage, entry: CandidateImage, tables: CandidatesInput, path: Path, k: int) -> Candidate:
     where = f"{path}, images[{k}]"
-    orientation = entry.orientation or wanted.orientation
+    orientation = entry.orientation or tables.orientation
     ties = PlannedTies(entry.ties, entry.sigma_px, entry.measure_sigma_px, entry.existing)
     if entry.name in coverage.views:
         found = f"the image {entry.name!r}, which is in the network already"
         raise InputError(where, found, "a new image", "take it out of the candidates")
-    image = read_image(entry, wanted.spice, path.parent, where)
+    image = read_image(entry, tables.spice, path.parent, where)
     if image.body != coverage.network.images[0].body:
         raise InputError(where, "an image of another body than the network's", "one body")
     image = orientation.nominal_of(image)
@@ -180,8 +180,8 @@ def _profile(coverage: ImageCoverage, entry: CandidateProfile, path: Path, k: in
         raise InputError(where, found, "a file, or image and every_s")
     if entry.image is not None:
         if entry.image not in coverage.views:
-            known = some(list(coverage.views), len(coverage.views))
-            raise InputError(where, f"the image {entry.image!r}", f"an image of the network ({known})")
+            names = some(list(coverage.views), len(coverage.views))
+            raise InputError(where, f"the image {entry.image!r}", f"an image of the network ({names})")
     elif entry.file is None:
         raise InputError(where, "every_s without image", "the image of the network along whose track shots are planned")
     if entry.file is None:
@@ -225,8 +225,8 @@ def _of_lidar(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _
     if not (entry.image or named):
         return profile.times, profile.footprints, None
     owner = entry.image or named[0]
-    mine = np.unique(profile.simultaneous_shot[profile.simultaneous_image.over([owner]) == 0])
-    return profile.times[mine], profile.footprints[mine], owner
+    shots = np.unique(profile.simultaneous_shot[profile.simultaneous_image.over([owner]) == 0])
+    return profile.times[shots], profile.footprints[shots], owner
 
 
 def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _Shots:
@@ -234,14 +234,14 @@ def _of_pedr(coverage: ImageCoverage, entry: CandidateProfile, path: Path) -> _S
     shots, views = read_shots(path), list(coverage.views.values())
     require_on_body(shots.footprints, coverage.network.images[0].body, shots.source)
     images, corrections = [view.image for view in views], [view.correction for view in views]
-    seen = footprints_in_images(images, shots, corrections)
+    hits = footprints_in_images(images, shots, corrections)
     if entry.image is not None:
         owner: int | None = [image.name for image in images].index(entry.image)
     else:
-        owner = seen.simultaneous_image(shots.ground, _NAME_THE_IMAGE)
-    inside = np.any(seen.inside, axis=0) if owner is None else seen.inside[owner] & seen.simultaneous[owner]
-    taken = inside & shots.ground
-    return shots.times[taken], shots.footprints[taken], None if owner is None else images[owner].name
+        owner = hits.simultaneous_image(shots.ground, _NAME_THE_IMAGE)
+    inside = np.any(hits.inside, axis=0) if owner is None else hits.inside[owner] & hits.simultaneous[owner]
+    chosen = inside & shots.ground
+    return shots.times[chosen], shots.footprints[chosen], None if owner is None else images[owner].name
 
 
 def _control(coverage: ImageCoverage, entry: CandidateControl, path: Path, k: int) -> Candidate:

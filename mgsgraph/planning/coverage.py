@@ -100,8 +100,8 @@ class ImageCoverage(Record):
         return f"ImageCoverage({len(self.views)} images)"
 
     def _height_of(self, heights: Array, image: int) -> float:
-        mine = heights[self.network.rays.point[self.network.rays.image == image]]
-        return float(np.median(mine)) if mine.size else self._height
+        of_image = heights[self.network.rays.point[self.network.rays.image == image]]
+        return float(np.median(of_image)) if of_image.size else self._height
 
     def image(self, name: str) -> KnownImage:
         """An image of the network by its name."""
@@ -112,14 +112,14 @@ class ImageCoverage(Record):
         correction = correction_of(known, self.state.settings, {}, Definitions())
         return OrientedImage(known, correction, self._height, footprint(known.image, self._height))
 
-    def overlapping(self, one: OrientedImage) -> list[tuple[OrientedImage, float]]:
+    def overlapping(self, image: OrientedImage) -> list[tuple[OrientedImage, float]]:
         """Images of the network that overlap with another, with the area in m^2."""
-        reach = _radius(one.footprint)
+        reach = _radius(image.footprint)
         near = [
             view for view in self.views.values()
-            if np.linalg.norm(view.footprint.centre - one.footprint.centre) <= 1.1 * (_radius(view.footprint) + reach)
+            if np.linalg.norm(view.footprint.centre - image.footprint.centre) <= 1.1 * (_radius(view.footprint) + reach)
         ]  # fmt: skip
-        areas = [overlaps([one.footprint, view.footprint]).areas for view in near]
+        areas = [overlaps([image.footprint, view.footprint]).areas for view in near]
         return [(view, float(area[0])) for view, area in zip(near, areas, strict=True) if area.size]
 
     def ground(self, view: OrientedImage, lines: Array, samples: Array, height: float) -> Array:
@@ -133,13 +133,13 @@ class ImageCoverage(Record):
         return np.where(np.isfinite(met), met, points)
 
     def common_ground(
-        self, one: OrientedImage, other: OrientedImage, height: float, places: Array
+        self, image: OrientedImage, other: OrientedImage, height: float, places: Array
     ) -> tuple[Array, Mask]:
         """(n, 3) m, the `ground` at places (n, 2) of an image, and (n,) where another one shows it."""
-        ground, seen = self.ground(one, places[:, 0], places[:, 1], height), np.zeros(places.shape[0], dtype=bool)
-        there = np.flatnonzero(np.isfinite(ground[:, 0]))
-        seen[there[other.shown(ground[there])[0]]] = True
-        return ground, seen
+        ground, shown = self.ground(image, places[:, 0], places[:, 1], height), np.zeros(places.shape[0], dtype=bool)
+        finite = np.flatnonzero(np.isfinite(ground[:, 0]))
+        shown[finite[other.shown(ground[finite])[0]]] = True
+        return ground, shown
 
     def below(self, places: Array, height: float) -> Array:
         """(n, 3) m, the ground below places (n, 3): on the terrain model, or at a height (m) above the ellipsoid."""
@@ -171,11 +171,11 @@ class ImageCoverage(Record):
         ]  # fmt: skip
 
 
-def _radius(one: Footprint) -> float:
+def _radius(footprint: Footprint) -> float:
     """m, from the middle of a footprint to its farthest place; infinite where it has no outline."""
-    if one.outline.shape[0] == 0:
+    if footprint.outline.shape[0] == 0:
         return float("inf")
-    return float(np.linalg.norm(one.outline - one.centre, axis=1).max())
+    return float(np.linalg.norm(footprint.outline - footprint.centre, axis=1).max())
 
 
 def even_places(shape: tuple[int, int], shows: Callable[[Array], Mask], count: int) -> Array:
@@ -185,20 +185,20 @@ def even_places(shape: tuple[int, int], shows: Callable[[Array], Mask], count: i
     """
     size = np.array(shape, dtype=np.float64)
     raster = _grid(size, np.zeros(2), size, float(np.sqrt(size.prod() / _RASTER)))
-    seen = raster[shows(raster)]
-    if seen.shape[0] == 0:
-        return seen
+    visible = raster[shows(raster)]
+    if visible.shape[0] == 0:
+        return visible
     cell = float(np.sqrt(size.prod() / raster.shape[0]))
-    low, high = np.maximum(seen.min(axis=0) - cell, 0.0), np.minimum(seen.max(axis=0) + cell, size)
-    step = float(np.sqrt(size.prod() * seen.shape[0] / raster.shape[0] / count))
-    found = seen
+    low, high = np.maximum(visible.min(axis=0) - cell, 0.0), np.minimum(visible.max(axis=0) + cell, size)
+    step = float(np.sqrt(size.prod() * visible.shape[0] / raster.shape[0] / count))
+    places = visible
     for _ in range(80):
         trial = _grid(size, low, high, step)
-        found = trial[shows(trial)]
-        if found.shape[0] >= count:
+        places = trial[shows(trial)]
+        if places.shape[0] >= count:
             break
         step *= 0.96
-    return found[np.unique(np.linspace(0, found.shape[0] - 1, count).round().astype(np.int64))]
+    return places[np.unique(np.linspace(0, places.shape[0] - 1, count).round().astype(np.int64))]
 
 
 def _grid(size: Array, low: Array, high: Array, step: float) -> Array:

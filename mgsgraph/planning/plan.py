@@ -1,4 +1,4 @@
-"""The plan: every candidate judged by itself, then one chosen after the other, each in sight of those before it."""
+"""The plan: every candidate is judged by itself, then they are chosen one by one, each given those before it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -71,12 +71,12 @@ class Sigmas(Record):
     """The target whose total is largest."""
 
 
-def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
+def targets_of(state: NetworkState, names: Sequence[str]) -> Targets:
     """Targets by name.
 
     Parameters
     ----------
-    wanted : sequence of str
+    names : sequence of str
         "ties", "all" (points), or names of points and images; each once.
 
     Raises
@@ -87,24 +87,24 @@ def targets_of(state: NetworkState, wanted: Sequence[str]) -> Targets:
     network = state.network
     ids = network.points.ids
     moving = network.points.kinds != PointKind.FIXED
-    wanted = tuple(dict.fromkeys(wanted))
-    if wanted in (("ties",), ("all",)):
-        mine = moving & (network.points.classes == PointClass.TIE) if wanted == ("ties",) else moving
-        if not np.any(mine):
-            raise InputError("target", f"no {'tie ' if wanted == ('ties',) else ''}point that moves", "another target")
-        return Targets(tuple(ids[i] for i in np.flatnonzero(mine).tolist()), (), wanted)
+    names = tuple(dict.fromkeys(names))
+    if names in (("ties",), ("all",)):
+        chosen = moving & (network.points.classes == PointClass.TIE) if names == ("ties",) else moving
+        if not np.any(chosen):
+            raise InputError("target", f"no {'tie ' if names == ('ties',) else ''}point that moves", "another target")
+        return Targets(tuple(ids[i] for i in np.flatnonzero(chosen).tolist()), (), names)
     place, images = {name: i for i, name in enumerate(ids)}, {image.name: j for j, image in enumerate(network.images)}
     with errors_from("target, no determined point"):
-        whole = (one if one in place or one in WORDS else image_names([one], list(images))[0] for one in wanted)
-        wanted = tuple(dict.fromkeys(whole))
-    for name in wanted:
+        whole = (text if text in place or text in WORDS else image_names([text], list(images))[0] for text in names)
+        names = tuple(dict.fromkeys(whole))
+    for name in names:
         if name in WORDS:
             raise InputError("target", f"{name!r} beside names", "either 'ties' or 'all', or names")
         if (name in place and not moving[place[name]]) or (name in images and network.held[images[name]]):
             raise InputError("target", f"{name!r}, which is held and has no sigma", "an adjusted one")
-    if not wanted:
+    if not names:
         raise InputError("target", "none", "'ties', 'all', or names of points and images")
-    return Targets(tuple(n for n in wanted if n in place), tuple(n for n in wanted if n not in place), wanted)
+    return Targets(tuple(n for n in names if n in place), tuple(n for n in names if n not in place), names)
 
 
 class TargetSigmas:
@@ -116,32 +116,32 @@ class TargetSigmas:
         self._index = np.array([present.index_of[name] for name in targets.points], dtype=np.int64)
         out = np.ones(len(network.points), dtype=bool)
         out[self._index] = False
-        every = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
-        self._rows = layout.active(*every, out | ~present.determined)
+        all_rows = np.ones(network.rays.point.size, dtype=bool), np.ones(network.ranges.point.size, dtype=bool)
+        self._rows = layout.active(*all_rows, out | ~present.determined)
         number = {image.name: j for j, image in enumerate(network.images)}
         chosen = [number[name] for name in targets.images]
-        known = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
-        self._ground = [self._motion(one, j) for one, j in zip(known, chosen, strict=True)]
-        under = np.array([_under(one) for one in known]).reshape(-1, 3)
+        images = [KnownImage(network.images[j], network.priors[j]) for j in chosen]
+        self._ground = [self._motion(known_image, j) for known_image, j in zip(images, chosen, strict=True)]
+        under = np.array([_under(known_image) for known_image in images]).reshape(-1, 3)
         self._axes = east_north_up(np.concatenate([present.state.places[self._index], under]))
 
     def before(self) -> Array:
         """(t, 4) m: total, east, north, up of every target in the present network."""
         flat = self.present.layout.blocks.filled(self.present.joint)
         joint = self.present.joint
-        return self._sigmas(self._of_points(flat), [joint.of(list(one)) for one, _ in self._ground])
+        return self._sigmas(self._of_points(flat), [joint.of(list(unknowns)) for unknowns, _ in self._ground])
 
     def after(self, update: Update) -> Array:
         """(t, 4) m: total, east, north, up of every target after planned measures."""
         points = self._of_points(update.pairs()) if self._index.size else np.zeros((0, 3, 3))
         place = {name: k for k, name in enumerate(self.targets.points)}
         ids = update.added.after.network.points.ids
-        again = np.array([i for i, name in enumerate(ids) if name in place], dtype=np.int64)
-        if again.size:
-            found, _ = update.point_covariances()
-            points[[place[ids[i]] for i in again.tolist()]] = found[again]
+        touched = np.array([i for i, name in enumerate(ids) if name in place], dtype=np.int64)
+        if touched.size:
+            covariances, _ = update.point_covariances()
+            points[[place[ids[i]] for i in touched.tolist()]] = covariances[touched]
         names = self.present.names
-        return self._sigmas(points, [update.joint_of([names[v] for v in one]) for one, _ in self._ground])
+        return self._sigmas(points, [update.joint_of([names[v] for v in unknowns]) for unknowns, _ in self._ground])
 
     def _motion(self, known: KnownImage, image: int) -> tuple[tuple[int, ...], Array]:
         """Variables that the orientation of an image's middle line depends on, and by how much the ground under it
@@ -155,13 +155,13 @@ class TargetSigmas:
         """(p, 3, 3) m^2 with the joint covariance in blocks."""
         present, layout = self.present, self.present.layout
         points = present.reduction.points
-        found = IN_PROCESS.covariances(layout, self._rows, present.values, flat, points)
-        return np.asarray(layout.network_order(found)[self._index])
+        covariances = IN_PROCESS.covariances(layout, self._rows, present.values, flat, points)
+        return np.asarray(layout.network_order(covariances)[self._index])
 
     def _sigmas(self, points: Array, images: Sequence[Array]) -> Array:
         ground = [motion @ spread @ motion.T for (_, motion), spread in zip(self._ground, images, strict=True)]
-        every = np.concatenate([points, np.array(ground).reshape(-1, 3, 3)])
-        local = np.einsum("tij,tjk,tik->ti", self._axes, every, self._axes)
+        covariances = np.concatenate([points, np.array(ground).reshape(-1, 3, 3)])
+        local = np.einsum("tij,tjk,tik->ti", self._axes, covariances, self._axes)
         return np.asarray(np.sqrt(np.maximum(np.column_stack([local.sum(axis=1), local]), 0.0)))
 
 
@@ -183,7 +183,7 @@ def summarised(sigmas: Array, targets: Targets, criterion: Criterion) -> Sigmas:
 
 Progress = Callable[[int, int], None]
 """Called with how many judgements are done, and how many there will be at most."""
-_ALIKE = 9
+_DIGITS = 9
 """Significant digits in which two falls of a sigma count as the same: then the name decides, not the file's order."""
 
 
@@ -280,13 +280,13 @@ class Evaluator:
 
     def of(self, *candidates: Candidate) -> Evaluation:
         """What one candidate would do, or several together."""
-        name = " + ".join(one.name for one in candidates)
+        name = " + ".join(candidate.name for candidate in candidates)
         kind = candidates[0].kind if len(candidates) == 1 else "several"
-        additions = [one.addition for one in candidates if one.addition is not None]
-        images = tuple(dict.fromkeys(image for one in candidates for image in one.images))
-        overlap = float(np.sum([one.overlap for one in candidates]))
-        counts = sum(one.rays for one in candidates), sum(one.ranges for one in candidates)
-        reason, after, bits = "; ".join(one.reason for one in candidates if one.reason), self.now, 0.0
+        additions = [candidate.addition for candidate in candidates if candidate.addition is not None]
+        images = tuple(dict.fromkeys(image for candidate in candidates for image in candidate.images))
+        overlap = float(np.sum([candidate.overlap for candidate in candidates]))
+        counts = sum(candidate.rays for candidate in candidates), sum(candidate.ranges for candidate in candidates)
+        reason, after, bits = "; ".join(candidate.reason for candidate in candidates if candidate.reason), self.now, 0.0
         if additions:
             try:
                 update = updated(self.present, added(self.present, additions))
@@ -340,46 +340,46 @@ def plan(
     '25.3 m -> 15.3 m'
     """
     state = state_of_solution(of)
-    require_candidates("plan", [one.name for one in candidates])
+    require_candidates("plan", [candidate.name for candidate in candidates])
     if choose < 1:
         raise InputError("plan", f"{choose} to choose", "at least 1")
     targets = targets_of(state, wanted)
     judge = Evaluator(state, targets, criterion)
-    useful = [one for one in sorted(candidates, key=lambda one: one.name) if one.addition is not None]
+    useful = [c for c in sorted(candidates, key=lambda c: c.name) if c.addition is not None]
     steps = min(choose, len(useful))
     most, done = sum(len(useful) - k for k in range(max(steps, 1))), 0
 
-    def judged(by: Evaluator, one: Candidate) -> Evaluation:
+    def judged(by: Evaluator, candidate: Candidate) -> Evaluation:
         nonlocal done
-        found = by.of(one)
+        evaluation = by.of(candidate)
         done += 1
         progress(done, most)
-        return found
+        return evaluation
 
-    ranking = sorted((judged(judge, one) for one in useful), key=_order)
-    worthless = [judge.of(one) for one in candidates if one.addition is None]
-    there = set(unknowns(state.network))
-    chosen, left, now = list[Evaluation](), {one.name: one for one in useful}, ranking
+    ranking = sorted((judged(judge, candidate) for candidate in useful), key=_order)
+    worthless = [judge.of(candidate) for candidate in candidates if candidate.addition is None]
+    present = set(unknowns(state.network))
+    chosen, left, now = list[Evaluation](), {candidate.name: candidate for candidate in useful}, ranking
     at, since = state, list[Unknown]()
     for number in range(steps):
         if number:
             later = Evaluator(at, targets, criterion, since)
-            now = sorted((judged(later, one) for one in left.values()), key=_order)
+            now = sorted((judged(later, candidate) for candidate in left.values()), key=_order)
         best = now[0]
         if best.reason or best.bits <= 0.0:
             break
         chosen.append(best)
-        taken = left.pop(best.name)
+        added_candidate = left.pop(best.name)
         if number + 1 < steps:
-            assert taken.addition is not None
-            at = at.extended([taken.addition])
-            since = [unknown for unknown in unknowns(at.network) if unknown not in there]
+            assert added_candidate.addition is not None
+            at = at.extended([added_candidate.addition])
+            since = [unknown for unknown in unknowns(at.network) if unknown not in present]
     progress(most, most)
-    last = sorted(worthless, key=lambda one: one.name)
+    last = sorted(worthless, key=lambda evaluation: evaluation.name)
     return Plan(name, targets, criterion, judge.now, (*ranking, *last), tuple(chosen))
 
 
-def _order(one: Evaluation) -> tuple[bool, float, float, str]:
-    """Best first: what can't be judged last; then the fall of the sigma, the information, the name."""
-    drop, bits = (float(f"{value:.{_ALIKE - 1}e}") for value in (one.drop, one.bits))
-    return bool(one.reason), -drop, -bits, one.name
+def _order(evaluation: Evaluation) -> tuple[bool, float, float, str]:
+    """Best first, candidates that can't be judged last; then the fall of the sigma, the information, the name."""
+    drop, bits = (float(f"{value:.{_DIGITS - 1}e}") for value in (evaluation.drop, evaluation.bits))
+    return bool(evaluation.reason), -drop, -bits, evaluation.name

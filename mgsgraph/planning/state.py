@@ -51,34 +51,34 @@ class NetworkState:
 
     def correction(self, image: str) -> OrientationCorrection:
         """Whole orientation correction of one image; zero for a held one that shares nothing."""
-        number = next(j for j, one in enumerate(self.network.images) if one.name == image)
+        number = next(j for j, picture in enumerate(self.network.images) if picture.name == image)
         return correction_of(known_images(self.network)[number], self.settings, self.values, definitions(self.network))
 
     def extended(self, additions: Sequence[Network]) -> "NetworkState":
         """The network state with planned measures: new unknowns at zero, new points at their planned positions."""
-        network = together([self.network, *additions])
+        network = joined_networks([self.network, *additions])
         places = network.points.places.copy()
         places[: self.places.shape[0]] = self.places  # the points of the first part come first, in their order
         return NetworkState(network, self.settings, self.values, places)
 
 
-def together(networks: Sequence[Network]) -> Network:
+def joined_networks(networks: Sequence[Network]) -> Network:
     """Networks as one, with the passes and shared unknowns of all of them."""
-    known = united([definitions(one) for one in networks])
-    return joined([with_definitions(one, known) for one in networks])
+    shared = united([definitions(network) for network in networks])
+    return joined([with_definitions(network, shared) for network in networks])
 
 
 def correction_of(
     known: KnownImage, settings: SolverSettings, values: Mapping[Unknown, Array], passes: Definitions
 ) -> OrientationCorrection:
     """Whole orientation correction of an image at values of unknowns; those that are missing are zero."""
-    one, image = with_definitions(alone(known), passes), Unknown("image", known.image.name)
-    widths = [known.prior.sigmas.size, *(s.kind.width for s in one.shared), *(w for p in one.passes for w in p.widths)]
-    there = [
+    net, image = with_definitions(alone(known), passes), Unknown("image", known.image.name)
+    widths = [known.prior.sigmas.size, *(s.kind.width for s in net.shared), *(w for p in net.passes for w in p.widths)]
+    parts = [
         values.get(name, np.zeros(width)) if name != image or not known.held else np.zeros(width)
-        for name, width in zip(unknowns(one), widths, strict=True)
+        for name, width in zip(unknowns(net), widths, strict=True)
     ]
-    return whole_correction(one, 0, there, settings.angles)
+    return whole_correction(net, 0, parts, settings.angles)
 
 
 def state_of_solution(solution: Solution | NetworkState) -> NetworkState:
@@ -92,10 +92,10 @@ def state_of_solution(solution: Solution | NetworkState) -> NetworkState:
     if isinstance(solution, NetworkState):
         return solution
     require_covariance(solution)
-    there = solution.determined
-    values = {unknown: one.value for unknown, one in shared_of(solution).items()}
+    determined = solution.determined
+    values = {unknown: shared.value for unknown, shared in shared_of(solution).items()}
     return network_state(
-        solution.network, solution.settings, values, np.where(there[:, None], solution.places, np.nan),
+        solution.network, solution.settings, values, np.where(determined[:, None], solution.places, np.nan),
         solution.rays_used, solution.ranges_used,
     )  # fmt: skip
 
@@ -116,13 +116,13 @@ def network_state(
     """
     with errors_from("plan"):
         require_separable(network)
-    network, kept = network.independent, np.flatnonzero(np.isfinite(places[:, 0]))
-    if kept.size == 0:
+    network, placed = network.independent, np.flatnonzero(np.isfinite(places[:, 0]))
+    if placed.size == 0:
         raise InputError("plan", "no point has a place", "an adjusted network", "solve it first")
     used = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
     used = used.with_rejected(None, None)
-    left = with_images(select_points(used, kept), known_images(network))
-    return NetworkState(left, settings, values, places[kept])
+    left = with_images(select_points(used, placed), known_images(network))
+    return NetworkState(left, settings, values, places[placed])
 
 
 class ReducedNetwork:
@@ -149,12 +149,12 @@ class ReducedNetwork:
         self.layout: Layout
         self.layout, begin = exactly(layout, self.values, begin)
         selection = all_rows(network)
-        found = self._reduced(selection, begin)
-        strong = without_weak(self.layout, found, selection)
+        reduction = self._reduced(selection, begin)
+        strong = without_weak(self.layout, reduction, selection)
         if not np.array_equal(strong.out, selection.out):
-            selection, found = strong, self._reduced(strong, begin)
+            selection, reduction = strong, self._reduced(strong, begin)
         self.rows: Rows = selection.rows(self.layout)
-        self.reduction: Reduction = found
+        self.reduction: Reduction = reduction
 
     def _reduced(self, selection: Selection, places: Array) -> Reduction:
         return BundleGraph(self.layout, selection.rows(self.layout)).reduction(self.values, points=places)
@@ -178,9 +178,9 @@ class ReducedNetwork:
     def information(self, names: Sequence[Unknown], priors: bool = False) -> Array:
         """Information matrix (d, d) of some unknowns, all others known, per m and rad; with or without their priors."""
         layout, number = self.layout, {name: v for v, name in enumerate(self.names)}
-        wanted = [number[name] for name in names]
-        first = dict(zip(wanted, np.cumsum([0, *(layout.variables.width[v] for v in wanted)]).tolist(), strict=False))
-        size = int(sum(layout.variables.width[v] for v in wanted))
+        numbers = [number[name] for name in names]
+        first = dict(zip(numbers, np.cumsum([0, *(layout.variables.width[v] for v in numbers)]).tolist(), strict=False))
+        size = int(sum(layout.variables.width[v] for v in numbers))
         matrix = np.zeros((size, size))
         assert self.reduction.blocks is not None
         for v, w, block in layout.blocks.each(self.reduction.blocks, layout.variables.width):
@@ -190,10 +190,10 @@ class ReducedNetwork:
                 if v != w:
                     matrix[across, rows] += block.T
         if priors:
-            mine = self.columns(names)
-            known = layout.prior.weights[mine] > 0.0
-            matrix[np.diag_indices(size)] += np.where(known, 1.0 / layout.sigmas[mine] ** 2, 0.0)
-            root = layout.prior.root[:, mine].toarray() if layout.prior.factors else np.zeros((0, size))
+            own_columns = self.columns(names)
+            constrained = layout.prior.weights[own_columns] > 0.0
+            matrix[np.diag_indices(size)] += np.where(constrained, 1.0 / layout.sigmas[own_columns] ** 2, 0.0)
+            root = layout.prior.root[:, own_columns].toarray() if layout.prior.factors else np.zeros((0, size))
             matrix += root.T @ root
         return matrix
 
@@ -267,17 +267,17 @@ class Update:
     """Information gained on all present unknowns."""
 
     def bits_on(self, others: Sequence[Unknown]) -> float:
-        """Information gained on the present unknowns but for some others, which may be known as badly as they like."""
+        """Information gained on the present unknowns without some others, which are marginalized."""
         if not others:
             return self.bits
         # det S of a part is det(information of the others) / det(information of all)
         before = self.present.information(others, priors=True)
         after, position = before.copy(), _positions(self.present, others, self.added.touched)
-        mine = np.flatnonzero(position >= 0)
+        inside = np.flatnonzero(position >= 0)
         added = self.added.root @ self.added.root.T
-        after[np.ix_(position[mine], position[mine])] += added[np.ix_(mine, mine)]
+        after[np.ix_(position[inside], position[inside])] += added[np.ix_(inside, inside)]
         scale = 1.0 / np.sqrt(np.diagonal(before))
-        logs = [np.linalg.slogdet(one * scale[:, None] * scale)[1] for one in (before, after)]
+        logs = [np.linalg.slogdet(matrix * scale[:, None] * scale)[1] for matrix in (before, after)]
         return self.bits - float(0.5 * (logs[1] - logs[0]) / np.log(2.0))
 
     def pairs(self) -> Array:
@@ -298,15 +298,15 @@ class Update:
     def point_covariances(self) -> tuple[Array, Mask]:
         """(n, 3, 3) m^2 of the points touched, network order, and (n,) which of them have a place."""
         added, after = self.added, self.added.after
-        layout, known = after.layout, self.joint_of(added.touched)
-        across = added.regression @ known
-        joint = np.block([[known, across.T], [across, added.conditional + across @ added.regression.T]])
+        layout, joint_covariance = after.layout, self.joint_of(added.touched)
+        across = added.regression @ joint_covariance
+        joint = np.block([[joint_covariance, across.T], [across, added.conditional + across @ added.regression.T]])
         order = np.argsort(after.columns([*added.touched, *added.new]))
         joint, flat = joint[np.ix_(order, order)], np.zeros(layout.blocks.target.size)
         for v, w, block in layout.blocks.each(flat, layout.variables.width):
             block[:] = joint[layout.columns_of(v), layout.columns_of(w)]
-        found = IN_PROCESS.covariances(layout, after.rows, after.values, flat, after.reduction.points)
-        return layout.network_order(found), after.determined
+        covariances = IN_PROCESS.covariances(layout, after.rows, after.values, flat, after.reduction.points)
+        return layout.network_order(covariances), after.determined
 
 
 def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformation:
@@ -328,20 +328,20 @@ def added(present: CurrentState, additions: Sequence[Network]) -> AddedInformati
         At the present values of the unknowns.
     """
     state, index = present.state, present.index_of
-    ids = dict.fromkeys(name for one in additions for name in one.points.ids)
-    again = np.array([index[name] for name in ids if name in index], dtype=np.int64)
-    again = np.unique(again)
-    before = select_points(state.network, again) if again.size else None
-    network = with_definitions(together([*([before] if before else []), *additions]), definitions(state.network))
+    ids = dict.fromkeys(name for addition in additions for name in addition.points.ids)
+    touched_points = np.array([index[name] for name in ids if name in index], dtype=np.int64)
+    touched_points = np.unique(touched_points)
+    before = select_points(state.network, touched_points) if touched_points.size else None
+    network = with_definitions(joined_networks([*([before] if before else []), *additions]), definitions(state.network))
     places = network.points.places.copy()
-    places[: again.size] = state.places[again]
+    places[: touched_points.size] = state.places[touched_points]
     after = ReducedNetwork(network, state.settings, state.values, places)
-    there = set(present.adjusted)
-    touched = tuple(name for name in after.adjusted if name in there)
-    new = tuple(name for name in after.adjusted if name not in there)
+    present_names = set(present.adjusted)
+    touched = tuple(name for name in after.adjusted if name in present_names)
+    new = tuple(name for name in after.adjusted if name not in present_names)
     whole = after.information([*touched, *new]) + _of_priors(after, [*touched, *new], new)
     if before is not None:
-        old = ReducedNetwork(before, state.settings, state.values, state.places[again])
+        old = ReducedNetwork(before, state.settings, state.values, state.places[touched_points])
         before_too = [name for name in touched if name in set(old.adjusted)]
         columns = _positions(after, touched, before_too)
         whole[np.ix_(columns, columns)] -= old.information(before_too)
@@ -375,9 +375,9 @@ def _positions(network: ReducedNetwork, among: Sequence[Unknown], some: Sequence
 
 def _of_priors(after: ReducedNetwork, names: Sequence[Unknown], new: Sequence[Unknown]) -> Array:
     """(d, d) inverse a-priori covariance of new ones among unknowns."""
-    found, mine = np.zeros(after.columns(names).size), _positions(after, names, new)
-    found[mine] = 1.0 / after.layout.sigmas[after.columns(new)] ** 2
-    return np.diag(found)
+    weights, positions = np.zeros(after.columns(names).size), _positions(after, names, new)
+    weights[positions] = 1.0 / after.layout.sigmas[after.columns(new)] ** 2
+    return np.diag(weights)
 
 
 def _on_touched(

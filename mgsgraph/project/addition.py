@@ -21,7 +21,7 @@ from mgsgraph.files.networks.table import read_tie_points
 from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.altimetry import LaserProfile, require_on_body
 from mgsgraph.geometry.image import PushbroomImage
-from mgsgraph.geometry.plausibility import ImageTimes, begun_together, require_distinct
+from mgsgraph.geometry.plausibility import ImageTimes, require_distinct, simultaneous_starts
 from mgsgraph.geometry.records import Index, Mask
 from mgsgraph.network import Network, PointClass, ProfileShifts, Surface
 from mgsgraph.network.common import common_heights
@@ -305,7 +305,7 @@ def require_distinct_from(project: Project, new: Sequence[KnownImage]) -> None:
     images those alone are read whole that begin together with a new one.
     """
     times = project.image_times() if new else {}
-    pairs = begun_together([*times.values(), *(ImageTimes.of(one.image) for one in new)])
+    pairs = simultaneous_starts([*times.values(), *(ImageTimes.of(one.image) for one in new)])
     near = {j for pair in pairs if max(pair) >= len(times) for j in pair}
     there = [project.store.image(name).image for j, name in enumerate(times) if j in near]
     require_distinct([*there, *(one.image for one in new)], str(project.folder))
@@ -368,6 +368,7 @@ def unknown_alone(
     if not bundles:
         return network
     old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
+    network = network.independent
     number = {name: i for i, name in enumerate(old.points.ids)}
     there = np.array([number.get(name, -1) for name in network.points.ids])
     points, before, of = network.points, old.points, np.maximum(there, 0)

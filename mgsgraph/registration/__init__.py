@@ -1,1 +1,1 @@
-"""Laser footprints in images: where they fall, how much images contradict one another there, and the files about it."""
+"""Laser footprints in images: where they fall, how much images contradict each other at them, and the result files."""

@@ -128,20 +128,20 @@ def _register(
     corrections: Corrections,
     ties: TiePoints | None,
 ) -> ProfileRegistration:
-    found = footprints_in_images(images, shots, corrections, points)
+    registration = footprints_in_images(images, shots, corrections, points)
     compared = [] if ties is None else [
-        (i, j) for i, j in _sharing(found) if _common_ties(ties, images[i], images[j]) >= _FEWEST_TIES
+        (i, j) for i, j in _sharing(registration) if _common_ties(ties, images[i], images[j]) >= _FEWEST_TIES
     ]
-    return ProfileRegistration(name, found, points, tuple(
+    return ProfileRegistration(name, registration, points, tuple(
         discrepancy((images[i], images[j]), shots, ties, (corrections[i], corrections[j]), points)
         for i, j in compared if ties is not None
     ))
 
 
-def _sharing(found: Registration) -> list[tuple[int, int]]:
+def _sharing(registration: Registration) -> list[tuple[int, int]]:
     """Pairs of images that see a footprint in common."""
-    inside = found.inside
-    return [(i, j) for i, j in combinations(range(len(found.images)), 2) if np.any(inside[i] & inside[j])]
+    inside = registration.inside
+    return [(i, j) for i, j in combinations(range(len(registration.images)), 2) if np.any(inside[i] & inside[j])]
 
 
 def _common_ties(ties: TiePoints, first: PushbroomImage, second: PushbroomImage) -> int:
@@ -158,9 +158,9 @@ def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | N
     counts = {(i, j): 0 if ties is None else _common_ties(ties, images[i], images[j]) for i, j in pairs}
     poor = [(images[i].name, images[j].name, count) for (i, j), count in counts.items() if count < _FEWEST_TIES]
     sentences = [
-        f"{one} and {two} see footprints in common, but have {many(count, 'tie point')} in common: whether they agree "
+        f"{a} and {b} see footprints in common, but have {many(count, 'tie point')} in common: whether they agree "
         f"can't be known with fewer than {_FEWEST_TIES}."
-        for one, two, count in poor[:_NAMED]
+        for a, b, count in poor[:_NAMED]
     ]
     return (*sentences, *([f"The same holds for {many(len(poor) - _NAMED, 'more pair')}."] if poor[_NAMED:] else []))
 
@@ -169,11 +169,11 @@ def _of_solution(case: Case, solution: Solution) -> tuple[tuple[PushbroomImage, 
     """The case's images as they were adjusted, and their corrections."""
     rows = {image.name: j for j, image in enumerate(solution.network.images)}
     for image in case.network.images:
-        mine = rows.get(image.name)
-        if mine is None:
-            known = listed(list(rows)[:_NAMED])
-            raise InputError(f"solution {solution.name!r}", f"no image {image.name}", f"one of this case ({known})")
-        other = solution.network.images[mine]
+        row = rows.get(image.name)
+        if row is None:
+            names = listed(list(rows)[:_NAMED])
+            raise InputError(f"solution {solution.name!r}", f"no image {image.name}", f"one of this case ({names})")
+        other = solution.network.images[row]
         if (image.lines, image.samples) != (other.lines, other.samples):
             raise InputError(
                 f"solution {solution.name!r}, image {image.name}", f"{other.lines} x {other.samples} pixels",
@@ -185,9 +185,9 @@ def _of_solution(case: Case, solution: Solution) -> tuple[tuple[PushbroomImage, 
 
 def _adjusted_places(name: str, shots: AltimeterShots, solution: Solution, rows: Mapping[str, int]) -> Array:
     """(n, 3) m, adjusted footprints of a profile, which the network calls by the profile's name and the shot's."""
-    wanted = [f"{name}:{shot}" for shot in shots.ids]
-    for one in [one for one in wanted if one not in rows][:1]:
+    point_ids = [f"{name}:{shot}" for shot in shots.ids]
+    for point_id in [point_id for point_id in point_ids if point_id not in rows][:1]:
         raise InputError(
-            f"solution {solution.name!r}", f"no laser shot {one}", "all shots of the case", "adjust the case again"
+            f"solution {solution.name!r}", f"no laser shot {point_id}", "all shots of the case", "adjust the case again"
         )
-    return solution.places[[rows[one] for one in wanted]]
+    return solution.places[[rows[point_id] for point_id in point_ids]]

@@ -8,7 +8,7 @@ the likelihood of a shift against another is -D,
 
 k being the number of shots that count as one, by the correlation r of successive heights at the best shift. The weight
 of a minimum is exp(-D / 2) times the root of its covariance's determinant: the probability that its neighbourhood is
-the right one when all shifts are alike beforehand. The chi^2 of a prior is added to D.
+the right one when all shifts have the same prior. The chi^2 of a prior is added to D.
 
 What a registration by relief says: its choices, and each laser profile and terrain model against the surface
 that the images show, before and after the adjustment with stereo rows.
@@ -28,7 +28,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.record import Record
 
 _AS_STATED = 10.0
-"""Shots by whose weight stated sigmas are believed beforehand: the papers state ten times too much for MOLA."""
+"""Weight of the stated sigmas as a prior, in shots: the papers state ten times too much for MOLA."""
 _MOST_CORRELATED = 0.9
 """Correlation of successive heights that is taken at its word."""
 _ALIKE = 5.0
@@ -58,9 +58,9 @@ def local_minima(shifts: Array, misfits: Array) -> list[Minimum]:
     filled = np.where(np.isfinite(misfits), misfits, np.inf)
     inner = filled[1:-1, 1:-1]
     around = [filled[1 + i : filled.shape[0] - 1 + i, 1 + j : filled.shape[1] - 1 + j] for i, j in _NEIGHBOURS]
-    lowest = np.isfinite(inner) & np.all([inner <= one for one in around], axis=0)
-    found = [_refined(shifts, filled, row + 1, column + 1) for row, column in np.argwhere(lowest)]
-    return sorted(found, key=lambda one: one.misfit)
+    lowest = np.isfinite(inner) & np.all([inner <= neighbor for neighbor in around], axis=0)
+    minima = [_refined(shifts, filled, row + 1, column + 1) for row, column in np.argwhere(lowest)]
+    return sorted(minima, key=lambda minimum: minimum.misfit)
 
 
 def weighted(
@@ -69,8 +69,8 @@ def weighted(
     lowest: Array,
     shots: Index,
     variances: Array,
-    alike: float,
-    known: Array,
+    correlated: float,
+    prior: Array,
 ) -> tuple[Minimum, ...]:
     """Minima with their weights, the likeliest first.
 
@@ -84,22 +84,22 @@ def weighted(
         Those of both.
     variances : (n,)
         Sum of the logarithms of their variances, less that at the best.
-    alike : float
-        Shots that count as one.
-    known : (n,)
+    correlated : float
+        Number of successive shots that count as one.
+    prior : (n,)
         chi^2 of their shifts by their priors.
     """
     freedom = np.maximum(shots - FITTED, 1) + _AS_STATED
     misfits, lowest = misfits + _AS_STATED, lowest + _AS_STATED
-    scale = float(np.min(lowest / freedom)) * alike
-    logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / alike - 0.5 * known
-    logs += np.array([0.5 * np.linalg.slogdet(one.covariance)[1] for one in minima])
+    scale = float(np.min(lowest / freedom)) * correlated
+    logs = -0.5 * (freedom * np.log(misfits / lowest) + variances) / correlated - 0.5 * prior
+    logs += np.array([0.5 * np.linalg.slogdet(minimum.covariance)[1] for minimum in minima])
     weights = np.exp(logs - logs.max())
-    every = [
-        replace(one, covariance=scale * one.covariance, weight=float(weight / weights.sum()))
-        for one, weight in zip(minima, weights, strict=True)
+    result = [
+        replace(minimum, covariance=scale * minimum.covariance, weight=float(weight / weights.sum()))
+        for minimum, weight in zip(minima, weights, strict=True)
     ]
-    return tuple(sorted(every, key=lambda one: -one.weight))
+    return tuple(sorted(result, key=lambda minimum: -minimum.weight))
 
 
 def merged(shifts: Array, covariances: Array, misfits: Array, owner: Index, scale: float) -> Array:
@@ -118,21 +118,21 @@ def merged(shifts: Array, covariances: Array, misfits: Array, owner: Index, scal
     scale : float
         By which chi^2 is too large.
     """
-    found = covariances.copy()
+    result = covariances.copy()
     for k in np.unique(owner[owner >= 0]).tolist():
-        mine = [k]
+        group = [k]
         for other in np.flatnonzero(owner == k).tolist():  # fits that ended at the same place count once
-            if np.linalg.norm(shifts[other] - shifts[mine], axis=1).min() > _ALIKE:
-                mine.append(other)
-        logs = 0.5 * np.linalg.slogdet(covariances[mine])[1] - 0.5 * (misfits[mine] - misfits[k]) / scale
-        weights, off = np.exp(logs - logs.max()), shifts[mine] - shifts[k]
-        every = covariances[mine] + off[:, :, None] * off[:, None] / scale
-        found[k] = np.einsum("k,kij->ij", weights / weights.sum(), every)
-    return found
+            if np.linalg.norm(shifts[other] - shifts[group], axis=1).min() > _ALIKE:
+                group.append(other)
+        logs = 0.5 * np.linalg.slogdet(covariances[group])[1] - 0.5 * (misfits[group] - misfits[k]) / scale
+        weights, off = np.exp(logs - logs.max()), shifts[group] - shifts[k]
+        moments = covariances[group] + off[:, :, None] * off[:, None] / scale
+        result[k] = np.einsum("k,kij->ij", weights / weights.sum(), moments)
+    return result
 
 
-def shots_alike(left: Array) -> float:
-    """Number of successive shots that count as one, by the correlation of what is left of their heights (n,)."""
+def correlated_shots(left: Array) -> float:
+    """Number of successive shots that count as one, by the correlation of their height residuals (n,)."""
     if left.size <= FITTED:
         return 1.0
     correlation = float(np.sum(left[1:] * left[:-1]) / max(np.sum(left**2), 1e-12))
@@ -148,18 +148,18 @@ def _refined(shifts: Array, misfits: Array, row: int, column: int) -> Minimum:
     step = shifts[1] - shifts[0]
     i, j = (part.ravel() for part in np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"))
     values = misfits[row - 1 : row + 2, column - 1 : column + 2].ravel()
-    here, at = misfits[row, column], np.array([shifts[row], shifts[column]])
+    lowest, at = misfits[row, column], np.array([shifts[row], shifts[column]])
     if not np.all(np.isfinite(values)):
-        return Minimum(at, float(here), np.eye(2) * step**2)
+        return Minimum(at, float(lowest), np.eye(2) * step**2)
     terms = np.stack([np.ones(9), i, j, 0.5 * i * i, i * j, 0.5 * j * j], axis=1)
     c, gi, gj, hii, hij, hjj = np.linalg.lstsq(terms, values, rcond=None)[0]
     hessian = np.array([[hii, hij], [hij, hjj]])
     if not (hii > 0.0 and np.linalg.det(hessian) > 1e-6 * hii * hjj):
-        return Minimum(at, float(here), np.eye(2) * step**2)
+        return Minimum(at, float(lowest), np.eye(2) * step**2)
     move = -np.linalg.solve(hessian, [gi, gj])
     if np.abs(move).max() > 1.0:
-        return Minimum(at, float(here), 2.0 * np.linalg.inv(hessian) * step**2)
-    misfit = min(float(here), float(c + 0.5 * np.array([gi, gj]) @ move))
+        return Minimum(at, float(lowest), 2.0 * np.linalg.inv(hessian) * step**2)
+    misfit = min(float(lowest), float(c + 0.5 * np.array([gi, gj]) @ move))
     return Minimum(at + step * move, misfit, 2.0 * np.linalg.inv(hessian) * step**2)
 
 
@@ -178,7 +178,7 @@ class CostSurface:
     name: str
     """Of the profile."""
     shifts: Array
-    """(k,) m, eastward and northward alike."""
+    """(k,) m, both eastward and northward."""
     misfits: Array
     """(k, k) chi^2, by shift east (rows) and north (columns); NaN where too few shots are on the surface."""
     shots: int
@@ -194,8 +194,8 @@ class CostSurface:
         """(count, 2) m east and north, by which each shot of the profile is to be moved to the likeliest minimum."""
         first, last = self.span
         along = (2.0 * np.arange(count) - first - last) / max(last - first, 1.0)
-        found = self.minima[0]
-        return np.asarray(found.shift + found.change * np.clip(along, -1.0, 1.0)[:, None])
+        likeliest = self.minima[0]
+        return np.asarray(likeliest.shift + likeliest.change * np.clip(along, -1.0, 1.0)[:, None])
 
     @property
     def scale(self) -> float:
@@ -205,20 +205,20 @@ class CostSurface:
 
     @property
     def possible(self) -> tuple[Minimum, ...]:
-        """Minima one of which may be the right one."""
-        return tuple(one for one in self.minima if one.weight >= _CLEAR)
+        """Minima that may be the right one."""
+        return tuple(minimum for minimum in self.minima if minimum.weight >= _CLEAR)
 
     @property
     def tied(self) -> bool:
         """Whether relief ties the profile at all: few minima are possible, each narrow beside the shifts searched."""
         widest = (0.25 * np.ptp(self.shifts) / 2.0) ** 2
         return 0 < len(self.possible) <= _MOST_POSSIBLE and all(
-            float(np.linalg.eigvalsh(one.covariance)[-1]) < widest for one in self.possible
+            float(np.linalg.eigvalsh(minimum.covariance)[-1]) < widest for minimum in self.possible
         )
 
     @property
     def clear(self) -> bool:
-        """Whether it does so at one place only, which adjustments reach."""
+        """Whether relief ties it at one position only, which adjustments reach."""
         return self.tied and len(self.possible) == 1 and self.reached
 
 
@@ -257,7 +257,7 @@ class ReliefSettings(Record):
                 raise InputError(f"registration by relief, {name}", f"{value} m", "a positive number")
         if self.reach > MOST_REACH:
             found, most = f"shifts up to {self.reach:g} m", f"{MOST_REACH:g} m at most"
-            raise InputError("registration by relief, reach", found, most, "mend the orientation or the profiles first")
+            raise InputError("registration by relief, reach", found, most, "fix the orientation or the profiles first")
 
 
 class ProfileState(NamedTuple):
@@ -282,9 +282,9 @@ class ProfileState(NamedTuple):
         """
         if not self.cost.tied:
             return np.full((2, 2), np.nan)
-        weights = np.array([one.weight for one in self.cost.possible])
-        off = np.array([one.shift for one in self.cost.possible]) - self.misplacement
-        each = np.array([one.covariance for one in self.cost.possible]) + off[:, :, None] * off[:, None]
+        weights = np.array([minimum.weight for minimum in self.cost.possible])
+        off = np.array([minimum.shift for minimum in self.cost.possible]) - self.misplacement
+        each = np.array([minimum.covariance for minimum in self.cost.possible]) + off[:, :, None] * off[:, None]
         return np.asarray(np.einsum("k,kij->ij", weights / weights.sum(), each))
 
 
@@ -327,7 +327,7 @@ class ReliefProfile(Record):
 
     @property
     def unit(self) -> str:
-        """What one of its points is called."""
+        """Name of one of its points."""
         return "post" if self.of_posts else "shot"
 
     @property
@@ -367,7 +367,7 @@ class ReliefRegistration(Record):
     """Those of the network."""
 
 
-def _rms(found: SurfaceHeights, taken: Mask) -> float:
-    """Of the heights of the shots taken, where the surface is known; NaN without any."""
-    taken = found.covered & taken
-    return float(np.sqrt(np.mean(found.heights[taken] ** 2))) if np.any(taken) else float("nan")
+def _rms(surface_heights: SurfaceHeights, used: Mask) -> float:
+    """Rms height of the used shots, where the surface is known; NaN without any."""
+    used = surface_heights.covered & used
+    return float(np.sqrt(np.mean(surface_heights.heights[used] ** 2))) if np.any(used) else float("nan")

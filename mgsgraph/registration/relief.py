@@ -1,4 +1,4 @@
-"""Registration by relief: laser profiles and the surface that the images show find each other, in the adjustment.
+"""Registration by relief: the adjustment aligns laser profiles with the surface that the images show.
 
 Ties make images agree with one another, ranges fix heights; nothing of that holds a footprint horizontally. Relief
 does: the images are matched densely with their adjusted orientation, the disparities are averaged over the footprint
@@ -40,7 +40,7 @@ from mgsgraph.registration.minima import (
     ReliefProfile,
     ReliefRegistration,
     ReliefSettings,
-    shots_alike,
+    correlated_shots,
 )
 from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, cells_of, stereo_surfaces
 from mgsgraph.registration.search import Expected, StereoPair, search
@@ -56,7 +56,7 @@ _ROUGH = 0.2
 """Share of the ground's roughness within a footprint by which its means differ, of a laser's light and of matches: 0.17
 at Gusev, simulated with seed 1."""
 _MOST_ROUNDS = 6
-"""Of search and adjustment: heights and tilts that the first round mends have shown the next one another surface."""
+"""Of search and adjustment: heights and tilts that the first round corrects have shown the next one another surface."""
 _NEAR = 5.0
 """m, by which a best shift may differ from zero and be none, however well it is known."""
 _LIKELY = 0.01
@@ -94,7 +94,7 @@ def _begin(network: Network, before: Solution, placed: _Placed) -> Sequence[Arra
     """Value of each variable of the network with posts, as it is without them; zero where there was none."""
     values, n, k = before.values, len(before.coefficients), len(before.shared)
     shifts = [*placed.shifts, *before.shift_values[-1:]] if network.surface is not None else [*placed.shifts]
-    new = [np.zeros(one.kind.width) for one in network.shared[k:]]
+    new = [np.zeros(unknown.kind.width) for unknown in network.shared[k:]]
     return [*values[:n], *shifts, *before.shared, *new, *values[n + len(before.shift_values) + k :]]
 
 
@@ -165,7 +165,7 @@ def registered(
     solver: SolverSettings,
     progress: Progress = no_progress,
 ) -> ReliefRegistration:
-    """Register laser profiles and terrain models with surfaces that are there already.
+    """Register laser profiles and terrain models with given surfaces.
 
     Parameters
     ----------
@@ -187,30 +187,30 @@ def registered(
     left, begin = first, _begin(network, before, placed)
     unreached = [False] * len(footprints)
     for number in range(1, _MOST_ROUNDS + 2):
-        found = left
-        control = _control(network, surfaces, found)
-        shown = _counted(progress, "adjustment with stereo rows", solver)
-        crossing = _crossing(network, placed, found) if settings.crossovers else None
+        previous = left
+        control = _control(network, surfaces, previous)
+        counted = _counted(progress, "adjustment with stereo rows", solver)
+        crossing = _crossing(network, placed, previous) if settings.crossovers else None
         anew = replace(network, stereo=control, crossovers=crossing)
-        solution = adjust_network(anew, solver, before.name, shown, begin=begin)
+        solution = adjust_network(anew, solver, before.name, counted, begin=begin)
         begin = solution.values
         lifted = network.points.places + footprint_shifts(network, solution.shared)
         placed = placed._replace(lifted=lifted, shifts=solution.shifts)
         left = _searched(network, surfaces, Posterior.of(solution), placed, footprints, settings.reach, progress)
-        rest = [new.at_rest(old) for old, new in zip(found, left, strict=True)]
+        converged = [new.converged(old) for old, new in zip(previous, left, strict=True)]
         if number == _MOST_ROUNDS:  # what has not converged is adjusted once more, as level ground
-            unreached = [not one for one in rest]
-        left = [one.unreached if never else one for one, never in zip(left, unreached, strict=True)]
-        if all(rest):
+            unreached = [not done for done in converged]
+        left = [profile.unreached if never else profile for profile, never in zip(left, unreached, strict=True)]
+        if all(converged):
             break
     profiles = tuple(
         ReliefProfile(
-            one.cost.name, PointClass(network.points.classes[one.mine[0]]), one.mine,
-            solution.stereo_used[one.mine], control.sigmas[one.mine],
-            ProfileState(one.points, one.here, one.cost), ProfileState(after.points, after.here, after.cost),
+            old.cost.name, PointClass(network.points.classes[old.members[0]]), old.members,
+            solution.stereo_used[old.members], control.sigmas[old.members],
+            ProfileState(old.points, old.above, old.cost), ProfileState(after.points, after.above, after.cost),
             solution.shifts[p], solution.shift_covariance(p),
         )
-        for p, (one, after) in enumerate(zip(first, left, strict=True))
+        for p, (old, after) in enumerate(zip(first, left, strict=True))
     )  # fmt: skip
     return ReliefRegistration(before.name, settings, before, solution, profiles)
 
@@ -230,28 +230,28 @@ def _require_profiles(case: Case) -> None:
 
 
 def _require_pictures(case: Case, settings: ReliefSettings) -> None:
-    """Raise InputError unless a case has the images that are wanted, and pixels, before anything takes long."""
+    """Raise InputError unless a case has the necessary images and pixels; called before long work."""
     names = [image.name for image in case.network.images]
     with errors_from(str(case.path)):
         image_names(settings.images, names)
     if len(names) < 2:
         raise InputError(str(case.path), "one image", "two that overlap, at least")
-    wanted = decode(case.path)
-    for j in range(len(wanted.images)):
-        picture_file(wanted, j, case.path)
+    tables = decode(case.path)
+    for j in range(len(tables.images)):
+        picture_file(tables, j, case.path)
 
 
 def _require_same(case: Case, before: Solution) -> None:
     """Raise InputError unless a solution has the images and the profiles of a case."""
     networks = case.network, before.network
     for what, (wanted, found) in (
-        ("images", [[image.name for image in one.images] for one in networks]),
-        ("laser profiles of unknown shift", [list(profile_names(one)) for one in networks]),
+        ("images", [[image.name for image in network.images] for network in networks]),
+        ("laser profiles of unknown shift", [list(profile_names(network)) for network in networks]),
     ):
         if wanted != found:
-            there = some(found, len(found)) if found else "none"
+            names = some(found, len(found)) if found else "none"
             raise InputError(
-                f"solution {before.name!r}", f"other {what} ({there})",
+                f"solution {before.name!r}", f"other {what} ({names})",
                 f"those of the case ({some(wanted, len(wanted))})", "adjust the case again, or give the case itself",
             )  # fmt: skip
 
@@ -267,16 +267,16 @@ def _counted(progress: Progress, what: str, solver: SolverSettings) -> Callable[
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class _SearchedProfile:
     """A profile as the search leaves it; n shots."""
 
-    mine: Index
+    members: Index
     """(n,) its points in the network."""
     surface: int
     """On which it lies."""
     points: Array
     """(n, 3) m, where the adjustment has put its shots."""
-    here: SurfaceHeights
+    above: SurfaceHeights
     """There."""
     cost: CostSurface
     """Over shifts from there."""
@@ -286,20 +286,20 @@ class _Found:
     """There."""
 
     @property
-    def unreached(self) -> "_Found":
-        """The same, its best shift being one that adjustments have not come to."""
-        return replace(self, cost=replace(self.cost, reached=False), starts=self.points, moved=self.here)
+    def unreached(self) -> "_SearchedProfile":
+        """The same, with the best shift marked as not reached by the adjustment."""
+        return replace(self, cost=replace(self.cost, reached=False), starts=self.points, moved=self.above)
 
-    def at_rest(self, before: "_Found") -> bool:
+    def converged(self, before: "_SearchedProfile") -> bool:
         """Whether the profile fits where it is, or relief ties it as little as it did `before` the last adjustment."""
         if not self.cost.clear:
             return not before.cost.clear and len(self.cost.possible) == len(before.cost.possible)
         if not before.cost.clear:
             return False
         near = [
-            np.all(np.abs(one.shift) <= np.maximum(3.0 * np.sqrt(np.diag(one.covariance)), _NEAR))
-            for one in self.cost.minima
-            if one.weight > _LIKELY
+            np.all(np.abs(minimum.shift) <= np.maximum(3.0 * np.sqrt(np.diag(minimum.covariance)), _NEAR))
+            for minimum in self.cost.minima
+            if minimum.weight > _LIKELY
         ]
         return any(near)
 
@@ -312,12 +312,12 @@ def _searched(
     footprints: Sequence[float],
     reach: float,
     progress: Progress,
-) -> list[_Found]:
+) -> list[_SearchedProfile]:
     """All profiles, from where their shots and posts are."""
-    oriented = [one.oriented(posterior) for one in surfaces]
+    oriented = [pair.oriented(posterior) for pair in surfaces]
 
-    def one_profile(p: int) -> _Found:
-        usable = [k for k, one in enumerate(surfaces) if one.footprint == footprints[p]]
+    def one_profile(p: int) -> _SearchedProfile:
+        usable = [k for k, pair in enumerate(surfaces) if pair.footprint == footprints[p]]
         return _search_profile(network, oriented, usable, placed, p, reach)
 
     progress("search", 0, len(footprints))
@@ -331,61 +331,61 @@ def _search_profile(
     placed: _Placed,
     p: int,
     reach: float,
-) -> _Found:
+) -> _SearchedProfile:
     """One profile on the surface, of those `usable`, that has most of its shots."""
     assert network.shifts is not None
-    mine = np.flatnonzero(network.shifts.profile == p)
-    given = network.points.places[mine]
-    ways, sigmas = east_north(given), local_sigmas(network.points.covariances[mine], given)[:, 2]
-    points = placed.lifted[mine] + np.einsum("k,nkj->nj", placed.shifts[p], ways)
+    members = np.flatnonzero(network.shifts.profile == p)
+    given = network.points.places[members]
+    ways, sigmas = east_north(given), local_sigmas(network.points.covariances[members], given)[:, 2]
+    points = placed.lifted[members] + np.einsum("k,nkj->nj", placed.shifts[p], ways)
     expected = None
-    if network.points.classes[mine[0]] == PointClass.POST:
+    if network.points.classes[members[0]] == PointClass.POST:
         expected = Expected(-placed.shifts[p], float(np.hypot(network.shifts.sigmas[p], placed.sigma)))
     name = network.shifts.names[p]
     costs = [search(oriented[k], points, sigmas, name, reach, expected) for k in usable]
     best = int(np.argmax([cost.shots for cost in costs]))
     pair, cost = oriented[usable[best]], costs[best]
-    starts = points + np.einsum("nk,nkj->nj", cost.best(mine.size), ways) if cost.clear else points
-    here, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
-    return _Found(mine, usable[best], points, here, cost, starts, moved)
+    starts = points + np.einsum("nk,nkj->nj", cost.best(members.size), ways) if cost.clear else points
+    above, moved = (heights_above(pair.surface, *pair.images, places, pair.corrections) for places in (points, starts))
+    return _SearchedProfile(members, usable[best], points, above, cost, starts, moved)
 
 
-def _crossing(network: Network, placed: _Placed, found: Sequence[_Found]) -> Crossovers | None:
-    """Crossovers of the laser profiles, where the search has found that they lie."""
+def _crossing(network: Network, placed: _Placed, searched: Sequence[_SearchedProfile]) -> Crossovers | None:
+    """Crossovers of the laser profiles, at the positions found by the search."""
     assert network.shifts is not None
-    moved, clear = placed.shifts[: len(found)].copy(), np.array([one.cost.clear for one in found])
+    moved, clear = placed.shifts[: len(searched)].copy(), np.array([profile.cost.clear for profile in searched])
     for p in np.flatnonzero(clear).tolist():
-        moved[p] += found[p].cost.best(found[p].mine.size).mean(axis=0)
+        moved[p] += searched[p].cost.best(searched[p].members.size).mean(axis=0)
     sigmas, shots = np.full(len(network.points), np.nan), network.shifts.profile >= 0
     sigmas[shots] = local_sigmas(network.points.covariances[shots], network.points.places[shots])[:, 2]
     return crossovers(network.points, network.shifts, moved, sigmas, ~clear)
 
 
-def _control(network: Network, surfaces: Sequence[AveragedPair], found: Sequence[_Found]) -> StereoControl:
+def _control(network: Network, surfaces: Sequence[AveragedPair], profiles: Sequence[_SearchedProfile]) -> StereoControl:
     """Shots on the surfaces of all profiles that have enough there."""
     n = len(network.points)
     surface, sigmas, starts = np.full(n, -1, dtype=np.int64), np.full(n, np.inf), np.full((n, 3), np.nan)
     level = np.zeros(n, dtype=bool)
-    for one in found:
-        on = one.moved.covered
+    for p in profiles:
+        on = p.moved.covered
         if int(on.sum()) < _LEAST_SHOTS:
             continue
-        post = network.points.classes[one.mine[0]] == PointClass.POST
+        post = network.points.classes[p.members[0]] == PointClass.POST
         # a post is the mean of its cell: how rough the ground is within makes it no less certain
-        rough = np.zeros(on.size) if post else _ROUGH * one.moved.roughness
-        surface[one.mine[on]] = one.surface
-        sigmas[one.mine[on]] = np.hypot(one.moved.sigmas, rough)[on]
-        if not one.cost.clear:
-            level[one.mine], sigmas[one.mine[on]] = True, _level_sigma(one.moved.heights[on], 2 if post else 1)
-        starts[one.mine[on]] = one.starts[on]
+        rough = np.zeros(on.size) if post else _ROUGH * p.moved.roughness
+        surface[p.members[on]] = p.surface
+        sigmas[p.members[on]] = np.hypot(p.moved.sigmas, rough)[on]
+        if not p.cost.clear:
+            level[p.members], sigmas[p.members[on]] = True, _level_sigma(p.moved.heights[on], 2 if post else 1)
+        starts[p.members[on]] = p.starts[on]
     if not np.any(surface >= 0):
-        shots = sum(one.mine.size for one in found)
+        shots = sum(p.members.size for p in profiles)
         raise InputError(
-            "laser profiles", f"none of {len(found)} with {_LEAST_SHOTS} shots on the stereo surface ({shots} in all)",
+            "laser profiles", f"none of {len(profiles)} with {_LEAST_SHOTS} shots on the surface ({shots} in all)",
             "profiles that cross the ground that two images show", "check the images' overlap and the profiles' places",
         )  # fmt: skip
-    images = np.array([one.images for one in surfaces])
-    return StereoControl(tuple(one.surface for one in surfaces), images, surface, sigmas, starts, level=level)
+    images = np.array([pair.images for pair in surfaces])
+    return StereoControl(tuple(pair.surface for pair in surfaces), images, surface, sigmas, starts, level=level)
 
 
 def _level_sigma(heights: Array, directions: int) -> float:
@@ -394,4 +394,4 @@ def _level_sigma(heights: Array, directions: int) -> float:
     """
     along = np.linspace(-1.0, 1.0, heights.size)
     left = heights - np.polyval(np.polyfit(along, heights, 1), along)
-    return float(np.sqrt(np.mean(left**2) * shots_alike(left) ** directions))
+    return float(np.sqrt(np.mean(left**2) * correlated_shots(left) ** directions))

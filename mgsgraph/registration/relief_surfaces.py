@@ -1,4 +1,4 @@
-"""What images show of the ground, averaged over laser footprints and over cells of terrain models."""
+"""Stereo surfaces of images, averaged over laser footprints and over cells of terrain models."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -58,29 +58,29 @@ def cells_of(
     images = range(len(posterior.network.images))
     pixel = max(float(_ground_pixel(posterior, j).max()) for j in images)
     least = max(_CELL_PIXELS * pixel, SPOT_WIDTHS * (settings.spacing or 0.0))
-    found = list[Cells]()
+    cells = list[Cells]()
     for model in models:
         posts = posts_of(model, least)
-        seen = points_in_images(
+        inside = points_in_images(
             [posterior.image(j) for j in images], posts.points, _MARGIN, [posterior.correction(j) for j in images]
         )
-        there = np.flatnonzero(np.count_nonzero(seen, axis=0) > 1)
-        if not there.size:
+        chosen = np.flatnonzero(np.count_nonzero(inside, axis=0) > 1)
+        if not chosen.size:
             raise InputError(
                 model.lattice.source, f"{len(posts.ids)} posts, none in two images", "a model of the images' ground"
             )
-        found.append((model, posts.chosen(there)))
-    return tuple(found)
+        cells.append((model, posts.chosen(chosen)))
+    return tuple(cells)
 
 
 def _ground_pixel(posterior: Posterior, image: int, place: Array | None = None) -> Array:
     """(2,) m on the ground of a line and of a sample, at a line and sample (2,), or in the middle of an image."""
-    one = posterior.image(image)
-    line, sample = place if place is not None else 0.5 * np.array([one.lines, one.samples])
+    picture = posterior.image(image)
+    line, sample = place if place is not None else 0.5 * np.array([picture.lines, picture.samples])
     points = posterior.linearised.points
-    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], one.body)[:, 2]
+    ground = geodetic(points[np.linalg.norm(points, axis=1) > 0.0], picture.body)[:, 2]
     at = np.array([line]), np.array([sample])
-    slopes = one.image_to_ground(*at, float(np.median(ground)), posterior.correction(image))[1]
+    slopes = picture.image_to_ground(*at, float(np.median(ground)), posterior.correction(image))[1]
     return np.asarray(np.linalg.norm(slopes[0], axis=0), dtype=np.float64)
 
 
@@ -116,20 +116,20 @@ def stereo_surfaces(
     """Match the pictures of a case densely, as they are adjusted, and average the disparities of each stereo pair over
     each size of footprint (m), of laser spots and of the cells of terrain models.
     """
-    wanted = decode(path)
-    _, scene = read_scene(path, *expected_ground(posterior, wanted))
+    tables = decode(path)
+    _, scene = read_scene(path, *expected_ground(posterior, tables))
     scene = _over_adjusted_ground(adjusted_scene(scene, posterior, settings.images), posterior)
     of_cells = [posts.footprint for _, posts in cells]
     closest = min([size / SPOT_WIDTHS for size in footprints] + [size / _MATCHES_ACROSS for size in of_cells])
     spacing = settings.spacing or max(closest, _CLOSEST * scene.step)
     matches, window = densely_matched(scene, spacing, workers, progress)
-    found, sizes = list[AveragedPair](), sorted({*footprints, *of_cells})
-    for one in matches:
-        first, second = (posterior.network.image_number(scene.pictures[j].image.name) for j in (one.first, one.second))
+    pairs, sizes = list[AveragedPair](), sorted({*footprints, *of_cells})
+    for pair in matches:
+        i, j = (posterior.network.image_number(scene.pictures[k].image.name) for k in (pair.first, pair.second))
         for size in sizes:
-            progress("stereo surface", len(found), len(matches) * len(sizes))
-            found.append(averaged_pair(posterior, one, (first, second), size, spacing, window, size in of_cells))
-    return tuple(found)
+            progress("stereo surface", len(pairs), len(matches) * len(sizes))
+            pairs.append(averaged_pair(posterior, pair, (i, j), size, spacing, window, size in of_cells))
+    return tuple(pairs)
 
 
 def _over_adjusted_ground(scene: Scene, posterior: Posterior) -> Scene:

@@ -35,9 +35,9 @@ from mgsgraph.registration.minima import (
     REACH,
     CostSurface,
     Minimum,
+    correlated_shots,
     local_minima,
     merged,
-    shots_alike,
     weighted,
 )
 
@@ -49,7 +49,7 @@ _ROUNDS = 3
 
 @cached_kernel
 def misfits_of_shifts(
-    shifts: Array, places: Array, others: Array, place_by_shift: Array, other_by_shift: Array, epipolar: Array,
+    shifts: Array, places: Array, other_places: Array, place_by_shift: Array, other_by_shift: Array, epipolar: Array,
     pixels_per_metre: Array, variances: Array, along: Array, first: Array, step: Array, finer: int, fine: Array,
     covered: Mask, noise: Array,
 ) -> tuple[Array, Index]:  # fmt: skip
@@ -89,7 +89,7 @@ def misfits_of_shifts(
                 continue
             parallax = 0.0
             for j in range(2):
-                other = others[i, j] + other_by_shift[i, j, 0] * east + other_by_shift[i, j, 1] * north
+                other = other_places[i, j] + other_by_shift[i, j, 0] * east + other_by_shift[i, j, 1] * north
                 parallax += epipolar[i, j] * (other - _between(fine[j], row * finer, column * finer))
             scale = pixels_per_metre[i]
             heights[i] = parallax / scale
@@ -149,13 +149,13 @@ def _left_of_line(heights: Array, weights: Array, along: Array, left: Array) -> 
 
 
 def robust_weights(left: Array) -> Array:
-    """Factors (...) of the weights of what is left of heights (...), in sigmas, by Huber's loss."""
+    """Factors (...) of weights by Huber's loss, for height residuals (...) in sigmas."""
     return np.asarray(_HUBER / np.maximum(np.abs(left), _HUBER))
 
 
 _MOST_SHOTS = 300
 """Of a profile, evenly taken, that are enough to find a minimum; more where there are few shifts."""
-_MOST_TRIALS = 1_500_000
+_MOST_WORK = 1_500_000
 """Shots times shifts, up to which more shots are taken."""
 _LEAST_SHOTS = 12
 """On the surface, below which a shift says nothing."""
@@ -195,7 +195,7 @@ class StereoPair(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What is known of the shift at which a terrain model fits."""
+    """Prior of the shift of a terrain model."""
 
     shift: Array
     """(2,) m east and north."""
@@ -271,16 +271,16 @@ def search(
         smooth = replace(pair.surface, roughness=np.zeros_like(pair.surface.roughness))
         pair = pair._replace(surface=smooth)
     half = int(np.ceil(reach / step))
-    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_TRIALS // (2 * half + 1) ** 2))
+    moved = _moved(pair, footprints, sigmas, max(_MOST_SHOTS, _MOST_WORK // (2 * half + 1) ** 2))
     shifts = np.asarray(step * np.arange(-half, half + 1, dtype=np.float64))
     east, north = np.meshgrid(shifts, shifts, indexing="ij")
     misfits, shots = _misfits(pair.surface, moved, np.stack([east.ravel(), north.ravel()], axis=1))
     misfits = misfits.reshape(shifts.size, shifts.size)
     lowest = local_minima(shifts, misfits)[:_MOST_COMPARED]
-    likely = sum(one.misfit <= _WORST_COMPARED * lowest[0].misfit for one in lowest)
+    likely = sum(minimum.misfit <= _WORST_COMPARED * lowest[0].misfit for minimum in lowest)
     lowest = lowest[: max(likely, _LEAST_COMPARED)]
-    found = _compared(pair.surface, moved, lowest, step, half * step, expected)
-    return CostSurface(name, shifts, misfits, shots, found, moved.span)
+    minima = _compared(pair.surface, moved, lowest, step, half * step, expected)
+    return CostSurface(name, shifts, misfits, shots, minima, moved.span)
 
 
 def _footprint_width(pair: StereoPair) -> float:
@@ -294,14 +294,14 @@ def _footprint_width(pair: StereoPair) -> float:
 
 def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Moved:
     """Shots that both images see, or would after a shift, at most so many of them."""
-    every = np.arange(0, len(footprints), max(1, -(-len(footprints) // most)))
-    points = footprints[every]
-    found = [
-        image.ground_to_image(points, one) for image, one in zip(pair.images, pair.corrections, strict=True)
+    rows = np.arange(0, len(footprints), max(1, -(-len(footprints) // most)))
+    points = footprints[rows]
+    by_image = [
+        image.ground_to_image(points, c) for image, c in zip(pair.images, pair.corrections, strict=True)
     ]
-    seen = np.all([np.isfinite(places[:, 0]) for places, _ in found], axis=0)
-    points = points[seen]
-    (places, by_point), (others, other_by_point) = ((part[seen] for part in one) for one in found)
+    visible = np.all([np.isfinite(places[:, 0]) for places, _ in by_image], axis=0)
+    points = points[visible]
+    (places, by_point), (other_places, other_by_point) = ((part[visible] for part in view) for view in by_image)
     ways = np.swapaxes(east_north(points), 1, 2)
     up = unit_vectors(points)
     rays = -pair.images[0].sightlines(places[:, 0], places[:, 1], pair.corrections[0])[1]
@@ -309,11 +309,11 @@ def _moved(pair: StereoPair, footprints: Array, sigmas: Array, most: int) -> _Mo
     epipolar /= np.linalg.norm(epipolar, axis=1, keepdims=True)
     _, slopes = pair.surface.disparity(places)
     parallax = np.einsum("ni,nij,nj->n", epipolar, other_by_point - slopes @ by_point, up)
-    number = every[seen].astype(np.float64)
+    number = rows[visible].astype(np.float64)
     first, last = (number[0], number[-1]) if number.size else (0.0, 0.0)
     along = (2.0 * number - first - last) / max(last - first, 1.0)
     return _Moved(
-        places, others, by_point @ ways, other_by_point @ ways, epipolar, parallax, sigmas[every][seen], along,
+        places, other_places, by_point @ ways, other_by_point @ ways, epipolar, parallax, sigmas[rows][visible], along,
         (float(first), float(last)),
     )  # fmt: skip
 
@@ -346,15 +346,15 @@ def _heights(surface: StereoSurface, moved: _Moved, places: Array, off: Array) -
 
 def _exact(surface: StereoSurface, moved: _Moved, shifts: Array) -> tuple[Array, Array, Array]:
     """Heights and weights (s, n) of shots after shifts (s, n, 2) in m; (s, n, 2) the heights' derivatives by these."""
-    places, others = _seen(moved, shifts)
+    places, other_places = _shifted_places(moved, shifts)
     values, slopes = surface.disparity(places.reshape(-1, 2))
-    heights, weights = _heights(surface, moved, places, others - values.reshape(others.shape))
+    heights, weights = _heights(surface, moved, places, other_places - values.reshape(other_places.shape))
     turned = moved.other_by_shift - slopes.reshape(*places.shape, 2) @ moved.place_by_shift
     by_shift = np.einsum("ni,snij->snj", moved.epipolar, turned) / moved.pixels_per_metre[:, None]
     return heights, weights, by_shift
 
 
-def _seen(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
+def _shifted_places(moved: _Moved, shifts: Array) -> tuple[Array, Array]:
     """(s, n, 2) where shots are in both images after shifts (s, n, 2) in m."""
     return (
         moved.places + np.einsum("nij,snj->sni", moved.place_by_shift, shifts),
@@ -373,7 +373,7 @@ def _compared(
     if not begin:
         return ()
     change = _CHANGE if expected is None else _RIGID
-    fitted = _bent(surface, moved, np.array([one.shift for one in begin]), step, change)
+    fitted = _fit_changes(surface, moved, np.array([minimum.shift for minimum in begin]), step, change)
     heights, weights, _ = _exact(surface, moved, fitted.along(moved))
     misfits, left = left_of_lines(heights, weights, moved.along)
     counts = np.count_nonzero(weights, axis=1)
@@ -381,16 +381,16 @@ def _compared(
     away = np.abs(fitted.shifts).max(axis=1) > reach + step
     each[away | (counts < _LEAST_SHARE * counts[~away].max(initial=0))] = np.inf
     owner = _places(fitted, each, step)
-    apart = np.flatnonzero(owner == np.arange(owner.size))
-    if not apart.size:
+    own = np.flatnonzero(owner == np.arange(owner.size))
+    if not own.size:
         return ()
-    lone, first = int(np.argmin(each)), int(np.argmin(each[apart]))
-    alike = shots_alike(left[lone][weights[lone] > 0.0])
-    if expected is not None:  # posts are alike in two directions, and have neighbours in one of them
-        alike = alike**2
-    spreads = merged(fitted.shifts, fitted.covariances, each * counts[lone], owner, float(each[lone]) * alike)
-    fitted = fitted._replace(shifts=fitted.shifts[apart], changes=fitted.changes[apart], covariances=spreads[apart])
-    heights, weights = heights[apart], weights[apart]
+    lone, first = int(np.argmin(each)), int(np.argmin(each[own]))
+    correlated = correlated_shots(left[lone][weights[lone] > 0.0])
+    if expected is not None:  # posts are correlated in two directions, and have neighbours in one of them
+        correlated = correlated**2
+    spreads = merged(fitted.shifts, fitted.covariances, each * counts[lone], owner, float(each[lone]) * correlated)
+    fitted = fitted._replace(shifts=fitted.shifts[own], changes=fitted.changes[own], covariances=spreads[own])
+    heights, weights = heights[own], weights[own]
     both = (weights > 0.0) & (weights[first] > 0.0)
     misfits, lowest = (
         left_of_lines(np.ascontiguousarray(np.broadcast_to(some, both.shape)), weight * both, moved.along)[0] + penalty
@@ -401,17 +401,17 @@ def _compared(
     )
     logs = np.log(np.where(both, weights, 1.0))
     variances = np.sum(np.where(both, logs[first] - logs, 0.0), axis=1)
-    known = np.zeros(len(both)) if expected is None else expected.misfits(fitted.shifts)
-    found = [
+    prior = np.zeros(len(both)) if expected is None else expected.misfits(fitted.shifts)
+    minima = [
         Minimum(shift, float(misfit), covariance, change)
         for shift, misfit, covariance, change in zip(
             fitted.shifts, misfits, fitted.covariances, fitted.changes, strict=True
         )
     ]
-    return weighted(found, misfits, lowest, np.count_nonzero(both, axis=1), variances, alike, known)
+    return weighted(minima, misfits, lowest, np.count_nonzero(both, axis=1), variances, correlated, prior)
 
 
-class _Bent(NamedTuple):
+class _ChangingShifts(NamedTuple):
     """Shifts that change along a profile, at s minima."""
 
     shifts: Array
@@ -433,45 +433,45 @@ class _Bent(NamedTuple):
         return np.asarray(np.sum((self.changes / self.change) ** 2, axis=1))
 
 
-def _bent(surface: StereoSurface, moved: _Moved, begin: Array, step: float, change: float) -> _Bent:
+def _fit_changes(surface: StereoSurface, moved: _Moved, begin: Array, step: float, change: float) -> _ChangingShifts:
     """Shifts and their changes of least misfit, from shifts (s, 2) in m on: robust Gauss-Newton steps, none longer than
     `step` m, with a level and a slope along the track; changes have a sigma of `change` m.
     """
-    found = _Bent(begin.copy(), np.zeros_like(begin), np.zeros((len(begin), 2, 2)), change)
+    fitted = _ChangingShifts(begin.copy(), np.zeros_like(begin), np.zeros((len(begin), 2, 2)), change)
     level = np.stack([np.ones_like(moved.along), moved.along], axis=1)
-    known = np.diag([1e-12, 1e-12, change**-2, change**-2, 1e-12, 1e-12])
+    prior = np.diag([1e-12, 1e-12, change**-2, change**-2, 1e-12, 1e-12])
     going = np.arange(len(begin))
     for _ in range(_STEPS):
-        heights, weights, slopes = _exact(surface, moved, found.along(moved)[going])
+        heights, weights, slopes = _exact(surface, moved, fitted.along(moved)[going])
         _, left = left_of_lines(heights, weights, moved.along)
         weights = weights * robust_weights(left)
-        every = np.broadcast_to(level, (going.size, *level.shape))
-        terms = np.concatenate([slopes, slopes * moved.along[:, None], every], axis=2)
-        normal = np.einsum("sn,sni,snj->sij", weights, terms, terms) + known
+        levels = np.broadcast_to(level, (going.size, *level.shape))
+        terms = np.concatenate([slopes, slopes * moved.along[:, None], levels], axis=2)
+        normal = np.einsum("sn,sni,snj->sij", weights, terms, terms) + prior
         right = np.einsum("sn,sni,sn->si", weights, terms, heights)
-        right[:, 2:4] += found.changes[going] / change**2
+        right[:, 2:4] += fitted.changes[going] / change**2
         move = -np.linalg.solve(normal, right[:, :, None])[:, :4, 0]
         move *= np.minimum(1.0, step / np.maximum(np.abs(move).max(axis=1, keepdims=True), 1e-12))
-        found.shifts[going] += move[:, :2]
-        found.changes[going] += move[:, 2:]
-        found.covariances[going] = np.linalg.inv(normal)[:, :2, :2]
+        fitted.shifts[going] += move[:, :2]
+        fitted.changes[going] += move[:, 2:]
+        fitted.covariances[going] = np.linalg.inv(normal)[:, :2, :2]
         going = going[np.abs(move).max(axis=1) > _FITTED_TO]
         if not going.size:
             break
-    return found
+    return fitted
 
 
-def _places(fitted: _Bent, misfits: Array, step: float) -> Index:
+def _places(fitted: _ChangingShifts, misfits: Array, step: float) -> Index:
     """(s,) of each minimum the one that stands for its place: itself where it is further from any lower one than `step`
     m and than the sigmas of both allow; -1 for a fit that has left the surface (its misfit per shot is infinite).
     """
-    apart, owner = list[int](), np.full(misfits.size, -1, dtype=np.int64)
+    distinct, owner = list[int](), np.full(misfits.size, -1, dtype=np.int64)
     for k in np.argsort(misfits)[: np.count_nonzero(np.isfinite(misfits))].tolist():
-        off = fitted.shifts[k] - fitted.shifts[apart]
-        both = misfits[k] * (fitted.covariances[k] + fitted.covariances[apart])
+        off = fitted.shifts[k] - fitted.shifts[distinct]
+        both = misfits[k] * (fitted.covariances[k] + fitted.covariances[distinct])
         ratio = np.einsum("si,si->s", off, np.linalg.solve(both, off[:, :, None])[:, :, 0])
         near = np.flatnonzero((np.linalg.norm(off, axis=1) <= step) | (ratio <= _ONE_PLACE))
-        owner[k] = apart[near[0]] if near.size else k
+        owner[k] = distinct[near[0]] if near.size else k
         if not near.size:
-            apart.append(k)
+            distinct.append(k)
     return owner

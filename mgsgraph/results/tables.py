@@ -104,8 +104,8 @@ def residuals_table(solution: Solution) -> Table:
         "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
         "isis_sample": padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, **of_rays,
         "range": padded(ranges.values, k, h), "residual_before_range": padded(solution.range_residuals_before, k, h),
-        "residual_range": padded(solution.range_residuals, k, h), "sigma_range": padded(ranges.sigmas, k, h),
-        "normalised_range": padded(solution.range_residuals / ranges.sigmas, k, h),
+        "residual_range": padded(solution.range_residuals, k, h), "sigma_range": padded(network.range_sigmas, k, h),
+        "normalised_range": padded(solution.range_residuals / network.range_sigmas, k, h),
         "residual_height": padded(-heights, k + r, 0), "sigma_height": padded(height_sigmas, k + r, 0),
         "normalised_height": padded(-heights / height_sigmas, k + r, 0),
     })  # fmt: skip

@@ -1,4 +1,4 @@
-"""Made-up observations with known truth, written through the formats of real ones: the demo's default input.
+"""Simulated observations with known truth, written through the formats of real ones: the demo's default input.
 
 What is simulated, from small to large: a stereo `pair`, a `strip` of overlapping pairs, a study `site` (published
 numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; two cameras on one spacecraft (`rig`),

@@ -34,7 +34,7 @@ ArchiveKind = Literal["kaguya", "ctx", "moc", "dense", "block"]
 ARCHIVE_KINDS = get_args(ArchiveKind)
 """What `simulate archive --kind` offers."""
 
-_FIRST, _APART = -50_000_000.0, 1000.0
+_FIRST, _STEP = -50_000_000.0, 1000.0
 """s TDB past J2000 of the first image's middle, and s from one to the next; whole numbers, exact in files."""
 _INCLINATION = 93.0 * DEG
 """Of all orbits: the poles are passed at 3 degrees."""
@@ -103,7 +103,7 @@ _MOC = _Camera(MARS_BODY, 378e3, 3.5, 13.1240578522949e-6, 1024, 2.0, 6144, 2 * 
 
 
 class _Plan(NamedTuple):
-    """What an archive is made of by default."""
+    """Default settings of an archive."""
 
     camera: _Camera
     images: int
@@ -203,14 +203,14 @@ class Archive:
         camera, ahead = self.settings.plan.camera, float(self.ahead[j])
         radius = float(np.linalg.norm(self.sites[j])) + camera.altitude
         swept = np.arcsin(radius / (radius - camera.altitude) * np.sin(ahead)) - ahead
-        seen = -float(swept) / float(np.sqrt(camera.body.gravity / radius**3))
+        center_time = -float(swept) / float(np.sqrt(camera.body.gravity / radius**3))
         flown = CircularPass(
             float(self.epochs[j]), self.sites[j], float(self.headings[j]), camera.altitude, float(self.aside[j]),
             camera.body, turning=True,
         )  # fmt: skip
         half = 0.5 * camera.lines * camera.period
-        times = seen + half * np.linspace(-1.05, 1.05, _RECORDS)
-        timing, size = one_rate(seen - half, camera.period), (camera.lines, camera.samples)
+        times = center_time + half * np.linspace(-1.05, 1.05, _RECORDS)
+        timing, size = one_rate(center_time - half, camera.period), (camera.lines, camera.samples)
         trajectory = circular_trajectory(flown, times)
         return line_image(self.name(j), size, camera.interior(ahead), timing, trajectory, camera.body.ellipsoid)
 
@@ -240,7 +240,7 @@ def lay_out(settings: ArchiveSettings, seed: int = 1) -> Archive:
     return Archive(
         settings, seed, sites, np.arcsin(np.cos(_INCLINATION) / np.cos(places[:, 1])),
         of_places.uniform(-camera.aside, camera.aside, n), ahead,
-        np.asarray(_FIRST + _APART * of_times.permutation(n), dtype=np.float64),
+        np.asarray(_FIRST + _STEP * of_times.permutation(n), dtype=np.float64),
         sigmas * of_orientation.standard_normal((n, *sigmas.shape)),
     )  # fmt: skip
 

@@ -120,9 +120,9 @@ def _control_points(region: Region, ids: Sequence[str], names: Sequence[str]) ->
     """Free points by these ids with all their measures in images by name."""
     pixels, images = iter((region.measures + ISIS_OFFSET).tolist()), iter(region.images.tolist())
     for name, count in zip(ids, region.counts.tolist(), strict=True):
-        seen = zip(islice(images, count), islice(pixels, count), strict=True)
+        measures = zip(islice(images, count), islice(pixels, count), strict=True)
         yield ControlPoint(name, PointType.FREE, reference=0, measures=tuple(
-            ControlMeasure(names[j], MeasureType.REGISTERED_SUBPIXEL, sample, line) for j, (line, sample) in seen
+            ControlMeasure(names[j], MeasureType.REGISTERED_SUBPIXEL, sample, line) for j, (line, sample) in measures
         ))  # fmt: skip
 
 

@@ -22,7 +22,7 @@ _DRAWN = 4
 """Places drawn for each point that is wanted."""
 _REACH = 1.15
 """Half diagonals of the largest image about a middle in which ground is looked for: images lie off a little."""
-_KEPT = 1 << 13
+_CACHED = 1 << 13
 """Images kept in memory; those of a region are used several times."""
 _WAVES = np.array([[1.0, 61e3, 0.0], [0.5, 23e3, 1.3], [0.2, 9e3, 2.9]])
 """Of each wave of the ground: share of the amplitude, wavelength (m), phase (rad)."""
@@ -104,14 +104,14 @@ def regions(archive: Archive, footprints: Footprints, progress: Count = no_progr
     """
     nearby = _Nearby(footprints)
     order = _by_place(footprints)
-    wanted = archive.settings.ties / len(archive)
-    many = max(int(_REGION / wanted), 1)
-    image_of = lru_cache(maxsize=_KEPT)(archive.image)
+    per_image = archive.settings.ties / len(archive)
+    many = max(int(_REGION / per_image), 1)
+    image_of = lru_cache(maxsize=_CACHED)(archive.image)
     streams = np.random.default_rng([archive.seed, 1]).spawn(-(-len(archive) // many))
     drawn_so_far = 0
     for k, rng in enumerate(streams):
         owners = order[k * many : (k + 1) * many]
-        upto = round(wanted * (k * many + owners.size))
+        upto = round(per_image * (k * many + owners.size))
         quota: Index = np.diff(np.linspace(drawn_so_far, upto, owners.size + 1).astype(np.int64)).astype(np.int64)
         drawn_so_far = upto
         directions = _drawn(archive, footprints, nearby, owners, quota, rng)
@@ -159,17 +159,17 @@ def _projected(
     bounds = np.flatnonzero(np.diff(image, prepend=-1, append=-1))
     for first, last in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         j = int(image[first])
-        taken = image_of(j)
-        found, _ = taken.ground_to_image(points[point[first:last]], archive.true(j))
-        found[~well_inside(taken, found)] = np.nan
-        pixels[first:last] = found
-    seen = np.isfinite(pixels[:, 0])
-    counts = np.bincount(point[seen], minlength=len(points))
-    kept = np.flatnonzero(seen & (counts[point] > 1))
-    kept = kept[np.lexsort([image[kept], point[kept]])]
-    exact = pixels[kept]
+        picture = image_of(j)
+        shown_at, _ = picture.ground_to_image(points[point[first:last]], archive.true(j))
+        shown_at[~well_inside(picture, shown_at)] = np.nan
+        pixels[first:last] = shown_at
+    visible = np.isfinite(pixels[:, 0])
+    counts = np.bincount(point[visible], minlength=len(points))
+    chosen = np.flatnonzero(visible & (counts[point] > 1))
+    chosen = chosen[np.lexsort([image[chosen], point[chosen]])]
+    exact = pixels[chosen]
     return Region(
-        points[counts > 1], counts[counts > 1], image[kept],
+        points[counts > 1], counts[counts > 1], image[chosen],
         exact + archive.settings.noise.tie * rng.standard_normal(exact.shape),
     )  # fmt: skip
 

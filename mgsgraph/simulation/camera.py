@@ -1,4 +1,4 @@
-"""The simulated line cameras, MOC and HRSC, and what may be wrong with an instrument: clock, boresight, focal length.
+"""The simulated line cameras, MOC and HRSC, and errors of an instrument: clock, boresight, focal length.
 
 No camera here has distortion. Narrow-angle images of pair and strip have the numbers of MOC-NA's design, those of the
 study sites ISIS' calibrated ones. HRSC's are those of ISIS' addendum hrscAddendum004.ti (FOCAL_LENGTH, ITRANSL,
@@ -142,7 +142,7 @@ def hrsc_interior(name: str, macropixel: int = 1) -> InteriorOrientation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InstrumentErrors:
-    """What is wrong with all images of a camera and with the altimeter beside it; true = nominal (+) these.
+    """Errors of all images of a camera and of the altimeter beside it; true = nominal (+) these.
 
     Truth is made by shifting times and turning frames themselves, never by the adjustment's linear directions.
     """

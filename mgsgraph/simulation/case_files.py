@@ -35,7 +35,7 @@ _SUN_DISTANCE, _SUN_SPEED = 2.28e11, 2.41e4
 
 
 def json_text(value: dict[str, Any]) -> str:
-    """JSON as all these files have it."""
+    """JSON in the layout of all these files."""
     return json.dumps(value, indent=1, allow_nan=False) + "\n"
 
 
@@ -59,7 +59,7 @@ def support_data(image: PushbroomImage) -> dict[str, Any]:
 
 
 def sampled_fields(image: PushbroomImage, sun: Callable[[Trajectory], SunTable | None] = lambda _: None) -> Any:
-    """What every image's support data have: camera, times, and its sampled trajectory, with the Sun where wanted."""
+    """Support data common to all images: camera, times, and its sampled trajectory, with the Sun where wanted."""
     trajectory = image.trajectory
     if not isinstance(trajectory, Trajectory):
         raise InputError(f"image {image.name}", "an orientation in polynomials", "sampled tables, as support data have")
@@ -76,8 +76,8 @@ def _sun(trajectory: Trajectory) -> SunTable:
     """The Sun relative to the body, inertial, in km: 35 degrees or so from the zenith of the image's middle."""
     position, flight = trajectory.position.at(np.zeros(1))
     zenith, along = position[0] / np.linalg.norm(position[0]), flight[0] / np.linalg.norm(flight[0])
-    aside = np.cross(along, zenith)
-    direction = np.cos(35.0 * DEG) * zenith + np.sin(35.0 * DEG) * aside
+    sideways = np.cross(along, zenith)
+    direction = np.cos(35.0 * DEG) * zenith + np.sin(35.0 * DEG) * sideways
     velocity = _SUN_SPEED * np.cross(along, direction)
     times = trajectory.position.times[[0, -1]]
     return SunTable(
@@ -149,7 +149,7 @@ def campaign_case(name: str, images: Sequence[PushbroomImage], noise: NoiseSetti
 
 
 def sigma_lines(noise: NoiseSettings, network: str = "network.pvl") -> Tables:
-    """What is known of all orientations, and of the ties in a network's file."""
+    """Sigmas of all orientations, and of the ties in a network's file."""
     return toml_lines("[orientation]", degree=noise.prior.degree, **_orientation(noise)) + _ties(noise.tie, network)
 
 
@@ -205,11 +205,11 @@ def _ties(sigma: float, network: str = "network.pvl") -> Tables:
 
 def _profiles(simulated: SimulatedSite, folder: str, **sigmas: Value) -> Tables:
     """The site's profiles, with further keys of each; their files lie in `folder` ("x/") beside the case."""
-    known: dict[str, Value] = {"beam_sigma_mrad": 0.0, "pulse_share": 0.0}  # of the instrument nothing is drawn
+    exact: dict[str, Value] = {"beam_sigma_mrad": 0.0, "pulse_share": 0.0}  # of the instrument nothing is drawn
     lines = Tables()
     for image in simulated.images:
         name = image.settings.name
-        lines += toml_lines("[[shots]]", file=folder + pedr_file(image), image=name, **known, **sigmas)
+        lines += toml_lines("[[shots]]", file=folder + pedr_file(image), image=name, **exact, **sigmas)
     return lines
 
 
@@ -253,4 +253,4 @@ def _toml(value: Value) -> str:
         return f'"{value}"'
     if isinstance(value, dict):
         return f"{{ {', '.join(f'{key} = {_toml(inner)}' for key, inner in value.items())} }}"
-    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(one) for one in value)}]"
+    return repr(value) if isinstance(value, int | float) else f"[{', '.join(_toml(item) for item in value)}]"

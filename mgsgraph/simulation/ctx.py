@@ -57,7 +57,7 @@ _ROUNDS = 8
 
 @dataclass(frozen=True, slots=True)
 class JitterSettings:
-    """What a camera's attitude does that its tables don't have; amplitudes in pixels."""
+    """Motion of a camera's attitude that its tables lack; amplitudes in pixels."""
 
     pitch: float = 0.5
     """px, amplitude of the vibration about the camera's y: along lines."""
@@ -96,7 +96,7 @@ class TrueJitter:
 def _drawn_jitter(
     settings: JitterSettings, image: PushbroomImage, rng: np.random.Generator, common: np.random.Generator
 ) -> TrueJitter:
-    """The truth of one image; `rng` draws phases and constant errors, `common` the phases of images that move alike."""
+    """The truth of one image; `rng` draws phases and constant errors, `common` phases of images that move the same."""
     coverage = image_times(image)
     nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
@@ -177,15 +177,15 @@ def simulate_ctx_pair(
         truth
         or (_drawn_jitter(settings.jitter, image, rng, np.random.default_rng([seed, 18])) for image, rng in drawn)
     )
-    points, pixels = _drawn_ties(settings, images, [one.correction for one in truth], terrain, of_ties)
+    points, pixels = _drawn_ties(settings, images, [jitter.correction for jitter in truth], terrain, of_ties)
     exact, image = pixels.reshape(-1, 2), np.tile(np.arange(2), len(points))
     measures = exact + _NOISE * of_ties.standard_normal(exact.shape)
     rays = ImageRays(np.repeat(np.arange(len(points)), 2), image, measures, np.full(exact.shape, _NOISE))
     surface, common, shifts = terrain_model(settings.control, terrain, points, of_terrain)
     passes = [
-        Pass(one.name, np.array([k]), evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), _SPACING),
-             settings.jitter.prior(float(np.ptp(image_times(one)))))
-        for k, one in enumerate(images)
+        Pass(image.name, np.array([k]), evenly_spaced("lagrange", image.trajectory.epoch, image_times(image), _SPACING),
+             settings.jitter.prior(float(np.ptp(image_times(image)))))
+        for k, image in enumerate(images)
     ]  # fmt: skip
     network = tie_network(images, passes, rays, len(points), surface, common)
     return SimulatedCtxPair(network, truth, shifts, points, terrain)
@@ -216,14 +216,14 @@ def _drawn_ties(
     terrain: SiteTerrain, rng: np.random.Generator,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Points (n, 3) in m of the ground that both images show, and their true pixels (n, 2, 2)."""
-    found, places, count, wanted = list[Array](), list[Array](), 0, settings.ties
+    ground, places, count, wanted = list[Array](), list[Array](), 0, settings.ties
     for _ in range(_ROUNDS):
         drawn = rng.uniform(MARGIN, np.array([settings.lines, settings.samples]) - MARGIN, (wanted, 2))
         points = terrain.intersect(*images[0].sightlines(drawn[:, 0], drawn[:, 1], true[0]))
-        pixels, seen = project(images, true, points)
-        found.append(points[seen])
-        places.append(pixels[seen])
-        count += int(seen.sum())
+        pixels, visible = project(images, true, points)
+        ground.append(points[visible])
+        places.append(pixels[visible])
+        count += int(visible.sum())
         if count >= wanted:
-            return np.concatenate(found)[:wanted], np.concatenate(places)[:wanted]
+            return np.concatenate(ground)[:wanted], np.concatenate(places)[:wanted]
     raise InputError("simulated CTX pair", f"images that share ground for {count} of {wanted} tie points")

@@ -173,29 +173,29 @@ def write_site(simulated: SimulatedSite, folder: Path, weighting: Weighting = "r
 
 
 def _campaign(
-    made: SimulatedPair | SimulatedStrip,
+    simulated: SimulatedPair | SimulatedStrip,
     name: str,
     lasers: Sequence[LaserProfile],
     footprints: Sequence[Array],
 ) -> dict[str, str]:
     """Files but for the network; `footprints` are the true ones (m, 3) of each profile."""
     truth = {
-        "seed": made.seed,
+        "seed": simulated.seed,
         "coefficients": {
             image.name: true.coefficients.tolist()
-            for image, true in zip(made.images, made.true_corrections, strict=True)
+            for image, true in zip(simulated.images, simulated.true_corrections, strict=True)
         },
-        "ties": dict(zip(made.ties.ids, made.true_ties.tolist(), strict=True)),
+        "ties": dict(zip(simulated.ties.ids, simulated.true_ties.tolist(), strict=True)),
         "footprints": {
             name: point
             for laser, points in zip(lasers, footprints, strict=True)
             for name, point in zip(laser.ids, points.tolist(), strict=True)
         },
     }
-    return {image_file(image): json_text(support_data(image)) for image in made.images} | {
+    return {image_file(image): json_text(support_data(image)) for image in simulated.images} | {
         "lidar.json": laser_text(lasers),
         "truth.json": json_text(truth),
-        "case.toml": campaign_case(name, made.images, made.settings.noise),
+        "case.toml": campaign_case(name, simulated.images, simulated.settings.noise),
     }
 
 
@@ -203,12 +203,12 @@ def _campaign(
 
 
 def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
-    """What an adjustment should find, and what was put in."""
+    """True values that an adjustment should find, and the injected errors."""
     images = simulated.images
     footprints, pixels, ground = [], [], []
     for image in images:
         footprints += image.profile.true_footprints.tolist()
-        pixels += [[None if np.isnan(one[0]) else one.tolist() for one in shot] for shot in image.profile.true_pixels]
+        pixels += [[None if np.isnan(p[0]) else p.tolist() for p in shot] for shot in image.profile.true_pixels]
         ground += image.profile.ground.tolist()
     names = [name for image in images for name in shot_names(image)]
     return {
@@ -220,9 +220,9 @@ def _site_truth(simulated: SimulatedSite) -> dict[str, Any]:
             name: {
                 "point": point,
                 "ground": returned,
-                "places": {image.true.name: pixel for image, pixel in zip(images, seen, strict=True)},
+                "places": {image.true.name: pixel for image, pixel in zip(images, pixels_of_shot, strict=True)},
             }
-            for name, point, returned, seen in zip(names, footprints, ground, pixels, strict=True)
+            for name, point, returned, pixels_of_shot in zip(names, footprints, ground, pixels, strict=True)
         },
     }
 

@@ -49,7 +49,7 @@ _DETAIL, _DETAIL_HURST = 15.0, 0.2
 
 @dataclass(frozen=True, slots=True)
 class SiteGround(Record):
-    """What the ground of a site is like."""
+    """Relief and brightness of a site's ground."""
 
     longitude: float
     """rad, east, of the site's centre."""

@@ -11,7 +11,7 @@ consistent statistics: neighbouring points share posts of the terrain model and 
 their sigmas count with.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -52,7 +52,7 @@ _BLUNDER = (5.0, 100.0)
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryErrors(Record):
-    """Sigmas of what is wrong with the observed trajectory; of all three axes alike.
+    """Sigmas of errors of the observed trajectory; the same for all three axes.
 
     28 mgon are the paper's, for all angles: it improves pitch and yaw from them without terrain, roll only with it. For
     the position it has nothing; 50 m make the point heights' sigma of a free adjustment that of the paper, 30 to 50 m.
@@ -126,6 +126,8 @@ class BlockSettings(Record):
     """s between the nodes of the truth, at most; None for a truth on the adjustment's own."""
     errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
     """Sigmas of the errors of the trajectories."""
+    wander: tuple[float, ...] = ()
+    """Of each strip, over the errors' departures from bias and drift; these alone when empty."""
     jitter: Jitter | None = None
     """Of all strips, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
@@ -157,10 +159,10 @@ class SimulatedBlock(Record):
 
     def true_nodes(self, strip: int) -> Array:
         """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
-        one = self.network.passes[strip]
-        correction = self.corrections[one.images[0]]
-        if correction.nodes is not one.nodes:
-            raise InputError(f"strip {one.name!r}", "a truth on other nodes", "one without true spacing or jitter")
+        pass_ = self.network.passes[strip]
+        correction = self.corrections[pass_.images[0]]
+        if correction.nodes is not pass_.nodes:
+            raise InputError(f"strip {pass_.name!r}", "a truth on other nodes", "one without true spacing or jitter")
         return np.asarray(correction.coefficients[correction.polynomial_terms :])
 
     def __repr__(self) -> str:
@@ -194,6 +196,7 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     settings = settings or BlockSettings()
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
+    priors = [replace(prior, sigmas=one * prior.sigmas) for one in settings.wander or (1.0,) * settings.strips]
     flown, nodes = list[FlownStrip](), list[OrientationImages]()
     passes = _passes(settings)
     for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
@@ -201,19 +204,19 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
             f"HRSC/{k:02d}", orbit, orbit.interval(settings.length, settings.pericentre), settings.readout
         )
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
-        coverage = min(float(one[0]) for one in edges), max(float(one[1]) for one in edges)
+        coverage = min(float(edge[0]) for edge in edges), max(float(edge[1]) for edge in edges)
         nodes.append(evenly_spaced("lagrange", orbit.epoch, coverage, settings.spacing))
-        true = true_correction(prior, nodes[k], settings.true_spacing, settings.jitter, rng)
+        true = true_correction(priors[k], nodes[k], settings.true_spacing, settings.jitter, rng)
         flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, of_points)
     surface, common, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
     trajectories = [
-        Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), one, prior) for k, one in enumerate(nodes)
+        Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), at, priors[k]) for k, at in enumerate(nodes)
     ]
-    pictures = [image for one in flown for image in one.images]
+    pictures = [image for strip in flown for image in strip.images]
     network = tie_network(pictures, trajectories, rays, len(points), surface, common)
-    corrections = tuple(one.true for one in flown for _ in STEREO)
+    corrections = tuple(strip.true for strip in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 
 
@@ -230,8 +233,8 @@ def _passes(settings: BlockSettings) -> list[PericentrePass]:
     for of_kind, sign in ((altitudes[:northward], 1.0), (altitudes[northward:], -1.0)):
         direction = np.sin(heading) * east + sign * np.cos(heading) * north
         eastward = sign * np.cross(direction, up)
-        for altitude, aside in zip(of_kind, _abreast(of_kind, settings.overlap), strict=True):
-            turned = np.cos(aside) * up + np.sin(aside) * eastward
+        for altitude, tilt in zip(of_kind, _abreast(of_kind, settings.overlap), strict=True):
+            turned = np.cos(tilt) * up + np.sin(tilt) * eastward
             epoch = _FIRST + _REVOLUTION * len(passes)
             passes.append(PericentrePass(epoch, turned, direction, float(altitude), settings.eccentricity))
     return passes

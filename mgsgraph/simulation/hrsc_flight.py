@@ -229,10 +229,10 @@ class FlownStrip:
         n, m = len(points), len(self.images)
         pixels = np.stack([self._projected(j, points) for j in range(m)])
         visible = np.stack([well_inside(image, own) for image, own in zip(self.images, pixels, strict=True)], axis=1)
-        wanted = rng.choice([3, 4, 5], size=n, p=matches.shares)
+        lines_wanted = rng.choice([3, 4, 5], size=n, p=matches.shares)
         order = np.argsort(np.where(visible, rng.random((n, m)), 2.0), axis=1)
         chosen = np.zeros((n, m), dtype=bool)
-        np.put_along_axis(chosen, order, np.arange(m) < wanted[:, None], axis=1)
+        np.put_along_axis(chosen, order, np.arange(m) < lines_wanted[:, None], axis=1)
         chosen &= visible
         chosen[np.count_nonzero(chosen, axis=1) < LEAST] = False
         point, image = np.nonzero(chosen)
@@ -241,7 +241,7 @@ class FlownStrip:
     def beneath(self, points: Array) -> Mask:
         """Which of points (n, 3) in m may lie in its nadir image."""
         swath, (along, across) = self.swaths[_NADIR], _angles(self.axes, points)
-        middle, half = (np.interp(along, swath.along, one) for one in (swath.across, swath.half_width))
+        middle, half = (np.interp(along, swath.along, values) for values in (swath.across, swath.half_width))
         slack = 0.02 * np.ptp(swath.along)
         inside = (along > swath.along[0] - slack) & (along < swath.along[-1] + slack)
         return np.asarray(inside & (np.abs(across - middle) < _BESIDE * half))
@@ -283,23 +283,23 @@ def _of_strip(
     """Points (count, 3) in m of a strip. What its own images see of them is added to `visible`, with numbers of points
     and images that count from `first`.
     """
-    kept, have = [np.zeros((0, 3))], 0
+    parts, have = [np.zeros((0, 3))], 0
     for _ in range(_ROUNDS):
         if have == count:
             break
         points = _on_ground(strip.images[_NADIR], relief, count - have + 16, rng)
         point, image, pixels = strip.matched(points, matches, rng)
-        seen, number = np.unique(point, return_inverse=True)
+        visible_points, number = np.unique(point, return_inverse=True)
         some = number < count - have
-        points = points[seen[: count - have]]
-        kept.append(points)
+        points = points[visible_points[: count - have]]
+        parts.append(points)
         visible.add(number[some] + have + first[0], image[some] + first[1], pixels[some])
         have += len(points)
     if have < count:
         name = strip.images[_NADIR].name
         remedy = "take longer strips or smaller errors of the trajectories"
         raise InputError(f"simulated block, {name}", f"ground for {have} of {count} points", remedy=remedy)
-    return np.concatenate(kept)
+    return np.concatenate(parts)
 
 
 def _on_ground(nadir: PushbroomImage, relief: SiteTerrain, count: int, rng: np.random.Generator) -> Array:
@@ -432,10 +432,10 @@ def in_segments(network: Network, count: int) -> Network:
     inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
     places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
     passes = tuple(
-        replace(one, images=(one.images[:, None] * count + np.arange(count)).ravel()) for one in network.passes
+        replace(pass_, images=(pass_.images[:, None] * count + np.arange(count)).ravel()) for pass_ in network.passes
     )
     return replace(
-        network, images=tuple(images), priors=tuple(one for one in network.priors for _ in range(count)),
+        network, images=tuple(images), priors=tuple(prior for prior in network.priors for _ in range(count)),
         held=np.repeat(network.held, count),
         rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
     )  # fmt: skip

@@ -174,9 +174,9 @@ def true_matches(
     anchors = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
     points = terrain.intersect(*first.sightlines(*anchors.T))
     pixels = second.ground_to_image(points)[0]
-    seen = np.all((pixels > 0.5) & (pixels < np.array([second.lines, second.samples]) - 0.5), axis=1)
-    count = int(seen.sum())
-    apart = float(np.linalg.norm(points[1] - points[0]))
+    visible = np.all((pixels > 0.5) & (pixels < np.array([second.lines, second.samples]) - 0.5), axis=1)
+    count = int(visible.sum())
+    spacing = float(np.linalg.norm(points[1] - points[0]))
     covariances = np.broadcast_to(noise**2 * np.eye(2), (count, 2, 2))
-    drawn = pixels[seen] + rng.normal(0.0, noise, (count, 2))
-    return DenseMatches(0, 1, apart, anchors.shape[0], anchors[seen], drawn, covariances, np.full(count, 0.9))
+    drawn = pixels[visible] + rng.normal(0.0, noise, (count, 2))
+    return DenseMatches(0, 1, spacing, anchors.shape[0], anchors[visible], drawn, covariances, np.full(count, 0.9))

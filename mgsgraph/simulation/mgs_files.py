@@ -77,7 +77,7 @@ def pedr_file(image: SimulatedImage) -> str:
 
 
 def kernel_segment(image: SimulatedImage) -> KernelSegment:
-    """What the kernels are to say of an image."""
+    """Data of an image for the kernels."""
     trajectory = image.nominal.trajectory
     if not isinstance(trajectory, Trajectory):
         raise InputError(f"image {image.nominal.name}", "an orientation in polynomials", "tables, as kernels have")

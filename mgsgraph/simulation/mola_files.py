@@ -128,7 +128,7 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     """Frames as they lie in the file."""
     footprints, spacecraft = (
         [_by_frame(column) for column in (np.unwrap(longitude), latitude, radius)]
-        for longitude, latitude, radius in (planetocentric(one).T for one in (frames.footprints, frames.spacecraft))
+        for longitude, latitude, radius in (planetocentric(xyz).T for xyz in (frames.footprints, frames.spacecraft))
     )
     present = _by_frame(np.ones(frames.times.size)) > 0.0
     count = np.sum(present, axis=1)
@@ -136,7 +136,7 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     records["orbit"], records["channel"], records["orbit_model"] = frames.orbit, 1, 7  # from 3 on with parallax
     records["frame_index"] = np.arange(records.size) % _PACKET + 1
     records["shot_class"] = _by_frame(frames.ground.astype(np.float64))
-    _put_times(records, frames.times)
+    _set_times(records, frames.times)
 
     assert frames.crossovers is not None
     crossover = np.rint(frames.crossovers / _CM)
@@ -152,14 +152,14 @@ def _records(frames: PedrFrames) -> NDArray[np.void]:
     for k, (name, values) in enumerate((("longitude", footprints[0]), ("latitude", footprints[1]))):
         records[f"parallax_{name}"] = parallax[:, k]
         straight = values - parallax[:, k, None] * (1e-3 * _MICRODEG) * lift
-        _put_line(records, name, straight, present, _MICRODEG)
+        _set_line(records, name, straight, present, _MICRODEG)
     for name, values, unit in (
         ("spacecraft_longitude", spacecraft[0], _MICRODEG),
         ("spacecraft_latitude", spacecraft[1], _MICRODEG),
         ("spacecraft_radius", spacecraft[2], _CM),
         ("areoid_radius", _by_frame(frames.areoid_radii), _CM),
     ):
-        _put_line(records, name, values, present, unit)
+        _set_line(records, name, values, present, unit)
 
     records["range"] = _whole(_by_frame(frames.ranges) / _CM, "range")
     pulse = np.hypot(_LEVEL_PULSE, 2.0 * _by_frame(frames.spread) / _LIGHT)
@@ -177,7 +177,7 @@ def _by_frame(values: ArrayLike) -> Array:
     return padded.reshape(-1, SHOTS)
 
 
-def _put_times(records: NDArray[np.void], times: Array) -> None:
+def _set_times(records: NDArray[np.void], times: Array) -> None:
     """Midpoints to the microsecond, twice, and the clock that makes the ticks between shots."""
     tick = float(times[-1] - times[0]) / (times.size - 1) if times.size > 1 else _TICK
     middle = times[0] + tick * (SHOTS * np.arange(records.size) + 0.5 * (SHOTS - 1))
@@ -202,7 +202,7 @@ def _parallax(frames: PedrFrames, count: NDArray[np.int64]) -> Array:
     return np.asarray(turned / (above[:, 2:] - below[:, 2:]))
 
 
-def _put_line(records: NDArray[np.void], name: str, values: Array, present: Mask, unit: float) -> None:
+def _set_line(records: NDArray[np.void], name: str, values: Array, present: Mask, unit: float) -> None:
     """Midpoint and change over the frame of the straight line nearest to values (frames, 20)."""
     design = np.stack([np.ones_like(values), np.broadcast_to(_FRACTION, values.shape)], axis=-1) * present[:, :, None]
     reference = values[:, :1]  # the shots' common part first: a radius would cost the change its digits
@@ -229,7 +229,7 @@ def _whole(values: Array, name: str) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True)
 class MegdrLayout:
-    """Where a grid's posts lie, and what was taken off them."""
+    """Positions of a grid's posts, and the offset subtracted from them."""
 
     shape: tuple[int, ...]
     """rows southward, columns eastward."""

@@ -168,7 +168,7 @@ def tie_network(
 
 @dataclass(frozen=True, slots=True)
 class TerrainErrors(Record):
-    """A terrain model like MOLA's and what is wrong with it."""
+    """A terrain model like MOLA's and its errors."""
 
     posts_per_degree: int = 64
     """Resolution of the grid."""
@@ -202,8 +202,8 @@ def project(
     correction; and which points (n,) all images show well inside their edges.
     """
     pixels = [image.ground_to_image(points, true)[0] for image, true in zip(images, corrections, strict=True)]
-    seen = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
-    return np.stack(pixels, axis=1), np.all(seen, axis=0)
+    inside = [well_inside(image, each) for image, each in zip(images, pixels, strict=True)]
+    return np.stack(pixels, axis=1), np.all(inside, axis=0)
 
 
 def shared_ties(
@@ -219,11 +219,11 @@ def shared_ties(
     """Tie points at the first `count` of points (n, 3) in m that all images show, measured in all of them with noise of
     `sigma` pixels; and these points (count, 3). InputError with the remedy where there are not so many.
     """
-    pixels, seen = project(images, corrections, points)
-    kept = np.flatnonzero(seen)[:count]
-    if kept.size < count:
-        raise InputError(source, f"images that share ground for {kept.size} of {count} tie points", remedy=remedy)
-    exact = pixels[kept].reshape(-1, 2)
+    pixels, visible = project(images, corrections, points)
+    chosen = np.flatnonzero(visible)[:count]
+    if chosen.size < count:
+        raise InputError(source, f"images that share ground for {chosen.size} of {count} tie points", remedy=remedy)
+    exact = pixels[chosen].reshape(-1, 2)
     ties = free_points(
         source,
         tuple(f"TIE{i + 1:05d}" for i in range(count)),
@@ -232,7 +232,7 @@ def shared_ties(
         exact + sigma * rng.standard_normal(exact.shape),
         sigma,
     )
-    return ties, points[kept]
+    return ties, points[chosen]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -191,10 +191,10 @@ def sampled_trajectory(
 
 def quaternions(matrices: Array) -> Array:
     """Quaternions (n, 4) of a turning frame (n, 3, 3), without a change of sign."""
-    found = rotation.from_matrix(matrices)
-    turns_over = np.sum(found[1:] * found[:-1], axis=1) < 0.0
+    result = rotation.from_matrix(matrices)
+    turns_over = np.sum(result[1:] * result[:-1], axis=1) < 0.0
     signs = np.concatenate([[1.0], np.cumprod(np.where(turns_over, -1.0, 1.0))])
-    return np.asarray(found * signs[:, None])
+    return np.asarray(result * signs[:, None])
 
 
 # --- circles: pair, strip and bridge image
@@ -264,10 +264,10 @@ def circular_orbit(flown: CircularPass) -> Orbit:
     if flown.off_nadir >= 0.5 * np.pi or sine >= 1.0:
         found = f"{flown.off_nadir / DEG:.1f} deg, which looks past the body"
         raise InputError("simulated orbit, off_nadir", found, "less, about 20 deg")
-    apart = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between site and spacecraft
-    outward = np.cos(apart) * zenith + np.sin(apart) * (-flight if flown.ahead else np.cross(flight, zenith))
+    angle = np.arcsin(sine) - flown.off_nadir  # angle at the body's centre between site and spacecraft
+    outward = np.cos(angle) * zenith + np.sin(angle) * (-flight if flown.ahead else np.cross(flight, zenith))
     if flown.ahead:
-        flight = np.cos(apart) * flight + np.sin(apart) * zenith
+        flight = np.cos(angle) * flight + np.sin(angle) * zenith
     return Orbit(flown.epoch, outward, flight, radius, 0.0, flown.body.gravity)
 
 
@@ -427,13 +427,13 @@ def site_pass(
 
 
 def true_trajectory(flown: SitePass, duration: float) -> Trajectory:
-    """What was flown, sampled; times count from the pass's epoch."""
+    """True trajectory, sampled; times count from the pass's epoch."""
     times = _table_times(duration)
     return _sampled(flown, times, flown.orbit.state(times), flown.camera(times))
 
 
 def nominal_trajectory(flown: SitePass, duration: float, errors: KernelErrors, rng: np.random.Generator) -> Trajectory:
-    """What the kernels say, with the archive's time tags already undone: true (+) errors."""
+    """Trajectory of the kernels, with the archive's time tags already corrected: true (+) errors."""
     times, orbit = _table_times(duration), flown.orbit
     positions, velocities = orbit.state(times)
     axes = np.stack([orbit.outward, orbit.flight, np.cross(orbit.outward, orbit.flight)])

@@ -128,7 +128,7 @@ def simulate_pair(
     seed : int
         zero or positive; orientation, ties and shots are drawn from streams of their own.
     errors : InstrumentErrors, optional
-        What is wrong with camera and altimeter, alike in both images; the images stay nominal. None when absent.
+        Errors of camera and altimeter, the same in both images; the images stay nominal. None when absent.
 
     Raises
     ------
@@ -157,12 +157,12 @@ def simulate_pair(
     )
     true = tuple(settings.noise.correction(of_orientation) for _ in images)
     errors = errors or InstrumentErrors()
-    taken = tuple(as_taken(image, errors) for image in images)
+    nominal = tuple(as_taken(image, errors) for image in images)
     size, number = np.array([settings.lines, settings.samples]), settings.ties
     drawn = of_ties.uniform(MARGIN, size - MARGIN, (4 * number, 2))
-    points = rays_to_sines(taken[0], true[0], drawn[:, 0], drawn[:, 1], settings.relief)
-    ties, true_ties = shared_ties(SOURCE, taken, true, points, number, settings.noise.tie, of_ties, _NO_OVERLAP)
-    laser, footprints = _laser_profile(taken, true, settings, errors, of_shots)
+    points = rays_to_sines(nominal[0], true[0], drawn[:, 0], drawn[:, 1], settings.relief)
+    ties, true_ties = shared_ties(SOURCE, nominal, true, points, number, settings.noise.tie, of_ties, _NO_OVERLAP)
+    laser, footprints = _laser_profile(nominal, true, settings, errors, of_shots)
     return SimulatedPair(settings, seed, images, true, ties, true_ties, laser, footprints)
 
 
@@ -176,9 +176,9 @@ def _laser_profile(
     """Shots along the first image's optical axis, evenly spaced in time, and their true footprints (n, 3) in m."""
     noise, n, k = settings.noise, settings.shots, settings.shots * len(images)
     shots = shots_along(images[0], corrections[0], n, settings.relief)
-    pixels, seen = project(images, corrections, shots.points)
-    if not np.all(seen):
-        raise InputError(SOURCE, f"images that share {seen.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
+    pixels, visible = project(images, corrections, shots.points)
+    if not np.all(visible):
+        raise InputError(SOURCE, f"images that share {visible.sum()} of {n} laser footprints", remedy=_NO_OVERLAP)
     points = shots.points
     if np.any(errors.altimeter_boresight):
         points = displaced_footprints(images[0], shots.times - images[0].trajectory.epoch, points, errors)

@@ -51,9 +51,9 @@ class PeriodicSurface:
         slopes_along, slopes_across = _slopes(first), _slopes(second)
         for k in range(3):
             row = [self._neighbour(start, k, i) for i in range(3)]
-            here = row[0] * along[0] + row[1] * along[1] + row[2] * along[2]
-            value += across[k] * here
-            by_north += slopes_across[k] * here
+            along_row = row[0] * along[0] + row[1] * along[1] + row[2] * along[2]
+            value += across[k] * along_row
+            by_north += slopes_across[k] * along_row
             by_east += across[k] * (row[0] * slopes_along[0] + row[1] * slopes_along[1] + row[2] * slopes_along[2])
         per_metre = east.dtype.type(1.0 / self.step)
         return value, by_east * per_metre, by_north * per_metre
@@ -108,9 +108,9 @@ def fractal(shape: tuple[int, int], hurst: float, rng: np.random.Generator) -> N
 def canyon(shape: tuple[int, int], step: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """Canyon across the flight direction: 0 on its floor, 1 on the plateau; spurs and gullies bend its walls."""
     north = step * (np.arange(shape[0]) - shape[0] // 2)[:, None]
-    bent = np.roll(north + 750.0 * fractal(shape, 1.3, rng), shape[0] // 2, axis=0)
-    northern = _smooth_step((bent - 8e3) / 9e3)
-    southern = 1.0 - _smooth_step((bent + 29.5e3) / 7e3)
+    shifted = np.roll(north + 750.0 * fractal(shape, 1.3, rng), shape[0] // 2, axis=0)
+    northern = _smooth_step((shifted - 8e3) / 9e3)
+    southern = 1.0 - _smooth_step((shifted + 29.5e3) / 7e3)
     return np.asarray(northern + southern, dtype=np.float32)
 
 

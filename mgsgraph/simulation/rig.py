@@ -1,4 +1,4 @@
-"""Cameras mounted on one spacecraft, and what is wrong with their common trajectory and with each mounting.
+"""Cameras mounted on one spacecraft, and errors of their common trajectory and of each mounting.
 
 All cameras of a pass share its trajectory (`MountedCamera.image`), and so its error: values at the nodes of the pass,
 drawn from the prior that the network states, about the axes of the pass's first image. A camera's boresight error turns
@@ -79,14 +79,14 @@ class PassErrors:
     """Sigmas of a pass's trajectory error: polynomials of time, s = -1 .. 1 over the pass, of degree 3 at most."""
 
     position: tuple[float, ...] = (30.0, 10.0)
-    """m, of the coefficients of s^0, s^1, ..., along X, Y, Z alike."""
+    """m, of the coefficients of s^0, s^1, ..., the same along X, Y, Z."""
     attitude: tuple[float, ...] = (1.5e-4, 5e-5, 2e-5, 1e-5)
     """rad, the same of rotations about the first camera's axes."""
 
     @property
     def sigmas(self) -> Array:
         """(4, 6) of all coefficients; a degree that is held has next to none."""
-        rows = [[*one, *[_HELD * one[0]] * (SUPPORT - len(one))] for one in (self.position, self.attitude)]
+        rows = [[*stated, *[_HELD * stated[0]] * (SUPPORT - len(stated))] for stated in (self.position, self.attitude)]
         return np.repeat(np.array(rows).T, 3, axis=1)
 
     @property
@@ -143,34 +143,34 @@ class TrueRig:
     ) -> "TrueRig":
         """A truth drawn from the prior of the passes; `boresights` (images, 3) in rad are given."""
         values, corrections = [], list[OrientationCorrection]()
-        for one in passes:
-            nodes = powers(one.nodes) @ np.where(errors.free, errors.sigmas * rng.standard_normal((SUPPORT, 6)), 0.0)
+        for pass_ in passes:
+            nodes = powers(pass_.nodes) @ np.where(errors.free, errors.sigmas * rng.standard_normal((SUPPORT, 6)), 0.0)
             values.append(nodes)
-            for j in one.images.tolist():
-                axes = one.axes_of(j)
+            for j in pass_.images.tolist():
+                axes = pass_.axes_of(j)
                 own = rotation.exponential(-boresights[j]) @ (np.eye(3) if axes is None else axes)
                 turned = np.hstack([nodes[:, :3], nodes[:, 3:] @ own.T])
-                corrections.append(strip_correction(one.nodes, turned))
-        taken = tuple(
+                corrections.append(strip_correction(pass_.nodes, turned))
+        nominal = tuple(
             as_taken(image, InstrumentErrors(camera_boresight=b)) for image, b in zip(images, boresights, strict=True)
         )
-        return cls(taken, tuple(corrections), tuple(values))
+        return cls(nominal, tuple(corrections), tuple(values))
 
     def ground(self, image: int, pixels: Array, heights: Array) -> Array:
         """(n, 3) m, where lines and samples (n, 2) of an image meet the ground at heights (n,) above the ellipsoid."""
-        one = self.images[image]
-        origins, directions = one.sightlines(pixels[:, 0], pixels[:, 1], self.corrections[image])
-        return intersect_ellipsoid(origins, directions, one.body, heights)[0]
+        own = self.images[image]
+        origins, directions = own.sightlines(pixels[:, 0], pixels[:, 1], self.corrections[image])
+        return intersect_ellipsoid(origins, directions, own.body, heights)[0]
 
     def shots(self, image: int, shares: Array, beam: Array, heights: Array) -> tuple[Array, Array, Array]:
         """Laser shots at shares (n,) of an image's lines along a beam (3,) in its axes: true footprints (n, 3) in m at
         heights (n,) above the ellipsoid, times (n,) in s TDB past J2000 and ranges (n,) in m.
         """
-        one = self.images[image]
-        times = one.trajectory.epoch + one.timing.at(shares * one.lines)[0]
-        pose = one.pose(one.timing.lines(times - one.trajectory.epoch), self.corrections[image])  # as float64 has them
+        own = self.images[image]
+        times = own.trajectory.epoch + own.timing.at(shares * own.lines)[0]
+        pose = own.pose(own.timing.lines(times - own.trajectory.epoch), self.corrections[image])  # as float64 has them
         beams = np.einsum("nji,j->ni", pose.matrix, beam)
-        places, _, _ = intersect_ellipsoid(pose.position, beams, one.body, heights)
+        places, _, _ = intersect_ellipsoid(pose.position, beams, own.body, heights)
         return places, times, np.linalg.norm(places - pose.position, axis=1)
 
     def seen(self, points: Array) -> Visible:
@@ -228,7 +228,7 @@ _TRIES = 60
 
 ALTITUDE = 50e3
 """m."""
-_ROLL, _ASIDE = 20.0 * DEG, 1250.0
+_ROLL, _EAST = 20.0 * DEG, 1250.0
 """rad, by which the second pass looks aside; m on the ground by which its middle lies east of the first one's."""
 _LINES, _PERIOD = 52_224, 3.4e-4
 """Of each image, and s per line."""
@@ -238,7 +238,7 @@ _FOOTPRINT, _TRACK = (3.0, 3.0, 1.0), 20.0
 """m, sigmas of a footprint's own place east, north and up; east and north alike of the shift that all footprints of a
 pass share."""
 _BORESIGHT, _BORESIGHT_SIGMAS = 80.0, np.array([1.6e-3, 1.6e-3, 5e-4])
-"""m on the ground below, by which the axis of R is off; rad, what is known of it beforehand, about its axes."""
+"""m on the ground below, by which the axis of R is off; rad, its prior, about its axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,7 +275,7 @@ def nac_cameras() -> tuple[MountedCamera, MountedCamera]:
 
 def nac_images() -> tuple[PushbroomImage, ...]:
     """Nominal images: L and R of the first pass at nadir, then of the second one."""
-    east, images = _ASIDE / (MOON.equatorial * np.cos(_SITE[1])), []
+    east, images = _EAST / (MOON.equatorial * np.cos(_SITE[1])), []
     for k, (epoch, roll) in enumerate(zip(_EPOCHS, (0.0, _ROLL), strict=True)):
         site = site_at(_SITE[0] + k * east, _SITE[1], MOON)
         flown = CircularPass(epoch, site, 0.0, ALTITUDE, roll, MOON_BODY, turning=True)
@@ -316,10 +316,10 @@ def simulate_nac_pair(settings: NacSettings | None = None, seed: int = 1) -> Sim
 
 
 def own_priors(errors: PassErrors) -> tuple[OrientationPrior, ...]:
-    """What is known of each image by itself: the pass's error, and of R that of its boresight besides."""
+    """Prior of each image by itself: the pass's error, and for R also that of its boresight."""
     sigmas, mounted = errors.sigmas, errors.sigmas.copy()
     mounted[0, 3:] = np.hypot(mounted[0, 3:], _BORESIGHT_SIGMAS)
-    return tuple(OrientationPrior(one) for one in (sigmas, mounted) * 2)
+    return tuple(OrientationPrior(sigma) for sigma in (sigmas, mounted) * 2)
 
 
 def _drawn_boresight(rng: np.random.Generator) -> Array:
@@ -348,8 +348,8 @@ def _tie_places(truth: TrueRig, settings: NacSettings, rng: np.random.Generator)
 def _shots(truth: TrueRig, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """True footprints (n, 3) in m, times (n,) in s TDB past J2000 and ranges (n,) in m of both passes."""
     beam, shares = nac_cameras()[0].mount @ [0.0, 0.0, 1.0], np.linspace(0.02, 0.98, count)
-    found = [truth.shots(left, shares, beam, _RELIEF * rng.standard_normal(count)) for left in (0, 2)]
-    places, times, ranges = (np.concatenate(each) for each in zip(*found, strict=True))
+    shots = [truth.shots(left, shares, beam, _RELIEF * rng.standard_normal(count)) for left in (0, 2)]
+    places, times, ranges = (np.concatenate(each) for each in zip(*shots, strict=True))
     return places, times, ranges
 
 
@@ -362,20 +362,20 @@ def _rays(truth: TrueRig, points: Array, ties: int, rng: np.random.Generator) ->
 
 def _of_one_pass(rays: ImageRays, count: int) -> Mask:
     """(count,) True for points that one pass alone shows: their rays are nearly parallel."""
-    seen = np.zeros((count, 2), dtype=bool)
-    seen[rays.point, rays.image // 2] = True
-    return np.asarray(~seen.all(axis=1))
+    shown = np.zeros((count, 2), dtype=bool)
+    shown[rays.point, rays.image // 2] = True
+    return np.asarray(~shown.all(axis=1))
 
 
 def _given(
-    ties: Array, shots: Array, profile: Index, alone: Mask, rng: np.random.Generator
+    ties: Array, shots: Array, profile: Index, of_one_pass: Mask, rng: np.random.Generator
 ) -> tuple[GroundPoints, ProfileShifts]:
     """Points as an adjustment is given them. What footprints of a pass have in common is one error, an unknown; tie
-    points that are `alone` (n,) on rays of one pass have a height to start from: their rays are so nearly parallel that
+    points `of_one_pass` (n,) have a height to start from: their rays are so nearly parallel that
     the boresight's error makes them meet behind the cameras.
     """
     n, m, places = len(ties), len(shots), np.concatenate([ties, shots])
-    known = alone | (np.arange(n + m) >= n)
+    constrained = of_one_pass | (np.arange(n + m) >= n)
     sigmas = np.repeat([_LOOSE, _FOOTPRINT], [n, m], axis=0)
     errors = sigmas * rng.standard_normal((n + m, 3))
     errors[n:, :2] -= (_TRACK * rng.standard_normal((2, 2)))[profile]
@@ -384,8 +384,8 @@ def _given(
     points = GroundPoints(
         Names.of([*(f"T{i:04d}" for i in range(n)), *(f"S{i:04d}" for i in range(m))]),
         np.repeat([int(PointClass.TIE), int(PointClass.LASER)], [n, m]),
-        np.where(known, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
-        np.where(known[:, None], places + np.einsum("nk,nkj->nj", errors, frames), np.nan),
-        np.where(known[:, None, None], np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames), 0.0),
+        np.where(constrained, int(PointKind.CONSTRAINED), int(PointKind.FREE)),
+        np.where(constrained[:, None], places + np.einsum("nk,nkj->nj", errors, frames), np.nan),
+        np.where(constrained[:, None, None], np.einsum("nk,nki,nkj->nij", sigmas**2, frames, frames), 0.0),
     )  # fmt: skip
     return points, ProfileShifts(("LOLA 1", "LOLA 2"), np.concatenate([np.full(n, -1), profile]), np.full(2, _TRACK))

@@ -1,4 +1,4 @@
-"""A study site simulated: true images over true ground, what the instruments and kernels say of them, and the truth.
+"""Simulates a study site: true images over true ground, data of instruments and kernels, and the truth.
 
 The two images see the same middle from two flights (`orbit.site_pass`); the altimeter shoots beside the camera, so that
 it is rolled with the spacecraft, and a range is the mean over its spot (`laser_spot`). What an adjustment is given
@@ -118,7 +118,7 @@ _CLOUD = (300.0, 3000.0)
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions(Record):
-    """What may differ from the published site.
+    """Settings that may differ from the published site.
 
     Examples
     --------
@@ -287,7 +287,7 @@ def _flight(
     terrain: SiteTerrain,
     rng: np.random.Generator,
 ) -> tuple[SitePass, KernelErrors, float, str]:
-    """The flight, what is wrong with its kernels, the time of the image's upper edge, and its clock count."""
+    """The flight, the errors of its kernels, the time of the image's upper edge, and its clock count."""
     count, start = clock_count(ephemeris_time(image.start))
     middle = terrain.on_ground(np.array([site.longitude]), np.array([site.latitude]))[0]
     emission = options.emission if image.held else None
@@ -370,15 +370,15 @@ def _ground_returns(pixels: Array, image: PushbroomImage, settings: ImageSetting
     """
     size = np.array([image.lines, image.samples])
     inside = np.flatnonzero(np.all((pixels >= 0.0) & (pixels <= size), axis=1))
-    lost = inside.size - settings.shots
-    if lost < 0:
+    without = inside.size - settings.shots
+    if without < 0:
         found = f"{inside.size} shots inside {settings.name}"
         raise InputError(SOURCE, found, f"at least the published {settings.shots}")
-    ends = min(_EDGE_SHOTS, lost // 2)
+    ends = min(_EDGE_SHOTS, without // 2)
     ground = np.ones(pixels.shape[0], dtype=np.bool_)
     ground[max(inside[0] - _EDGE_SHOTS, 0) : inside[0] + ends] = False
     ground[inside[-1] + 1 - ends : inside[-1] + 1 + _EDGE_SHOTS] = False
-    ground[rng.choice(inside[ends : inside.size - ends], lost - 2 * ends, replace=False)] = False
+    ground[rng.choice(inside[ends : inside.size - ends], without - 2 * ends, replace=False)] = False
     return ground
 
 
@@ -442,7 +442,7 @@ def simulate_three_sites(seed: int = 1, options: SimulationOptions | None = None
     seed : int
         zero or positive.
     options : SimulationOptions, optional
-        What differs from the published sites, alike for all three.
+        What differs from the published sites, the same for all three.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The three study sites as published, and what may be wrong with their kernels: drawn anew from the sigmas that their
+"""The three study sites as published, and errors of their kernels: drawn from the sigmas that their
 cases state, or of the sizes that the papers found, for the reproduction of their tables alone.
 
 Numbers: Yoon & Shan, PE&RS 2005 and ISPRS 2004, Table 1; site and height of Eos from the exterior orientation of Shan,
@@ -35,7 +35,7 @@ _HELD = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelErrors(Record):
-    """What is wrong with the kernels of one image; nominal = true (+) these."""
+    """Errors of the kernels of one image; nominal = true (+) these."""
 
     position: Array
     """(terms, 3) m, of the SPK, row k times u^k of the normalised line u in [-1, 1]: radial, along the flight, across
@@ -56,7 +56,7 @@ class KernelErrors(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSettings(Record):
-    """One image as published, its simultaneous profile, and what is wrong with its kernels."""
+    """One image as published, its simultaneous profile, and the errors of its kernels."""
 
     name: str
     """Product, as the papers write it."""
@@ -131,7 +131,7 @@ class SiteSettings(Record):
         return self.images[0] if not self.images[0].held else self.images[1]
 
     def prior(self, image: ImageSettings) -> OrientationPrior:
-        """What is known of an image's orientation beforehand, and what the errors of its kernels are drawn from."""
+        """Prior of an image's orientation, and what the errors of its kernels are drawn from."""
         constant = np.array([*(POSITION_SIGMA,) * 3, *self.angle_sigmas])
         return OrientationPrior((_HELD if image.held else 1.0) * np.array(self.trend)[:, None] * constant)
 
@@ -166,15 +166,15 @@ def _of_table(site: dict[str, Any]) -> SiteSettings:
     more = {name: tuple(site[name]) for name in ("trend",) if name in site}
     if "angle_sigmas" in site:
         more["angle_sigmas"] = tuple(sigma * ARCMIN for sigma in site["angle_sigmas"])
-    return SiteSettings(**site | angles | more | {"images": tuple(_image_of_table(one) for one in site["images"])})
+    return SiteSettings(**site | angles | more | {"images": tuple(_image_of_table(entry) for entry in site["images"])})
 
 
 def _image_of_table(image: dict[str, Any]) -> ImageSettings:
     errors = image["errors"]
     turned = np.array([errors.get(axis, (0.0, 0.0)) for axis in ("roll", "pitch", "yaw")]).T * ARCMIN
     bias, noise = errors.get("attitude_time_bias", 0.0), errors["noise"] * ARCSEC
-    found = KernelErrors(np.array([errors["position"]]), turned, bias, noise)
-    return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": found})
+    kernel_errors = KernelErrors(np.array([errors["position"]]), turned, bias, noise)
+    return ImageSettings(**image | {"emission": image["emission"] * DEG, "errors": kernel_errors})
 
 
 _SITES = {site["name"]: _of_table(site) for site in toml_table(template("sites.toml"), "sites.toml")["sites"]}

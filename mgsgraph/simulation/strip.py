@@ -101,10 +101,10 @@ class Steps:
         """Ties of the last image, and the true points (n, 3) in m of the new ones among them."""
         k = len(self._images) - 1
         visible, points = Visible(), np.zeros((0, 3))
-        known = list(range(max(min(neighbours, default=0), 1), k))
-        if known:
-            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_ties for i in known]))
-            visible.add(shown + (known[0] - 1) * self.ties, k, pixels)
+        shared = list(range(max(min(neighbours, default=0), 1), k))
+        if shared:
+            shown, pixels = self._images[k].project(np.concatenate([self.taken[i].true_ties for i in shared]))
+            visible.add(shown + (shared[0] - 1) * self.ties, k, pixels)
         if k > 0:
             points = self._new_points(neighbours, visible, rng)
         point, image, pixels = visible.ordered()
@@ -126,26 +126,26 @@ class Steps:
         if not neighbours:
             raise _unshared(new.image, 0, wanted)
         first, last = self._shared_lines(neighbours)
-        kept, offset = list[Array](), (k - 1) * wanted
-        found = 0
+        parts, offset = list[Array](), (k - 1) * wanted
+        placed = 0
         for _ in range(_DRAWS):
-            count = int(1.15 * (wanted - found)) + 20
+            count = int(1.15 * (wanted - placed)) + 20
             drawn = rng.uniform([first, MARGIN], [last, new.image.samples - MARGIN], (count, 2))
             level, _ = new.image.image_to_ground(drawn[:, 0], drawn[:, 1], 0.0, new.true)
             points = on_sines(level, self.relief)
-            seen = [(j, *self._images[j].project(points)) for j in [*neighbours, k]]
-            rays = np.bincount(np.concatenate([shown for _, shown, _ in seen]), minlength=count)
-            shared = np.intersect1d(np.flatnonzero(rays > 1), seen[-1][1])[: wanted - found]
+            projected = [(j, *self._images[j].project(points)) for j in [*neighbours, k]]
+            rays = np.bincount(np.concatenate([shown for _, shown, _ in projected]), minlength=count)
+            shared = np.intersect1d(np.flatnonzero(rays > 1), projected[-1][1])[: wanted - placed]
             number = np.full(count, -1)
-            number[shared] = np.arange(shared.size) + offset + found
-            for j, shown, pixels in seen:
-                mine = number[shown] >= 0
-                visible.add(number[shown[mine]], j, pixels[mine])
-            kept.append(points[shared])
-            found += shared.size
-            if found == wanted:
-                return np.concatenate(kept)
-        raise _unshared(new.image, found, wanted)
+            number[shared] = np.arange(shared.size) + offset + placed
+            for j, shown, pixels in projected:
+                is_new = number[shown] >= 0
+                visible.add(number[shown[is_new]], j, pixels[is_new])
+            parts.append(points[shared])
+            placed += shared.size
+            if placed == wanted:
+                return np.concatenate(parts)
+        raise _unshared(new.image, placed, wanted)
 
     def _shared_lines(self, neighbours: list[int]) -> tuple[float, float]:
         """First and last line of the last image between which ground is worth a draw."""
@@ -199,25 +199,25 @@ class Steps:
         first = int(numbers[0]) // self.shots
         some, local = self._shots[first:], numbers - first * self.shots
         times, points, ranges = (
-            np.concatenate([getattr(one, name) for one in some])[local] for name in ("times", "points", "ranges")
+            np.concatenate([getattr(step, name) for step in some])[local] for name in ("times", "points", "ranges")
         )
         return Shots(times, points, ranges)
 
     def _names(self, images: Index) -> tuple[str, ...]:
-        names = [taken.image.name for taken in self._images]
+        names = [step.image.name for step in self._images]
         return tuple(names[j] for j in images.tolist())
 
 
 def _unshared(image: PushbroomImage, found: int, wanted: int) -> InputError:
-    found_ground = f"ground shared with earlier images for {found} of {wanted} tie points"
-    return InputError(f"{SOURCE}, image {image.name}", found_ground, remedy=_NO_OVERLAP)
+    ground = f"ground shared with earlier images for {found} of {wanted} tie points"
+    return InputError(f"{SOURCE}, image {image.name}", ground, remedy=_NO_OVERLAP)
 
 
 # --- steps put together
 
 
 def merged_ties(parts: Sequence[TiePoints]) -> TiePoints:
-    """Tie points of several steps as one: points in the order in which they come up, measures by point."""
+    """Tie points of several steps together: points in order of appearance, measures by point."""
     ids, of_part = Names.united([part.ids for part in parts])
     point = np.concatenate([own[part.measure_point] for own, part in zip(of_part, parts, strict=True)])
     order = np.argsort(point, kind="stable")
@@ -243,14 +243,14 @@ def merged_profiles(parts: Sequence[LaserProfile]) -> tuple[LaserProfile, ...]:
     shot = np.concatenate([own[part.measure_shot] for own, part in zip(of_part, parts, strict=True)])
     images = RepeatedNames.concatenated([part.measure_image for part in parts])
     measures = np.concatenate([part.measures for part in parts])
-    order, known, found = np.argsort(shot, kind="stable"), 0, list[LaserProfile]()
+    order, before, profiles = np.argsort(shot, kind="stable"), 0, list[LaserProfile]()
     for own, part in zip(of_part, parts, strict=True):
-        new = np.flatnonzero(own >= known)
+        new = np.flatnonzero(own >= before)
         rows = order[np.isin(shot[order], own[new])]
         if new.size:
-            found.append(_with_measures(part, new, shot[rows] - known, images[rows], measures[rows]))
-        known += new.size
-    return tuple(found)
+            profiles.append(_with_measures(part, new, shot[rows] - before, images[rows], measures[rows]))
+        before += new.size
+    return tuple(profiles)
 
 
 def _with_measures(part: LaserProfile, new: Index, shot: Index, images: RepeatedNames, measures: Array) -> LaserProfile:
@@ -425,10 +425,10 @@ def _images(settings: StripSettings) -> list[PushbroomImage]:
         )
     images = []
     for k in range(settings.images):
-        pair, aside = divmod(k, 2)
-        epoch = _FIRST + _SOL * pair + _LATER * aside
-        off_nadir = settings.off_nadir if aside else 0.0
+        pair, off_nadir_turn = divmod(k, 2)
+        epoch = _FIRST + _SOL * pair + _LATER * off_nadir_turn
+        off_nadir = settings.off_nadir if off_nadir_turn else 0.0
         flown = CircularPass(epoch, sites[pair], float(headings[pair]), settings.altitude, off_nadir)
-        name = f"STRIP/{k:03d}{'NX'[aside]}"
+        name = f"STRIP/{k:03d}{'NX'[off_nadir_turn]}"
         images.append(narrow_image(name, flown, settings.lines, settings.samples, settings.period))
     return images

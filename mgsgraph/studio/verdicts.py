@@ -22,7 +22,7 @@ from mgsgraph.case.assembly import in_images
 from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
 from mgsgraph.export import Format
-from mgsgraph.export.exchange import earlier_network
+from mgsgraph.export.exchange import replaceable_network
 from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
 from mgsgraph.files.networks.binary import write_binary_network
 from mgsgraph.files.networks.pvl import write_pvl_network
@@ -198,7 +198,7 @@ def write_kept(
     if resolved(out, "choose another --out") == resolved(network, ""):
         raise InputError(str(out), "the network that was reviewed", "another file", "it is kept as it was")
     form = {_BINARY: Format.NET, _TABLE: Format.CSV}.get(out.suffix.lower(), Format.PVL)
-    require_free(out, earlier_network(form, out), remedy="choose another --out")
+    require_free(out, replaceable_network(form, out), remedy="choose another --out")
     table = [is_table(network), out.suffix.lower() == _TABLE]
     if table == [False, True]:
         raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",

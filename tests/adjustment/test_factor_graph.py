@@ -183,6 +183,10 @@ def test_a_factor_of_ones_own_on_points() -> None:
     right = marginals.marginalCovariance(keys.image(1))
     np.testing.assert_allclose(with_it.joint_covariance.block(1, 1), right, rtol=1e-4, atol=1e-6 * right.max())
     assert not mgsgraph.solution_of(solution, found.values).converged  # without it the minimum is elsewhere
+    assert (with_it.own_factors, solution.own_factors) == (1, 0)
+    with pytest.raises(InputError, match="Marginals"):
+        mgsgraph.Posterior.of(with_it)
+    assert mgsgraph.verdict(with_it).state.value == "suspect"  # nothing of it is tested
 
 
 def test_a_factor_of_ones_own_in_the_fast_form() -> None:

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.factor_graph import factor_graph
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.analysis import process_strengths
 from mgsgraph.analysis.linearised import at_solution
-from mgsgraph.analysis.process_strengths import Evidence, estimated_strengths
+from mgsgraph.analysis.process_strengths import Evidence, estimated_strengths, where_passes_differ
 from mgsgraph.analysis.spacing import (
     choose_spacing,
     hold_out,
@@ -21,6 +22,7 @@ from mgsgraph.analysis.spacing import (
     whitening,
     with_nodes,
 )
+from mgsgraph.analysis.strengths import Strength, of_each_pass, spread_beforehand
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import evenly_spaced
 from mgsgraph.network import Network, NodePrior, Process, ProcessPrior
@@ -304,9 +306,91 @@ def test_passes_have_their_strengths_in_common() -> None:
     found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings(), most=2)
     assert {one.passes for one in found.strengths} == {tuple(one.name for one in net.passes)}
     assert [one.axis for one in found.strengths] == [0, 1, 2]
-    priors = [one.prior for one in found.network.passes]
-    first, second = (one.attitude[0].sigmas for one in priors if isinstance(one, ProcessPrior))
-    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(*attitudes(found.network))
+
+
+def attitudes(network: Network) -> list[np.ndarray]:
+    """(3,) strengths of the attitude of each pass."""
+    priors = [one.prior for one in network.passes]
+    return [one.attitude[0].sigmas for one in priors if isinstance(one, ProcessPrior)]
+
+
+@pytest.mark.slow
+def test_of_two_strips_the_one_that_moves_more_is_found() -> None:
+    """Two searches over two strips, the second's departures a fifth of the first's: strengths of the first pass are the
+    larger ones, and the factor graph has the same cost.
+    """
+    made = simulate_hrsc_block(replace(SETTINGS, strips=2, points=600, wander=(1.0, 0.2)), 1)
+    attitude = Process("gauss-markov", np.full(3, ERRORS.attitude_wander), 30.0, estimated=True)
+    position = Process("gauss-markov", np.full(3, ERRORS.position_wander), 30.0, estimated=True)
+    prior = ProcessPrior((position,), (attitude,), ERRORS.prior.bias, ERRORS.prior.drift)
+    net = replace(made.network, passes=tuple(replace(one, prior=prior) for one in made.network.passes))
+    common, own = (estimated_strengths(net, SolverSettings(), in_common=some) for some in (True, False))
+    assert (len(common.strengths), len(own.strengths)) == (6, 12)
+    assert own.converged
+    assert all(one.error > 0.05 for one in own.strengths)
+    first, second = attitudes(own.network)
+    assert np.all(first > second)
+    np.testing.assert_array_equal(*attitudes(common.network))
+    explicit = factor_graph(own.solution)
+    assert explicit.graph.error(explicit.values) == pytest.approx(own.solution.cost_final, rel=1e-9)
+
+
+STRENGTHS = [
+    Strength(("one", "other"), "attitude", "gauss-markov", axis, ((0, 0), (1, 0)), 0, 1.0, 1.0) for axis in range(3)
+]
+
+
+def evidence(ratio: float, seed: int, noise: tuple[float, float] = (0.1, 0.1)) -> Evidence:
+    """What two passes of 20 nodes say whose departures are seen with some noise, those of the second times a ratio."""
+    rng, k = np.random.default_rng(seed), np.arange(20)
+    own = np.exp(-0.5 * np.abs(k[:, None] - k))
+    moves = np.linalg.cholesky(own) @ rng.standard_normal((3, 2, 20, 1)) * np.array([1.0, ratio])[:, None, None]
+    rows = np.arange(120).reshape(3, 2, 20)
+    variances = np.tile(np.repeat(np.square(noise), 20), 3)
+    start = np.linalg.inv(np.kron(np.eye(6), own) + np.diag(variances))
+    push = start @ (moves.ravel() + np.sqrt(variances) * rng.standard_normal(120))
+    parts = tuple(tuple((mine, own) for mine in axis) for axis in rows)
+    return Evidence(start, push, np.zeros((0, 120)), (), parts, np.zeros(3), spread_beforehand(STRENGTHS))
+
+
+def test_passes_that_differ_have_strengths_of_their_own() -> None:
+    """The second moves a fifth as much: each axis of each pass is found, within its stated error."""
+    one = replace(evidence(0.2, 2), mean=np.array([0.1, 0.2, 0.3]))
+    wide, strengths, steps = where_passes_differ(one, STRENGTHS, one.maximum())
+    np.testing.assert_array_equal(wide.mean, [0.1, 0.1, 0.2, 0.2, 0.3, 0.3])
+    assert [(each.passes, each.axis) for each in strengths] == [((of,), k) for k in range(3) for of in ("one", "other")]
+    errors = np.sqrt(np.diagonal(np.linalg.inv(wide.density(steps).information)))
+    assert np.all(errors < 0.4)
+    assert np.all(np.abs(steps - np.log([1.0, 0.2] * 3)) < 3.0 * errors)
+
+
+def test_passes_that_do_not_differ_have_none() -> None:
+    """Of 12 draws at most two get them by chance: where 95 % of many do not, with a probability of 0.98."""
+    found = [where_passes_differ(one, STRENGTHS, one.maximum()) for one in (evidence(1.0, k) for k in range(20))]
+    assert sum(len(strengths) > 3 for _, strengths, _ in found) <= 3
+
+
+def test_a_strength_that_is_taken_over_is_as_uncertain_as_its_source() -> None:
+    """Of a pass that rays don't show: the other's error, and the deviation of passes."""
+    wide, _, _ = evidence(1.0, 2, (0.1, 1e4)).apart(STRENGTHS)
+    joint = np.linalg.inv(wide.density(wide.maximum()).information)
+    seen, unseen = np.diagonal(joint).reshape(3, 2).T
+    assert np.all(seen < 0.4**2)
+    assert np.all(unseen > seen)
+
+
+@given(st.floats(0.1, 7.0), st.integers(2, 5))
+def test_passes_depart_from_what_they_have_in_common(spread: float, count: int) -> None:
+    """Beforehand by half the deviation of the strengths themselves, whatever the prior's; axes of a pass jointly."""
+    names, members = tuple("abcde"[:count]), tuple((k, 0) for k in range(count))
+    common = [replace(one, passes=names, members=members, spread=spread) for one in STRENGTHS]
+    each, of = of_each_pass(common)
+    axes, whole = spread_beforehand(common), spread_beforehand(each)
+    np.testing.assert_allclose(axes, spread**2 + 0.36 * np.eye(3))
+    first = np.array([one.members[0][0] for one in each])
+    np.testing.assert_allclose(whole, axes[np.ix_(of, of)] * np.where(first[:, None] == first, 1.25, 1.0))
+    np.linalg.cholesky(whole)
 
 
 def test_what_is_hardly_seen_has_a_limit() -> None:

@@ -71,7 +71,7 @@ model = "matern-5/2"
 sigma_mrad = "estimated"
 correlation_time_s = 1.0
 bias_sigma_mrad = 0.3
-plus = [{ model = "white", sigma_mrad = 0.004 }]
+plus = [{ model = "white", sigma_mrad = 0.004 }, { model = "white", sigma_mrad = 0.03, sigma_factor = 10 }]
 [[passes.vibrations]]
 frequency_hz = 5.0
 sigma_mrad = 0.02
@@ -88,9 +88,11 @@ drift = 0.5
     assert vibration.sine.half == pytest.approx(0.5 * (stop - start))
     prior = found.prior
     assert isinstance(prior, ProcessPrior)
-    slow, rough = prior.attitude
-    assert (slow.kind, slow.correlation_time, slow.estimated) == ("matern-5/2", 1.0, True)
+    slow, rough, about = prior.attitude
+    assert (slow.kind, slow.correlation_time, slow.estimated, slow.spread) == ("matern-5/2", 1.0, True, 1.0)
     assert (rough.kind, rough.estimated) == ("white", False)
+    assert (about.estimated, about.spread) == (True, pytest.approx(np.log(10.0)))
+    np.testing.assert_allclose(about.sigmas, 0.03 * MRAD)
     np.testing.assert_allclose(rough.sigmas, 0.004 * MRAD)
     np.testing.assert_allclose(prior.bias, np.repeat([50.0, 0.3e-3], 3))
     np.testing.assert_allclose(prior.drift, np.repeat([10.0, 0.0], 3))

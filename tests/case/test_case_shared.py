@@ -16,7 +16,7 @@ from mgsgraph.case.reading import read_altimetry
 from mgsgraph.case.schema import AltimetryInput, ShotsInput
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.altimetry import LOLA, MLA, MOLA
-from mgsgraph.network import PointClass, SharedKind
+from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.results.inventory import inventory
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.orbit import MARS
@@ -130,6 +130,20 @@ def beams(path: Path, stated: str = "", after: str = "ap19043l.b", laser: bool =
     found = mgsgraph.read_case(there, laser=laser).network.shared
     assert all(one.kind is SharedKind.ALTIMETER_BORESIGHT for one in found)
     return {one.name: (int(one.images[0]), round(float(one.sigmas[0] * 1e3), 9)) for one in found}
+
+
+def test_ranges_and_footprints_of_a_case_have_what_their_echoes_say_in_common(rolled: Path) -> None:
+    """Each range gets as much more variance as its footprint, which has it with or without ranges."""
+    text, networks = rolled.read_text(encoding="utf-8"), list[Network]()
+    for stated in ("pulse_share = 0.0", "pulse_share = 0.1", "pulse_share = 0.1\nranges = false"):
+        rolled.write_text(text.replace("pulse_share = 0.0", stated), encoding="utf-8")
+        networks.append(mgsgraph.read_case(rolled).network)
+    plain, echoes, alone = networks
+    assert plain.ranges.shares is None
+    more = (echoes.points.covariances - plain.points.covariances)[echoes.ranges.point]
+    assert np.trace(more, axis1=1, axis2=2) == pytest.approx(echoes.range_sigmas**2 - plain.ranges.sigmas**2, rel=1e-6)
+    assert np.median(echoes.range_sigmas) > 1.1 * np.median(plain.ranges.sigmas)
+    np.testing.assert_array_equal(alone.points.covariances, echoes.points.covariances)
 
 
 def test_the_beam_of_a_rolled_profile_is_an_unknown(rolled: Path) -> None:

@@ -335,7 +335,7 @@ def test_profiles_that_do_not_cross_the_images_are_refused(monkeypatch: pytest.M
     positions = np.array(network.points.places)
     positions[mine] += 20e3 * east_north(positions[mine])[:, 0]
     away = replace(network, points=replace(network.points, places=positions))
-    with pytest.raises(InputError, match="none of 2 with 12 shots on the stereo surface"):
+    with pytest.raises(InputError, match="none of 2 with 12 shots on the surface"):
         mgsgraph.register_by_relief(
             mgsgraph.read_case(relief_site.case_path()), relief_site.SETTINGS, before=replace(solution, network=away)
         )

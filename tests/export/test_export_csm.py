@@ -374,7 +374,7 @@ def test_bytes_are_the_same_again(tables: Written, tmp_path: Path) -> None:
 # --- what can't be held
 
 
-class Bent:
+class Undistorted:
     """Optics that nobody else knows."""
 
     def undistort(self, place: Array) -> tuple[Array, Array]:
@@ -388,7 +388,7 @@ def test_what_the_format_lacks_is_refused_by_its_field(tables: Written, tmp_path
         return replace(tables.solution, network=replace(net, images=images))
 
     for solution, field in (
-        (changed(distortion=Bent()), "optical_distortion: the model Bent"),
+        (changed(distortion=Undistorted()), "optical_distortion: the model Undistorted"),
         (changed(sample_summing=1.5), r"detector_sample_summing: 1\.5"),
     ):
         with pytest.raises(InputError, match=field):

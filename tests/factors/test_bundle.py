@@ -16,7 +16,15 @@ from explicit_form import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import network, on_passes, pair, with_neighbors, with_shift_and_surface, with_tilting_surface
+from networks import (
+    network,
+    on_passes,
+    pair,
+    with_echoes,
+    with_neighbors,
+    with_shift_and_surface,
+    with_tilting_surface,
+)
 from odd_networks import NETWORKS, case, made, one_seen_twice_by_one_image, random_network, with_fixed
 from sharing import with_all_kinds
 from stereo_pair import stereo_network
@@ -35,6 +43,7 @@ from mgsgraph.network import Network, SharedKind
 SEEDS = st.integers(0, 2**32 - 1)
 EVERYTHING: dict[str, Callable[[], Network]] = {
     "all shared unknowns": lambda: with_all_kinds(with_tilting_surface(network(pair()))),
+    "echoes": lambda: with_all_kinds(with_shift_and_surface(with_echoes(network(pair())))),
     "nodes": lambda: on_passes(network(pair())),
     "stereo surface": lambda: stereo_network(pair(12, 24)),
     "neighbors": lambda: with_neighbors(with_tilting_surface(network(pair(20)))),
@@ -83,7 +92,7 @@ def test_bundle_is_explicit_on_any_network(seed: int) -> None:
         assert_bundle_is_explicit(system, state(system, size=0.3), 1e-10)
 
 
-@pytest.mark.parametrize("name", ["all shared unknowns", "nodes"])
+@pytest.mark.parametrize("name", ["all shared unknowns", "echoes", "nodes"])
 def test_rows_have_the_derivatives_of_differences(name: str) -> None:
     """The oracle on every measurement of four points: the first and last of the layout's, and two between. Its
     tolerance is a share of a block's largest entry, which of a focal length is next to nothing in mid-image.

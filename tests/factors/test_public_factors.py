@@ -19,6 +19,7 @@ from mgsgraph import factors
 from mgsgraph.errors import InputError, PointBehindCamera
 from mgsgraph.factors import rotation
 from mgsgraph.factors.ranging import Range
+from mgsgraph.geometry.altimetry import with_common_errors
 from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.stereo_surface import heights_above
@@ -59,6 +60,12 @@ def projection(**more: Any) -> gtsam.CustomFactor:
 
 FACTORS: dict[str, Callable[[], tuple[gtsam.NonlinearFactor, bool]]] = {
     "laser_range": lambda: (factors.laser_range(X(0), L(0), IMAGE, 2500.0, 380_000.0, 10.0), False),
+    "laser_range, of a footprint": lambda: (
+        factors.laser_range(
+            X(0), L(0), IMAGE, 2500.0, 380_000.0, 10.0, footprint=(seen()[0], np.array([0.3, -0.2, 0.5]))
+        ),
+        False,
+    ),
     "ground_prior": lambda: (factors.ground_prior(L(0), seen()[0], np.diag([9.0, 4.0, 1.0])), False),
     "ground_prior, shifted": lambda: (
         factors.ground_prior(L(0), seen()[0], np.diag([9.0, 4.0, 1.0]), [factors.profile_shift(S(0), seen()[0])]), True,
@@ -145,6 +152,29 @@ def test_a_range_bias_lengthens_what_is_measured() -> None:
     assert at(exact).residual == pytest.approx([0.0], abs=1e-12)
     by_state = [at(exact + step * way).residual - at(exact - step * way).residual for way in np.eye(13)]
     np.testing.assert_allclose(at(exact).by_state, np.array(by_state).T / (2.0 * step), atol=1e-8)
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_range_and_its_footprint_are_the_stated_joint_covariance(seed: int) -> None:
+    """With an error that takes the footprint as far on along the beam as it makes the range too long, both factors
+    together have the squares by the covariance of all four numbers.
+    """
+    rng, known, away = np.random.default_rng(seed), seen()[0], IMAGE.pose(np.array([2500.0])).position[0]
+    root, place = 2.0 * rng.standard_normal((3, 3)) + 5.0 * np.eye(3), known + rng.normal(0.0, 10.0, 3)
+    beam, sigma, size = (known - away) / np.linalg.norm(known - away), 3.0, rng.uniform(0.5, 20.0)
+    errors = np.array([size, *size * beam])
+    whole = np.block([[np.eye(1) * sigma**2, np.zeros((1, 3))], [np.zeros((3, 1)), root @ root.T]])
+    whole += errors[:, None] * errors
+    rest, own, shares = with_common_errors(sigma, (root @ root.T)[None], errors[None, 1:])
+    measured = np.linalg.norm(known - away) + rng.normal(0.0, 10.0)
+    values, footprint = values_at(place, np.zeros(18), shift=True), (known, shares[0])
+    moved = east_north(known[None])[0].T @ values.atVector(S(0))
+    along = [factors.constant(S(0), slice(9, 10), shares @ east_north(known[None])[0].T)]
+    one = factors.laser_range(X(0), L(0), IMAGE, 2500.0, measured, float(rest[0]), shared=along, footprint=footprint)
+    other = factors.ground_prior(L(0), known, own[0], [factors.profile_shift(S(0), known)])
+    off = np.array([measured - np.linalg.norm(place - away), *(known + moved - place)])
+    assert one.error(values) + other.error(values) == pytest.approx(0.5 * off @ np.linalg.solve(whole, off), rel=1e-7)
 
 
 @settings(max_examples=6)
@@ -251,6 +281,7 @@ def test_derivatives_of_a_stereo_height() -> None:
         (lambda: factors.pushbroom_projection(X(0), L(0), IMAGE, (3.0, 5.0), line="measured"), "without `near`"),
         (lambda: factors.laser_range(X(0), L(0), IMAGE, 3.0, 4e5, -1.0), "sigma -1"),
         (lambda: factors.laser_range(X(0), L(0), IMAGE, 3.0, -4e5, 1.0), "-400000 m"),
+        (lambda: factors.laser_range(X(0), L(0), IMAGE, 8.7e11, 4e5, 1.0), "line 8.7e"),
         (lambda: factors.orientation_prior(X(0), np.zeros((3, 6))), "sigma 0"),
         (lambda: factors.ground_prior(L(0), seen()[0], -np.eye(3)), "point l0.*positive definite"),
         (lambda: factors.laser_range(L(0), L(0), IMAGE, 3.0, 4e5, 1.0), "key l0 of an unknown and of the point"),

@@ -53,7 +53,7 @@ def test_names_are_expressions_and_refused_ones_say_what_is_meant(name: str) -> 
     for key in FORMATS[name]:
         re.compile(key.name)
         assert key.meaning
-        assert key.twin or key.use == Use.READ
+        assert key.same_as or key.use == Use.READ
         if key.use == Use.REFUSED:
             assert re.fullmatch(f"(?:{key.usual})", "SOMETHING ELSE") is None
 

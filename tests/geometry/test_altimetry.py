@@ -30,19 +30,24 @@ def shots(pulses: Array) -> AltimeterShots:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("ranged", [False, True])
-def test_broad_echoes_make_ranges_and_footprints_worse_along_the_beam(ranged: bool) -> None:
-    """By a share of half the way of light in an echo's standard deviation; twice the variance where both are used."""
+def test_broad_echoes_make_ranges_and_footprints_worse_along_the_beam() -> None:
+    """By a share of half the way of light in an echo's standard deviation, which the two have in common: a range that
+    is too long has its footprint too far on, downward.
+    """
     given = shots(np.array([np.nan, 8e-9, 80e-9]))
-    found = given.profile(1.0, 3.0, height_sigma=2.0, pulse_share=0.1, ranged=ranged)
-    more = (1.0 + ranged) * (0.1 * 0.5 * LIGHT * np.array([0.0, 8e-9, 80e-9])) ** 2
-    assert found.range_sigmas**2 == pytest.approx(1.0 + more)
+    found = given.profile(1.0, 3.0, height_sigma=2.0, pulse_share=0.1)
+    more = (0.1 * 0.5 * LIGHT * np.array([0.0, 8e-9, 80e-9])) ** 2
+    assert found.shares is not None
+    both = np.einsum("nij,nj->ni", found.covariances, found.shares)
+    assert found.range_sigmas**2 + np.einsum("ni,ni->n", both, found.shares) == pytest.approx(1.0 + more)
     beam, across = np.array([np.cos(np.radians(22.0)), np.sin(np.radians(22.0)), 0.0]), np.array([0.0, 0.0, 1.0])
     none = given.profile(1.0, 3.0, height_sigma=2.0)
     assert np.einsum("i,nij,j->n", beam, found.covariances - none.covariances, beam) == pytest.approx(more)
     assert np.einsum("i,nij,j->n", across, found.covariances, across) == pytest.approx(np.full(3, 9.0))
+    assert both == pytest.approx(-more[:, None] * beam, abs=1e-9)
     assert none.range_sigmas == pytest.approx(np.ones(3))
-    unseen = replace(given, spacecraft=np.full((3, 3), np.nan)).profile(1.0, 3.0, pulse_share=0.1, ranged=ranged)
+    assert none.shares is None
+    unseen = replace(given, spacecraft=np.full((3, 3), np.nan)).profile(1.0, 3.0, pulse_share=0.1)
     assert unseen.covariances[:, 0, 0] == pytest.approx(9.0 + more)  # upward, where nothing says from where
 
 

@@ -18,7 +18,7 @@ from mgsgraph.files.networks.tie_points import require_places
 from mgsgraph.geometry.altimetry import require_on_body
 from mgsgraph.geometry.body import Ellipsoid, body_name, require_possible, target_name
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
-from mgsgraph.geometry.plausibility import require_distinct, require_on_ground, require_plausible, twins
+from mgsgraph.geometry.plausibility import duplicate_images, require_distinct, require_on_ground, require_plausible
 from mgsgraph.geometry.records import (
     chosen_rows,
     concatenated,
@@ -157,14 +157,14 @@ def aside(image: PushbroomImage, metres: float) -> PushbroomImage:
 
 def test_twins_are_found_whatever_they_are_called() -> None:
     again = replace(FIRST, name="again")
-    assert twins([FIRST, SECOND, again, later(FIRST, 0.01)]) == [(0, 2), (0, 3), (2, 3)]
-    assert twins([FIRST, aside(FIRST, 0.1)]) == [(0, 1)]
+    assert duplicate_images([FIRST, SECOND, again, later(FIRST, 0.01)]) == [(0, 2), (0, 3), (2, 3)]
+    assert duplicate_images([FIRST, aside(FIRST, 0.1)]) == [(0, 1)]
 
 
 def test_others_are_not() -> None:
     narrower = replace(FIRST, interior=replace(FIRST.interior, first=FIRST.interior.first + np.array([0.0, 500.0])))
-    assert twins([FIRST, SECOND, later(FIRST, 1.5), narrower, aside(FIRST, 300.0)]) == []
-    assert twins([FIRST, replace(FIRST, lines=FIRST.lines - 1)]) == []
+    assert duplicate_images([FIRST, SECOND, later(FIRST, 1.5), narrower, aside(FIRST, 300.0)]) == []
+    assert duplicate_images([FIRST, replace(FIRST, lines=FIRST.lines - 1)]) == []
 
 
 def test_both_names_are_said() -> None:

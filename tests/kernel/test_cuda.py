@@ -25,7 +25,7 @@ import scipy.linalg
 from explicit_form import of_layout
 from hypothesis import given
 from hypothesis import strategies as st
-from networks import network, on_passes, pair, with_shift_and_surface
+from networks import network, on_passes, pair, with_echoes, with_shift_and_surface
 from odd_networks import case, made, one_seen_twice_by_one_image, with_fixed
 from once import once
 from sharing import shared, with_all_kinds
@@ -260,8 +260,8 @@ def _stiff(net: Any) -> Any:
 
 
 def _each_kind() -> Any:
-    """A tie point and a laser point, with rays, range, stereo surface, terrain, and a shared unknown."""
-    net = _stiff(with_shift_and_surface(stereo_network(pair(1, 1), laser_rays=True)))
+    """A tie point and a laser point, with rays, range and its echo, stereo surface, terrain, and a shared unknown."""
+    net = _stiff(with_shift_and_surface(with_echoes(stereo_network(pair(1, 1), laser_rays=True))))
     return replace(net, shared=(shared(SharedKind.RANGE_BIAS, [0]),))
 
 

@@ -18,12 +18,12 @@ from mgsgraph.matching.patches import (
     Patch,
     Tile,
     Window,
+    concatenated,
     detect,
     ortho_patch,
     owned,
     pair_up,
     tiling,
-    together,
 )
 from mgsgraph.matching.scene import Picture, Scene
 
@@ -164,12 +164,12 @@ def links(seed: int, count: int) -> Links:
 
 
 def test_links_of_tiles_are_numbered_through() -> None:
-    parts = [links(1, 5), together([]), links(2, 3)]
-    whole = together(parts)
+    parts = [links(1, 5), concatenated([]), links(2, 3)]
+    whole = concatenated(parts)
     np.testing.assert_array_equal(whole.plane[whole.links], np.concatenate([p.plane[p.links] for p in parts]))
     np.testing.assert_array_equal(whole.picture[whole.links], [[0, 1]] * 8)
     np.testing.assert_array_equal(whole.likeness, np.concatenate([p.likeness for p in parts]))
-    assert [len(column) for column in together([])] == [0, 0, 0, 0]
+    assert [len(column) for column in concatenated([])] == [0, 0, 0, 0]
     assert set(whole._asdict()) == set(Links._fields)
 
 

@@ -10,10 +10,10 @@ from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.matching.checks import checked_measures
 from mgsgraph.matching.coarse import (
     Displacements,
-    apart,
     consensus,
     displacements,
     increased,
+    match_offsets,
     sigmas_between,
 )
 from mgsgraph.matching.match import checked_matches, ground_cells
@@ -41,17 +41,17 @@ def found(places: tuple[np.ndarray, np.ndarray], degree: int = 1) -> tuple[Displ
 def test_coplanarity_is_untouched_by_heights() -> None:
     low, middle, high = (found(planted(60, lift))[0] for lift in (-50.0, 0.0, 50.0))
     for one in (low, high):
-        across, along = np.abs(one.apart - middle.apart).T
+        across, along = np.abs(one.offsets - middle.offsets).T
         assert np.all(along > 15.0)  # 50 m times 0.4
         assert np.all(across < 1e-3 * along)
-    np.testing.assert_allclose(high.apart[:, 1] - middle.apart[:, 1], -50.0 * middle.parallax, rtol=0.05)
+    np.testing.assert_allclose(high.offsets[:, 1] - middle.offsets[:, 1], -50.0 * middle.parallax, rtol=0.05)
 
 
 def test_without_errors_nothing_contradicts() -> None:
     scene = matched.scene()
     points = scene.ground.points(scene.ground.chart.plane(matched.inner()))
     places = tuple(picture.project(points) for picture in scene.pictures)
-    assert np.abs(apart(*scene.pictures, places, scene.ground)).max() < 0.02
+    assert np.abs(match_offsets(*scene.pictures, places, scene.ground)).max() < 0.02
 
 
 def test_designs_are_differences() -> None:
@@ -62,7 +62,7 @@ def test_designs_are_differences() -> None:
     coefficients = np.random.default_rng(1).standard_normal(12) * 0.1
     turned = increased(scene.pictures[1].correction, coefficients.reshape(sigmas.shape) * sigmas)
     told = one.residuals(coefficients)
-    moved = apart(scene.pictures[0], replace(scene.pictures[1], correction=turned), places, level)
+    moved = match_offsets(scene.pictures[0], replace(scene.pictures[1], correction=turned), places, level)
     away = np.abs(one.design @ coefficients).max()
     np.testing.assert_allclose(told, moved, atol=1e-3 * away)
     np.testing.assert_allclose(one.of(np.arange(3)).residuals(coefficients), told[:3])
@@ -102,8 +102,8 @@ def test_heights_are_no_blunders_but_what_lies_across_is() -> None:
     moved = second.copy()
     moved[:40, 0] += 1.0  # the second looks aside: lines are across
     scene = matched.scene()
-    shift = apart(*scene.pictures, (first, moved), scene.ground) - apart(*scene.pictures, (first, second), scene.ground)
-    assert np.all(np.abs(shift[:40, 0]) > 2.0)
+    after, before = (match_offsets(*scene.pictures, (first, to), scene.ground) for to in (moved, second))
+    assert np.all(np.abs((after - before)[:40, 0]) > 2.0)
     one, _ = found((first, moved))
     _, fits = consensus(one, 0.5, 15.0, np.random.default_rng(0))
     assert not fits[:40].any()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from networks import network, pair, with_neighbors, with_shift_and_surface
-from redraw import common_noise
+from networks import network, pair, with_echoes, with_neighbors, with_shift_and_surface
+from redraw import common_noise, redraw
 from scipy.spatial import cKDTree
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -129,6 +129,53 @@ def test_what_is_kept_point_by_point_has_larger_sigmas(neighbors: Network) -> No
     assert neighbors.common_rays is not None
     np.testing.assert_allclose(part.rays.sigmas, neighbors.independent.rays.sigmas[neighbors.rays.point < 5])
     assert np.all(part.rays.sigmas >= neighbors.ray_sigmas[neighbors.rays.point < 5] - 1e-12)
+
+
+@pytest.fixture(scope="module")
+def echoes() -> Network:
+    return with_echoes(with_shift_and_surface(network(pair())), 2.0)
+
+
+def test_ranges_and_footprints_by_themselves_have_the_common_error_twice(echoes: Network) -> None:
+    """Two sigmas of a range: 1 + 4 of its variance with the echo, 1 + 8 where rows are independent; a part keeps these.
+    """
+    plain, alone, of = network(pair()), echoes.independent, echoes.ranges.point
+    assert alone.ranges.shares is None
+    assert (echoes.range_sigmas / plain.ranges.sigmas) ** 2 == pytest.approx(np.full(of.size, 5.0), rel=1e-6)
+    assert (alone.ranges.sigmas / plain.ranges.sigmas) ** 2 == pytest.approx(np.full(of.size, 9.0), rel=1e-6)
+    known = plain.points.covariances[of]
+    once, twice = echoes.points.covariances[of] - known, alone.points.covariances[of] - known
+    assert np.trace(once, axis1=1, axis2=2) == pytest.approx(4.0 * plain.ranges.sigmas**2, rel=1e-6)
+    np.testing.assert_allclose(twice, 2.0 * once, atol=1e-6)
+    part = select_points(echoes, of[:2])
+    np.testing.assert_allclose(part.points.covariances, alone.points.covariances[of[:2]])
+    np.testing.assert_allclose(part.ranges.sigmas, alone.ranges.sigmas[:2])
+
+
+def test_residuals_of_ranges_are_those_of_the_whole_errors(echoes: Network) -> None:
+    """The distance to the adjusted footprint, whatever is known of it beforehand; the fit counts the same rows."""
+    solution, alone = adjust_network(echoes), adjust_network(echoes.independent)
+    ranges, image = echoes.ranges, echoes.images[0]
+    since = ranges.times - image.trajectory.epoch
+    correction = solution.correction(0).at(image.moments(image.timing.lines(since)))[0]
+    eyes = image.trajectory.pose(since).position + correction[:, :3]
+    away = np.linalg.norm(solution.places[ranges.point] - eyes, axis=1)
+    np.testing.assert_allclose(solution.range_residuals, ranges.values - away, atol=1e-6)
+    assert solution.fit.degrees_of_freedom == alone.fit.degrees_of_freedom
+
+
+def test_footprints_with_common_errors_are_realistic() -> None:
+    """With three sigmas of a range in common, heights have a NEES of 1: 0.65 by independent rows of larger sigmas, 1.44
+    where footprints are off the other way.
+    """
+    plain, found = network(pair(12, 20), held=(True, True)), []
+    for seed in range(30):
+        draw = redraw(with_echoes(plain, 3.0), np.random.default_rng(7000 + seed))
+        solution, mine = adjust_network(draw.network), draw.network.ranges.point
+        up = draw.places[mine] / np.linalg.norm(draw.places[mine], axis=1, keepdims=True)
+        off = np.einsum("nc,nc->n", solution.places[mine] - draw.places[mine], up)
+        found.append(np.mean(off**2 / np.einsum("nc,ncd,nd->n", up, solution.covariances[mine], up)))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_group_may_lose_all_its_rows(neighbors: Network) -> None:

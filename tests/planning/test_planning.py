@@ -37,8 +37,8 @@ from mgsgraph.planning.state import (
     NetworkState,
     added,
     correction_of,
+    joined_networks,
     state_of_solution,
-    together,
     updated,
 )
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
@@ -388,7 +388,7 @@ def test_an_image_over_a_strip_brings_what_was_promised(existing: bool) -> None:
     update = updated(present, added(present, [chosen.addition]))
     promised = TargetSigmas(present, targets).after(update)[:, 0]
 
-    whole = together([state.network, expected_measures(chosen.addition)])
+    whole = joined_networks([state.network, expected_measures(chosen.addition)])
     whole = with_images(whole, [*known_images(state.network), known])
     had = totals(adjust_network(whole, SolverSettings()), targets.points)
     assert promised == pytest.approx(had, rel=AS_PROMISED)

@@ -261,7 +261,7 @@ def sort_points(
         on_surface = np.isfinite(network.surface.sigmas).astype(np.int64)
     on_stereo, sides = _on_stereo(n, stereo)
     common = network.common_variables
-    for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, _ in footprints)):
+    for values in (network.points.kinds, moved, on_surface, on_stereo, *(variable for variable, *_ in footprints)):
         mix_values(signature, values)
     if network.common:
         mix_rows(signature, of_rays[0], of_rays[1], common[0], terms.of_rays, 3)
@@ -318,16 +318,16 @@ def _moved(network: Network) -> Index:
     return np.where(profile >= 0, len(network.images) + profile, -1)
 
 
-def _footprints(network: Network) -> list[tuple[Index, int]]:
-    """Of each shared unknown that moves footprints (n,) its variable where it moves a point's a-priori position, -1
-    elsewhere, and the number of its columns.
+def _footprints(network: Network) -> list[tuple[Index, int, bool]]:
+    """Of each shared unknown that moves footprints (n,) its variable (-1: not this point's), the number of its columns,
+    and whether it acts on ranges, too.
     """
     found = []
     for k, shared in enumerate(network.shared):
         if shared.kind.moves_footprints:
             affected = np.full(len(network.points), -1, dtype=np.int64)
             affected[network.footprints_moved(shared)] = network.first_shared + k
-            found.append((affected, shared.kind.width))
+            found.append((affected, shared.kind.width, shared.kind.acts_on_ranges))
     return found
 
 
@@ -336,7 +336,7 @@ class _PatternObservations:
 
     def __init__(
         self, network: Network, terms: Terms, example: Index, of_rays: _Rows, of_ranges: _Rows, moved: Index,
-        on_surface: Index, on_stereo: tuple[Index, Index], footprints: list[tuple[Index, int]],
+        on_surface: Index, on_stereo: tuple[Index, Index], footprints: list[tuple[Index, int, bool]],
         common: tuple[Index, Index],
     ) -> None:  # fmt: skip
         known = network.points.kinds[example] == PointKind.CONSTRAINED
@@ -365,16 +365,20 @@ class _PatternObservations:
         self._common[surface] = common[1][example[surfaces]]
         self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
         self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
-        moves = [(variable[example[known]], width) for variable, width in ((moved, 2), *footprints)]
-        self._add_unknowns(network, terms, ground, surface, moves)
+        mine = np.flatnonzero((self.kind == RANGE) & (network.ranges.shares is not None))
+        point, moving = example[np.searchsorted(self.first, mine, side="right") - 1], ((moved, 2, False), *footprints)
+        moves = [(ground, variable[example[known]], width) for variable, width, _ in moving]
+        moves += [(mine, variable[point], width) for variable, width, on_ranges in moving if not on_ranges]
+        if network.terrain_moves and network.surface is not None:
+            moves.append((surface, np.full(surface.size, network.first_shared - 1), len(network.surface.terms)))
+        self._add_unknowns(network, terms, moves)
 
-    def _add_unknowns(
-        self, network: Network, terms: Terms, ground: Index, surface: Index, moved: list[tuple[Index, int]]
-    ) -> None:
+    def _add_unknowns(self, network: Network, terms: Terms, moved: list[tuple[Index, Index, int]]) -> None:
         """Numbers of terms and single columns, widths, and the entries."""
         carried = self.image >= 0
         self.terms = np.where(carried, terms.counts[self.image], 0)
-        self.width = np.where(self.kind == IMAGE, 6, np.where(self.kind == STEREO, 1, 3))
+        of_range = 3 if network.ranges.shares is None else 4
+        self.width = np.array([6, of_range, 3, 3, 1])[self.kind]
         size = self.kind.size
         observation, variable, inside = [], [], []
         mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
@@ -383,11 +387,6 @@ class _PatternObservations:
         observation.append(mine)
         variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
         inside.append(np.where(node >= 0, 0, 6 * step))
-        if network.terrain_moves and network.surface is not None:
-            moved_terrain = np.full(surface.size, network.first_shared - 1)
-            _add_singles(observation, variable, inside, surface, moved_terrain, len(network.surface.terms))
-        for affected, width in moved:
-            _add_singles(observation, variable, inside, ground[affected >= 0], affected[affected >= 0], width)
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
@@ -397,6 +396,8 @@ class _PatternObservations:
             _add_singles(observation, variable, inside, mine, number, shared.kind.width)
             if not shared.kind.moves_instrument:
                 self.width[mine] = np.where(self.kind[mine] == IMAGE, 9, 4)
+        for at, affected, width in moved:
+            _add_singles(observation, variable, inside, at[affected >= 0], affected[affected >= 0], width)
         mine = np.flatnonzero(self._common >= 0)
         widths = np.array(network.widths)[self._common[mine]]
         observation.append(np.repeat(mine, widths))

@@ -22,7 +22,6 @@ from mgsgraph.adjustment.graph.stereo import StereoRows
 from mgsgraph.adjustment.graph.variables import Variables
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
-from mgsgraph.geometry.body import east_north
 from mgsgraph.geometry.plausibility import require_on_ground
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import (
@@ -38,7 +37,7 @@ from mgsgraph.kernel.rows import (
     numbers_stored,
 )
 from mgsgraph.network import Network
-from mgsgraph.network.effects import SharedEffects, common_lifts, footprint_motion
+from mgsgraph.network.effects import SharedEffects, common_lifts, known_motions
 from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
@@ -269,21 +268,33 @@ def _by_image(images: Index, count: int) -> list[Index]:
 def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedEffects, weight: Array) -> Index:
     """Constants of the ranges; the instrument is where the camera is at the shot's time."""
     ranges = network.ranges
-    place_among = np.empty(ranges.point.size, dtype=np.int64)
+    place, stride, among = store.place(ranges.point, store.patterns.range_slot)
+    shares = np.zeros((ranges.point.size, 3)) if ranges.shares is None else ranges.shares
+    store.put(place, stride, 3, shares)
+    known = np.nan_to_num(network.points.places[ranges.point])
+    store.put(place, stride, 6, ranges.values - np.einsum("ri,ri->r", shares, known))
+    after = np.empty(ranges.point.size, dtype=np.int64)
     for j, mine in enumerate(_by_image(ranges.image, len(network.images))):
         if mine.size == 0:
             continue
         image = network.images[j]
         since = ranges.times[mine] - image.trajectory.epoch
-        place, stride, place_among[mine] = store.place(ranges.point[mine], store.patterns.range_slot[mine])
-        at = store.put(place, stride, 0, image.trajectory.pose(since).position)
-        at = store.put(place, stride, at, ranges.values[mine])
+        own, step, at = place[mine], stride[mine], 7
+        store.put(own, step, 0, image.trajectory.pose(since).position)
         lines = image.timing.lines(since)
         for values in terms.basis(j, lines, terms.of_ranges[mine], False):
-            at = store.put(place, stride, at, values)
-        store.put(place, stride, at, effects.of_ranges(j, image.normalised(lines)))
-    weight[0, place_among] = 1.0 / ranges.sigmas
-    return place_among
+            at = store.put(own, step, at, values)
+        moved = effects.of_ranges(j, image.normalised(lines), None if ranges.shares is None else shares[mine])
+        after[mine] = store.put(own, step, at, moved)
+    for points, _, motion, on_ranges in known_motions(network) if ranges.shares is not None else ():
+        if not on_ranges:
+            index = np.searchsorted(points, ranges.point).clip(max=points.size - 1)
+            mine = np.flatnonzero(points[index] == ranges.point)
+            moved = np.zeros((mine.size, motion.shape[1], 4))
+            moved[:, :, 3] = np.einsum("rcj,rj->rc", motion[index[mine]], shares[mine])
+            after[mine] = store.put(place[mine], stride[mine], after[mine], moved)
+    weight[0, among] = 1.0 / ranges.sigmas
+    return among
 
 
 def _observations_before(network: Network) -> Index:
@@ -303,15 +314,9 @@ def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])
     weight[0, among] = 1.0
     after = np.full(known.size, 9)
-    if network.shifts is not None:
-        moved = network.shifts.profile[known] >= 0
-        store.put(place[moved], stride[moved], 9, east_north(network.points.places[known[moved]]))
-        after[moved] += 6
-    for one in network.shared:
-        if one.kind.moves_footprints:
-            points, motion = footprint_motion(network, one)
-            mine = np.searchsorted(known, points)
-            after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
+    for points, _, motion, _ in known_motions(network):
+        mine = np.searchsorted(known, points)
+        after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
 
 
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:

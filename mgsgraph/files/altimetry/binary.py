@@ -152,8 +152,8 @@ def pedr_shots(content: bytes, path: Path, clock_bias: float = 0.0, version: str
 def pedr_version(path: Path, label: Block | None, version: str | None) -> str:
     """The version letter that the caller, the file's name or its label gives; InputError without one up to L."""
     names = [path.name] + ([label.text(key) for key in ("PRODUCT_ID", "FILE_NAME") if key in label] if label else [])
-    found = [match[1] for name in names if (match := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
-    letter = (version if version is not None else (found or [""])[0]).upper()
+    letters = [hit[1] for name in names if (hit := re.fullmatch(r"ap\d{5}([a-z])\.\w+", name.strip(), re.IGNORECASE))]
+    letter = (version if version is not None else (letters or [""])[0]).upper()
     if not re.fullmatch("[A-L]", letter):
         raise InputError(
             str(path), f"the product version {letter!r}" if letter else "no product version in its name or label",
@@ -208,14 +208,14 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
         header = size * (label.count("LABEL_RECORDS") if "LABEL_RECORDS" in label else HEADER_RECORDS)
     body = len(content) - header
     if body < 0:
-        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it anew")
+        raise InputError(str(path), f"{len(content)} bytes", f"a label of {header} bytes and frames", "fetch it again")
     if body % size:
         raise InputError(
             str(path), f"{body} bytes of frames: {body // size} frames and {body % size} bytes more",
-            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it anew",
+            f"frames of {size} bytes", "the file is cut short or its records have another length: fetch it again",
         )
     if body == 0:
-        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it anew")
+        raise InputError(str(path), "no frames", f"frames of {size} bytes after the label", "fetch it again")
     if label is not None:
         require_records(label, len(content) // size, header // size)
     frames = np.frombuffer(content, FRAME, offset=header)
@@ -226,7 +226,7 @@ def _frames(content: bytes, label: Block | None, path: Path) -> NDArray[np.void]
 def _require_sound(frames: NDArray[np.void], path: Path) -> None:
     """Values that show another record length or byte order before they show as footprints in the wrong place."""
     radii = frames["shot_radius"] * _CM
-    used, again = np.any(radii > 0.0, axis=1), frames["time"]
+    used, second_times = np.any(radii > 0.0, axis=1), frames["time"]
     whole = frames["seconds"] + 1e-6 * frames["microseconds"]
     places = [
         (f", {what}", frames[field] * 1e-6, -most, most, "degrees")
@@ -236,7 +236,7 @@ def _require_sound(frames: NDArray[np.void], path: Path) -> None:
     for what, values, least, most, unit in (
         (", radius", np.where(radii > 0.0, radii, _LEAST).min(axis=1), _LEAST, _LARGEST, "m"),
         (", radius", np.where(used, radii.max(axis=1), _LEAST), _LEAST, _LARGEST, "m"),
-        (", difference of its two times", np.where(again != 0.0, whole - again, 0.0), -1e-3, 1e-3, "s"),
+        (", difference of its two times", np.where(second_times != 0.0, whole - second_times, 0.0), -1e-3, 1e-3, "s"),
         (", clock", frames["clock"], _CLOCK * (1.0 - _CLOCK_TOLERANCE), _CLOCK * (1.0 + _CLOCK_TOLERANCE), "Hz"),
         *places,
     ):
@@ -244,7 +244,7 @@ def _require_sound(frames: NDArray[np.void], path: Path) -> None:
         for i in np.flatnonzero(checked & ~((values >= least) & (values <= most)))[:1]:
             raise InputError(
                 f"{path}, frame {i + 1}{what}", f"{values[i]:.9g} {unit}", f"{least:.9g} .. {most:.9g}",
-                "the records have another length or byte order, or are damaged: fetch the file anew",
+                "the records have another length or byte order, or are damaged: fetch the file again",
             )
 
 
@@ -261,23 +261,23 @@ def _crossover(frames: NDArray[np.void]) -> tuple[Array, Array]:
 
 
 def _shots(frames: NDArray[np.void], label: Block | None, clock_bias: float, path: Path) -> AltimeterShots:
-    """Shots with a radius, of a part of the frames at a time: an archive's file is many times larger in float64."""
+    """Shots with a radius, read from some frames at a time: an archive's file is many times larger in float64."""
     software, corrections = _software(label), _crossover(frames)
     parts = [
-        _columns(frames[k : k + _FRAMES], k, software, [one[k : k + _FRAMES] for one in corrections], clock_bias)
+        _columns(frames[k : k + _FRAMES], k, software, [column[k : k + _FRAMES] for column in corrections], clock_bias)
         for k in range(0, frames.size, _FRAMES)
     ]
     if not any(part["times"].size for part in parts):
         raise InputError(str(path), f"{frames.size} frames without a single shot", "shots with a radius")
     names = tuple(parts[0])
-    every: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
-    return AltimeterShots(source=str(path), **every)
+    fields: dict[str, Any] = {name: read_only(np.concatenate([part.pop(name) for part in parts])) for name in names}
+    return AltimeterShots(source=str(path), **fields)
 
 
 def _columns(
     frames: NDArray[np.void], before: int, software: float | None, crossover: Sequence[Array], clock_bias: float
 ) -> dict[str, NDArray[Any]]:
-    """Fields of AltimeterShots, of frames that have so many before them in their file."""
+    """Fields of AltimeterShots; `before` is the number of frames before these in their file."""
     x = (np.arange(1, SHOTS + 1) - 0.5 * (SHOTS + 1)) / SHOTS
 
     def field(name: str, scale: float = 1.0) -> Array:
@@ -299,16 +299,16 @@ def _columns(
     spacecraft = [across(f"spacecraft_{name}", _MICRODEG) for name in ("longitude", "latitude")]
     tick = 1e7 / np.where(frames["clock"] > 0, frames["clock"], np.nan)[:, None]  # s, a tenth by the altimeter's clock
     times = field("seconds") + field("microseconds", 1e-6) + x * SHOTS * tick + clock_bias
-    kept = (raw > 0.0).ravel()
+    has_radius = (raw > 0.0).ravel()
 
     def flat(values: Array) -> Array:
-        return np.broadcast_to(values, raw.shape).ravel()[kept]
+        return np.broadcast_to(values, raw.shape).ravel()[has_radius]
 
     def placed(values: Array) -> Array:
-        return from_planetocentric(values).reshape(-1, 3)[kept]
+        return from_planetocentric(values).reshape(-1, 3)[has_radius]
 
     def whole(values: NDArray[np.integer]) -> Index:
-        return np.broadcast_to(values, raw.shape).ravel()[kept].astype(np.int64)
+        return np.broadcast_to(values, raw.shape).ravel()[has_radius].astype(np.int64)
 
     ground = frames["shot_class"] == 1
     ranges, pulses = frames["range"] * _CM, frames["sigma_optical"] * _PULSE
@@ -323,7 +323,7 @@ def _columns(
         "range_corrections": flat(frames["range_correction"] * _CM),
         "spacecraft": placed(np.stack([*spacecraft, across("spacecraft_radius", _CM)], axis=-1)),
         "off_nadir": flat(field("off_nadir", _MICRODEG)),
-        "ground": ground.ravel()[kept],
+        "ground": ground.ravel()[has_radius],
         "channels": whole(frames["channel"]),
         "clocks": flat(field("clock")),
         "pulses": flat(np.where(pulses > 0.0, pulses, np.nan)),
@@ -389,8 +389,8 @@ def is_lola_rdr(content: bytes) -> bool:
     """Whether a file's records are those of LOLA: the radius of the Moon's geoid is where the format has it."""
     whole = len(content) // RECORD.itemsize * RECORD.itemsize
     radii = np.frombuffer(content[:whole], RECORD)["selenoid_radius"]
-    known = radii[radii != _NONE][:64]
-    return bool(known.size and np.all((known > _SELENOID[0]) & (known < _SELENOID[1])))
+    stated = radii[radii != _NONE][:64]
+    return bool(stated.size and np.all((stated > _SELENOID[0]) & (stated < _SELENOID[1])))
 
 
 def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> AltimeterShots:
@@ -403,7 +403,7 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
     if rest:
         raise InputError(
             str(path), f"{whole} records and {rest} bytes more", f"records of {RECORD.itemsize} bytes",
-            "the file is cut short: fetch it anew",
+            "the file is cut short: fetch it again",
         )
     records = np.frombuffer(content, RECORD)
     ground = (records["spots"]["radius"] != _NO_RADIUS) & (records["spots"]["flag"] & INVALID == 0)
@@ -421,7 +421,7 @@ def lola_shots(content: bytes, path: Path, clock_bias: float = 0.0) -> Altimeter
 def _lola_spots(
     records: NDArray[np.void], chosen: NDArray[np.int64], ground: NDArray[np.bool_], path: Path, clock_bias: float
 ) -> AltimeterShots:
-    """Those of all spots whose numbers, record by record, are `chosen`."""
+    """The spots whose numbers, record by record, are `chosen`."""
     spots, owners = records["spots"].ravel()[chosen], records[chosen // SPOTS]
     record, spot = chosen // SPOTS + 1, chosen % SPOTS + 1
     times = tdb_of_tt(owners["seconds"] + owners["fraction"] * 2.0**-32)

@@ -135,9 +135,9 @@ def _beside(path: Path, block: Block, key: str) -> Path:
     if len(items) > 1 and items[1] != "1":
         raise InputError(block.where(key), f"a table from {items[1]} on in its file", "a table that is all of its file")
     name = items[0] if items else ""
-    if not (found := files_called(path, name)):
+    if not (files := files_called(path, name)):
         raise InputError(block.where(key), f"{name}, which is not beside the label", "the file", "fetch it, too")
-    return found[0]
+    return files[0]
 
 
 def _document(path: Path) -> Document:
@@ -155,64 +155,64 @@ class _Rows:
             structure = _beside(path, table, "^structure")
             blocks += whole_label(_document(structure)).blocks
         self._columns = [
-            Column(one, plain_name(one.text("NAME")), one.count("START_BYTE") - 1, one.count("BYTES"))
-            for one in blocks if one.name == "column"
+            Column(block, plain_name(block.text("NAME")), block.count("START_BYTE") - 1, block.count("BYTES"))
+            for block in blocks if block.name == "column"
         ]  # fmt: skip
         size = table.count("ROW_BYTES")
         rows, rest = divmod(len(content), size)
         if not rows or rest:
             raise InputError(str(path), f"{len(content)} bytes", f"whole rows of {size} bytes, as the label says")
         if "ROWS" in table and table.count("ROWS") != rows:
-            found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table anew"
+            found, remedy = f"{table.count('ROWS')}, and {rows} rows in the file", "fetch label and table again"
             raise InputError(table.where("ROWS"), found, "as many", remedy)
-        for one in self._columns:
-            if one.start + one.size > size:
-                found = f"bytes {one.start + 1} .. {one.start + one.size} of a row"
-                raise InputError(one.block.where("BYTES"), found, f"1 .. {size}, as ROW_BYTES says")
+        for column in self._columns:
+            if column.start + column.size > size:
+                found = f"bytes {column.start + 1} .. {column.start + column.size} of a row"
+                raise InputError(column.block.where("BYTES"), found, f"1 .. {size}, as ROW_BYTES says")
         self._rows = np.frombuffer(content, f"{'V' if self._binary else 'S'}{size}")
         instrument = str(root.entries["instrument_id"].value) if "INSTRUMENT_ID" in root else ""
         self._altimeter: Altimeter = ALTIMETERS.get(instrument.upper(), ANY)
 
         self._require_columns(table)
         require_once(root, SHOT_LABEL)
-        for said in (*all_blocks(root), *(column.block for column in self._columns)):
-            require_usual(texts(said), SHOT_LABEL, said.where())
-        self._labels = tuple({id(one): one for one in (*all_blocks(root), *blocks)}.values())
+        for block in (*all_blocks(root), *(column.block for column in self._columns)):
+            require_usual(texts(block), SHOT_LABEL, block.where())
+        self._labels = tuple({id(block): block for block in (*all_blocks(root), *blocks)}.values())
         self._around = (root, table)
 
     def _require_columns(self, table: Block) -> None:
         """Raise InputError where columns overlap, or are not as many as the label counts."""
         if "COLUMNS" in table and table.count("COLUMNS") != len(self._columns):
             found = f"{table.count('COLUMNS')}, and {len(self._columns)} described"
-            raise InputError(table.where("COLUMNS"), found, "as many", "fetch label and table anew")
-        ordered = sorted(self._columns, key=lambda one: one.start)
-        for one, after in pairwise(ordered):
-            if one.start + one.size > after.start:
-                found = f"bytes {one.start + 1} .. {one.start + one.size}, where {after.block.text('NAME')} begins at"
-                raise InputError(one.block.where("BYTES"), f"{found} {after.start + 1}", "columns side by side")
+            raise InputError(table.where("COLUMNS"), found, "as many", "fetch label and table again")
+        ordered = sorted(self._columns, key=lambda column: column.start)
+        for before, after in pairwise(ordered):
+            if (end := before.start + before.size) > after.start:
+                found = f"bytes {before.start + 1} .. {end}, and {after.block.text('NAME')} begins at {after.start + 1}"
+                raise InputError(before.block.where("BYTES"), found, "columns side by side")
 
     def shots(self, clock_bias: float) -> AltimeterShots:
         """The shots of all rows, in their order; those without a place or radius are no ground returns."""
-        found = {meaning: self._column(meaning) for meaning in _MEANINGS}
-        radius, height = found["radius"], found["height"]
-        if found["longitude"] is None or found["latitude"] is None or (radius is None and height is None):
+        columns = {meaning: self._column(meaning) for meaning in _MEANINGS}
+        radius, height = columns["radius"], columns["height"]
+        if columns["longitude"] is None or columns["latitude"] is None or (radius is None and height is None):
             raise self._unknown("longitude, latitude, and radius or topography")
         above = self._altimeter.height_sphere if radius is None else 0.0
         if np.isnan(above):
             raise InputError(
-                str(self.path), f"heights of {self._altimeter.name} without radii, above no one knows what",
+                str(self.path), f"heights of {self._altimeter.name} without radii, above an unknown surface",
                 "a column of radii, or INSTRUMENT_ID = LALT, whose heights stand above 1737.4 km", _AS_CSV,
             )
         if radius is not None and height is not None and not np.isnan(self._altimeter.height_sphere):
             self._require_same_heights(radius, height)
-        lengths, has_radius = self._known(radius or height, "radius" if radius else "height")
-        places = [self._known(found[one], one) for one in ("longitude", "latitude")]
+        lengths, has_radius = self._valid(radius or height, "radius" if radius else "height")
+        places = [self._valid(columns[name], name) for name in ("longitude", "latitude")]
         ground = has_radius & places[0][1] & places[1][1]
         if not np.any(ground):
             raise InputError(str(self.path), f"{ground.size} rows without a ground return", "some with one")
-        times, n = self._times(found["tdb"], found["utc"]), self._rows.size
+        times, n = self._times(columns["tdb"], columns["utc"]), self._rows.size
         unknown = np.full(n, np.nan), np.zeros(n, dtype=bool)
-        ranges, has_range = self._known(found["range"], "range") if found["range"] is not None else unknown
+        ranges, has_range = self._valid(columns["range"], "range") if columns["range"] is not None else unknown
         degrees = np.column_stack([values for values, _ in places]) / DEG
         if self._west:
             degrees[:, 0] = np.mod(-degrees[:, 0], 360.0)
@@ -228,8 +228,8 @@ class _Rows:
         return shots
 
     def _require_same_heights(self, radius: Column, height: Column) -> None:
-        """Raise InputError where radii are not the heights above the altimeter's sphere that stand beside them."""
-        both = [self._known(radius, "radius"), self._known(height, "height")]
+        """Raise InputError where radii minus the altimeter's sphere are not the heights in the same rows."""
+        both = [self._valid(radius, "radius"), self._valid(height, "height")]
         off = np.abs(both[0][0] - both[1][0] - self._altimeter.height_sphere)[both[0][1] & both[1][1]]
         if off.size and np.median(off) > _SAME_HEIGHT:
             found = f"radii {np.median(off):.0f} m off {height.block.text('NAME')} (median)"
@@ -238,37 +238,37 @@ class _Rows:
     @property
     def _west(self) -> bool:
         """Whether the label counts longitudes westward."""
-        said = dict[str, Block]()
+        directions = dict[str, Block]()
         for label in self._labels:
             if _DIRECTION in label:
-                said[label.text(_DIRECTION).upper()] = label
-        for direction, label in said.items():
-            if direction not in ("EAST", "WEST") or len(said) > 1:
-                raise InputError(label.where(_DIRECTION), " and ".join(said), "EAST or WEST")
-        return "WEST" in said
+                directions[label.text(_DIRECTION).upper()] = label
+        for direction, label in directions.items():
+            if direction not in ("EAST", "WEST") or len(directions) > 1:
+                raise InputError(label.where(_DIRECTION), " and ".join(directions), "EAST or WEST")
+        return "WEST" in directions
 
-    def _known(self, column: Column | None, meaning: str) -> tuple[Array, Mask]:
-        """Values of a column in rad, m or s, and which of them there are: no constant stands for none."""
+    def _valid(self, column: Column | None, meaning: str) -> tuple[Array, Mask]:
+        """Values of a column in rad, m or s, and which of them are valid: not the constants for missing values."""
         assert column is not None
         block, raw = column.block, self._raw(column)
-        there = np.ones(raw.size, dtype=bool)
-        values = self._measured(column, meaning, raw, there)
+        valid = np.ones(raw.size, dtype=bool)
+        values = self._measured(column, meaning, raw, valid)
         factor = block.number("SCALING_FACTOR") if "SCALING_FACTOR" in block else 1.0
-        for one in (block, *self._around):
+        for label in (block, *self._around):
             for key in _NONES:
-                if key in one and one.text(key).upper() not in _NO_CONSTANT:
-                    none = one.number(key)
-                    there &= ~(np.isclose(raw, none, rtol=_DIGITS) | np.isclose(raw * factor, none, rtol=_DIGITS))
-        return np.where(there, values, np.nan), there
+                if key in label and label.text(key).upper() not in _NO_CONSTANT:
+                    none = label.number(key)
+                    valid &= ~(np.isclose(raw, none, rtol=_DIGITS) | np.isclose(raw * factor, none, rtol=_DIGITS))
+        return np.where(valid, values, np.nan), valid
 
     def _unknown(self, expected: str) -> InputError:
-        names = ", ".join(one.block.text("NAME") for one in self._columns)
+        names = ", ".join(column.block.text("NAME") for column in self._columns)
         return InputError(
             str(self.path), f"the columns {names}"[:200], expected, _AS_CSV,
         )
 
     def _column(self, meaning: str) -> Column | None:
-        fits = [one for one in self._columns if re.fullmatch(_MEANINGS[meaning], one.name)]
+        fits = [column for column in self._columns if re.fullmatch(_MEANINGS[meaning], column.name)]
         if len(fits) > 1:
             raise self._unknown(f"one column for the {meaning}")
         return fits[0] if fits else None
@@ -283,7 +283,7 @@ class _Rows:
         return np.char.strip(self._bytes(column).view(f"S{column.size}")[:, 0], b' "')
 
     def _raw(self, column: Column) -> Array:
-        """Numbers of a column as they stand in the file."""
+        """Numbers of a column as written in the file."""
         if not self._binary:
             return self._numbers(column)
         block = column.block
@@ -296,7 +296,7 @@ class _Rows:
             raise InputError(block.where("BYTES"), found, " or ".join(map(str, sizes)), _AS_CSV)
         return self._bytes(column).view(f"{_TYPES[kind]}{column.size}")[:, 0].astype(np.float64)
 
-    def _measured(self, column: Column, meaning: str, raw: Array, there: Mask) -> Array:
+    def _measured(self, column: Column, meaning: str, raw: Array, valid: Mask) -> Array:
         """Numbers of a column in m, rad or s; NaN where there is none."""
         block, units = column.block, _UNITS[meaning]
         unit = block.text("UNIT").lower() if "UNIT" in block else ""
@@ -306,38 +306,38 @@ class _Rows:
         factor = block.number("SCALING_FACTOR") if "SCALING_FACTOR" in block else 1.0
         offset = block.number("OFFSET") if "OFFSET" in block else 0.0
         with np.errstate(over="ignore", invalid="ignore"):
-            values = np.where(there, (raw * factor + offset) * units[unit], np.nan)
-        for k in np.flatnonzero(there & ~(np.abs(values) < _LARGEST))[:1]:
+            values = np.where(valid, (raw * factor + offset) * units[unit], np.nan)
+        for k in np.flatnonzero(valid & ~(np.abs(values) < _LARGEST))[:1]:
             raise InputError(f"{self.path}, row {k + 1}, {column.name}", f"{values[k]:g}", "a number that can be")
         return values
 
     def _numbers(self, column: Column) -> Array:
-        """Those of a column of text."""
+        """Numbers of a column of text."""
         texts = self._texts(column)
         try:
             return texts.astype(np.float64)
         except ValueError:
             places = (f"{self.path}, row {k + 1}, {column.name}" for k in range(texts.size))
-            return np.array([number_of(one.decode("latin-1"), at) for one, at in zip(texts, places, strict=True)])
+            return np.array([number_of(text.decode("latin-1"), at) for text, at in zip(texts, places, strict=True)])
 
     def _times(self, tdb: Column | None, utc: Column | None) -> Array:
         if tdb is not None:
             return self._measured(tdb, "tdb", self._raw(tdb), np.ones(self._rows.size, dtype=bool))
         if utc is None:
             raise self._unknown("a column UTC or EPHEMERIS_TIME")
-        texts = (one.decode("latin-1").replace("/", "-").replace(" ", "T") for one in self._texts(utc).tolist())
+        texts = (text.decode("latin-1").replace("/", "-").replace(" ", "T") for text in self._texts(utc).tolist())
         return tdb_of_utc(Names.of(list(texts)), str(self.path))
 
 
 def _require_stated(shots: AltimeterShots, label: Block, west: bool = False) -> None:
     """Raise InputError where a label's edges, times or body are not those of its ground returns."""
-    mine = shots.ground
-    longitudes, latitudes, radii = planetocentric(shots.footprints[mine]).T
+    ground = shots.ground
+    longitudes, latitudes, radii = planetocentric(shots.footprints[ground]).T
     longitudes = -longitudes if west else longitudes
     stated = {key: label.number(key) for key in _EDGES if key in label}
     for key, edge in stated.items():
         axis, side = _EDGES[key]
-        if axis == 0 and any(abs(edge - stated[one]) > _HALF_TURN for one in stated if _EDGES[one][0] == 0):
+        if axis == 0 and any(abs(edge - stated[other]) > _HALF_TURN for other in stated if _EDGES[other][0] == 0):
             continue  # all around
         off = side * ((latitudes if axis else longitudes) / DEG - edge)
         off = off if axis else in_turn(off * DEG) / DEG
@@ -347,7 +347,7 @@ def _require_stated(shots: AltimeterShots, label: Block, west: bool = False) -> 
     for key, side in (("START_TIME", 1.0), ("STOP_TIME", -1.0)):
         if key in label and label.text(key)[:1].isdigit():
             (time,) = tdb_of_utc([label.text(key).removesuffix("Z")], label.where(key))
-            late = side * (shots.times[mine] - time)
+            late = side * (shots.times[ground] - time)
             if late.min() < -_AROUND:
                 raise InputError(label.where(key), f"{-late.min():.0f} s inside the shots' times", "their own edge")
     median = float(np.median(radii))

@@ -111,7 +111,7 @@ def read_lidar(path: Path) -> LaserProfile:
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Lists by the million are made, none of which is garbage: to look for some would take most of the time."""
+    """No garbage collection inside: millions of lists are made, and collecting would take most of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -135,23 +135,23 @@ def _shots(content: bytes, path: Path) -> list[LidarShot]:
 
 
 def _all(records: Sequence[msgspec.Struct], name: str) -> list[Any]:
-    """(n) what records have of a name."""
+    """(n) values of one attribute of records."""
     return list(map(attrgetter(name), records))
 
 
 def _numbers(records: Sequence[msgspec.Struct], name: str) -> Array:
-    """(n,) numbers that records have of a name."""
+    """(n,) numbers of one attribute of records."""
     return np.fromiter(map(attrgetter(name), records), np.float64, len(records))
 
 
 def _held(shots: Sequence[LidarShot], name: str) -> tuple[list[Any], Index]:
-    """What lists of shots hold (k), and the number (k,) of each one's shot."""
+    """Items (k) of lists of shots, and the number (k,) of each item's shot."""
     lists = _all(shots, name)
     return list(chain.from_iterable(lists)), np.repeat(np.arange(len(lists)), list(map(len, lists)))
 
 
 def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
-    """Columns of a file in SI units, and pixels counted from its corner; InputError for what shots can't be."""
+    """Columns of a file in SI units, and pixels counted from its corner; InputError for impossible shots."""
     longitudes, times = _numbers(shots, "longitude"), _numbers(shots, "time")
     ids, triangles = Names.of(_all(shots, "id")), _all(shots, "apriori_matrix")
     names, shot_along = _held(shots, "simultaneous_images")
@@ -169,9 +169,9 @@ def _profile(shots: list[LidarShot], source: str) -> LaserProfile:
         require_years(times[[k]], where(k))
     for k in np.flatnonzero(np.abs(longitudes) > _TURN)[:1]:
         raise InputError(where(k), f"longitude {longitudes[k]:g} degrees", f"-{_TURN:g} .. {_TURN:g}")
-    if (again := ids.first_repeated) is not None:
-        first = ids.tolist().index(ids[again])
-        raise InputError(where(again), f"the id {ids[again]!r} twice, first in points[{first}]", "each id once")
+    if (repeated := ids.first_repeated) is not None:
+        first = ids.tolist().index(ids[repeated])
+        raise InputError(where(repeated), f"the id {ids[repeated]!r} twice, first in points[{first}]", "each id once")
     if None in triangles:
         raise InputError(where(triangles.index(None)), "no key 'aprioriMatrix'", "the covariance of the footprint")
     pairs = np.sort(shot_measured * len(measured.distinct) + measured.numbers)
@@ -216,12 +216,12 @@ def lidar_coordinates(positions: Array, covariances: Array) -> tuple[Array, list
     spherical = planetocentric(positions)
     # rad and m in the file: longitude comes first in our Jacobian, latitude in the file
     jacobian = planetocentric_jacobian(spherical)[:, :, [1, 0, 2]]
-    known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
-    known = np.asarray(known & covariances.any(axis=(1, 2)))
-    half = np.linalg.solve(jacobian[known], covariances[known])
-    matrix = np.linalg.solve(jacobian[known], np.swapaxes(half, 1, 2))
+    stated = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(spherical).all(axis=1)
+    stated = np.asarray(stated & covariances.any(axis=(1, 2)))
+    half = np.linalg.solve(jacobian[stated], covariances[stated])
+    matrix = np.linalg.solve(jacobian[stated], np.swapaxes(half, 1, 2))
     triangles = iter(matrix[:, *np.triu_indices(3)].tolist())
-    matrices = [next(triangles) if there else None for there in known]
+    matrices = [next(triangles) if is_stated else None for is_stated in stated]
     return np.column_stack([spherical[:, 1] / DEG, spherical[:, 0] / DEG % 360.0, spherical[:, 2] / KM]), matrices
 
 

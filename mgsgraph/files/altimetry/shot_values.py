@@ -29,21 +29,21 @@ _RELIEF = 0.03
 _WAY = 0.02
 """Part of the way from the spacecraft to the footprint by which a range may be another: archives compute one of the
 other, and LOLA's 52,363 points over Hadley agree to 2e-5."""
-_DAMAGED = "the file is damaged: fetch it anew, or take that shot out"
+_DAMAGED = "the file is damaged: fetch it again, or take that shot out"
 
 
 def shots_with(
-    source: str, altimeter: Altimeter, times: Array, footprints: Array, **known: Array | Index | Mask
+    source: str, altimeter: Altimeter, times: Array, footprints: Array, **stated: Array | Index | Mask
 ) -> AltimeterShots:
-    """Shots of a file; of what it doesn't say they have NaN, the row and 1 for their name, 0, and are of the ground."""
+    """Shots of a file; unstated fields are NaN or 0, names are row and 1, and all shots are ground returns."""
     n = times.size
     nothing = np.full(n, np.nan)
     unknown = dict.fromkeys(
         ("areoid_radii", "ranges", "range_corrections", "off_nadir", "clocks", "pulses"), nothing
     ) | {"spacecraft": np.full((n, 3), np.nan), "ground": np.ones(n, dtype=bool), "frames": np.arange(1, n + 1)}
     numbers = {"orbits": np.zeros(n, np.int64), "shots": np.ones(n, np.int64), "channels": np.zeros(n, np.int64)}
-    every: dict[str, Any] = unknown | numbers | known
-    return AltimeterShots(source=source, altimeter=altimeter, times=times, footprints=footprints, **every)
+    fields: dict[str, Any] = unknown | numbers | stated
+    return AltimeterShots(source=source, altimeter=altimeter, times=times, footprints=footprints, **fields)
 
 
 def unit_of_radii(radii: Array, body: Ellipsoid | None, where: str) -> float:
@@ -109,16 +109,16 @@ def crossings(times: Array, source: str) -> Index:
     return np.array(minutes, dtype=np.int64)[numbers]
 
 
-def require_records(label: Block, found: int, before: int = 0) -> None:
+def require_records(label: Block, count: int, before: int = 0) -> None:
     """Raise InputError where a file has another number of records than its label counts (FILE_RECORDS), itself among
     them if it is `before` the others.
     """
     if "FILE_RECORDS" not in label:
         return
     counted = label.count("FILE_RECORDS")
-    if found not in (counted, counted + before):  # a few count what is behind the label alone
-        remedy = "the file is cut short: fetch it anew" if found < counted else "fetch file and label anew"
-        raise InputError(label.where("FILE_RECORDS"), f"{counted}, and {found} records in the file", "as many", remedy)
+    if count not in (counted, counted + before):  # a few count what is behind the label alone
+        remedy = "the file is cut short: fetch it again" if count < counted else "fetch file and label again"
+        raise InputError(label.where("FILE_RECORDS"), f"{counted}, and {count} records in the file", "as many", remedy)
 
 
 def require_radii(radii: Array, body: Ellipsoid | None, where: str) -> None:
@@ -141,9 +141,9 @@ def require_possible_shots(shots: AltimeterShots) -> None:
     its body doesn't have, at a range that its altimeter doesn't reach or that isn't the way from its spacecraft.
     """
     ways = np.linalg.norm(shots.spacecraft - shots.footprints, axis=1)
-    known = np.isfinite(ways) & np.isfinite(shots.ranges)
-    if np.any(known):
-        require_lengths(shots.ranges[known], ways[known], "ranges", shots.source)
+    comparable = np.isfinite(ways) & np.isfinite(shots.ranges)
+    if np.any(comparable):
+        require_lengths(shots.ranges[comparable], ways[comparable], "ranges", shots.source)
     altimeter, body, where = shots.altimeter, shots.altimeter.body, f"{shots.source}, shot"
     radii = np.linalg.norm(shots.footprints, axis=1)
     ground = (0.0, np.inf) if body is None else (body.polar * (1.0 - _RELIEF), body.equatorial * (1.0 + _RELIEF))

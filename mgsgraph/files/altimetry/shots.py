@@ -70,11 +70,11 @@ def read_shots(
     >>> print(shots)
     AltimeterShots(MOLA: 280 shots, 272 on the ground, 1 orbits)
     """
-    found = _shots_or_table(path, clock_bias, version)
-    if isinstance(found, CsvText):
-        found = shots_of_table(found, clock_bias, version)
-        require_possible_shots(found)
-    return found
+    content = _shots_or_table(path, clock_bias, version)
+    if isinstance(content, CsvText):
+        content = shots_of_table(content, clock_bias, version)
+        require_possible_shots(content)
+    return content
 
 
 def _shots_or_table(path: Path, clock_bias: float = 0.0, version: str | None = None) -> AltimeterShots | CsvText:
@@ -146,8 +146,8 @@ def read_altimetry_cloud(
     >>> print(mgsgraph.read_altimetry_cloud(Path("cloud.csv"), network.images[0].body))
     AltimetryCloud(1 shots, 1 profiles, from cloud.csv)
     """
-    found = _shots_or_table(path, version=version)
-    cloud = _plain_table(found, body) if isinstance(found, CsvText) else _cloud_of(found)
+    content = _shots_or_table(path, version=version)
+    cloud = _plain_table(content, body) if isinstance(content, CsvText) else _cloud_of(content)
     if body is not None:
         require_radii(np.linalg.norm(cloud.points, axis=1), body, cloud.source)
     return cloud

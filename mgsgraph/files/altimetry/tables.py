@@ -1,4 +1,4 @@
-"""Tables of laser shots of any altimeter to AltimeterShots: which columns mean what, one layout for each.
+"""Tables of laser shots of any altimeter to AltimeterShots: the meaning of columns, one layout for each table.
 
 * LOLA RDR as CSV, which the Orbital Data Explorer (ODE) and lidar2image have: km, degrees, and as time the terrestrial
   one (TT; its digits are those of UTC and the leap seconds), which becomes TDB.
@@ -205,7 +205,7 @@ def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None 
     if not len(table):
         raise InputError(str(table.path), "a header alone", "rows below it")
     plain = set(map(plain_name, table.names))
-    layout = next((one for one in (_LOLA, _MLA, _OWN) if one.known_by <= plain), _PEDR)
+    layout = next((candidate for candidate in (_LOLA, _MLA, _OWN) if candidate.known_by <= plain), _PEDR)
     if layout is not _PEDR:
         return _shots(table, layout, clock_bias)
     letter = IAU2000_VERSION if table.with_commas and version is None else pedr_version(table.path, None, version)
@@ -215,11 +215,11 @@ def shots_of_table(table: CsvText, clock_bias: float = 0.0, version: str | None 
 
 def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
     names = _meant(table, layout)
-    values, there = _values(table, layout, names), None
+    values, has_radius = _values(table, layout, names), None
     if layout.bare:
-        there, unit = _with_radius(table, layout, names, values)
-        values |= {one: values[one] * unit for one in _LENGTHS if one in values}
-        values["radius"] = np.where(there, values["radius"], unit)
+        has_radius, unit = _with_radius(table, layout, names, values)
+        values |= {meaning: values[meaning] * unit for meaning in _LENGTHS if meaning in values}
+        values["radius"] = np.where(has_radius, values["radius"], unit)
     if "flight" in values:
         values["range"] = _HALF_LIGHT * values["flight"]
     if "tdb" in values or "tt" in values:
@@ -242,31 +242,31 @@ def _shots(table: CsvText, layout: Layout, clock_bias: float) -> AltimeterShots:
     if "ground" in values:
         ground &= whole("ground", 1.0) == 1
     ground &= ~(value("channel") >= _NOISE_CHANNEL) & ~(value("attitude") >= _NOT_GROUND)
-    known: dict[str, Array | Index | Mask] = {"frames": table.numbers, "ground": ground}
+    stated: dict[str, Array | Index | Mask] = {"frames": table.numbers, "ground": ground}
     if layout.name and set(layout.name) <= set(values):
-        *seconds, frames, shots = (whole(one) for one in layout.name)
-        known |= {"frames": seconds[0] * 100 + frames if seconds else frames, "shots": shots}
+        *seconds, frames, shots = (whole(meaning) for meaning in layout.name)
+        stated |= {"frames": seconds[0] * 100 + frames if seconds else frames, "shots": shots}
     if "orbit" in values or layout.bare:
-        known["orbits"] = crossings(times, str(table.path)) if layout.bare else whole("orbit")
+        stated["orbits"] = crossings(times, str(table.path)) if layout.bare else whole("orbit")
     if "channel" in values:
-        known["channels"] = whole("channel")
+        stated["channels"] = whole("channel")
     if "topography" in values:
         areoid = values["radius"] - values["topography"]
         _require_areoid(areoid, values, ground, table, names)
         values.setdefault("areoid", areoid)
-    found = shots_with(
+    all_shots = shots_with(
         str(table.path), layout.altimeter or _altimeter(table), times + clock_bias,
         positions(np.column_stack([values["longitude"], values["latitude"]]), values["radius"], table.where),
         ranges=known_ranges(value("range"), ground, _NONE * KM if layout.bare else 0.0), spacecraft=_spacecraft(value),
         areoid_radii=value("areoid"), range_corrections=value("range correction"), off_nadir=value("off nadir") * DEG,
-        clocks=value("clock"), pulses=value("pulse"), **known,
+        clocks=value("clock"), pulses=value("pulse"), **stated,
     )  # fmt: skip
-    return found if there is None or np.all(there) else found.chosen(there)
+    return all_shots if has_radius is None or np.all(has_radius) else all_shots.chosen(has_radius)
 
 
 def _require_same_times(table: CsvText, names: Mapping[str, str], times: Array) -> None:
-    """Raise InputError where UTC is another time than the one beside it, in rows here and there."""
-    other = next((names[one] for one in ("tdb", "tt") if one in names), "")
+    """Raise InputError where UTC differs from the other time of a row, tested in some rows."""
+    other = next((names[meaning] for meaning in ("tdb", "tt") if meaning in names), "")
     if not other or "utc" not in names:
         return
     rows = np.unique(np.linspace(0, times.size - 1, min(times.size, _LOOKS)).astype(np.int64))
@@ -286,7 +286,7 @@ def _require_areoid(
     """
     assert MOLA.body is not None
     if not MOLA.body.polar / 1.1 < np.median(values["radius"]) < 1.1 * MOLA.body.equatorial:
-        return  # said later
+        return  # another check reports it
     planetocentric = np.stack([values["longitude"] * DEG, values["latitude"] * DEG, values["radius"]], axis=1)
     stated, what, allowed = surface_radii(from_planetocentric(planetocentric), MOLA.body), "Mars's ellipsoid", _AREOID
     if "areoid" in values:
@@ -298,29 +298,29 @@ def _require_areoid(
 
 
 def _meant(table: CsvText, layout: Layout) -> dict[str, str]:
-    """Names of columns by what they mean; InputError where one is missing that can't be done without."""
-    found, where = dict[str, str](), f"{table.path}, header"
+    """Names of columns by their meaning; InputError where a necessary one is missing."""
+    columns, where = dict[str, str](), f"{table.path}, header"
     for meaning, names in layout.columns.items():
-        there = [name for name in table.names if plain_name(name) in names.split()]
-        if len(there) > 1:
+        matches = [name for name in table.names if plain_name(name) in names.split()]
+        if len(matches) > 1:
             raise InputError(where, f"two columns for the {meaning}", "one")
-        if there:
-            found[meaning] = there[0]
+        if matches:
+            columns[meaning] = matches[0]
     for what, meanings in (
         ("longitude", ("longitude",)), ("latitude", ("latitude",)), ("radius", ("radius",)), ("time", _TIMES)
     ):  # fmt: skip
-        if not set(meanings) & set(found):
-            names = " ".join(layout.columns.get(one, "") for one in meanings)
+        if not set(meanings) & set(columns):
+            names = " ".join(layout.columns.get(meaning, "") for meaning in meanings)
             raise InputError(where, f"no column for the {what}", " or ".join(names.split()), layout.remedy)
-    return found
+    return columns
 
 
 def _values(table: CsvText, layout: Layout, names: Mapping[str, str]) -> dict[str, Array]:
-    """Columns (n,) of numbers by what they mean, in the file's units."""
+    """Columns (n,) of numbers by their meaning, in the file's units."""
     gaps = [names[meaning] for meaning in _GAPS & set(names)] if layout is _OWN else []
     numbers = {meaning: name for meaning, name in names.items() if meaning != "utc"}
-    found = table.measured(*numbers.values(), gaps=gaps, largest=LARGEST)
-    return {meaning: found[name] for meaning, name in numbers.items()}
+    columns = table.measured(*numbers.values(), gaps=gaps, largest=LARGEST)
+    return {meaning: columns[name] for meaning, name in numbers.items()}
 
 
 def _with_radius(
@@ -328,17 +328,17 @@ def _with_radius(
 ) -> tuple[Mask, float]:
     """Which shots (n,) have a radius, and the unit of lengths in m."""
     radii = values["radius"]
-    there = ~((radii <= 0.0) & (radii >= _NONE))
-    if not np.any(there):
-        raise InputError(str(table.path), f"{there.size} shots without a radius", "shots that reached the ground")
+    has_radius = ~((radii <= 0.0) & (radii >= _NONE))
+    if not np.any(has_radius):
+        raise InputError(str(table.path), f"{has_radius.size} shots without a radius", "shots that reached the ground")
     assert layout.altimeter is not None
-    return there, unit_of_radii(radii[there], layout.altimeter.body, f"{table.path}, {names['radius']}")
+    return has_radius, unit_of_radii(radii[has_radius], layout.altimeter.body, f"{table.path}, {names['radius']}")
 
 
 def _spacecraft(value: Callable[[str], Array]) -> Array:
     """(n, 3) m, body-fixed, by axes or by planetocentric places; NaN where neither is known."""
     axes = np.column_stack([value(f"spacecraft {axis}") for axis in "xyz"])
-    degrees = [value(f"spacecraft {one}") * DEG for one in ("longitude", "latitude")]
+    degrees = [value(f"spacecraft {coordinate}") * DEG for coordinate in ("longitude", "latitude")]
     places = from_planetocentric(np.column_stack([*degrees, value("spacecraft radius")]))
     return np.where(np.isnan(axes), places, axes)
 

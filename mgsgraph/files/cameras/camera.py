@@ -1,7 +1,7 @@
 """What there is to know of a line-scan camera, what the label of one of its images says, and camera constants by their
 SPICE names (``INS-74021_FOCAL_LENGTH``), wherever they come from: kernels, cubes, JSON.
 
-A new camera is one more `Camera` in `line_scanners` or a file of its own, and in `label.CAMERAS`: both roads have it
+A new camera is one more `Camera` in `line_scanners` or a file of its own, and in `label.CAMERAS`: all readers have it
 there, that of cubes with their own SPICE tables (`labels.isis_cube`) and that of kernels (`labels.labelled_image`).
 Formulas: ISIS CameraDetectorMap, LineScanCameraDetectorMap, CameraFocalPlaneMap.
 
@@ -25,7 +25,7 @@ from mgsgraph.geometry.records import Array, assign, frozen
 from mgsgraph.units import ISIS_OFFSET, MM
 
 LineTimesSource = Path | Literal["mean"] | None
-"""A text file; "mean", all lines alike between the label's first and last time; or None, the image's own."""
+"""A text file; "mean", equal steps between the label's first and last time; or None, the image's own."""
 _INVERSE = 0.01
 """By which the product of two affine maps may differ from 1."""
 JOINED = 0.5
@@ -176,7 +176,7 @@ def _finite(item: Any, where: str) -> float:
 
 
 def keywords_of(block: Block) -> NaifKeywords:
-    """Those of a block of a label."""
+    """Keywords of a block of a label."""
     return NaifKeywords(block.document.source, _ByName({name: entry.value for name, entry in block.entries.items()}))
 
 
@@ -195,7 +195,7 @@ class _ByName(dict[str, Any]):
 
 @dataclass(frozen=True, slots=True)
 class LabelKeys:
-    """Under which keywords a label has what the geometry needs; those of nested blocks are found, too."""
+    """Keywords of a label for all that the geometry needs; nested blocks are searched, too."""
 
     identity: Mapping[str, str]
     """Values (in capitals, without blanks) of some keywords, by which the camera is known."""
@@ -268,7 +268,7 @@ class LineScanLabel:
     whole: int = 0
     """Number of lines before any were cut off; 0 where none were."""
     padding: tuple[float, float] = (0.0, 0.0)
-    """s by which spiceinit was told to begin a cube's tables earlier and to end them later."""
+    """s by which spiceinit begins a cube's tables earlier and ends them later."""
     line_offset: float = 0.0
     """Detector lines by which the place of the exposure is off the detector's origin (time delay integration)."""
     late: float = 0.0
@@ -276,7 +276,7 @@ class LineScanLabel:
     detector: int = 0
     """NAIF id of the part of the detector that has constants of its own; 0 for the camera's."""
     band: int = 1
-    """Filter, from 1 on, of cameras whose geometry hangs on it."""
+    """Filter, from 1 on, of cameras whose geometry depends on it."""
     stop: str = ""
     """UTC of the last line; empty where the label has none."""
     times: LineTimesPlace = None
@@ -298,7 +298,7 @@ def times_of_label(keywords: Keywords, label: LineScanLabel, start: float, stop:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """One camera: its codes, where its labels say what, its constants."""
+    """One camera: its codes, the keywords of its labels, its constants."""
 
     name: str
     """By which messages call it."""
@@ -344,7 +344,7 @@ class Camera:
     """What else is in the label and no keyword alone says."""
 
     def keys(self, kind: LabelKind) -> LabelKeys | None:
-        """Where a label of a kind has what."""
+        """Keywords of labels of a kind."""
         return self.isis if kind == "isis" else self.pds3
 
 
@@ -437,8 +437,8 @@ def _require_inverse(keywords: Keywords, code: int, to_pixel: Array) -> None:
     if all(name in keywords for name in names):
         back = np.stack([keywords.numbers(name, 3)[[2, 1]] for name in names])
         if np.abs(to_pixel[:, 1:] @ back - np.eye(2)).max() > _INVERSE:
-            found = ", ".join(f"{one:.7g}" for one in to_pixel[:, 1:].ravel())
-            raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "mend one")
+            found = ", ".join(f"{element:.7g}" for element in to_pixel[:, 1:].ravel())
+            raise InputError(f"INS{code}_ITRANSL, ITRANSS", found, f"the inverse of {' and '.join(names)}", "fix one")
 
 
 def by_addendum(
@@ -476,5 +476,5 @@ def require_summing(label: LineScanLabel) -> None:
         raise InputError(
             str(label.path),
             f"{label.samples} samples of {summing:g} pixels from {label.first_sample + 1.0:g} on end at {last:g}",
-            f"an end on the detector of {pixels} pixels", "mend the summing, the samples or the first sample",
+            f"an end on the detector of {pixels} pixels", "fix the summing, the samples or the first sample",
         )  # fmt: skip

@@ -229,10 +229,10 @@ def _table(path: Path, root: Block) -> LineTimesLocation | None:
     """Where the table is; None where the cube has none, or the file ends before it (a label cut off its cube)."""
     for block in root.blocks:
         if block.name == "table" and block.text("Name").lower() == _TIMES_TABLE:
-            fields = [(one.text("Name").lower(), one.text("Type").lower()) for one in block.blocks]
+            fields = [(field.text("Name").lower(), field.text("Type").lower()) for field in block.blocks]
             if fields != _TIMES_FIELDS or block.text("ByteOrder").upper() != "LSB":
                 raise InputError(
-                    block.where(), f"the fields {', '.join(' '.join(one) for one in fields)}",
+                    block.where(), f"the fields {', '.join(' '.join(field) for field in fields)}",
                     "EphemerisTime, ExposureTime (Double) and LineStart (Integer), ByteOrder = Lsb",
                 )  # fmt: skip
             offset, count = block.count("StartByte") - 1, block.count("Records")
@@ -333,7 +333,7 @@ def read_line_scan_label(path: Path) -> LineScanLabel:
 
 
 def label_of(path: Path, root: Block) -> LineScanLabel:
-    """The same of a label that was read already; `path` is its file."""
+    """As `read_line_scan_label`, of a label that was read already; `path` is its file."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
     _require_no_map(block)
     camera, keys = _recognised(path, block)
@@ -346,7 +346,7 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
     period = block.number(keys.period, _PERIOD_UNITS) * periods if keys.period else 0.0
     if keys.period and period <= 0.0:
         raise InputError(block.where(keys.period), f"{period} s", "a positive line period")
-    said = LineScanLabel(
+    label = LineScanLabel(
         path=path,
         camera=camera,
         product=block.text(keys.product) if keys.product in block else path.stem,
@@ -363,13 +363,13 @@ def label_of(path: Path, root: Block) -> LineScanLabel:
         whole=whole if whole != lines else 0,
         padding=(_padding(block, "StartPadding"), _padding(block, "EndPadding")),
         stop=_stop(keys, block),
-        keywords=next((keywords_of(one) for one in root.blocks if one.name == "naifkeywords"), None),
+        keywords=next((keywords_of(group) for group in root.blocks if group.name == "naifkeywords"), None),
     )
-    return camera.label_facts(block, said) if camera.label_facts else said
+    return camera.label_facts(block, label) if camera.label_facts else label
 
 
 def instrument_name(root: Block) -> str:
-    """What a label calls its instrument, for messages."""
+    """Name of a label's instrument, for messages."""
     block = LabelBlock(root, "pds3" if "PDS_VERSION_ID" in root else "isis")
     keys = ("INSTRUMENT_ID", "INSTRUMENT_NAME") if block.kind == "pds3" else ("InstrumentId",)
     return next((" ".join(block.words(key)) for key in keys if key in block), "no instrument")
@@ -384,7 +384,7 @@ def _recognised(path: Path, block: LabelBlock) -> tuple[Camera, LabelKeys]:
     if sensor := _sensor_kind(block):
         raise InputError(str(path), f"the instrument {name} is {sensor}", "an image of a line scanner")
     kind = "ISIS cubes" if block.kind == "isis" else "PDS3 labels"
-    found, expected = f"the camera {name} is not known by labels", f"one of those known by {kind}: {_known(block)}"
+    found, expected = f"the camera {name} is not known by labels", f"one of those known by {kind}: {_cameras(block)}"
     raise InputError(str(path), found, expected, "give its image support data (ALE's isd_generate) instead")
 
 
@@ -396,17 +396,17 @@ def _sensor_kind(block: LabelBlock) -> str:
 
 
 def _require_no_map(block: LabelBlock) -> None:
-    """Refuse what has only the pixels of a map; a cube that was projected still says how its image was taken."""
-    names = {one.name: one for one in all_blocks(block.root)}
-    found = names.get("image_map_projection") or ("instrument" not in names and names.get("mapping"))
-    if found:
-        raise InputError(found.where(), "a map-projected image", "an image in camera geometry", REMEDY_FOR_MAPS)
+    """Refuse a map's pixels without a camera; a cube that was projected still holds the geometry of its image."""
+    names = {group.name: group for group in all_blocks(block.root)}
+    map_group = names.get("image_map_projection") or ("instrument" not in names and names.get("mapping"))
+    if map_group:
+        raise InputError(map_group.where(), "a map-projected image", "an image in camera geometry", REMEDY_FOR_MAPS)
 
 
-def _known(block: LabelBlock) -> str:
+def _cameras(block: LabelBlock) -> str:
     """Missions and instruments of all cameras; of those that share the label's instrument, what else tells them."""
     all_keys = [(camera.mission, keys.identity) for camera in CAMERAS if (keys := camera.keys(block.kind)) is not None]
-    near = [one for one in all_keys if all(_word(block, key) == one[1][key] for key in list(one[1])[:1])]
+    near = [entry for entry in all_keys if all(_word(block, key) == entry[1][key] for key in list(entry[1])[:1])]
     return ", ".join(dict.fromkeys(" ".join([mission, *values.values()]) for mission, values in near)) or ", ".join(
         dict.fromkeys(f"{mission} {next(iter(values.values()))}" for mission, values in all_keys)
     )
@@ -423,7 +423,7 @@ def _serial_number(camera: Camera, keys: LabelKeys, block: LabelBlock) -> str:
 
 
 def _stop(keys: LabelKeys, block: LabelBlock) -> str:
-    """Line times that the label doesn't have hang on it; others are held against it, where it is known."""
+    """Line times that the label lacks depend on it; others are compared with it, where it is known."""
     if not keys.stop or (keys.period and (keys.stop not in block or not block.text(keys.stop)[:1].isdigit())):
         return ""
     return block.text(keys.stop)
@@ -446,7 +446,7 @@ def _extent(block: LabelBlock) -> tuple[int, int, float, float, int]:
     cube = block.root.inner("IsisCube")
     size = cube.inner("Core").inner("Dimensions")
     lines, samples = size.count("Lines"), size.count("Samples")
-    alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
+    alpha = next((group for group in cube.blocks if group.name == "alphacube"), None)
     if alpha is None and is_map_projected(block.root):
         raise InputError(cube.where(), "a map-projected cube without AlphaCube", "its size before", REMEDY_FOR_MAPS)
     if alpha is None:
@@ -481,8 +481,8 @@ def is_map_projected(root: Block) -> bool:
     if "PDS_VERSION_ID" in root:
         return False
     cube = root.inner("IsisCube")
-    mapped = any(one.name == "mapping" for one in cube.blocks)
-    alpha = next((one for one in cube.blocks if one.name == "alphacube"), None)
+    mapped = any(group.name == "mapping" for group in cube.blocks)
+    alpha = next((group for group in cube.blocks if group.name == "alphacube"), None)
     if not mapped or alpha is None or "AlphaEndingLine" not in alpha:
         return mapped
     size = cube.inner("Core").inner("Dimensions")

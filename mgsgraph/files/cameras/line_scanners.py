@@ -30,7 +30,7 @@ Imager of Kaguya (SELENE).
   call corrected; counts are decimal, and lie 0.03 s after the UTC beside them by SEL_M_V01.TSC: ISIS and the CK go by
   the clock. The principal point of TC is at (line 0.5, sample 2048.0) in ISIS's addendum 007, half a sample from the
   kernel's own 2048.5 and half a line ahead; support data that ALE writes have (0.5, 2048.5) with the other sign along
-  track: a line from ISIS's. MI's bands are lines of their own, told by NaifFrameCode.
+  track: a line from ISIS's. MI's bands are lines of their own, known by NaifFrameCode.
 """
 
 import re
@@ -85,7 +85,7 @@ PITCH = 0.0131240578522949
 
 
 def _whole_pixels(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
-    """A look at what only some of the label's numbers can be."""
+    """Check numbers of the label that can have few values only."""
     down = "DowntrackSumming" if block.kind == "isis" else "DOWNTRACK_SUMMING"
     first = "FirstLineSample" if block.kind == "isis" else "EDIT_MODE_ID"
     summed, camera = block.number(down), label.camera
@@ -268,7 +268,7 @@ _A1, _A2 = 0.00447623, 0.00107556 / MM
 
 
 def _of_band(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
-    """When and where the band's line sees what the label's start says."""
+    """Time and detector line of the band, from the label's start."""
     summing = block.number("SpatialSumming") if "SpatialSumming" in block else 1.0
     key = "ReferenceBand" if "ReferenceBand" in block else "FilterNumber"
     stated = block.words(key)
@@ -291,7 +291,7 @@ def themis_of_line(line: float) -> ThemisIrDistortion | None:
     it is no band's.
     """
     for k, (*lines, along) in enumerate(zip(_INTEGRATED, _SINGLE, _ALONG, strict=True)):
-        if any(abs(_MIDDLE_LINE - ISIS_OFFSET - one + along - line) < 1e-3 for one in lines):
+        if any(abs(_MIDDLE_LINE - ISIS_OFFSET - detector_line + along - line) < 1e-3 for detector_line in lines):
             return ThemisIrDistortion(_K[k], _A1, _A2)
     return None
 
@@ -345,13 +345,13 @@ def _not_turned(block: LabelBlock, label: LineScanLabel) -> LineScanLabel:
     side = re.fullmatch(r"[MN]\d+([LR])[EC]", label.product)
     if side and (side[1] == "R") != (label.camera.instrument == _RIGHT):
         found, expected = f"the product {label.product} of {label.camera.name}", "one side: FRAME_ID and PRODUCT_ID"
-        raise InputError(str(label.path), found, expected, "fetch the label anew")
+        raise InputError(str(label.path), found, expected, "fetch the label again")
     if block.kind == "pds3" and all(key in block for key in ("LRO:PREROLL_TIME", "START_TIME")):
         before, after = tdb_of_utc([block.text("LRO:PREROLL_TIME"), block.text("START_TIME")], str(label.path))
         periods = (after - before) / (label.period * _LONGER)
         if abs(periods - _PREROLL) > _PREROLL_SLACK * _PREROLL + _MILLISECOND / label.period:
             found = f"START_TIME {after - before:.3f} s after the preroll, {periods:.1f} line periods"
-            raise InputError(block.where("LINE_EXPOSURE_DURATION"), found, f"{_PREROLL:g} of them", "mend one")
+            raise InputError(block.where("LINE_EXPOSURE_DURATION"), found, f"{_PREROLL:g} of them", "fix one")
     key = "PRODUCT_VERSION_ID"
     if block.kind == "pds3" and label.camera.instrument == _RIGHT and key in block:
         version = number_of(block.text(key).lower().removeprefix("v"), block.where(key))

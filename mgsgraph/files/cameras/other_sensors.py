@@ -33,7 +33,7 @@ def sensor_kind(name: str) -> str:
     one that is not in the table.
     """
     words = " ".join(re.findall("[A-Z0-9]+", name.upper())) + " "
-    kinds = (kind for kind, names in _SENSORS.items() if words.startswith(tuple(f"{one} " for one in names)))
+    kinds = (kind for kind, names in _SENSORS.items() if words.startswith(tuple(f"{prefix} " for prefix in names)))
     return next(kinds, "")
 
 

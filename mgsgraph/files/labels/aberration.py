@@ -76,11 +76,11 @@ def geometric(apparent: PositionTable, body_velocity: Array, stated: Aberration,
 
 
 def _seen_from_body(apparent: PositionTable, times: Array, body_velocity: Array, saved: float | None) -> Array:
-    """The body sees the craft where it was one light time before: ask the table that much later."""
+    """The body sees the craft where it was one light time before: the table is read that much later."""
     position, light_time = np.zeros((times.size, 3)), np.zeros((times.size, 1))
     for _ in range(_ITERATIONS):
-        seen, velocity = apparent.at(times + light_time[:, 0])
-        true = seen if saved is not None else without_aberration(seen, body_velocity)
+        vector, velocity = apparent.at(times + light_time[:, 0])
+        true = vector if saved is not None else without_aberration(vector, body_velocity)
         position = true + light_time * body_velocity
         light_time = _light_time(position + light_time * velocity) - (saved or 0.0)
     return position
@@ -156,13 +156,13 @@ SPACECRAFT = (
 
 def spacecraft_of(code: int) -> Spacecraft | None:
     """By NAIF's code."""
-    return next((one for one in SPACECRAFT if one.code == code), None)
+    return next((spacecraft for spacecraft in SPACECRAFT if spacecraft.code == code), None)
 
 
 def spacecraft_named(platform: str) -> Spacecraft | None:
-    """By what support data call it."""
+    """By its name in support data."""
     name = " ".join(re.split(r"[^A-Z0-9]+", platform.upper())).strip()
-    return next((one for one in SPACECRAFT if name in one.names), None)
+    return next((spacecraft for spacecraft in SPACECRAFT if name in spacecraft.names), None)
 
 
 def aberration_of(values: Mapping[str, Any], source: str, instrument: int | None = None) -> Aberration | None:
@@ -196,20 +196,20 @@ def aberration_of(values: Mapping[str, Any], source: str, instrument: int | None
 
 
 def remarks_on(stated: Aberration, why: str) -> tuple[str, ...]:
-    """What was done with positions, in sentences; `why` is empty where keywords said it."""
+    """Corrections of positions, in sentences; `why` is empty where keywords state them."""
     if stated.correction == "NONE":
         return (f"positions are taken as geometric ({why})",) if why else ()
-    seen = "light time to the surface" if stated.to_surface else "light time and stellar aberration"
-    return (f"{seen} taken off positions, the {stated.observer} being the observer ({why or 'naif_keywords'})",)
+    effects = "light time to the surface" if stated.to_surface else "light time and stellar aberration"
+    return (f"{effects} taken off positions, the {stated.observer} being the observer ({why or 'naif_keywords'})",)
 
 
 def _keyword(values: Mapping[str, Any], start: str, end: str, source: str) -> Any:
     """Value of the instrument's keyword; None where there is none."""
-    found = [value for key, value in values.items() if key.upper().startswith(start) and key.upper().endswith(end)]
-    if any(value != found[0] for value in found):
-        words = f"keywords of several instruments that differ: {found}"
+    matches = [value for key, value in values.items() if key.upper().startswith(start) and key.upper().endswith(end)]
+    if any(value != matches[0] for value in matches):
+        words = f"keywords of several instruments that differ: {matches}"
         raise InputError(f"{source}, naif_keywords", words, "those of the instrument that took the image")
-    return ("" if found[0] is None else found[0]) if found else None
+    return ("" if matches[0] is None else matches[0]) if matches else None
 
 
 def _truth(values: Mapping[str, Any], start: str, end: str, source: str) -> bool:

@@ -57,8 +57,8 @@ def numbers(values: Sequence[float]) -> str:
 
 _OTHER = Accuracy("other missions", 100.0, "convention, no published accuracy known", (0.29,), "1 arcmin, convention")
 _MISSIONS = {
-    one.mission: one
-    for one in (
+    accuracy.mission: accuracy
+    for accuracy in (
         Accuracy(
             "MGS", 100.0, "Yoon & Shan 2005", (0.29, 0.87, 0.87),
             "Yoon & Shan 2005: 1 arcmin; Shan et al. 2005: MOC 325 m off MOLA along the track",

@@ -49,12 +49,12 @@ _KAGUYA = -131
 _SAME = 1e-6
 """Share by which constants that are the same may differ: digits."""
 _NODES = 2049
-"""Samples that a polynomial of jigsaw is laid out at; between them cubic and great arc are far below a micropixel."""
+"""Samples at which a polynomial of jigsaw is evaluated; between them cubic and great arc are far below a micropixel."""
 
 
 @dataclass(frozen=True, slots=True)
 class CubeTable:
-    """A table of a cube: where it is said, its numbers by field, and what its label says."""
+    """A table of a cube: its place for messages, its numbers by field, and the keys of its label."""
 
     where: str
     """File and table, for messages."""
@@ -114,7 +114,7 @@ def position_table(table: CubeTable, epoch: float) -> PositionTable:
     with errors_from(table.where):
         if table.sampled:
             return PositionTable(table.times - epoch, table.stack(_POSITION) * KM, table.velocities * KM)
-        times, values, rates = _laid_out(table, _COEFFICIENTS)
+        times, values, rates = _evaluated(table, _COEFFICIENTS)
         return PositionTable(times - epoch, values * KM, rates * KM)
 
 
@@ -123,12 +123,12 @@ def attitude_table(table: CubeTable, epoch: float) -> AttitudeTable:
     with errors_from(table.where):
         if table.sampled:
             return AttitudeTable(table.times - epoch, table.stack(_QUATERNION), table.constant)
-        times, angles, _ = _laid_out(table, _ANGLES)
+        times, angles, _ = _evaluated(table, _ANGLES)
         quaternions = rotation.from_matrix(rotation.from_angles_313(angles))
         return AttitudeTable(times - epoch, rotation.continuous(quaternions), table.constant)
 
 
-def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
+def _evaluated(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, Array]:
     """Times (n,) in s TDB past J2000 over the table's coverage, values (n, 3) and rates (n, 3) of its polynomials.
 
     The last record holds base time, time scale and degree: t = (ET - base time) / time scale.
@@ -151,34 +151,34 @@ def _laid_out(table: CubeTable, names: tuple[str, ...]) -> tuple[Array, Array, A
 
 def tables_of_json(content: Mapping[str, Any], source: str) -> dict[str, CubeTable]:
     """Tables by ISIS's names."""
-    found = dict[str, CubeTable]()
+    tables = dict[str, CubeTable]()
     for name, key in _JSON_NAMES.items():
         if key in content:
-            found[name] = _of_json(content[key], f"{source}, {key}")
-    return found
+            tables[name] = _of_json(content[key], f"{source}, {key}")
+    return tables
 
 
-def _of_json(said: Any, where: str) -> CubeTable:
-    if not isinstance(said, dict):
-        raise InputError(where, repr(said)[:60], "a table")
+def _of_json(table: Any, where: str) -> CubeTable:
+    if not isinstance(table, dict):
+        raise InputError(where, repr(table)[:60], "a table")
     columns = dict[str, Array]()
     for key, names in (
         ("positions", _POSITION), ("velocities", _VELOCITY), ("quaternions", _QUATERNION),
         ("angular_velocities", _RATES),
     ):  # fmt: skip
-        if key in said:
-            values = _numbers(said[key], (None, len(names)), f"{where}, {key}")
+        if key in table:
+            values = _numbers(table[key], (None, len(names)), f"{where}, {key}")
             columns |= dict(zip(names, values.T, strict=True))
-    if "ephemeris_times" in said:
-        columns["ET"] = _numbers(said["ephemeris_times"], (None,), f"{where}, ephemeris_times")
+    if "ephemeris_times" in table:
+        columns["ET"] = _numbers(table["ephemeris_times"], (None,), f"{where}, ephemeris_times")
     lengths = {column.size for column in columns.values()}
     if len(lengths) != 1 or 0 in lengths:
         found = ", ".join(f"{column.size} of {name}" for name, column in columns.items())
         raise InputError(where, found or "no columns", "as many of each, and some")
-    if "constant_rotation" not in said and len(said.get("constant_frames") or ()) > 1:
-        found = f"constant_frames {said['constant_frames']} without constant_rotation"
+    if "constant_rotation" not in table and len(table.get("constant_frames") or ()) > 1:
+        found = f"constant_frames {table['constant_frames']} without constant_rotation"
         raise InputError(where, found, "the rotation between them")
-    constant = _numbers(said.get("constant_rotation", np.eye(3).ravel().tolist()), (9,), f"{where}, constant_rotation")
+    constant = _numbers(table.get("constant_rotation", np.eye(3).ravel().tolist()), (9,), f"{where}, constant_rotation")
     return CubeTable(where, columns, constant.reshape(3, 3), None, None)
 
 
@@ -214,10 +214,10 @@ def _of_cube(path: Path, label: Block, name: str) -> CubeTable:
         raise InputError(where, f"{size} bytes", f"{records} records of {len(fields)} doubles")
     order = ">" if label.text("ByteOrder").lower() == "msb" else "<"
     with opened(path, ANY_SIZE) as file:
-        there = max(os.fstat(file.fileno()).st_size - start, 0)
-        if there < size:
+        available = max(os.fstat(file.fileno()).st_size - start, 0)
+        if available < size:
             remedy = "the cube is cut short, or a label alone: name the cube, or put its tables beside it (.isd)"
-            raise InputError(where, f"{there} bytes from byte {start + 1} on", f"{size}", remedy)
+            raise InputError(where, f"{available} bytes from byte {start + 1} on", f"{size}", remedy)
         file.seek(start)
         raw = file.read(size)
     numbers = np.frombuffer(raw, f"{order}f8").astype(np.float64).reshape(records, len(fields))
@@ -287,9 +287,9 @@ def read_isis_cube(
     mapped = ("the camera's image that its map was made of",) if is_map_projected(root) else ()
     with errors_from(str(path)):
         keywords = _keywords(content, str(json_path or label_path), label)
-        asked = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
-        asked = asked or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
-        image = _image(label, keywords, tables, name, *asked)
+        stated = (Aberration("NONE"), "apparent, as ISIS has them") if apparent else None
+        stated = stated or (aberration and (aberration, "as the case says")) or _stated_aberration(keywords, label)
+        image = _image(label, keywords, tables, name, *stated)
         return replace(image, remarks=(*image.remarks, *mapped))
 
 
@@ -328,13 +328,13 @@ def _odd_rates(label: LineScanLabel, tables: dict[str, CubeTable]) -> Iterator[s
 
 def _other_constants(label: LineScanLabel, keywords: NaifKeywords) -> Iterator[str]:
     """Remarks on keywords that are not those of the camera's record, where it has them."""
-    for key, known in label.camera.constants.items():
-        if key not in keywords or len(np.atleast_1d(np.array(keywords.values[key], dtype=object))) < len(known):
+    for key, expected in label.camera.constants.items():
+        if key not in keywords or len(np.atleast_1d(np.array(keywords.values[key], dtype=object))) < len(expected):
             continue
-        stated = keywords.numbers(key, len(known))
-        if np.abs(stated - known).max() > _SAME * np.abs(known).max():
-            said, usual = (", ".join(f"{one:.9g}" for one in values) for values in (stated, known))
-            yield f"{key} is {said}, where {label.camera.addendum} has {usual}"
+        stated = keywords.numbers(key, len(expected))
+        if np.abs(stated - expected).max() > _SAME * np.abs(expected).max():
+            in_label, in_addendum = (", ".join(f"{value:.9g}" for value in values) for values in (stated, expected))
+            yield f"{key} is {in_label}, where {label.camera.addendum} has {in_addendum}"
 
 
 def _files(path: Path) -> tuple[Path, Path | None]:
@@ -350,7 +350,7 @@ def _files(path: Path) -> tuple[Path, Path | None]:
 
 
 def _holds_tables(path: Path) -> bool:
-    """Whether there is JSON with a cube's tables, and not anything else that is called like the label."""
+    """Whether JSON beside the label has a cube's tables, and not anything else."""
     try:
         return path.is_file() and {"instrument_position", "instrument_pointing"} <= read_json(path).keys()
     except InputError:
@@ -364,7 +364,7 @@ def has_tables(path: Path, root: Block) -> bool:
         return True
     tables = [block for block in root.blocks if block.name == "table" and block.text("Name") in _TABLES]
     size = path.stat().st_size
-    return len(tables) == len(_TABLES) and all(one.count("StartByte") <= size for one in tables)
+    return len(tables) == len(_TABLES) and all(table.count("StartByte") <= size for table in tables)
 
 
 def has_pixels(path: Path) -> bool:
@@ -377,7 +377,7 @@ def has_pixels(path: Path) -> bool:
 
 
 def is_cube_json(content: dict[str, Any]) -> bool:
-    """Whether JSON holds a cube's tables alone: label and camera model are to be had from elsewhere."""
+    """Whether JSON holds a cube's tables alone: label and camera model are in other files."""
     return "isis_camera_version" in content and "image_lines" not in content
 
 
@@ -406,21 +406,21 @@ def _line_times(label: LineScanLabel, keywords: NaifKeywords, position: CubeTabl
     the position table, which begins with the whole image's first line and ends with its last.
     """
     camera, key = label.camera, f"CLOCK_ET_{label.camera.clock or label.camera.spacecraft}_{label.start}_COMPUTED"
-    known = not camera.start_is_utc and key in keywords
-    if not known and not camera.start_is_utc:
+    has_start = not camera.start_is_utc and key in keywords
+    if not has_start and not camera.start_is_utc:
         _require_no_other_start(keywords, key)
     first, last = position.start + label.padding[0], position.stop - label.padding[1]
-    start = keywords.time(key) if known else first
+    start = keywords.time(key) if has_start else first
     times = camera.line_times(keywords, label, start, last)
     if label.period == 0.0:  # lines have times of their own, which are held against both
         return times
     whole = camera.line_times(keywords, replace(label, lines=label.whole or label.lines, first_line=0.0), start, last)
-    if not known and whole.start != start:
+    if not has_start and whole.start != start:
         found, remedy = f"no {key}", "run spiceinit again"
         raise InputError(f"{keywords.source}, NaifKeywords", found, "the time of the label's start", remedy)
-    partial = known and label.whole > 0  # spiceinit may have been run before or after the cut
-    wanted = times if partial or camera.tables_of_bands else whole
-    _require_coverage(position.where, (first, last), wanted, longer=wanted is not whole)
+    partial = has_start and label.whole > 0  # spiceinit may have been run before or after the cut
+    needed = times if partial or camera.tables_of_bands else whole
+    _require_coverage(position.where, (first, last), needed, longer=needed is not whole)
     return times
 
 

@@ -32,7 +32,7 @@ def require_uncut(path: Path, text: bytes) -> None:
         if assigned := _ASSIGNED.match(line):
             variable = f", {assigned[1].decode('latin-1')}"
         where, texts = f"{path}, line {number}{variable}", _QUOTED.findall(line) if paths else []
-        longest, length = max((len(one.replace(b"''", b"'")) for one in texts), default=0), len(line.rstrip())
+        longest, length = max((len(word.replace(b"''", b"'")) for word in texts), default=0), len(line.rstrip())
         if longest > _LONGEST_TEXT:
             raise InputError(where, f"a text of {longest} characters", remedy=_REMEDY)
         if length > _LONGEST_LINE:
@@ -40,7 +40,7 @@ def require_uncut(path: Path, text: bytes) -> None:
 
 
 def require_whole(path: Path) -> None:
-    """Raise InputError for what is no file, and for a double precision array file (SPK, CK, binary PCK) that ends
+    """Raise InputError for a missing file, and for a double precision array file (SPK, CK, binary PCK) that ends
     before the last word that its file record counts (NAIF, DAF required reading): SPICE trusts it.
     """
     with opened(path, ANY_SIZE) as file:

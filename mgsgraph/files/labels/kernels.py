@@ -37,16 +37,16 @@ def spice_words(where: str, remedy: str = "") -> Iterator[None]:
     try:
         yield
     except SpiceyError as error:
-        said = " ".join(str(getattr(error, "long", "") or error).split())
+        message = " ".join(str(getattr(error, "long", "") or error).split())
         short = getattr(error, "short", "")
-        raise InputError(where, f"SPICE says: {said} {short}".rstrip(), remedy=remedy) from None
+        raise InputError(where, f"SPICE says: {message} {short}".rstrip(), remedy=remedy) from None
 
 
 # --- files
 
 
 def members(path: Path, home: Path = Path()) -> list[Path]:
-    """The file itself, or the files that a meta-kernel names, from a folder or beside it; all are there and kernels."""
+    """The file itself, or the files that a meta-kernel names, from a folder or beside it; all must be kernels."""
     if b"KERNELS_TO_LOAD" not in _text_of(path):
         return [path]
     with spice_words(str(path)):
@@ -60,16 +60,16 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
         full = name
         for symbol in sorted(symbols, key=len, reverse=True):
             full = full.replace(f"${symbol}", symbols[symbol])
-        found = [place for place in (home / full, path.parent / full) if place.is_file()]
-        if not found:
+        places = [place for place in (home / full, path.parent / full) if place.is_file()]
+        if not places:
             raise InputError(
                 str(path), f"the kernel {name!r} that it names is not there",
                 f"it as {(home / full).absolute()} or beside the meta-kernel",
-                "fetch it, or mend PATH_VALUES or KERNELS_TO_LOAD",
+                "fetch it, or fix PATH_VALUES or KERNELS_TO_LOAD",
             )
-        if b"KERNELS_TO_LOAD" in _text_of(found[0]):
+        if b"KERNELS_TO_LOAD" in _text_of(places[0]):
             raise InputError(str(path), f"the meta-kernel {name!r} among its kernels", "no other meta-kernel in one")
-        files.append(found[0])
+        files.append(places[0])
     return files
 
 
@@ -150,16 +150,16 @@ def covered_interval(cover: Cover, start: float, stop: float) -> tuple[float, fl
     for first, last in cover.intervals:
         if first <= start and stop <= last:
             return first, last
-    asked = f"nothing for all of {_span(start, stop)}"
+    missing = f"nothing for all of {_span(start, stop)}"
     if cover.intervals:
-        nearest = sorted(cover.intervals, key=lambda one: max(one[0] - start, stop - one[1]))[:_SHOWN]
+        nearest = sorted(cover.intervals, key=lambda interval: max(interval[0] - start, stop - interval[1]))[:_SHOWN]
         more = f" and {len(cover.intervals) - _SHOWN} more" if len(cover.intervals) > _SHOWN else ""
-        expected = "a time within " + ", ".join(_span(*one) for one in sorted(nearest)) + more
+        expected = "a time within " + ", ".join(_span(*interval) for interval in sorted(nearest)) + more
     elif cover.ids:
         expected = f"an id out of those in the kernels: {', '.join(map(str, cover.ids))}"
     else:
         expected = f"at least one {cover.kind}"
-    raise InputError(cover.what, asked, expected, f"load the {cover.kind} of this time")
+    raise InputError(cover.what, missing, expected, f"load the {cover.kind} of this time")
 
 
 def _span(start: float, stop: float) -> str:
@@ -175,7 +175,7 @@ def ck_frames(frame_id: int) -> list[int]:
     """The frame, and those that the loaded CK have it relative to, each a CK's own, down to one that is not."""
     frames = [frame_id]
     while len(frames) < _DEEPEST:
-        below = {spiceypy.frinfo(one)[1:] for one in _references(frames[-1])}
+        below = {spiceypy.frinfo(reference)[1:] for reference in _references(frames[-1])}
         turned = sorted(class_id for kind, class_id in below if kind == _CK_CLASS and class_id not in frames)
         if not turned:
             break
@@ -196,7 +196,7 @@ def _segments() -> Iterator[tuple[int, Array, tuple[int, ...]]]:
             spiceypy.dafbfs(handle)
             while spiceypy.daffna():
                 summary = spiceypy.dafgs(5)
-                yield handle, summary, tuple(int(one) for one in spiceypy.dafus(summary, 2, 6)[1])
+                yield handle, summary, tuple(int(number) for number in spiceypy.dafus(summary, 2, 6)[1])
         finally:
             spiceypy.dafcls(handle)
 
@@ -274,8 +274,8 @@ def loaded(kernels: Sequence[Path], home: Path = Path()) -> Iterator[None]:
         A file that is missing, no kernel, or a transfer file; a meta-kernel that names a missing file; or a kernel of
         the caller's own that could not be loaded again afterwards (nothing has been changed then).
     """
-    every = (spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL")))
-    before = [name for name, _, source, _ in every if not source]  # others come by their meta-kernel
+    entries = (spiceypy.kdata(k, "ALL", 1024, 32, 1024) for k in range(spiceypy.ktotal("ALL")))
+    before = [name for name, _, source, _ in entries if not source]  # others come by their meta-kernel
     for name in before:
         if not Path(name).is_file():
             raise InputError(
@@ -331,12 +331,12 @@ def utc_time(text: str, where: str) -> float:
     """Time in s TDB past J2000 of one in UTC, by the leap seconds that are loaded; `where` names it in errors."""
     plain = text.strip().removesuffix("Z")
     with spice_words(where, "write 2008-02-08T12:08:53.843; load a leapseconds kernel"):
-        found = float(spiceypy.str2et(plain))
-    own = float(tdb_of_utc([plain], where)[0]) if re.match(r"\d{4}-", plain) else found
-    if abs(found - own) > _LEAP:
+        time = float(spiceypy.str2et(plain))
+    own = float(tdb_of_utc([plain], where)[0]) if re.match(r"\d{4}-", plain) else time
+    if abs(time - own) > _LEAP:
         remedy = "load a leapseconds kernel that is not older than the image"
-        raise InputError(where, f"{own - found:+.0f} s of leap seconds that the kernel lacks", "all up to then", remedy)
-    return found
+        raise InputError(where, f"{own - time:+.0f} s of leap seconds that the kernel lacks", "all up to then", remedy)
+    return time
 
 
 def fixed_rotation(from_frame: int, to_frame: int, time: float = 0.0) -> Array:
@@ -371,9 +371,9 @@ def ellipsoid(body: str | int) -> Ellipsoid:
     a, b, c = pool_numbers(f"BODY{body_code(body)}_RADII", 3) * KM
     if abs(a - b) > 1e-9 * a:
         raise InputError(f"kernels, radii of {body}", f"{a} and {b} m on the equator", "a body of revolution")
-    found = Ellipsoid(float(a), float(c))
-    require_possible(found, str(body), f"kernels, radii of {body}")
-    return found
+    shape = Ellipsoid(float(a), float(c))
+    require_possible(shape, str(body), f"kernels, radii of {body}")
+    return shape
 
 
 def body_code(body: str | int) -> int:
@@ -441,15 +441,15 @@ def sample_trajectory(
     code = body_code(body)
     place = covered_interval(spk_cover(spacecraft), start + position_bias, stop + position_bias)
     frames = ck_frames(frame_id)
-    turned = [covered_interval(ck_cover(one), start + attitude_bias, stop + attitude_bias) for one in frames]
+    turned = [covered_interval(ck_cover(frame), start + attitude_bias, stop + attitude_bias) for frame in frames]
     first = max(start - margin, place[0] - position_bias, *(begin - attitude_bias for begin, _ in turned))
     last = min(stop + margin, place[1] - position_bias, *(end - attitude_bias for _, end in turned))
     times, middle = _nodes(start, stop, first, last, interval)
     records = np.unique(np.concatenate([
-        ck_records(one, spacecraft, first + attitude_bias, last + attitude_bias) for one in frames
+        ck_records(frame, spacecraft, first + attitude_bias, last + attitude_bias) for frame in frames
     ])) - attitude_bias
-    apart = np.abs(times[np.clip(np.searchsorted(times, records) - np.array([[1], [0]]), 0, times.size - 1)] - records)
-    camera_times = np.union1d(times, records[apart.min(axis=0) > _NEAR])
+    gaps = np.abs(times[np.clip(np.searchsorted(times, records) - np.array([[1], [0]]), 0, times.size - 1)] - records)
+    camera_times = np.union1d(times, records[gaps.min(axis=0) > _NEAR])
     return Trajectory(
         epoch=middle,
         position=_positions(spacecraft, code, times, position_bias, aberration, middle),

@@ -1,4 +1,4 @@
-"""PDS3 labels of images against what they say a second time: radii, pixels, corners and centers on the ground."""
+"""Compares statements that PDS3 labels of images repeat: radii, pixels, corners and centers on the ground."""
 
 from collections.abc import Iterator
 
@@ -26,7 +26,7 @@ _LENGTHS = {"km": KM, "m": 1.0, "": KM}
 
 
 def require_usual_label(root: Block, source: str) -> None:
-    """Raise InputError for a key with which a label means another image than one in camera geometry."""
+    """Raise InputError for a key of a label whose image is not in camera geometry."""
     require_once(root, IMAGE_LABEL)
     for block in all_blocks(root):
         require_usual(texts(block), IMAGE_LABEL, source)
@@ -41,12 +41,12 @@ def require_own_statements(root: Block, label: LineScanLabel, image: PushbroomIm
         Where radii, numbers of pixels, line periods, corners or centers of a label contradict the image that was made
         of its other keys and the kernels.
     """
-    for key, found in (
+    for key, radius in (
         ("A_AXIS_RADIUS", image.body.equatorial), ("B_AXIS_RADIUS", image.body.equatorial),
         ("C_AXIS_RADIUS", image.body.polar),
     ):  # fmt: skip
-        if key in root and abs(root.number(key, _LENGTHS) / found - 1.0) > _SAME_RADII:
-            raise InputError(root.where(key), root.text(key), f"{found / KM:.9g} km, as the kernels say")
+        if key in root and abs(root.number(key, _LENGTHS) / radius - 1.0) > _SAME_RADII:
+            raise InputError(root.where(key), root.text(key), f"{radius / KM:.9g} km, as the kernels say")
     _require_pixels(root, label)
     middle, size = _ground(image)
     for key, stated in _places(root):
@@ -56,8 +56,8 @@ def require_own_statements(root: Block, label: LineScanLabel, image: PushbroomIm
             remedy = "look at the label's times and places, and at the kernels"
             raise InputError(root.where(key), away, f"within {max(_NEAR, size) / KM:.0f} km of it", remedy)
     names = [name for block in _blocks(root) for name in block.entries if not name.startswith("^")]
-    found_keys = [name.upper() for name in unread(names, IMAGE_LABEL)]
-    return (f"nothing reads the key {', '.join(found_keys)}",) if found_keys else ()
+    unread_keys = [name.upper() for name in unread(names, IMAGE_LABEL)]
+    return (f"nothing reads the key {', '.join(unread_keys)}",) if unread_keys else ()
 
 
 def _blocks(root: Block) -> list[Block]:
@@ -68,9 +68,9 @@ def _require_pixels(root: Block, label: LineScanLabel) -> None:
     """Raise InputError where first and last pixel are not those of the image, or its two line periods differ."""
     first = label.first_sample + 1.0
     last = label.first_sample + label.samples * label.sample_summing
-    for key, found in (("FIRST_PIXEL_NUMBER", first), ("LAST_PIXEL_NUMBER", last)):
-        if key in root and abs(root.number(key) - found) > 4.0:  # dummy pixels at the end
-            raise InputError(root.where(key), root.text(key), f"about {found:g}, as samples and swath say")
+    for key, pixel in (("FIRST_PIXEL_NUMBER", first), ("LAST_PIXEL_NUMBER", last)):
+        if key in root and abs(root.number(key) - pixel) > 4.0:  # dummy pixels at the end
+            raise InputError(root.where(key), root.text(key), f"about {pixel:g}, as samples and swath say")
     key = "LINE_SAMPLING_INTERVAL"
     if key in root and label.period > 0.0:
         stated = root.number(key, {"ms": 1e-3, "msec": 1e-3, "s": 1.0, "": 1e-3})

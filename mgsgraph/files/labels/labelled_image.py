@@ -52,7 +52,7 @@ _STOP_SLACK = 0.1
 
 @dataclass(frozen=True, slots=True)
 class _Sampling:
-    """How kernels are asked; the same for all images of a strip."""
+    """How kernels are sampled; the same for all images of a pass."""
 
     focal_length: float | None = None
     constants: Constants = "iak"
@@ -76,7 +76,7 @@ def read_strip(
     line_times: Sequence[LineTimesSource] = (),
     **how: Any,
 ) -> tuple[PushbroomImage, ...]:
-    """Read the images that lines behind one lens took in one pass; they share one trajectory (the very record).
+    """Read the images that lines behind one lens took in one pass; they share one trajectory record.
 
     Parameters
     ----------
@@ -108,37 +108,37 @@ def read_strip(
         As the readers of labels, line times and kernels; another camera; camera constants that are not in the kernels;
         line times for a camera that needs none.
     """
-    asked = _Sampling(**how)
+    sampling = _Sampling(**how)
     if not labels:
         raise InputError("strip", "no label", "at least one")
     if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
         found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
         raise InputError("strip", found, "one each, or none")
-    said = [
+    scans = [
         _with_line_times(read_line_scan_label(label.absolute()), source)
         for label, source in zip(labels, line_times or [None] * len(labels), strict=True)
     ]
-    for other in said[1:]:
-        _require_alike(said[0], other)
-    here, files = Path.cwd(), [Path(path).absolute() for path in kernels]
+    for other in scans[1:]:
+        _require_same_camera(scans[0], other)
+    home, files = Path.cwd(), [Path(path).absolute() for path in kernels]
 
     def by_kernels() -> tuple[PushbroomImage, ...]:
-        with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, here):
-            return _sampled(said, names, asked)
+        with understood(", ".join(map(str, files)), "sound SPICE kernels", "fetch them again"), loaded(files, home):
+            return _sampled(scans, names, sampling)
 
     rotation.from_matrix(np.eye(3))  # loads what is compiled: once, not in every fork
-    with errors_from(*(str(one.path) for one in said)):
+    with errors_from(*(str(label.path) for label in scans)):
         return read_apart(by_kernels, listed([path.name for path in files]), "SPICE kernels", "fetch them again")
 
 
 def _sampled(
-    said: Sequence[LineScanLabel], names: Sequence[str | None], how: _Sampling
+    scans: Sequence[LineScanLabel], names: Sequence[str | None], how: _Sampling
 ) -> tuple[PushbroomImage, ...]:
     """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
-    camera, target = said[0].camera, said[0].target
-    words = [_Constants.of(one, how.constants) for one in said]
-    times = [_line_times(one, said_by) for one, said_by in zip(said, words, strict=True)]
-    start, stop = min(one.start for one in times), max(one.stop for one in times)
+    camera, target = scans[0].camera, scans[0].target
+    constant_sets = [_Constants.of(label, how.constants) for label in scans]
+    times = [_line_times(label, constants) for label, constants in zip(scans, constant_sets, strict=True)]
+    start, stop = min(when.start for when in times), max(when.stop for when in times)
     structure = ck_frame(_frame(camera))
     mount = fixed_rotation(structure, _frame(camera), start)
     bias = camera.attitude_bias if how.attitude_bias is None else how.attitude_bias
@@ -149,23 +149,23 @@ def _sampled(
     body = ellipsoid(target)
     images = tuple(
         PushbroomImage(
-            name=name or one.product,
-            lines=one.lines,
-            samples=one.samples,
-            interior=with_focal_length(said_by.interior(one), how.focal_length),
+            name=name or label.product,
+            lines=label.lines,
+            samples=label.samples,
+            interior=with_focal_length(constants.interior(label), how.focal_length),
             timing=when.timing(trajectory.epoch),
             trajectory=trajectory,
             body=body,
-            remarks=(*_remarks(one, said_by), *_short(one, when)),
+            remarks=(*_remarks(label, constants), *_short(label, when)),
             mission=camera.mission,
         )
-        for one, said_by, when, name in zip(said, words, times, names or [None] * len(said), strict=True)
+        for label, constants, when, name in zip(scans, constant_sets, times, names or [None] * len(scans), strict=True)
     )
-    return tuple(_checked(one, image) for one, image in zip(said, images, strict=True))
+    return tuple(_checked(label, image) for label, image in zip(scans, images, strict=True))
 
 
 def _checked(label: LineScanLabel, image: PushbroomImage) -> PushbroomImage:
-    """The image, whose PDS3 label has been held against it."""
+    """The image, after a comparison with its PDS3 label."""
     root = read_label(label.path)
     if "PDS_VERSION_ID" not in root:
         return image
@@ -182,7 +182,7 @@ def _with_line_times(label: LineScanLabel, source: LineTimesSource) -> LineScanL
     return replace(label, times=source if source == "mean" else Path(source).absolute())
 
 
-def _require_alike(first: LineScanLabel, other: LineScanLabel) -> None:
+def _require_same_camera(first: LineScanLabel, other: LineScanLabel) -> None:
     if other.target != first.target:
         raise InputError(str(other.path), f"an image of {other.target}", f"one of {first.target}, as the others")
     if _frame(other.camera) != _frame(first.camera):
@@ -203,7 +203,7 @@ def _short(label: LineScanLabel, times: LineTimes) -> Iterator[str]:
 
 
 def _remarks(label: LineScanLabel, constants: "_Constants") -> tuple[str, ...]:
-    """What was decided that the user may not have meant."""
+    """Decisions of the reader that the user may not have meant."""
     remarks = []
     if constants.of_label is not None:
         remarks.append("camera constants of the cube's label, for there is no addendum among the kernels")

@@ -68,7 +68,7 @@ _FORM = "PREFIX-IMAGE1__IMAGE2"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchFile:
-    """What a match file holds, but for how its places were found."""
+    """Content of a match file, without the descriptors of its matches."""
 
     source: str
     """File, for messages."""
@@ -77,7 +77,7 @@ class MatchFile:
     pixels: Array
     """(2, n, 2) image, match; row, column, first pixel's centre at (0, 0)."""
     sigmas: Array
-    """(2, n) pixels, of row and column alike; NaN where the file says 0 or less."""
+    """(2, n) pixels, of row and column; NaN where the file says 0 or less."""
 
 
 def read_match(path: Path, images: tuple[str, str]) -> MatchFile:
@@ -170,29 +170,29 @@ def match_files(network: ControlNetwork, prefix: Path, text: bool = False) -> di
     if np.any((measures.sigmas < _LEAST_SIGMA) | (measures.sigmas > _LARGEST)):
         expected = f"{_LEAST_SIGMA:g} .. {_LARGEST:.1g} px"
         raise InputError(network.source or "network", "a sigma that a match file can't hold", expected)
-    made = {}
-    for (i, j), one, other in pairs_of(measures):
+    contents = {}
+    for (i, j), first, second in pairs_of(measures):
         path = match_path(prefix, measures.images[i], measures.images[j], ".txt" if text else ".match")
-        made[path] = (_text if text else _binary)(measures, one, other)
-    return made
+        contents[path] = (_text if text else _binary)(measures, first, second)
+    return contents
 
 
 def pairs_of(measures: PixelMeasures) -> Iterator[tuple[tuple[int, int], np.ndarray, np.ndarray]]:
     """Every pair of images (i < j) with common points, and indices of their measures, point by point."""
     order = np.lexsort((measures.image, measures.point))
     point = measures.point[order]
-    ones, others = list[np.ndarray](), list[np.ndarray]()
-    for apart in range(1, int(np.bincount(point).max(initial=0))):
-        same = np.flatnonzero(point[:-apart] == point[apart:])
-        ones.append(order[same])
-        others.append(order[same + apart])
-    one, other = np.concatenate(ones), np.concatenate(others)
-    sorting = np.lexsort((measures.point[one], measures.image[other], measures.image[one]))
-    one, other = one[sorting], other[sorting]
-    images = np.stack([measures.image[one], measures.image[other]], axis=1)
+    firsts, seconds = list[np.ndarray](), list[np.ndarray]()
+    for step in range(1, int(np.bincount(point).max(initial=0))):
+        same = np.flatnonzero(point[:-step] == point[step:])
+        firsts.append(order[same])
+        seconds.append(order[same + step])
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
+    sorting = np.lexsort((measures.point[first], measures.image[second], measures.image[first]))
+    first, second = first[sorting], second[sorting]
+    images = np.stack([measures.image[first], measures.image[second]], axis=1)
     starts = np.flatnonzero(np.any(np.diff(images, axis=0, prepend=-1), axis=1))
-    for start, stop in zip(starts, [*starts[1:], len(one)], strict=True):
-        yield (int(images[start, 0]), int(images[start, 1])), one[start:stop], other[start:stop]
+    for start, stop in zip(starts, [*starts[1:], len(first)], strict=True):
+        yield (int(images[start, 0]), int(images[start, 1])), first[start:stop], second[start:stop]
 
 
 def one_sigma(sigmas: Array) -> Array:
@@ -200,18 +200,18 @@ def one_sigma(sigmas: Array) -> Array:
     return np.where(np.isnan(sigmas).any(axis=1), UNSTATED_SIGMA, root_mean_square(sigmas, 1))
 
 
-def _binary(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
-    chosen = np.concatenate([one, other])
+def _binary(measures: PixelMeasures, first: np.ndarray, second: np.ndarray) -> bytes:
+    chosen = np.concatenate([first, second])
     records = np.zeros(len(chosen), dtype=_RECORD)
     records["y"], records["x"] = measures.pixels[chosen].T
     records["row"], records["column"] = np.trunc(measures.pixels[chosen]).T
     records["scale"] = one_sigma(measures.sigmas[chosen])
-    return np.array([len(one), len(other)], dtype=_COUNTS).tobytes() + records.tobytes()
+    return np.array([len(first), len(second)], dtype=_COUNTS).tobytes() + records.tobytes()
 
 
-def _text(measures: PixelMeasures, one: np.ndarray, other: np.ndarray) -> bytes:
+def _text(measures: PixelMeasures, first: np.ndarray, second: np.ndarray) -> bytes:
     columns = [
-        np.column_stack([measures.pixels[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (one, other)
+        np.column_stack([measures.pixels[k][:, ::-1], one_sigma(measures.sigmas[k])]) for k in (first, second)
     ]  # fmt: skip
     return "".join(" ".join(map(repr, row)) + "\n" for row in np.hstack(columns).tolist()).encode()
 
@@ -241,14 +241,14 @@ def joined(files: Sequence[MatchFile]) -> Tracks:
     source = ", ".join(file.source for file in files[:3]) + (", ..." if len(files) > 3 else "")
     of_file = [np.array([images.index(name) for name in file.images]) for file in files]
     sizes = [file.pixels.shape[1] for file in files]
-    image = np.concatenate([np.repeat(mine, size) for mine, size in zip(of_file, sizes, strict=True)])
+    image = np.concatenate([np.repeat(numbers, size) for numbers, size in zip(of_file, sizes, strict=True)])
     places = np.concatenate([file.pixels.reshape(-1, 2) for file in files])
     sigmas = np.concatenate([file.sigmas.reshape(-1) for file in files])
-    one = np.concatenate([np.arange(size) for size in sizes])
-    one += np.repeat(2 * np.cumsum([0, *sizes[:-1]]), sizes)  # where the file's places begin
+    left = np.concatenate([np.arange(size) for size in sizes])
+    left += np.repeat(2 * np.cumsum([0, *sizes[:-1]]), sizes)  # where the file's places begin
     first, place = _distinct(image, places)
-    other, n = place[one + np.repeat(sizes, sizes)], len(first)
-    _, track = connected_components(coo_array((np.ones(len(one)), (place[one], other)), shape=(n, n)), directed=False)
+    right, n = place[left + np.repeat(sizes, sizes)], len(first)
+    _, track = connected_components(coo_array((np.ones(len(left)), (place[left], right)), shape=(n, n)), directed=False)
     return _network(images, image[first], places[first], sigmas[first], track, source)
 
 
@@ -300,52 +300,52 @@ def images_of(path: Path, known: Collection[str] = (), prefix: str | None = None
     path : Path
         Match file, binary or text.
     known : collection of str
-        All images there are; the name is then taken apart by theirs.
+        All images there are; the name is then split by theirs.
     prefix : str, optional
         What precedes the first image, without the hyphen; empty for nothing. A folder before it counts for nothing.
 
     Raises
     ------
     InputError
-        If the name is not of this form, or can be taken apart in several ways: hyphens may be of the prefix or of the
+        If the name is not of this form, or can be split in several ways: hyphens may be of the prefix or of the
         first image, and there is no telling.
     """
     names = [path.stem.removesuffix(_CLEAN), path.stem]
     if known:  # one of them may itself be called so
         names.reverse()
-    found = _readings(names[0], known, prefix) or _readings(names[1], known, prefix)
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    pairs = _image_pairs(names[0], known, prefix) or _image_pairs(names[1], known, prefix)
+    if len(pairs) == 1:
+        return pairs[0]
+    if not pairs:
         if known:
             remedy = f"they are {some(list(known), len(known))}"
             raise InputError(str(path), "a file's name without two of the images", _FORM, remedy)
         expected = _FORM if prefix is None else f"{prefix}-IMAGE1__IMAGE2"
         raise InputError(str(path), "a file's name that doesn't tell the images", expected)
-    several = ", or ".join(" and ".join(pair) for pair in found[:3])
+    several = ", or ".join(" and ".join(pair) for pair in pairs[:3])
     raise InputError(str(path), f"its images may be {several}", "one reading", "say --prefix, or give the --case")
 
 
-def _readings(name: str, known: Collection[str], prefix: str | None) -> list[tuple[str, str]]:
-    """All ways to take a name apart."""
+def _image_pairs(name: str, known: Collection[str], prefix: str | None) -> list[tuple[str, str]]:
+    """Every pair of images that a name can mean."""
     of_stems: dict[str, list[str]] = {}
     for image in known:
         of_stems.setdefault(stem(image), []).append(image)
-    readings = []
+    pairs = []
     for k in range(1, len(name) - len(_BETWEEN)):
         if not name.startswith(_BETWEEN, k):
             continue
         second = name[k + len(_BETWEEN) :]
         for first in _heads(name[:k], prefix, bool(known)):
             if not known:
-                readings.append((first, second))
+                pairs.append((first, second))
             else:
-                readings += product(of_stems.get(first, ()), of_stems.get(second, ()))
-    return [pair for pair in readings if pair[0] != pair[1]]
+                pairs += product(of_stems.get(first, ()), of_stems.get(second, ()))
+    return [pair for pair in pairs if pair[0] != pair[1]]
 
 
 def _heads(head: str, prefix: str | None, known: bool) -> list[str]:
-    """What may be the first image: all that follows a hyphen, or the whole where there is none, or where images are
+    """Possible names of the first image: all that follows a hyphen, or the whole without one, or where images are
     known, so that a wrong one does no harm.
     """
     if prefix is not None:
@@ -376,7 +376,7 @@ def match_path(prefix: Path, first: str, second: str, ending: str) -> Path:
 
 
 def prefix_of(output: Path, images: Collection[str]) -> Path:
-    """What match files written for `output` begin with: its name without its ending, and without a pair of images."""
+    """Prefix of match files written for `output`: its name without its ending, and without a pair of images."""
     name = output.stem
     for first, second in combinations(images, 2):
         if (pair := f"-{stem(first)}{_BETWEEN}{stem(second)}") and name.endswith(pair):

@@ -96,7 +96,7 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
     Raises InputError for a measure without a place and for an image twice in a point.
     """
     chosen = [
-        structs.replace(point, measures=tuple(one for one in point.measures if not one.ignore), reference=None)
+        structs.replace(point, measures=tuple(m for m in point.measures if not m.ignore), reference=None)
         for point in network.points if takes_part(point, types)
     ]  # fmt: skip
     points = tuple(point for point in chosen if len(point.measures) >= least)
@@ -108,8 +108,8 @@ def measures_of(network: ControlNetwork, types: Collection[PointType], least: in
         raise InputError(where, "a measure without line and sample", "both")
     arrays.require_once(network.where)
     places, sigmas = arrays.measures[:, :2] - FROM_ASP, arrays.measures[:, 2:]
-    known = np.where(sigmas > 0.0, sigmas, np.nan)
-    return PixelMeasures(points, arrays.image.distinct, point, arrays.image.numbers, places, known)
+    stated_sigmas = np.where(sigmas > 0.0, sigmas, np.nan)
+    return PixelMeasures(points, arrays.image.distinct, point, arrays.image.numbers, places, stated_sigmas)
 
 
 def candidate(image: str, row: float, column: float, row_sigma: float, column_sigma: float) -> ControlMeasure:
@@ -158,36 +158,36 @@ def stated_datum(path: Path) -> Ellipsoid | None:
     """The datum of a header ``# WKT:``; InputError for one that is not understood, and for an order of columns that is
     not the one that is read.
     """
-    found = None
+    datum = None
     for number, line in enumerate(read_text(path).split("\n"), start=1):
-        where, said = f"{path}, line {number}", line.strip()
-        if not said.startswith("#"):
+        where, comment = f"{path}, line {number}", line.strip()
+        if not comment.startswith("#"):
             continue
-        _require_columns(said, where)
-        if wkt := _WKT.match(said):
+        _require_columns(comment, where)
+        if wkt := _WKT.match(comment):
             stated = datum_of_wkt(wkt[1], where)
-        elif other := _DATUM.match(said):
+        elif other := _DATUM.match(comment):
             if other[1].upper() not in NAMED:
                 raise InputError(where, f"the datum {other[1]!r}", "# WKT: ..., as the Ames Stereo Pipeline writes it")
             stated = NAMED[other[1].upper()]
-        elif _LIKE_A_DATUM.search(said):
-            raise InputError(where, repr(said)[:60], "# WKT: GEOGCS[...], as the Ames Stereo Pipeline writes it")
+        elif _LIKE_A_DATUM.search(comment):
+            raise InputError(where, repr(comment)[:60], "# WKT: GEOGCS[...], as the Ames Stereo Pipeline writes it")
         else:
             continue
-        if found is not None:
-            require_same(stated, found, where, "the header before")
-        found = stated
-    return found
+        if datum is not None:
+            require_same(stated, datum, where, "the header before")
+        datum = stated
+    return datum
 
 
 def _require_columns(comment: str, where: str) -> None:
     """Raise InputError for names of columns in another order, or of other quantities, than those that are read."""
     words = [word for word in _SEPARATOR.split(comment.lstrip("# ").lower()) if word]
-    named = [found[1] for word in words if (found := _COLUMN.match(word))][:3]
+    named = [match[1] for word in words if (match := _COLUMN.match(word))][:3]
     sigmas = [word for word in words if re.fullmatch(r"(sigma|s|std)_?(lat|lon|h|height)\w*", word)]
-    others = [word for word in words if re.search(r"(_km|radius|areoid|geoid)$", word)]
-    if len(named) == 3 and (named not in (["lat", "lon", one] for one in _HEIGHTS) or sigmas or others):
-        shown = ", ".join([*named, *sigmas, *others])
+    other_columns = [word for word in words if re.search(r"(_km|radius|areoid|geoid)$", word)]
+    if len(named) == 3 and (named not in (["lat", "lon", height] for height in _HEIGHTS) or sigmas or other_columns):
+        shown = ", ".join([*named, *sigmas, *other_columns])
         raise InputError(where, f"the columns {shown}", "latitude, longitude, height in m, sigmas along X, Y, Z")
 
 
@@ -219,9 +219,9 @@ def read_ground_control_network(path: Path, body: Ellipsoid, datum: Ellipsoid | 
     if datum is not None and stated is not None:
         require_same(stated, datum, str(path), "the case")
     ellipsoid = datum or (body if stated is None or is_same(stated, body) else stated)
-    sizes = [np.array([one.equatorial, one.polar]) for one in (ellipsoid, body)]
+    sizes = [np.array([shape.equatorial, shape.polar]) for shape in (ellipsoid, body)]
     if np.abs(sizes[0] / sizes[1] - 1.0).max() > _ANOTHER:
-        found, expected = (f"{one.equatorial:.9g} and {one.polar:.9g} m" for one in (ellipsoid, body))
+        found, expected = (f"{shape.equatorial:.9g} and {shape.polar:.9g} m" for shape in (ellipsoid, body))
         raise InputError(str(path), f"a datum of {found}", f"the images' body, {expected}")
     points = dict[str, tuple[str, ControlPoint]]()
     for line, fields in filled_lines(path, ground_control=True):
@@ -253,12 +253,12 @@ def _gcp_point(fields: list[str], ellipsoid: Ellipsoid, where: str) -> ControlPo
     measures = dict[str, ControlMeasure]()
     for start in range(_OF_POINT, len(fields), _OF_MEASURE):
         image, *texts = fields[start : start + _OF_MEASURE]
-        here = f"{where}, image {image}"
+        at = f"{where}, image {image}"
         if image in measures:
-            raise InputError(here, "a second measure in this image", "one per point", "remove the worse one")
-        column, row = (number_of(text, f"{here}, {what}") for text, what in zip(texts, ("column", "row"), strict=False))
-        column_sigma = _positive(texts[2], f"{here}, column sigma")
-        row_sigma = _positive(texts[3], f"{here}, row sigma")
+            raise InputError(at, "a second measure in this image", "one per point", "remove the worse one")
+        column, row = (number_of(text, f"{at}, {what}") for text, what in zip(texts, ("column", "row"), strict=False))
+        column_sigma = _positive(texts[2], f"{at}, column sigma")
+        row_sigma = _positive(texts[3], f"{at}, row sigma")
         measures[image] = candidate(image, row, column, row_sigma, column_sigma)
     return ControlPoint(
         id=fields[0], type=PointType.FIXED if fixed else PointType.CONSTRAINED, measures=tuple(measures.values()),
@@ -274,7 +274,7 @@ def _positive(text: str, where: str) -> float:
 
 
 def keeps_ids(points: Sequence[ControlPoint]) -> bool:
-    """Whether the ids are numbers as the pipeline reads them; else they are counted anew, with the ids in comments."""
+    """Whether the ids are numbers as the pipeline reads them; else they are counted, with the ids in comments."""
     return all(_NUMBERED.fullmatch(point.id) for point in points)
 
 
@@ -292,7 +292,7 @@ def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
     ------
     InputError
         If there is no such point, one has no a-priori place or (constrained) no covariance with positive variances, or
-        an image's name can't be told from the next field.
+        an image's name can't be separated from the next field.
     """
     measures = measures_of(network, _KNOWN)
     where = network.source or "network"
@@ -305,10 +305,10 @@ def ground_control_text(network: ControlNetwork, ellipsoid: Ellipsoid) -> str:
     sigmas = [_ground_sigmas(point, f"{where}, point {point.id}") for point in measures.points]
     places = geodetic(np.array([point.apriori for point in measures.points], dtype=np.float64), ellipsoid)
     numbers = np.column_stack([places[:, [1, 0]] / DEG, places[:, 2], np.array(sigmas)]).tolist()
-    seen, keep = _measure_texts(measures), keeps_ids(measures.points)
+    measure_texts, keep = _measure_texts(measures), keeps_ids(measures.points)
     columns = "# id latitude longitude height sigma_x sigma_y sigma_z, then image column row and their sigmas"
     lines = [columns, f"# WKT: {wkt_of(ellipsoid)}"]
-    for k, (point, values, images) in enumerate(zip(measures.points, numbers, seen, strict=True), start=1):
+    for k, (point, values, images) in enumerate(zip(measures.points, numbers, measure_texts, strict=True), start=1):
         lines += [] if keep else [f"# {k}: {' '.join(point.id.split())}"]
         lines.append(" ".join([point.id if keep else str(k), *map(repr, values), *images]))
     return "\n".join([*lines, ""])
@@ -395,8 +395,8 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
     lines = filled_lines(path)
 
     def following(what: str) -> tuple[str, list[str]]:
-        if found := next(lines, None):
-            return found
+        if line := next(lines, None):
+            return line
         raise InputError(str(path), f"it ends before {what}", "a whole NVM file", "it is cut short")
 
     def counted(what: str) -> range:
@@ -423,13 +423,13 @@ def read_nvm(path: Path, centres: Centres | None = None, shifted: bool = True) -
 def _centres(path: Path, cameras: list[str], centres: Centres | None) -> Centres:
     """The optical centre of every camera's image at least."""
     beside = offsets_path(path)
-    there = os.path.exists(beside)  # False where it may not be looked at, too
-    if there:
+    exists = os.path.exists(beside)  # False where it may not be looked at, too
+    if exists:
         centres = read_offsets(beside)
     for name in cameras:
         if centres is None or name not in centres:
             found = f"no optical centre of image {name}"
-            found += "" if there else f", nor a {beside.name} beside it"
+            found += "" if exists else f", nor a {beside.name} beside it"
             raise InputError(str(path), found, "one for each image", _REMEDY)
     assert centres is not None  # there is a camera
     return centres
@@ -498,13 +498,13 @@ def nvm_files(network: ControlNetwork, path: Path, centres: Centres) -> dict[Pat
 def _point_lines(measures: PixelMeasures, centres: Centres) -> list[str]:
     centre = np.array([centres[name] for name in measures.images])
     shifted = (measures.pixels - centre[measures.image]).tolist()
-    feature, seen = [0] * len(shifted), [0] * len(measures.images)
+    feature, counts = [0] * len(shifted), [0] * len(measures.images)
     texts = list[list[str]]([] for _ in measures.points)
     for k, (point, image) in enumerate(zip(measures.point.tolist(), measures.image.tolist(), strict=True)):
-        feature[k], seen[image] = seen[image], seen[image] + 1
+        feature[k], counts[image] = counts[image], counts[image] + 1
         row, column = shifted[k]
         texts[point].append(f"{image} {feature[k]} {column!r} {row!r}")
     return [
-        " ".join([*map(repr, point.adjusted or point.apriori or (0.0, 0.0, 0.0)), "0 0 0", str(len(mine)), *mine])
-        for point, mine in zip(measures.points, texts, strict=True)
+        " ".join([*map(repr, point.adjusted or point.apriori or (0.0, 0.0, 0.0)), "0 0 0", str(len(entries)), *entries])
+        for point, entries in zip(measures.points, texts, strict=True)
     ]

@@ -54,19 +54,19 @@ from mgsgraph.names import Names, RepeatedNames
 LABEL_BYTES = 65536
 """Of a label, or a multiple of them."""
 _SIZE = struct.Struct("<I")
-_BEGINNING = re.compile(
+_HEAD = re.compile(
     rb"(?:\s++|#[^\n]*+|/\*.*?\*/)*+(?:begin_)?object\s*+=\s*+protobuffer\b", re.IGNORECASE | re.DOTALL
 )
 _LOOKED_AT = 4096
 """Bytes from the file's start in which a binary network says that it is one."""
-_ANEW = "let ISIS write it anew: cnetbin2pvl, then cnetpvl2bin"
+_ANEW = "let ISIS write it again: cnetbin2pvl, then cnetpvl2bin"
 _OF_OLD = np.array([PointType.FREE, PointType.FIXED, *PointType])
 """Types of points by their numbers in the file: 0 and 1 are Tie and Ground of old."""
 
 
 def is_binary(data: bytes) -> bool:
     """Whether a file's content is a binary network, by how it begins."""
-    return _BEGINNING.match(data[:_LOOKED_AT]) is not None
+    return _HEAD.match(data[:_LOOKED_AT]) is not None
 
 
 def parse_binary_network(data: bytes, source: str) -> ControlNetwork:
@@ -128,10 +128,10 @@ def binary_content(data: bytes, source: str) -> BinaryContent:
         begin, end = (
             _behind_sizes(data, start, size, source) if sizes is None else _by_sizes(data, start, sizes, source)
         )
-    known = _head_of(head, version, source)
+    header = _head_of(head, version, source)
     if not end.size:
         raise InputError(source, "no control point", "an ISIS control network that has some")
-    return BinaryContent(known, data, begin, end)
+    return BinaryContent(header, data, begin, end)
 
 
 def _label_of(data: bytes, source: str) -> tuple[str, Block]:
@@ -204,7 +204,7 @@ def _layout(buffer: Block) -> tuple[int, int, int]:
 
 @contextmanager
 def _anew() -> Iterator[None]:
-    """What is wrong with a label has one remedy."""
+    """All errors of a label have one remedy."""
     try:
         yield
     except InputError as error:
@@ -244,11 +244,11 @@ def _by_sizes(data: bytes, start: int, of_header: Sequence[int], source: str) ->
 
 
 def _cut_short(where: str, found: str, expected: str) -> InputError:
-    return InputError(where, found, expected, "the file is cut short or damaged: write it anew")
+    return InputError(where, found, expected, "the file is cut short or damaged: write it again")
 
 
 def _parsed(kind: str, data: bytes, where: str) -> Any:
-    """The message of a kind that bytes hold."""
+    """The message of a kind, parsed from bytes."""
     from google.protobuf.message import DecodeError
 
     message = message_class(kind)()
@@ -309,9 +309,9 @@ def _decoded(content: BinaryContent) -> PointArrays:
     _require(_shown(names) & (types >= 0) & (types < _OF_OLD.size), content)
     if names.first_repeated is not None:
         number = names.first_repeated
-        earlier = names.tolist().index(names[number])
+        first_index = names.tolist().index(names[number])
         where = f"{content.where(number)} ({names[number]})"
-        raise InputError(where, f"the id twice, first at point {earlier + 1}", "each id once")
+        raise InputError(where, f"the id twice, first at point {first_index + 1}", "each id once")
     point, types = np.repeat(np.arange(n), count), _OF_OLD[types]
     sound = _shown(distinct)[image] & (kinds >= 0) & (kinds < len(MeasureType)) & ~np.any(np.isinf(measures), axis=1)
     _require(np.bincount(point[~sound], minlength=n) == 0, content)
@@ -334,12 +334,12 @@ def _names_at(content: np.ndarray, spans: Index) -> Names:
 def _shown(names: Names) -> Mask:
     """Which names (n,) can be shown (`record.require_shown`)."""
     sizes = np.diff(names.offsets)
-    found = (sizes >= 1) & (sizes <= LONGEST_NAME)
+    valid = (sizes >= 1) & (sizes <= LONGEST_NAME)
     if not names.data.tobytes().isascii() or not names.text.isprintable():
         texts = [names.data[a:b].tobytes().decode(errors="replace") for a, b in pairwise(names.offsets.tolist())]
-        found = np.array([text.isprintable() and "\ufffd" not in text and 1 <= len(text) <= LONGEST_NAME
+        valid = np.array([text.isprintable() and "\ufffd" not in text and 1 <= len(text) <= LONGEST_NAME
                           for text in texts])  # fmt: skip
-    return found
+    return valid
 
 
 def _require(sound: Mask, content: BinaryContent) -> None:
@@ -349,7 +349,7 @@ def _require(sound: Mask, content: BinaryContent) -> None:
 
 
 def _refusal(content: BinaryContent, number: int) -> InputError:
-    """What is wrong with a point, by its number from 0."""
+    """The InputError for a point, by its number from 0."""
     try:
         point = content.point(number, Texts())
         where = f"{content.where(number)} ({point.id[:60]})"
@@ -386,7 +386,7 @@ def binary_network(network: ControlNetwork) -> bytes:
     """What `write_binary_network` writes."""
     if not network.points:
         raise InputError(network.source or "network", "no control point", "some to write")
-    points, measures = points_content(network.points, network.where), sum(len(one.measures) for one in network.points)
+    points, measures = points_content(network.points, network.where), sum(len(p.measures) for p in network.points)
     header = network_header(network)
     label = network_label(network, len(network.points), measures, len(header), len(points))
     return b"".join((label, header, points))

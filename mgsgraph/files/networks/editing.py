@@ -1,4 +1,4 @@
-"""Control networks changed as a whole: parts of one in some images, several united.
+"""Edits of whole control networks: the part in some images, the union of several.
 
 United: points of one id become one with the measures of all. Where two files say different things of a point, or of its
 measure in an image, one of them counts, as ISIS's cnetmerge has it (DUPLICATEPOINTS=MERGE, with or without
@@ -21,14 +21,14 @@ from mgsgraph.text import many
 
 def images_of(network: ControlNetwork) -> list[str]:
     """Names of all images, in the order in which they are met."""
-    return list(dict.fromkeys(one.serial_number for point in network.points for one in point.measures))
+    return list(dict.fromkeys(measure.serial_number for point in network.points for measure in point.measures))
 
 
 def used_images(point: ControlPoint) -> tuple[str, ...]:
     """Images in which a point has a measure that counts, each once; none of an ignored point."""
     if point.ignore:
         return ()
-    return tuple(dict.fromkeys(one.serial_number for one in point.measures if not one.ignore))
+    return tuple(dict.fromkeys(measure.serial_number for measure in point.measures if not measure.ignore))
 
 
 def with_measures(point: ControlPoint, which: Sequence[int]) -> ControlPoint:
@@ -54,12 +54,12 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     names = images_of(network)
     chosen = set[str]()
     for pattern in patterns:
-        alike = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
+        matches = [name for name in names if name == pattern or fnmatchcase(name, pattern)]
         with errors_from(network.source):
-            chosen.update(alike or image_names([pattern], names))
+            chosen.update(matches or image_names([pattern], names))
     points, left_out, single = list[ControlPoint](), 0, 0
     for point in network.points:
-        which = [k for k, one in enumerate(point.measures) if one.serial_number in chosen]
+        which = [k for k, measure in enumerate(point.measures) if measure.serial_number in chosen]
         left_out += len(point.measures) - len(which)
         if len(which) < len(point.measures):
             images = {point.measures[k].serial_number for k in which}
@@ -71,9 +71,9 @@ def in_images(network: ControlNetwork, patterns: Sequence[str]) -> tuple[Control
     if not points:
         found = "no point in the images that were chosen" if len(chosen) == 1 else "no point in two of them"
         raise InputError(network.source, found, "images that have points in common", "choose others")
-    said = [f"Left out: {many(left_out, 'measure')} in {many(len(names) - len(chosen), 'other image')}, and "
+    sentences = [f"Left out: {many(left_out, 'measure')} in {many(len(names) - len(chosen), 'other image')}, and "
             f"{many(single, 'point')} that too few others see"]  # fmt: skip
-    return structs.replace(network, points=tuple(points)), said if left_out else []
+    return structs.replace(network, points=tuple(points)), sentences if left_out else []
 
 
 # --- several networks
@@ -85,25 +85,25 @@ _KNOWN = (
     "type", "apriori", "apriori_covariance", "apriori_source", "apriori_source_file", "apriori_radius_source",
     "apriori_radius_source_file", "latitude_constrained", "longitude_constrained", "radius_constrained",
 )  # fmt: skip
-"""Fields that say what is known of a point beforehand."""
+"""Fields of a point's a-priori coordinates."""
 
 
 def _notes(counts: Counter[str], largest: float, rule: Duplicates) -> list[str]:
-    """What was met in uniting, in sentences; none where no point is in several files."""
+    """Sentences about the union; none where no point is in several files."""
     if not counts["points"]:
         return []
-    said, kept = [], f"the {rule.value} file counts"
+    sentences, counted = [], f"the {rule.value} file counts"
     far = f", {counts['moved']} of them elsewhere (up to {largest:.3g} px)" if counts["moved"] else ""
     for key, sentence in (
         ("points", f"United: {{}} of several files, with {many(counts['added'], 'more measure')}"),
-        ("measures", f"In several files: {{}}{far}; {kept}"),
-        ("other points", f"Of another type or a-priori place in another file: {{}}; {kept}"),
+        ("measures", f"In several files: {{}}{far}; {counted}"),
+        ("other points", f"Of another type or a-priori place in another file: {{}}; {counted}"),
     ):
         if counts[key]:
-            said.append(sentence.format(many(counts[key], key.removeprefix("other ").removesuffix("s"))))
+            sentences.append(sentence.format(many(counts[key], key.removeprefix("other ").removesuffix("s"))))
     if counts["locked"]:
-        said.append(f"Locked, and left as the earlier file has them: {counts['locked']} points and measures")
-    return said
+        sentences.append(f"Locked, and left as the earlier file has them: {counts['locked']} points and measures")
+    return sentences
 
 
 def united(
@@ -128,31 +128,31 @@ def united(
                 where = f"{network.source}, point {point.id}"
                 remedy = "unite them (--duplicates first, or last), or rename one of the two"
                 raise InputError(where, f"an id that {first} has, too", "each id in one file", remedy)
-            points[point.id] = _one(points[point.id], point, duplicates == Duplicates.LAST, counts, far)
+            points[point.id] = _united_point(points[point.id], point, duplicates == Duplicates.LAST, counts, far)
     return tuple(points.values()), _notes(counts, max(far), duplicates)
 
 
-def _one(
+def _united_point(
     early: ControlPoint, late: ControlPoint, prefer_late: bool, counts: Counter[str], far: list[float]
 ) -> ControlPoint:
-    """Two points of one id as one."""
+    """The union of two points of one id."""
     counts["points"] += 1
     if early.edit_lock:
         counts["locked"] += 1
         return early
     first, second = (late, early) if prefer_late else (early, late)
-    known: dict[str, Any] = {}
+    apriori: dict[str, Any] = {}
     if first.type == PointType.FREE and first.apriori is None:  # what the other knows contradicts nothing
-        known = {name: getattr(second, name) for name in _KNOWN}
+        apriori = {name: getattr(second, name) for name in _KNOWN}
     elif (second.type, second.apriori) != (PointType.FREE, None):
         counts["other points"] += any(getattr(first, name) != getattr(second, name) for name in _KNOWN[:3])
     measures = _measures(early, late, prefer_late, counts, far)
     reference = None
-    for one in (second, first):
-        if one.reference is not None:
-            image = one.measures[one.reference].serial_number
+    for point in (second, first):
+        if point.reference is not None:
+            image = point.measures[point.reference].serial_number
             reference = next(k for k, measure in enumerate(measures) if measure.serial_number == image)
-    return structs.replace(first, measures=tuple(measures), reference=reference, **known)
+    return structs.replace(first, measures=tuple(measures), reference=reference, **apriori)
 
 
 def _measures(
@@ -167,7 +167,7 @@ def _measures(
             measures.append(measure)
             counts["added"] += 1
             continue
-        off = apart(measures[k], measure)
+        off = separation(measures[k], measure)
         counts["measures"] += 1
         counts["moved"] += off > SAME_PLACE
         far.append(off)
@@ -178,7 +178,7 @@ def _measures(
     return measures
 
 
-def apart(one: ControlMeasure, other: ControlMeasure) -> float:
-    """px, how far apart two measures are along line or sample; 0 where one has no place."""
-    pairs = ((one.line, other.line), (one.sample, other.sample))
+def separation(first: ControlMeasure, second: ControlMeasure) -> float:
+    """px, the larger difference of two measures in line or sample; 0 where one has no coordinates."""
+    pairs = ((first.line, second.line), (first.sample, second.sample))
     return max((abs(a - b) for a, b in pairs if a is not None and b is not None), default=0.0)

@@ -1,4 +1,4 @@
-"""The messages of ISIS's binary control networks: their fields, and records made of them and they of records.
+"""The messages of ISIS's binary control networks: their fields, and conversion to and from records.
 
 They are made known to protobuf when first needed, without protoc. Numbers of the fields: DOI-USGS/ISIS3,
 isis/src/control/objs/ControlNetVersioner/, from which these are ControlPointFileEntryV0002.proto (points of version 2
@@ -162,12 +162,12 @@ def _choice(kinds: dict[int, Any]) -> Callable[[int, str], Any]:
 
 
 _source = _choice({int(source): source for source in AprioriSource} | {UNSET: AprioriSource.NONE})
-_POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(one): one for one in PointType}
+_POINT_TYPES = {0: PointType.FREE, 1: PointType.FIXED} | {int(kind): kind for kind in PointType}
 """By number in the file; 0 and 1 are Tie and Ground of old."""
 _KEYS: dict[tuple[str, str], tuple[str, Callable[[Any, str], Any]]] = {
     ("Point", "id"): ("PointId", _named), ("Measure", "serial_number"): ("SerialNumber", _named),
     ("Point", "type"): ("PointType", _choice(_POINT_TYPES)),
-    ("Measure", "type"): ("MeasureType", _choice({int(one): one for one in MeasureType})),
+    ("Measure", "type"): ("MeasureType", _choice({int(kind): kind for kind in MeasureType})),
     ("Point", "apriori_source"): ("AprioriXYZSource", _source),
     ("Point", "apriori_radius_source"): ("AprioriRadiusSource", _source),
     ("Point", "apriori_covariance"): ("AprioriCovarianceMatrix", _covariance),
@@ -183,7 +183,7 @@ def _plan(message: str) -> list[tuple[str, str, str, Callable[[Any, str], Any] |
         plain = "".join(map(str.capitalize, name.split("_")))
         key, check = _KEYS.get((message, name), (plain, _optional if kind == "number" else None))
         plan.append((name, kind.rstrip("*+"), key, check))
-    return [one for one in plan if one[1] in _KINDS]
+    return [field for field in plan if field[1] in _KINDS]
 
 
 _PLANS = {message: _plan(message) for message in ("Point", "Measure")}
@@ -191,13 +191,13 @@ _PLANS = {message: _plan(message) for message in ("Point", "Measure")}
 
 def _values(message: Any, kind: str, texts: Texts) -> dict[str, Any]:
     """Values of a message's fields, which are checked, by their names."""
-    found = {}
+    values = {}
     for name, field, key, check in _PLANS[kind]:
         value = getattr(message, name)
         if field == "text":
             value = texts[value]
-        found[name] = value if check is None else check(value, key)
-    return found
+        values[name] = value if check is None else check(value, key)
+    return values
 
 
 # --- records of messages
@@ -225,7 +225,7 @@ def read_point(message: Any, where: str, texts: Texts) -> ControlPoint:
 
 def _read_measure(message: Any, number: int, texts: Texts) -> ControlMeasure:
     try:
-        log = [(one.kind, _optional(one.value, "log data")) for one in message.log]
+        log = [(entry.kind, _optional(entry.value, "log data")) for entry in message.log]
         figures = tuple((kind, value) for kind, value in log if kind > 0 and value is not None)  # as IsValid has it
         return ControlMeasure(log=figures, **_values(message, "Measure", texts))
     except InputError as error:
@@ -248,8 +248,8 @@ def point_message(point: ControlPoint) -> Any:
     """The message of a point; None is left out, the sources are not, as in ISIS."""
     log = message_class("Log")
     measures = [
-        _message(one, "Measure", log=[log(kind=kind, value=finite(value, "log")) for kind, value in one.log])
-        for one in point.measures
+        _message(measure, "Measure", log=[log(kind=kind, value=finite(value, "log")) for kind, value in measure.log])
+        for measure in point.measures
     ]
     places = {
         f"{stage}_{axis}": value
@@ -299,22 +299,22 @@ def second_versions(network: Any, log: Any, where: str) -> Iterator[Any]:
     _require_same(len(log.points), len(network.points), f"{where}, LogData, points")
     for number, (point, figures) in enumerate(zip(network.points, log.points, strict=True), start=1):
         _require_same(len(figures.measures), len(point.measures), f"{where}, LogData, point {number}, measures")
-        made = message_class("Point")(**_set(point))
+        converted = message_class("Point")(**_set(point))
         for measure, merit in zip(point.measures, figures.measures, strict=True):
-            added = made.measures.add(**_set(measure), **_set(measure.place))
+            added = converted.measures.add(**_set(measure), **_set(measure.place))
             added.type = measure.type - 1 if measure.type != UNSET else UNSET
-            for one in merit.log:
-                added.log.add(**_set(one))
-        if made.apriori_covariance:
-            made.type = int(PointType.CONSTRAINED)
-        yield made
+            for entry in merit.log:
+                added.log.add(**_set(entry))
+        if converted.apriori_covariance:
+            converted.type = int(PointType.CONSTRAINED)
+        yield converted
 
 
 def _set(message: Any) -> dict[str, Any]:
-    """Fields that are set, but for messages in them."""
+    """Fields that are set, without inner messages."""
     return {field.name: value for field, value in message.ListFields() if field.message_type is None}
 
 
 def _require_same(found: int, expected: int, where: str) -> None:
     if found != expected:
-        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it anew")
+        raise InputError(where, f"{found}", f"{expected}, as in Core", "the file is damaged: write it again")

@@ -155,28 +155,28 @@ def where_in(document: Document) -> Where:
     return where
 
 
-def _version(outer: Block, earlier: Block | None) -> str:
+def _version(outer: Block, previous: Block | None) -> str:
     """The version; InputError unless this is the file's one control network, in one that is understood."""
     if outer.name != "controlnetwork":
         raise InputError(outer.where(), f"{outer.kind} {outer.name}", "Object = ControlNetwork")
-    if earlier is not None:
+    if previous is not None:
         raise InputError(outer.where(), "a second network", "one in a file", "put it into a file of its own")
     version = outer.text("Version") if "Version" in outer else "1"
     if version not in _VERSIONS:
-        remedy = "let ISIS write it anew: cnetpvl2bin, then cnetbin2pvl"
+        remedy = "let ISIS write it again: cnetpvl2bin, then cnetbin2pvl"
         raise InputError(outer.where("Version"), f"version {version}", "1 to 5", remedy)
     return version
 
 
 def _label(point: Block) -> str:
-    """The point's id, said in its messages from now on."""
+    """The point's id, named in its messages from now on."""
     name = point.text("PointId")
     point.label = f"point {name}"
     return name
 
 
 def _label_measure(measure: Block, point: Block) -> None:
-    """The measure's image, said in its messages from now on."""
+    """The measure's image, named in its messages from now on."""
     measure.label = point.label
     measure.label += f", image {measure.text('SerialNumber')}"
 
@@ -214,14 +214,14 @@ def _measure(block: Block, point: Block) -> ControlMeasure:
     return ControlMeasure(log=tuple(figures), **values)
 
 
-def _values(block: Block, known: Mapping[str, _Known]) -> dict[str, Any]:
-    """What a block says of what is known, by its names in the record."""
-    found = dict[str, Any]()
+def _values(block: Block, keys: Mapping[str, _Known]) -> dict[str, Any]:
+    """Values of a block's known keys, by their names in the record."""
+    values = dict[str, Any]()
     for key, entry in block.entries.items():
-        if key in known and (len(entry.value) != _NULL_SIZE or key in block):
-            name, attribute, read = known[key]
-            found[attribute] = read(block, name)
-    return found
+        if key in keys and (len(entry.value) != _NULL_SIZE or key in block):
+            name, attribute, read = keys[key]
+            values[attribute] = read(block, name)
+    return values
 
 
 def _text(block: Block, key: str) -> str:
@@ -328,7 +328,7 @@ def renew_keywords(point: Block) -> None:
 
 
 def _rename(block: Block, names: dict[str, str]) -> None:
-    """Other names for keywords, and none for those that say nothing."""
+    """Rename keywords, and drop those without content."""
     entries = {key: entry for key, entry in block.entries.items() if entry.value != ""}
     for old, new in names.items():
         if old in entries:
@@ -352,16 +352,16 @@ def renewed_point(point: ControlPoint, block: Block, version: str) -> ControlPoi
 
 def _covariances(point: ControlPoint, block: Block) -> dict[str, Any]:
     """Covariances of version 1, and whether coordinates are constrained, by their names in the record."""
-    found: dict[str, Any] = {}
-    adjusted, known = point.adjusted_covariance, point.apriori_covariance
+    fields: dict[str, Any] = {}
+    adjusted, apriori = point.adjusted_covariance, point.apriori_covariance
     if place := point.apriori or point.adjusted:
-        known = known or _of_sigmas(block, "AprioriSigma", place)
+        apriori = apriori or _of_sigmas(block, "AprioriSigma", place)
     if point.adjusted:
         adjusted = adjusted or _of_sigmas(block, "AdjustedSigma", point.adjusted)
     for axis in _AXES:
         whole = bool(point.apriori_covariance or point.adjusted_covariance)
-        found[f"{axis.lower()}_constrained"] = whole or f"AprioriSigma{axis}" in block
-    return found | {"apriori_covariance": known, "adjusted_covariance": adjusted}
+        fields[f"{axis.lower()}_constrained"] = whole or f"AprioriSigma{axis}" in block
+    return fields | {"apriori_covariance": apriori, "adjusted_covariance": adjusted}
 
 
 def _of_sigmas(block: Block, key: str, place: tuple[float, float, float]) -> tuple[float, ...]:
@@ -370,7 +370,7 @@ def _of_sigmas(block: Block, key: str, place: tuple[float, float, float]) -> tup
     if not any(name in block for name in names):
         return ()
     stated = [block.number(name, LENGTHS) if name in block else 0.0 for name in names]
-    sigmas = np.array([one if 0.0 < one < _UNKNOWN_SIGMA else _UNKNOWN_SIGMA for one in stated])
+    sigmas = np.array([sigma if 0.0 < sigma < _UNKNOWN_SIGMA else _UNKNOWN_SIGMA for sigma in stated])
     (axes,) = east_north_up(np.array([place]))
     return tuple(((axes.T * sigmas**2) @ axes)[np.triu_indices(3)].tolist())
 
@@ -448,7 +448,7 @@ def _logged(measure: ControlMeasure) -> _Keywords:
 def _keywords(
     record: ControlPoint | ControlMeasure, keys: Mapping[str, tuple[str, str]]
 ) -> Iterator[tuple[str, Value]]:
-    """Keywords with their values, but for those of which there is nothing to say."""
+    """Keywords with their values, without empty ones."""
     for key, (attribute, kind) in keys.items():
         value = getattr(record, attribute)
         if kind == "name":
@@ -466,8 +466,8 @@ def _keywords(
         elif kind == "matrix":
             yield key, _numbers(value, key, 6)
         elif kind == "place":
-            for axis, one in zip("XYZ", value, strict=True):
-                yield key + axis, _number(one, key + axis) + " <meters>"
+            for axis, component in zip("XYZ", value, strict=True):
+                yield key + axis, _number(component, key + axis) + " <meters>"
         else:
             yield key, _number(value, key) + (" <pixels>" if kind == "pixels" else "")
 

@@ -34,7 +34,7 @@ class PointType(IntEnum):
 
 
 class MeasureType(IntEnum):
-    """How a measure came about; numbers as in the file."""
+    """How a measure was made; numbers as in the file."""
 
     CANDIDATE = 0
     MANUAL = 1
@@ -56,7 +56,7 @@ class AprioriSource(IntEnum):
 
 
 class Duplicates(StrEnum):
-    """What becomes of a point that several files have (`networks.uniting`)."""
+    """Treatment of a point that several files have (`networks.editing.united`)."""
 
     REFUSE = "refuse"
     """It is an error."""
@@ -147,11 +147,11 @@ class ControlNetwork(msgspec.Struct, frozen=True):
     """m, two equatorial and the polar one; or empty."""
 
     def __post_init__(self) -> None:
-        seen: dict[str, int] = {}
+        indices: dict[str, int] = {}
         for index, point in enumerate(self.points):
             if not point.id:
                 raise InputError(self.where(index), "no PointId", "one for each point")
-            if (first := seen.setdefault(point.id, index)) != index:
+            if (first := indices.setdefault(point.id, index)) != index:
                 raise InputError(self.where(index), f"the id twice, first at point {first + 1}", "each id once")
             if point.reference is not None and not 0 <= point.reference < len(point.measures):
                 found = f"measure {point.reference} (counted from 0) as reference"
@@ -159,9 +159,9 @@ class ControlNetwork(msgspec.Struct, frozen=True):
 
     def where(self, point: int, measure: int | None = None, key: str = "") -> str:
         """Where something stands: file, number of the point and id, image, keyword."""
-        found = self.points[point]
-        name = found.id[:60].replace("\n", " ")
-        image = "" if measure is None else f"image {found.measures[measure].serial_number}"
+        record = self.points[point]
+        name = record.id[:60].replace("\n", " ")
+        image = "" if measure is None else f"image {record.measures[measure].serial_number}"
         return ", ".join(filter(None, (self.source, f"point {point + 1} ({name})", image, key)))
 
 

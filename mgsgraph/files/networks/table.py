@@ -139,7 +139,7 @@ def _parquet_columns(path: Path) -> Columns:
         size = sum(head.row_group(k).total_byte_size for k in range(head.num_row_groups))
         if head.num_rows > limit or size > limit:
             found = f"{head.num_rows} rows, {size} bytes unpacked"
-            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it anew")
+            raise InputError(source, found, f"up to {limit} of either, the file being so small", "write it again")
         table = file.read(use_threads=False)
         names = header_of(table.column_names, f"{source}, columns")
         columns = {name: _parquet_column(name, table.column(k), source) for k, name in enumerate(names)}
@@ -148,7 +148,7 @@ def _parquet_columns(path: Path) -> Columns:
 
 @contextmanager
 def _damage() -> Iterator[None]:
-    """What Arrow raises of a damaged file, as a ValueError."""
+    """Turn Arrow's errors of a damaged file into a ValueError."""
     try:
         yield
     except OSError as error:
@@ -196,8 +196,8 @@ class _Rows:
     ) -> None:
         """Raise InputError for the first bad one (k,) of some `rows` (k,); `found` may be made of its number."""
         for k in np.flatnonzero(bad)[:1].tolist():
-            said = found if isinstance(found, str) else found(k)
-            raise InputError(self.where(int(rows[k]), name), said, expected, remedy)
+            text = found if isinstance(found, str) else found(k)
+            raise InputError(self.where(int(rows[k]), name), text, expected, remedy)
 
     def numbers(self, name: str, rows: Index) -> Array:
         """(k,) finite numbers of a column in some rows, NaN where it is empty."""
@@ -208,22 +208,22 @@ class _Rows:
         bad = (values <= 0.0) | (values >= LARGEST_SIGMA)
         self.refuse(bad, name, lambda k: f"{values[k]:g}", "a positive number below 1e100", rows)
 
-    def words(self, name: str, rows: Index, known: Mapping[str, int], empty: int, expected: str) -> Index:
-        """(k,) what the words of a column mean in some rows; `empty` where there is none."""
+    def words(self, name: str, rows: Index, meanings: Mapping[str, int], empty: int, expected: str) -> Index:
+        """(k,) meanings of the words of a column in some rows; `empty` for an empty cell."""
         if name not in self.table.values:
             return np.full(rows.size, empty)
-        found = RepeatedNames.of(self.table.values[name].take(pa.array(rows)))
-        meant = [known.get(word.lower().replace("_", ""), -1) if word else empty for word in found.distinct]
-        values = np.array([*meant, empty], dtype=np.int64)[found.numbers]
-        self.refuse(values < 0, name, lambda k: repr(found[k][:60]), expected, rows)
+        cells = RepeatedNames.of(self.table.values[name].take(pa.array(rows)))
+        meant = [meanings.get(word.lower().replace("_", ""), -1) if word else empty for word in cells.distinct]
+        values = np.array([*meant, empty], dtype=np.int64)[cells.numbers]
+        self.refuse(values < 0, name, lambda k: repr(cells[k][:60]), expected, rows)
         return values
 
     def flags(self, name: str, rows: Index) -> Mask:
         """(k,) truth values, False where there is none."""
         return self.words(name, rows, FLAGS, 0, "true or false").astype(bool)
 
-    def said(self, name: str) -> Index:
-        """(n,) the row that says a column of each point first, any where none does; all others must say the same."""
+    def stated_rows(self, name: str) -> Index:
+        """(n,) the first row of each point that states a column, any where none does; all must state the same."""
         if name not in self.table.values:
             return self.first
         filled = np.flatnonzero(self.table.filled(name))
@@ -231,18 +231,18 @@ class _Rows:
         rows[of_point[::-1]] = filled[::-1]
         codes = np.zeros(self.point.size, dtype=np.int64)
         codes[filled] = np.asarray(texts.dictionary_encode().indices)
-        earlier = rows[of_point]
+        first_rows = rows[of_point]
 
         def found(k: int) -> str:
-            first = str(self.table.values[name][earlier[k]])
+            first = str(self.table.values[name][first_rows[k]])
             return f"{str(texts[k])[:60]!r}, and {first[:60]!r} in an earlier row"
 
-        self.refuse(codes[filled] != codes[earlier], name, found, "the same in all of a point's rows", filled)
+        self.refuse(codes[filled] != codes[first_rows], name, found, "the same in all of a point's rows", filled)
         return rows
 
     def group(self, names: Sequence[str]) -> tuple[Array, Mask]:
         """(n, c) numbers of columns that are of the point and go together, and which points (n,) have them."""
-        rows = [self.said(name) for name in names]
+        rows = [self.stated_rows(name) for name in names]
         columns = [self.numbers(name, of) for name, of in zip(names, rows, strict=True)]
         values = np.column_stack([np.zeros((self.first.size, 0)), *columns])
         stated = np.any(~np.isnan(values), axis=1)
@@ -262,12 +262,12 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
     coded = table.values["id"].dictionary_encode()
     point = np.asarray(coded.indices).astype(np.int64)
     rows = _Rows(table, point, np.unique(point, return_index=True)[1])
-    every, measured_there = np.arange(point.size), table.filled("image")
-    rows.refuse(~table.filled("id"), "", "no id", "one in every row", every)
+    all_points, has_image = np.arange(point.size), table.filled("image")
+    rows.refuse(~table.filled("id"), "", "no id", "one in every row", all_points)
     for name in [name for name in OF_MEASURE if name in names]:
-        bad = table.filled(name) & ~measured_there
-        rows.refuse(bad, name, "a measure without image", "the image it was measured in", every)
-    of_measures = np.flatnonzero(measured_there)
+        bad = table.filled(name) & ~has_image
+        rows.refuse(bad, name, "a measure without image", "the image it was measured in", all_points)
+    of_measures = np.flatnonzero(has_image)
     of_measures = of_measures[np.argsort(point[of_measures], kind="stable")]
     first = np.searchsorted(point[of_measures], np.arange(rows.first.size + 1))
     ids, image = Names.of(coded.dictionary), RepeatedNames.of(table.values["image"].take(pa.array(of_measures)))
@@ -290,7 +290,7 @@ def _read(path: Path, body: Ellipsoid | None) -> tuple[PointArrays, Index, Index
 
 
 def _measures(rows: _Rows, of_measures: Index) -> Array:
-    """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where none are said."""
+    """(k, 4) line and sample as ISIS counts them, and their sigmas, NaN where unstated."""
     columns = rows.table.values
     measures = np.full((of_measures.size, 4), np.nan)
     for c, name in enumerate((*(ISIS if ISIS[0] in columns else OURS), "sigma_line_px", "sigma_sample_px")):
@@ -309,8 +309,8 @@ def _points(rows: _Rows, body: Ellipsoid | None) -> tuple[Index, Mask, Array, Ar
     are said.
     """
     names, n = tuple(rows.table.values), rows.first.size
-    types = rows.words("type", rows.said("type"), POINT_TYPES, int(PointType.FREE), "free, constrained or fixed")
-    ignored = rows.flags("point_ignore", rows.said("point_ignore"))
+    types = rows.words("type", rows.stated_rows("type"), POINT_TYPES, int(PointType.FREE), "free, constrained or fixed")
+    ignored = rows.flags("point_ignore", rows.stated_rows("point_ignore"))
     place, uncertainty = whole(names, PLACES), whole(names, UNCERTAINTIES)
     (given, placed), (sigmas, stated) = rows.group(place), rows.group(uncertainty)
     constrained = (types == PointType.CONSTRAINED) & ~ignored
@@ -358,7 +358,7 @@ def table_text(network: ControlNetwork) -> str:
     plain.writerow(names)
     for row in rows:
         values = ("true" if row.get(name) is True else row.get(name) for name in names)
-        (careful if str(row["id"]).startswith("#") else plain).writerow(["" if one is None else one for one in values])
+        (careful if str(row["id"]).startswith("#") else plain).writerow(["" if v is None else v for v in values])
     return text.getvalue()
 
 
@@ -386,12 +386,12 @@ def _rows(network: ControlNetwork) -> tuple[list[str], list[dict[str, str | floa
         }  # fmt: skip
         of_measures = [
             of_point | {
-                "image": _name(one.serial_number, where), "isis_line": one.line, "isis_sample": one.sample,
-                "measure_type": ISIS_MEASURE_TYPES[one.type], "sigma_line_px": _positive(one.line_sigma),
-                "sigma_sample_px": _positive(one.sample_sigma), "ignore": one.ignore or None,
+                "image": _name(measure.serial_number, where), "isis_line": measure.line, "isis_sample": measure.sample,
+                "measure_type": ISIS_MEASURE_TYPES[measure.type], "sigma_line_px": _positive(measure.line_sigma),
+                "sigma_sample_px": _positive(measure.sample_sigma), "ignore": measure.ignore or None,
                 "reference": point.reference == k or None,
             }
-            for k, one in enumerate(point.measures) if one.line is not None and one.sample is not None
+            for k, measure in enumerate(point.measures) if measure.line is not None and measure.sample is not None
         ]  # fmt: skip
         rows += of_measures or [of_point]
     names = [*("id", "image", "type"), *ISIS]

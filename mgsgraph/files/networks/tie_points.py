@@ -1,4 +1,4 @@
-"""Tie points and ground control points of a control network, in our pixels; what it and TiePoints mean to each other.
+"""Tie points and ground control points of a control network, in our pixels; conversion between it and TiePoints.
 
 Pixels counted from 1 end and begin here.
 """
@@ -185,18 +185,18 @@ class PointArrays:
     def tie_points(self, where: Where, body: Ellipsoid | None = None) -> TiePoints:
         """What an adjustment takes from them; see `tie_points`."""
         self._require_usable(where)
-        source, used, taken = self.head.source or "network", ~self.ignored, ~self.left_out
+        source, used, selected = self.head.source or "network", ~self.ignored, ~self.left_out
         if not np.any(used):
             found = "no control point, or only ignored ones"
             raise InputError(source, found, "an ISIS control network (Object = ControlNetwork)")
         point = np.repeat(np.arange(used.size), np.diff(self.first))
         names, types, places, covariances = self.ids, self.types, self.places, self.covariances
         if not np.all(used):
-            taken, point = taken & used[point], (np.cumsum(used) - 1)[point]
+            selected, point = selected & used[point], (np.cumsum(used) - 1)[point]
             names, types, places, covariances = names[used], types[used], places[used], covariances[used]
         image, measures = self.image, self.measures
-        if not np.all(taken):
-            point, image, measures = point[taken], image[taken], measures[taken]
+        if not np.all(selected):
+            point, image, measures = point[selected], image[selected], measures[selected]
         measures, sigmas = measures[:, :2] - ISIS_OFFSET, measures[:, 2:].copy()
         full = repeated(0.0, (types.size, 3, 3))
         if np.any(constrained := types == PointType.CONSTRAINED):
@@ -231,19 +231,19 @@ class PointArrays:
             (constrained & np.any(variances <= 0.0, axis=1), "AprioriCovarianceMatrix", "variances {variances} m^2",
              "positive variances", ""),
             (constrained & (variances.min(axis=1) < _TINY) & (variances.max(axis=1) > _TINY * _UNLIKE),
-             "AprioriCovarianceMatrix", "variances {variances} m^2", "sigmas along X, Y, Z that are alike",
+             "AprioriCovarianceMatrix", "variances {variances} m^2", "equal sigmas along X, Y, Z",
              "of latitude and longitude in rad^2? they are in m^2 along X, Y, Z"),
         ):  # fmt: skip
             for i in np.flatnonzero(bad & ~self.ignored)[:1].tolist():
-                said = found.format(
+                text = found.format(
                     place=tuple(places[i].tolist()), kind=PointType(self.types[i]).name.lower(),
-                    variances=", ".join(f"{one:g}" for one in variances[i]),
+                    variances=", ".join(f"{variance:g}" for variance in variances[i]),
                 )  # fmt: skip
-                raise InputError(where(i, None, key), said, expected, remedy)
-        taken = ~self.left_out & ~self.ignored[point]
+                raise InputError(where(i, None, key), text, expected, remedy)
+        selected = ~self.left_out & ~self.ignored[point]
         for column, key in enumerate(("Line", "Sample", "LineSigma", "SampleSigma")):
             values = self.measures[:, column]
-            for k in np.flatnonzero(taken & (np.isnan(values) if column < 2 else values <= 0.0))[:1].tolist():
+            for k in np.flatnonzero(selected & (np.isnan(values) if column < 2 else values <= 0.0))[:1].tolist():
                 i, measure = int(point[k]), int(k - self.first[point[k]])
                 if column < 2:
                     raise InputError(where(i, measure, ""), f"no {key}", f"{key} of the measure")
@@ -323,7 +323,7 @@ def tie_points(network: ControlNetwork, where: Where | None = None, body: Ellips
 def arrays_of(network: ControlNetwork) -> PointArrays:
     """The points and measures of a network in columns."""
     points = network.points
-    measures = [one for point in points for one in point.measures]
+    measures = [measure for point in points for measure in point.measures]
     rows = [(m.line, m.sample, m.line_sigma, m.sample_sigma) for m in measures]
     return PointArrays(
         head=structs.replace(network, points=()), ids=Names.of([point.id for point in points]),
@@ -332,9 +332,9 @@ def arrays_of(network: ControlNetwork) -> PointArrays:
         places=np.array([_place(point) for point in points]).reshape(-1, 3),
         covariances=np.array([point.apriori_covariance or _UNKNOWN * 2 for point in points]).reshape(-1, 6),
         first=np.cumsum([0, *(len(point.measures) for point in points)]),
-        image=RepeatedNames.of([one.serial_number for one in measures]),
+        image=RepeatedNames.of([measure.serial_number for measure in measures]),
         measures=np.array(rows, dtype=np.float64).reshape(-1, 4),
-        left_out=np.array([one.ignore for one in measures], dtype=bool),
+        left_out=np.array([measure.ignore for measure in measures], dtype=bool),
     )  # fmt: skip
 
 
@@ -358,8 +358,8 @@ def require_body(network: ControlNetwork, ties: TiePoints, body: Ellipsoid) -> N
 def require_places(places: Array, body: Ellipsoid, where: str) -> None:
     """Raise InputError where points (n, 3) in m, NaN for unknown ones, are not on a body: by their median radius."""
     radii = distances(places)
-    if np.any(known := np.isfinite(radii)):
-        require_lengths(radii[known], surface_radii(places[known], body), "radii of points", where, nearness(body))
+    if np.any(finite := np.isfinite(radii)):
+        require_lengths(radii[finite], surface_radii(places[finite], body), "radii of points", where, nearness(body))
 
 
 def control_network(

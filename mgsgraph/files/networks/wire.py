@@ -31,7 +31,7 @@ def _varint(data, at, end):
 
 @compiled
 def _number(data, at, bits, number):
-    """The float64 at a place, by way of `bits` and `number`, which are one memory."""
+    """The float64 at a place, by way of `bits` and `number`, which share memory."""
     value = np.uint64(0)
     for k in range(8):
         value |= np.uint64(data[at + k]) << np.uint64(8 * k)
@@ -40,7 +40,7 @@ def _number(data, at, bits, number):
 
 
 @compiled
-def _kept(value):
+def _set_or_nan(value):
     """A number as it is, NaN for those of ISIS's special values that say that none was set, inf for what is none."""
     if -LARGEST < value < LARGEST:
         return value
@@ -70,16 +70,16 @@ def _field(data, at, end):
 @cached_kernel
 def count_measures(data, begin, end):
     """(n,) measures of points whose messages lie at begin (n,) to end (n,); -1 for a message that is none."""
-    found = np.zeros(begin.size, dtype=np.int64)
+    counts = np.zeros(begin.size, dtype=np.int64)
     for i in range(begin.size):
         at = begin[i]
         while at < end[i]:
             number, kind, _, at = _field(data, at, end[i])
             if number < 0:
-                found[i] = -1
+                counts[i] = -1
                 break
-            found[i] += number == 25 and kind == _BYTES
-    return found
+            counts[i] += number == 25 and kind == _BYTES
+    return counts
 
 
 @compiled
@@ -97,7 +97,7 @@ def _read_measure(data, at, end, bits, number, k, measures, ignored, types, imag
             ignored[k] = value != 0
         elif (field == 3 or field == 4 or field == 15 or field == 16) and kind == _FIXED64:
             column = 1 if field == 3 else 0 if field == 4 else 3 if field == 15 else 2
-            measures[k, column] = _kept(_number(data, value, bits, number))
+            measures[k, column] = _set_or_nan(_number(data, value, bits, number))
     return True
 
 
@@ -135,7 +135,7 @@ def read_points(data, begin, end, first, types, ids, ignored, places, covariance
     bits = np.zeros(1, dtype=np.uint64)
     number = bits.view(np.float64)
     for i in range(begin.size):
-        at, k, seen = begin[i], first[i], False
+        at, k, has_covariance = begin[i], first[i], False
         while at < end[i]:
             field, kind, value, at = _field(data, at, end[i])
             if field == 1 and kind == _BYTES:
@@ -145,13 +145,13 @@ def read_points(data, begin, end, first, types, ids, ignored, places, covariance
             elif field == 6 and kind == _VARINT:
                 ignored[i] = value != 0
             elif (16 <= field <= 18 or 20 <= field <= 22) and kind == _FIXED64:
-                places[i, field - 16 if field < 19 else field - 17] = _kept(_number(data, value, bits, number))
+                places[i, field - 16 if field < 19 else field - 17] = _set_or_nan(_number(data, value, bits, number))
             elif field == 19 and not (kind == _BYTES and at == value):
-                whole = kind == _BYTES and at - value == 48 and not seen
+                whole = kind == _BYTES and at - value == 48 and not has_covariance
                 for c in range(6):
-                    found = _number(data, value + 8 * c, bits, number) if whole else np.inf
-                    covariances[i, c] = found if -LARGEST < found < LARGEST else np.inf
-                seen = True
+                    element = _number(data, value + 8 * c, bits, number) if whole else np.inf
+                    covariances[i, c] = element if -LARGEST < element < LARGEST else np.inf
+                has_covariance = True
             elif field == 25 and kind == _BYTES:
                 if not _read_measure(data, value, at, bits, number, k, measures, left_out, kinds, images):
                     return i
@@ -162,9 +162,9 @@ def read_points(data, begin, end, first, types, ids, ignored, places, covariance
 @cached_kernel
 def gathered(data, spans, total):
     """Bytes of texts at spans (m, 2), one after another, `total` in all."""
-    found, at = np.empty(total, dtype=np.uint8), 0
+    content, at = np.empty(total, dtype=np.uint8), 0
     for i in range(spans.shape[0]):
         for k in range(spans[i, 0], spans[i, 1]):
-            found[at] = data[k]
+            content[at] = data[k]
             at += 1
-    return found
+    return content

@@ -1,4 +1,4 @@
-"""A result folder is there whole or not at all: it is written aside and takes its place in one step."""
+"""Result folders are atomic: they are written beside their place and moved in one step."""
 
 import errno
 import os
@@ -112,18 +112,18 @@ def fresh_folder(path: str | Path, record: str = RECORD) -> Iterator[Path]:
     require_replaceable(path, record)
     target = resolved(path, _ELSEWHERE)
     try:
-        with made_beside(target, folder=True) as aside:
-            yield aside
+        with made_beside(target, folder=True) as temporary:
+            yield temporary
             require_replaceable(path, record)
-            _warn_of_unrelated_files(aside, record)
-            put_in_place(aside, target)
+            _warn_of_unrelated_files(temporary, record)
+            put_in_place(temporary, target)
     except OSError as error:
         raise _refusal(str(path), error) from None
 
 
 def require_replaceable(path: str | Path, record: str = RECORD) -> None:
     """Raise InputError unless `path` is absent, an empty folder, or an earlier result known by the file `record`; to be
-    asked before long work. What a killed process has left there is put right first.
+    asked before long work. What a killed process has left is repaired first.
     """
     shown, target = str(path), resolved(path, _ELSEWHERE)
     try:
@@ -139,8 +139,8 @@ def require_replaceable(path: str | Path, record: str = RECORD) -> None:
         if target in (Path.cwd(), *Path.cwd().parents):
             found = "is the folder you are in" if target == Path.cwd() else "holds the folder you are in"
             raise InputError(shown, f"{found}, and would be replaced", remedy=_ELSEWHERE)
-        if any(target.iterdir()) and (kept := _kind(target)) != record:
-            found = f"not a result of {PROGRAM}" if kept is None else f"another kind of result ({kept})"
+        if any(target.iterdir()) and (kind := _kind(target)) != record:
+            found = f"not a result of {PROGRAM}" if kind is None else f"another kind of result ({kind})"
             raise InputError(shown, f"exists and is {found}", remedy=_ELSEWHERE)
         for other in _unrelated_files(target)[:1]:
             found = f"an earlier result that holds {other!r}, too, which would be lost"
@@ -172,21 +172,21 @@ def _unrelated_files(folder: Path) -> list[str]:
 
 
 def _listed(folder: Path) -> set[str]:
-    """Names that an export or a demonstration says it has made, in folders of it too."""
-    found = set[str]()
+    """Files that an export or a demonstration lists as its own, in its folders too."""
+    listed = set[str]()
     for record in (EXPORT, DEMO):
         names = _record(folder / record).get("files")
-        found |= {record, *map(str, names)} if isinstance(names, list) else set()
-    return found
+        listed |= {record, *map(str, names)} if isinstance(names, list) else set()
+    return listed
 
 
 def _kind(folder: Path) -> str | None:
-    """The file by which a folder is known as ours, RECORD before others; None for a foreign folder."""
+    """The file by which a folder is known as a result, RECORD before others; None for a foreign folder."""
     return next((name for name in _KINDS if _record(folder / name).get("program") == PROGRAM), None)
 
 
 def _record(path: Path) -> dict[str, Any]:
-    """A record, which may be anybody's: empty for a file that is none."""
+    """A record, perhaps of another program; empty for a file that is none."""
     try:
         return read_json(path)
     except InputError:

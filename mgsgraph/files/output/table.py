@@ -1,4 +1,4 @@
-"""A table, said once: its columns have a name, a unit, a meaning and formats, and every form of it is made from them.
+"""A table, stated once: its columns have a name, a unit, a meaning and formats, and every form of it is made from them.
 
 A table is written as CSV (`write_csv`), as values for JSON (`records`), as aligned text for the terminal (`text`), and
 as cells for the report page (`headings`, `rows`). Values come in SI units and leave in the unit that the column names.
@@ -45,8 +45,8 @@ def plain(value: Any) -> Any:
 
 def vector(values: Array) -> list[Any] | None:
     """A place or vector for JSON: null where one of its numbers is not known."""
-    found: list[Any] = values.tolist()
-    return found if np.all(np.isfinite(values)) else None
+    listed: list[Any] = values.tolist()
+    return listed if np.all(np.isfinite(values)) else None
 
 
 def digits(values: Array, count: int = 6) -> list[float | None]:
@@ -128,7 +128,7 @@ _LAYOUT = re.compile(r"([<>])([+]?)(\d*)(\.\d+[a-z]|d|g)?")
 
 def numbers(records: Sequence[Any], attribute: str) -> Array:
     """(n, ...) numbers that records have under one attribute."""
-    return np.array([getattr(one, attribute) for one in records], dtype=np.float64)
+    return np.array([getattr(record, attribute) for record in records], dtype=np.float64)
 
 
 def fixed(value: float, decimals: int = 2) -> str:
@@ -223,9 +223,9 @@ class Column:
     @property
     def _layout(self) -> tuple[str, str, int, str]:
         """Side, sign, width and format in aligned text; words widen their column up to a limit before they are cut."""
-        found = _LAYOUT.fullmatch(self.text)
-        assert found is not None, self.text
-        side, sign, width, form = found[1], found[2], int(found[3] or 0), found[4] or ""
+        match = _LAYOUT.fullmatch(self.text)
+        assert match is not None, self.text
+        side, sign, width, form = match[1], match[2], int(match[3] or 0), match[4] or ""
         if width and side == "<" and not isinstance(self.values, np.ndarray):
             longest = max((len(value) for value in self.values if isinstance(value, str)), default=0)
             width = max(width, min(longest, _WIDEST))
@@ -295,7 +295,7 @@ class Table:
                 return values[rows]
             return [values[k] for k in chosen]
 
-        some = [replace(one, values=some_of(one.values), unit=some_of(one.unit)) for one in self.columns]
+        some = [replace(column, values=some_of(column.values), unit=some_of(column.unit)) for column in self.columns]
         instead = {new: self.instead[old] for new, old in enumerate(chosen) if old in self.instead}
         return replace(self, columns=tuple(some), instead=instead)
 
@@ -317,7 +317,7 @@ class Table:
     def arrow(self) -> pa.Table:
         """The columns that files have, first those that are no decimal numbers; null for what is not known."""
         parts = [part for column in self.columns if column.files for part in column.split]
-        arrays = {one.name(): _arrow(one.scaled) for one in parts}
+        arrays = {column.name(): _arrow(column.scaled) for column in parts}
         decimal = [name for name, array in arrays.items() if pa.types.is_floating(array.type)]
         return pa.table({name: arrays[name] for name in [*(n for n in arrays if n not in decimal), *decimal]})
 
@@ -336,20 +336,20 @@ class Table:
 
     @property
     def _shown(self) -> list[Column]:
-        return [one for column in self.columns if column.page for one in column.split]
+        return [part for column in self.columns if column.page for part in column.split]
 
     @property
     def headings(self) -> list[tuple[str, str]]:
         """Heading and unit of each column on the page; an empty unit for a pure number or a word."""
         return [
-            (str(one.head or one.key), one.unit if isinstance(one.unit, str) else "")
-            for one in self._shown
+            (str(column.head or column.key), column.unit if isinstance(column.unit, str) else "")
+            for column in self._shown
         ]
 
     @property
     def rows(self) -> list[list[str]]:
         """Text of each cell on the page."""
-        return [list(row) for row in zip(*(one.cells() for one in self._shown), strict=True)]
+        return [list(row) for row in zip(*(column.cells() for column in self._shown), strict=True)]
 
     @property
     def numeric(self) -> tuple[bool, ...]:
@@ -377,9 +377,9 @@ class Table:
         if not shown:
             return []
         lines = []
-        for k, (first, *others) in enumerate(zip(*(column.titles(units) for column in shown), strict=True)):
+        for k, (first, *rest) in enumerate(zip(*(column.titles(units) for column in shown), strict=True)):
             begin = " " * indent + first if k else f"{first.rstrip():<{indent + len(first)}}"
-            lines.append(begin + "".join(" " * c.gap + word for c, word in zip(shown[1:], others, strict=True)))
+            lines.append(begin + "".join(" " * c.gap + word for c, word in zip(shown[1:], rest, strict=True)))
         lines = [line.rstrip() for line in lines if line.strip()]
         texts = [column.aligned() for column in shown]
         for row in range(rows):
@@ -436,5 +436,5 @@ def _is_number(text: str) -> bool:
 
 
 def cut(total: int, shown: int, which: str, file: str) -> str:
-    """Words where a table doesn't hold all rows; empty where it does."""
+    """A note where a table lacks rows; empty where it has all."""
     return "" if shown >= total else f"{shown} of {total} are listed, {which}; {file} in the results has all."

@@ -105,12 +105,12 @@ def read_megdr(
     """
     image, label = _files(path)
     layout = _from_label(label, image) if label is not None else _from_name(image)
-    expected = {layout.skipped + layout.lines * layout.samples * np.dtype(one).itemsize: one for one in layout.types}
+    expected = {layout.skipped + layout.lines * layout.samples * np.dtype(kind).itemsize: kind for kind in layout.types}
     with opened(image, ANY_SIZE) as file, understood(str(image), "a MEGDR grid"):
         size = os.fstat(file.fileno()).st_size
         if size not in expected:
             wanted = f"{layout.lines} lines x {layout.samples} samples x {np.dtype(layout.types[0]).itemsize} bytes"
-            raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it anew")
+            raise InputError(str(image), f"{size} bytes", f"{next(iter(expected))}: {wanted}", "fetch it again")
         counts = np.memmap(file, expected[size], "r", layout.skipped, (layout.lines, layout.samples))
     _require_kind(layout, counts, image)
     step, wraps = DEG / layout.resolution, abs(layout.samples - 360.0 * layout.resolution) < 0.5
@@ -119,10 +119,10 @@ def read_megdr(
     if near is not None:
         longitudes, latitudes, _ = planetocentric(near).T
         at = np.column_stack([first[0] - latitudes, longitudes - first[1]]) / step
-        found = window(at, counts.shape, _MARGIN, 2.0 * np.pi / step, wraps)
-        if found is None:
+        part = window(at, counts.shape, _MARGIN, 2.0 * np.pi / step, wraps)
+        if part is None:
             return None
-        rows, columns = found
+        rows, columns = part
     # counts are whole metres below 2^15: float32 holds them and the radii (to 0.25 m) in half the memory
     posts = counts[rows][:, columns].astype(np.float32) * np.float32(layout.scale) + np.float32(layout.offset)
     return TerrainGrid(
@@ -233,11 +233,11 @@ def _from_label(path: Path, image: Path) -> _Layout:
 
 
 def _require_one_kind(label: Block, image: Path) -> None:
-    """Raise InputError where product, pointer and file's name are of different kinds of grids."""
+    """Raise InputError where product, pointer and file name belong to different kinds of grids."""
     names = [image.name, *(label.words(key)[0] for key in ("PRODUCT_ID", "^IMAGE", "FILE_NAME") if key in label)]
     kinds = {name[3:4].upper(): name for name in names if re.match(r"MEG[ACRT]\d", name, re.IGNORECASE)}
     if len(kinds) > 1:
-        raise InputError(label.document.source, " and ".join(kinds.values()), "one kind of grid", "fetch them anew")
+        raise InputError(label.document.source, " and ".join(kinds.values()), "one kind of grid", "fetch them again")
 
 
 def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
@@ -245,7 +245,7 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
     north, west = layout.latitude + 0.5 / layout.resolution, layout.longitude - 0.5 / layout.resolution
     south, east = north - layout.lines / layout.resolution, west + layout.samples / layout.resolution
     scale = label.number("A_AXIS_RADIUS") * DEG / layout.resolution if "A_AXIS_RADIUS" in label else 0.0
-    for keys, found, slack in (
+    for keys, computed, slack in (
         ("MAXIMUM_LATITUDE", north, _PART / layout.resolution), ("MINIMUM_LATITUDE", south, _PART / layout.resolution),
         ("WESTERNMOST_LONGITUDE WEST_LONGITUDE", west, _PART / layout.resolution),
         ("EASTERNMOST_LONGITUDE EAST_LONGITUDE", east, _PART / layout.resolution), ("MAP_SCALE", scale, 0.01 * scale),
@@ -254,10 +254,10 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
         for key in keys.split():
             if key not in label or (key == "MAP_SCALE" and not scale):
                 continue
-            off = abs(label.number(key) - found)
+            off = abs(label.number(key) - computed)
             if min(off, abs(off - 360.0) if "LONGITUDE" in key else off) > slack:
-                expected = f"{found:.9g}, as the label's other keys say"
-                raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid anew")
+                expected = f"{computed:.9g}, as the label's other keys say"
+                raise InputError(label.where(key), f"{label.number(key):.9g}", expected, "fetch label and grid again")
     if _NAME.fullmatch(image.name):
         named = _from_name(image)
         turn = (named.longitude - layout.longitude + 180.0) % 360.0 - 180.0
@@ -265,7 +265,7 @@ def _require_stated_place(layout: _Layout, label: Block, image: Path) -> None:
         if named.resolution != layout.resolution or off > _PART / layout.resolution:
             at = f"first post at {layout.latitude:.6g} N, {layout.longitude:.6g} E, {layout.resolution:g} per degree"
             expected = f"{named.latitude:.6g} N, {named.longitude:.6g} E, {named.resolution:g}, as the name says"
-            raise InputError(label.document.source, at, expected, "fetch label and grid anew")
+            raise InputError(label.document.source, at, expected, "fetch label and grid again")
 
 
 def _skipped(label: Block) -> int:

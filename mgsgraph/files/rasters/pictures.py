@@ -85,8 +85,8 @@ def as_bytes(pixels: NDArray[Any]) -> NDArray[np.uint8]:
         return pixels
     valid = pixels[np.isfinite(pixels)]
     low, high = np.quantile(valid, [0.005, 0.995]) if valid.size else (0.0, 1.0)
-    shown = (np.nan_to_num(pixels, nan=low) - low) * (255.0 / max(high - low, 1e-30))
-    return np.asarray(np.clip(shown, 0.0, 255.0).astype(np.uint8))
+    stretched = (np.nan_to_num(pixels, nan=low) - low) * (255.0 / max(high - low, 1e-30))
+    return np.asarray(np.clip(stretched, 0.0, 255.0).astype(np.uint8))
 
 
 def is_moc(path: Path) -> bool:
@@ -162,7 +162,7 @@ class PixelArea:
 
 
 def pixel_area(path: Path, root: Block) -> PixelArea:
-    """That of an image, by its PDS3 label, which is in the file `path` or beside it."""
+    """Pixel area of an image, by its PDS3 label in the file `path` or beside it."""
     image = root.inner("IMAGE")
     if image.number("SAMPLE_BITS", {"": 1.0}) != 8.0:
         raise InputError(image.where("SAMPLE_BITS"), image.text("SAMPLE_BITS"), "8, as all MOC images have")
@@ -190,10 +190,10 @@ def require_fragments(area: PixelArea, lines: int, samples: int) -> None:
             part, whole = (_CELL * struct.unpack_from("<H", head, at)[0] for at in (6, 40))
             transformed = head[44] & _TRANSFORMED
             high = high + part if transformed else whole
-            found = (high, _CELL * head[43])
-            if length == 0 or place > size + 1 or found[1] != samples or found[0] > lines:
+            counted = (high, _CELL * head[43])
+            if length == 0 or place > size + 1 or counted[1] != samples or counted[0] > lines:
                 raise InputError(
-                    where, f"a fragment of {length} bytes for {found[0]} x {found[1]} pixels",
+                    where, f"a fragment of {length} bytes for {counted[0]} x {counted[1]} pixels",
                     f"one of those of {lines} x {samples}", damaged,
                 )  # fmt: skip
             if head[13] & _LAST or (transformed and high == lines):
@@ -227,10 +227,10 @@ def read_moc_pixels(path: Path) -> Pixels:
 def _require_size(label: LineScanLabel, area: PixelArea) -> None:
     """Raise InputError unless the file is as long as its label says."""
     plain = area.offset + label.lines * (area.prefix + label.samples + area.suffix)
-    wanted, size = area.file_size if area.encoding else plain, area.file.stat().st_size
-    if size < wanted:
+    expected, size = area.file_size if area.encoding else plain, area.file.stat().st_size
+    if size < expected:
         raise InputError(
-            str(area.file), f"{size} bytes", f"{wanted} for {label.lines} lines of {label.samples} samples",
+            str(area.file), f"{size} bytes", f"{expected} for {label.lines} lines of {label.samples} samples",
             "it is cut short: fetch it again",
         )
 
@@ -263,7 +263,7 @@ def _decompressed(label: LineScanLabel, area: PixelArea) -> Pixels:
 
 
 def _checked(label: LineScanLabel, file: Path, pixels: Any) -> Pixels:
-    """Pixels as another library gave them, after a look whether they are what the label says."""
+    """Pixels from another library, after a comparison with the label."""
     shape = (label.lines, label.samples)
     if not isinstance(pixels, np.ndarray) or pixels.shape != shape:
         found = f"an array of shape {pixels.shape}" if isinstance(pixels, np.ndarray) else "no image"

@@ -55,7 +55,7 @@ _NAME = rb"[\w.\-]+"
 
 
 class _Kind(NamedTuple):
-    """What tells a kind of raster file, and where it names other files."""
+    """Signs of a kind of raster file, and where it names other files."""
 
     driver: str
     """GDAL's."""
@@ -81,7 +81,7 @@ _KINDS = (
         re.compile(rb"<file_name>\s*(" + _NAME + rb")\s*</file_name>"),
     ),
 )  # fmt: skip
-"""Those told by their first bytes."""
+"""Kinds known by their first bytes."""
 _CUBE = _Kind(
     "ISIS3", re.compile(rb""), _PVL_ENDS,
     re.compile(rb"\^core|\bformat(?:[\s=\"'(]|(?>/\*.*?\*/)|(?>#[^\n]*))*+geotiff", re.IGNORECASE | re.DOTALL),
@@ -95,7 +95,7 @@ _PDS = _Kind(
         re.IGNORECASE,
     ),
 )  # fmt: skip
-"""Those told by the labels that `pvl.label_text` knows."""
+"""Kinds known by the labels that `pvl.label_text` knows."""
 _BYTES = {
     "unsignedbyte": 1, "signedword": 2, "unsignedword": 2, "signedinteger": 4, "unsignedinteger": 4, "real": 4,
     "double": 8,
@@ -131,7 +131,7 @@ def raster_kind(path: Path, expected: str) -> RasterKind:
         Where it is missing, none of those that are known here, or its label is damaged or leads elsewhere.
     """
     head = head_of(path, _HEAD)
-    kind = next((one for one in _KINDS if one.begins.match(head)), None)
+    kind = next((candidate for candidate in _KINDS if candidate.begins.match(head)), None)
     label = label_text(head) if kind is None else None
     if label is not None:
         kind = _PDS if label.startswith("PDS_VERSION_ID") else _CUBE
@@ -143,19 +143,19 @@ def raster_kind(path: Path, expected: str) -> RasterKind:
         return RasterKind(kind.driver)
     end = kind.label_ends.search(head)
     if end is None:
-        raise InputError(str(path), "a label without an end", f"one within {_HEAD} bytes", "fetch it anew")
+        raise InputError(str(path), "a label without an end", f"one within {_HEAD} bytes", "fetch it again")
     _require_beside(path, head, kind)
     if label is None:
         return RasterKind(kind.driver)
     root = whole_label(Document(str(path), label))
     stated, begin = (_of_cube if kind is _CUBE else _of_image)(root)
     if begin is not None and begin < end.end():
-        raise InputError(str(path), f"pixels from byte {begin} on, within its label", "behind it", "fetch it anew")
+        raise InputError(str(path), f"pixels from byte {begin} on, within its label", "behind it", "fetch it again")
     return RasterKind(kind.driver, stated)
 
 
 def whole_remedy(path: Path) -> str:
-    """What makes one file of a raster that lies in several."""
+    """The command that makes one file of a raster in several."""
     whole = f"{path.stem}_whole.tif" if path.suffix.lower().startswith(".tif") else f"{path.stem}.tif"
     return f"make one GeoTIFF of it: gdal_translate {path.name} {whole}"
 
@@ -255,8 +255,8 @@ def open_raster(path: Path, expected: str) -> Iterator["DatasetReader"]:
         with file:
             _require_own(file, path)
             if kind.stated is not None and (found := (*file.shape, np.dtype(file.dtypes[0]).itemsize)) != kind.stated:
-                said = " x ".join(map(str, kind.stated))
-                raise InputError(str(path), f"a label of which GDAL takes {found}", f"{said} bytes", "fetch it anew")
+                stated = " x ".join(map(str, kind.stated))
+                raise InputError(str(path), f"a label of which GDAL takes {found}", f"{stated} bytes", "fetch it again")
             yield file
 
 
@@ -291,7 +291,7 @@ def read_band(file: "DatasetReader", path: Path, window: "Window | None" = None,
         missing ones.
     """
     with raster_understood(path, "a whole raster"):
-        _require_held(file, path, window)
+        _require_possible_size(file, path, window)
         if file.driver == "GTiff":
             _require_blocks(file, path, window)
         return np.asanyarray(file.read(1, window=window, **how))
@@ -304,8 +304,8 @@ def require_in_file(path: Path, keys: Collection[str]) -> None:
     beside = path.with_name(f"{path.name}.aux.xml")
     if not beside.exists():
         return
-    said = dict.fromkeys(re.findall(r"<(\w+)", read_bytes(beside, _SIDECAR_SIZE).decode("latin-1")))
-    if found := [key for key in said if key in keys]:
+    tags = dict.fromkeys(re.findall(r"<(\w+)", read_bytes(beside, _SIDECAR_SIZE).decode("latin-1")))
+    if found := [key for key in tags if key in keys]:
         _refuse(path, f"its {', '.join(found)} in {beside.name}")
 
 
@@ -333,18 +333,18 @@ def _require_own(file: "DatasetReader", path: Path) -> None:
         raise InputError(str(path), "pixels at places that are not finite", "a georeferenced raster, or none")
 
 
-def _require_held(file: "DatasetReader", path: Path, window: "Window | None") -> None:
-    """Raise InputError where pixels take more memory than their file can hold: for it is hollow, or a trap."""
+def _require_possible_size(file: "DatasetReader", path: Path, window: "Window | None") -> None:
+    """Raise InputError where pixels take more memory than their file can hold: it is sparse, or malicious."""
     size = sum(os.stat(name).st_size for name in file.files)
     rows, columns = file.shape if window is None else (int(window.height), int(window.width))
     down, across = file.block_shapes[0]
     bands = file.count if file.tags(ns="IMAGE_STRUCTURE").get("INTERLEAVE") == "PIXEL" else 1
-    wanted = max(rows * columns, bands * down * across) * max(np.dtype(one).itemsize for one in file.dtypes)
-    if wanted > max(_SMALL, _PACKED * size):
+    needed = max(rows * columns, bands * down * across) * max(np.dtype(dtype).itemsize for dtype in file.dtypes)
+    if needed > max(_SMALL, _PACKED * size):
         raise InputError(
-            str(path), f"{rows} x {columns} pixels ({wanted / 1e6:.0f} MB) in a file of {size / 1e6:.3g} MB",
+            str(path), f"{rows} x {columns} pixels ({needed / 1e6:.0f} MB) in a file of {size / 1e6:.3g} MB",
             f"at most {_PACKED} times its size",
-            "fetch it anew; of a hollow one cut out the part that is needed: gdal_translate -projwin",
+            "fetch it again; of a hollow one cut out the part that is needed: gdal_translate -projwin",
         )  # fmt: skip
 
 
@@ -359,7 +359,7 @@ def _require_blocks(file: "DatasetReader", path: Path, window: "Window | None") 
     with opened(path, ANY_SIZE) as content:
         if down == 1 and _in_one_strip(file, content):
             down = rows  # one block, which GDAL gives row by row
-        size = down * across * bands * max(np.dtype(one).itemsize for one in file.dtypes)
+        size = down * across * bands * max(np.dtype(dtype).itemsize for dtype in file.dtypes)
         for i, j in product(range(top // down, -(-bottom // down)), range(left // across, -(-right // across))):
             offset, length = (
                 file.get_tag_item(f"BLOCK_{what}_{j}_{i}", "TIFF", bidx=1) for what in ("OFFSET", "SIZE")
@@ -367,7 +367,7 @@ def _require_blocks(file: "DatasetReader", path: Path, window: "Window | None") 
             if offset is None and not stated:
                 raise InputError(
                     str(path), f"no pixels from row {i * down + 1}, column {j * across + 1} on",
-                    "a whole raster, or nodata", "fetch it anew; where they are to be missing, state the value of "
+                    "a whole raster, or nodata", "fetch it again; where they are to be missing, state the value of "
                     "such: gdal_edit.py -a_nodata",
                 )  # fmt: skip
             if offset is not None and tags.get("COMPRESSION") == "DEFLATE":
@@ -454,10 +454,10 @@ def _iau_code(radius: float) -> int | None:
     if number is None:
         return None
     try:
-        found = CRS.from_authority(_AUTHORITY, str(100 * number)).to_dict(projjson=True)
+        crs = CRS.from_authority(_AUTHORITY, str(100 * number)).to_dict(projjson=True)
     except CRSError:  # a body whose system the IAU doesn't have, or a PROJ without its systems
         return None
-    ellipsoid = found["datum"]["ellipsoid"]
+    ellipsoid = crs["datum"]["ellipsoid"]
     return 100 * number if abs(ellipsoid.get("radius", 0.0) - radius) < _SAME else None
 
 
@@ -491,7 +491,7 @@ _LAYOUT = {
     "compress": "DEFLATE", "predictor": "YES", "blocksize": str(_BLOCK), "overview_resampling": "AVERAGE",
     "bigtiff": "IF_SAFER",
 }  # fmt: skip
-"""What GDAL's COG driver is told; overviews are halved until one fits into a tile."""
+"""Options of GDAL's COG driver; overviews are halved until one fits into a tile."""
 
 
 @contextmanager

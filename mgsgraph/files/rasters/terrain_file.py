@@ -161,7 +161,7 @@ _MARGIN = 4
 _STEPS = 3
 """Of the search for the point at a place and height: each leaves 1e-5 of the error of the one before."""
 _MOST = 1 << 24
-"""Posts of a grid that a raster is laid out on."""
+"""Posts of a grid of the raster's extent."""
 _EDGE = 1e-6
 """Pixels by which a place may lie beyond the outermost posts and still be taken for one on them (rounding)."""
 _NULL = 1e30
@@ -175,7 +175,7 @@ _ROUND = 1e6
 """m, radius from which on bodies are round."""
 _CHUNK = 1 << 20
 """Of these at once."""
-_SEVERAL, _APART, _LEAST_GAP = 3, 0.5, 500.0
+_SEVERAL, _TAG_GAP, _LEAST_GAP = 3, 0.5, 500.0
 """Posts of one value, and the gap to all others (share of their range, and m), that are no terrain."""
 _OUTLINE = 65
 """Rows and columns by which the extent of a raster is found."""
@@ -252,7 +252,7 @@ class TerrainRaster:
     def _extent(self) -> tuple[Array, Array, Array]:
         """Least and largest longitude and latitude of its posts, and steps as wide as those between them; (2,) rad."""
         last, level = np.array(self.values.shape) - 1.0, float(np.nanmean(self.values))
-        row, column = (one.ravel() for one in np.meshgrid(*(np.linspace(0.0, end, _OUTLINE) for end in last)))
+        row, column = (axis.ravel() for axis in np.meshgrid(*(np.linspace(0.0, end, _OUTLINE) for end in last)))
         longitudes, latitudes, radii = planetocentric(self.points(row, column, np.full(row.size, level))).T
         longitudes = in_turn(longitudes, float(np.angle(np.mean(np.exp(1j * longitudes)))))
         low, high = (np.array([cut(longitudes), cut(latitudes)]) for cut in (np.nanmin, np.nanmax))
@@ -272,21 +272,21 @@ class TerrainRaster:
     def _radii(self, longitudes: Array, latitudes: Array) -> Array:
         """(n,) m at planetocentric places (n,) in rad; NaN beside the posts and missing ones."""
         last = np.array(self.values.shape) - 1.0
-        found, there = np.full(longitudes.size, np.nan), np.arange(longitudes.size)
+        all_radii, indices = np.full(longitudes.size, np.nan), np.arange(longitudes.size)
         radii = np.full(longitudes.size, self.projection.ellipsoid.equatorial)
         values = np.zeros(0)
         for step in range(_STEPS):
-            points = from_planetocentric(np.column_stack([longitudes[there], latitudes[there], radii]))
+            points = from_planetocentric(np.column_stack([longitudes[indices], latitudes[indices], radii]))
             if step == 0 or not self.projection.sphere:  # on an ellipsoid latitudes depend on the height a little
                 at = self.projection.pixels_of(points)
                 inside = np.all((at > -_EDGE) & (at < last + _EDGE), axis=1)
                 at[~inside] = 0.0
                 values = between_nodes(self.values, np.clip(at, 0.0, last))
                 inside &= np.isfinite(values)
-                there, radii, values, points = there[inside], radii[inside], values[inside], points[inside]
+                indices, radii, values, points = indices[inside], radii[inside], values[inside], points[inside]
             radii += values - self._height(points)
-        found[there] = radii
-        return found
+        all_radii[indices] = radii
+        return all_radii
 
 
 def read_terrain(
@@ -355,7 +355,7 @@ def read_terrain(
 
 
 def _surface(reference: Reference, kind: TerrainKind) -> str:
-    """What heights are above, as the case says; empty of counts."""
+    """Reference surface of heights, as the case states it; empty for counts."""
     if kind == "counts":
         return ""
     if isinstance(reference, float):
@@ -368,12 +368,12 @@ def _values(file: "DatasetReader", rows: slice, columns: NDArray[np.int64], path
     from rasterio.windows import Window
 
     require_in_file(path, ("Scale", "Offset", "UnitType"))
-    said = (file.units[0] or "").strip().lower()
-    if said not in _UNITS:
-        raise InputError(str(path), f"heights in {said!r}", "metres or kilometres", "state it: gdal_edit.py -units m")
+    unit = (file.units[0] or "").strip().lower()
+    if unit not in _UNITS:
+        raise InputError(str(path), f"heights in {unit!r}", "metres or kilometres", "state it: gdal_edit.py -units m")
     if not file.dtypes[0].startswith(("int", "uint", "float")):
         raise InputError(str(path), f"posts of type {file.dtypes[0]}", "heights")
-    scale, offset = file.scales[0] * _UNITS[said], file.offsets[0] * _UNITS[said]
+    scale, offset = file.scales[0] * _UNITS[unit], file.offsets[0] * _UNITS[unit]
     if not (0.0 < abs(scale) < _NULL and abs(offset) < _NULL):
         raise InputError(str(path), f"a scale of {scale:g} and an offset of {offset:g}", "a scale of heights")
     high = rows.stop - rows.start
@@ -405,7 +405,7 @@ def _by_meridians(raster: TerrainRaster, kind: TerrainKind, turn: float | None) 
     if isinstance(raster.reference, float):
         radii = raster.values + raster.reference if raster.reference else raster.values
     else:
-        i, j = (one.ravel() for one in np.indices((rows, columns), dtype=np.float64))
+        i, j = (index.ravel() for index in np.indices((rows, columns), dtype=np.float64))
         radii = np.linalg.norm(raster.points(i, j, raster.values.ravel().astype(np.float64)), axis=1)
     return TerrainGrid(
         raster.source, radii.reshape(rows, columns), float(longitude), float(latitude), float(step[0]), float(step[1]),
@@ -442,13 +442,13 @@ def _require_plausible(
 
 def _require_tagged(values: NDArray[Any], path: Path) -> None:
     """Raise InputError where many posts have one value far from all others, as those that stand for missing ones do."""
-    known = values[np.isfinite(values)]
-    for value, side in ((known.min(), 1.0), (known.max(), -1.0)):
-        others = known[known != value]
-        if min(others.size, known.size - others.size) < _SEVERAL:
+    finite = values[np.isfinite(values)]
+    for value, side in ((finite.min(), 1.0), (finite.max(), -1.0)):
+        rest = finite[finite != value]
+        if min(rest.size, finite.size - rest.size) < _SEVERAL:
             continue
-        gap = float(np.min(side * (others - value)))
-        if gap > max(_APART * float(np.ptp(others)), _LEAST_GAP):
-            found = f"{known.size - others.size} posts of {value:g} m, {gap:.0f} m from all others"
+        gap = float(np.min(side * (rest - value)))
+        if gap > max(_TAG_GAP * float(np.ptp(rest)), _LEAST_GAP):
+            found = f"{finite.size - rest.size} posts of {value:g} m, {gap:.0f} m from all others"
             remedy = "state the value of missing posts: gdal_edit.py -a_nodata"
             raise InputError(str(path), found, "terrain", remedy)

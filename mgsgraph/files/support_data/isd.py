@@ -3,7 +3,7 @@
 Kilometres and millimetres become metres here; ISIS lines (top edge of the first line at 0.5) become lines from 0.0.
 Formulas of the detector: ISIS CameraDetectorMap, CameraFocalPlaneMap; quaternions: scalar first, NAIF q2m.
 
-What programs are known to write wrongly into support data: put right where the file itself betrays it, and said.
+Known errors of programs in support data are corrected where the file itself shows them, and reported.
 """
 
 import re
@@ -60,7 +60,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import AttitudeTable, PositionTable, Trajectory
 from mgsgraph.units import ISIS_OFFSET, KM, MM
 
-_ALIKE = 0.8
+_LIKENESS = 0.8
 """Likeness (difflib) from which on an unknown key is a slip in one that is known and missing."""
 
 
@@ -80,7 +80,7 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
     ------
     InputError
         Missing or malformed file, key missing or of the wrong kind, another sensor model than a line scanner,
-        positions of which nobody says whether they are geometric, or what is known to be wrong and can't be put right.
+        positions that may be geometric or not, or a known error that can't be corrected.
     """
     content, source = read_json(path), str(path)
     if (model := content.get("name_model", MODEL)) != MODEL:
@@ -97,12 +97,12 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
             "name it as image = ..., with the cube's label beside it",
         )  # fmt: skip
     require_usual({key: str(value) for key, value in content.items()}, SUPPORT_DATA, source)
-    said = validated(content, SupportData, source)
+    support = validated(content, SupportData, source)
     _require_no_slips(content, SupportData, source)
-    keywords, remarks = keywords_of_camera(said, source)
-    remarks += contradictions_of_times(said, keywords, source)
-    isd, repairs = repaired(said, source)
-    remarks += lopsided(isd) if isd.line_scan_rate is said.line_scan_rate else ()
+    keywords, remarks = keywords_of_camera(support, source)
+    remarks += contradictions_of_times(support, keywords, source)
+    isd, repairs = repaired(support, source)
+    remarks += lopsided(isd) if isd.line_scan_rate is support.line_scan_rate else ()
     unit = UNITS[isd.radii.unit]
     body = Ellipsoid(isd.radii.semimajor * unit, isd.radii.semiminor * unit)
     with errors_from(source):
@@ -123,8 +123,8 @@ def read_isd(path: Path, name: str, aberration: Aberration | None = None) -> Pus
 def _unread(content: dict[str, Any]) -> list[str]:
     names = [f"{key}.{inner}" for key, value in content.items() if isinstance(value, dict) for inner in value]
     names += [key for key, value in content.items() if not isinstance(value, dict)]
-    found = unread([one for one in names if not one.startswith("naif_keywords")], SUPPORT_DATA)
-    return [f"nothing reads the key {', '.join(found)}"] if found else []
+    keys = unread([name for name in names if not name.startswith("naif_keywords")], SUPPORT_DATA)
+    return [f"nothing reads the key {', '.join(keys)}"] if keys else []
 
 
 def _timing(isd: SupportData, source: str) -> LineTiming:
@@ -183,11 +183,11 @@ def _trajectory(
 
 
 def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: str) -> None:
-    """Raise InputError for a key that is a slip in one that is missing, and whose place a default would take."""
+    """Raise InputError for a misspelled key, in whose place a default would be taken."""
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
     missing = [name for name in fields if name not in table]
     for key, value in table.items():
-        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_ALIKE)):
+        if key not in fields and (close := get_close_matches(key, missing, n=1, cutoff=_LIKENESS)):
             raise InputError(where, f"the unknown key {key!r}", remedy=f"did you mean {close[0]!r}?")
         if isinstance(value, dict) and (inner := _record(fields.get(key))) is not None:
             _require_no_slips(value, inner, f"{where}, {key}")
@@ -196,13 +196,13 @@ def _require_no_slips(table: dict[str, Any], kind: type[msgspec.Struct], where: 
 def _record(kind: Any) -> type[msgspec.Struct] | None:
     """The record that a field holds, which may be optional."""
     choices: Sequence[Any] = (kind, *getattr(kind, "__args__", ()))
-    return next((one for one in choices if isinstance(one, type) and issubclass(one, msgspec.Struct)), None)
+    return next((choice for choice in choices if isinstance(choice, type) and issubclass(choice, msgspec.Struct)), None)
 
 
 def positions(
     isd: SupportData, body: Ellipsoid, given: Aberration | None, source: str
 ) -> tuple[PositionTable, list[str]]:
-    """Geometric positions at times past ``center_ephemeris_time``, and how they were come by, in sentences.
+    """Geometric positions at times past ``center_ephemeris_time``, and how they were computed, in sentences.
 
     Parameters
     ----------
@@ -228,8 +228,8 @@ def positions(
     if stated.correction == "NONE":
         return apparent, list(remarks_on(stated, why))
     radius = 0.5 * (body.equatorial + body.polar)
-    found = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
-    return found, list(remarks_on(stated, why))
+    true = geometric(apparent, _body_velocity(isd, f"{source}, sun_position"), stated, radius)
+    return true, list(remarks_on(stated, why))
 
 
 def require_j2000(table: StateTable | RotationTable, where: str) -> None:
@@ -239,7 +239,7 @@ def require_j2000(table: StateTable | RotationTable, where: str) -> None:
 
 
 def _stated(isd: SupportData, source: str) -> tuple[Aberration, str]:
-    """By the keywords in the file, or else by the platform; never a guess. Why, where it was not the keywords."""
+    """By the keywords in the file, or else by the platform; no guess. The reason, where it was not the keywords."""
     if (stated := aberration_of(isd.naif_keywords, source)) is not None:
         return stated, ""
     spacecraft = _spacecraft(isd)
@@ -301,7 +301,7 @@ _ANOTHER_ROAD = "read its cube after spiceinit, or its label and kernels"
 
 
 def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
-    """Support data as they were meant, and what was put right, in sentences.
+    """Support data as they were meant, and what was corrected, in sentences.
 
     Raises
     ------
@@ -309,11 +309,11 @@ def repaired(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
         Where something is known to be wrong, but not what would be right.
     """
     _require_units(isd, source)
-    said = list[str]()
+    remarks = list[str]()
     for repair in (_line_times_past_epoch, _line_times_of_lroc, _boresight_by_isis, _moc, _hrsc, _ctx, _themis):
         isd, words = repair(isd, source)
-        said += words
-    return isd, said
+        remarks += words
+    return isd, remarks
 
 
 def _require_units(isd: SupportData, source: str) -> None:
@@ -340,11 +340,11 @@ def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, lis
     """Line times with the corrections that ISIS's camera of LROC-NAC makes, where the file lacks them.
 
     ISIS's own support data have the times of the label, while its keywords state a preroll in lines and an error of
-    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so betray that the
+    the line period (ISIS LroNarrowAngleCamera). Its tables begin with the corrected first line, and so show that the
     correction is still to be made; ALE's times hold it.
     """
     code_of = re.compile(rf"INS(-?\d{{1,9}})_{CORRECTIONS[1]}", re.ASCII)
-    codes = {int(found[1]) for key in isd.naif_keywords if (found := code_of.fullmatch(key))}
+    codes = {int(match[1]) for key in isd.naif_keywords if (match := code_of.fullmatch(key))}
     if len(isd.line_scan_rate) != 1 or len(codes) != 1:
         return isd, []
     keywords, code = NaifKeywords(source, isd.naif_keywords), codes.pop()
@@ -397,7 +397,7 @@ def _moc_optics(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     coefficients = isd.optical_distortion.get("radial", {}).get("coefficients")
     if not isinstance(coefficients, list) or len(coefficients) != 3 or not any(coefficients):
         return isd, []
-    pitches = all(isinstance(one, int | float) and abs(one - PITCH) <= 1e-9 for one in coefficients[1:])
+    pitches = all(isinstance(value, int | float) and abs(value - PITCH) <= 1e-9 for value in coefficients[1:])
     if isd.name_sensor != f"{_MOC}NA" or not pitches:
         raise InputError(
             f"{source}, optical_distortion", f"a radial one of {coefficients} for {isd.name_sensor}",
@@ -467,7 +467,7 @@ def _themis(isd: SupportData, source: str) -> tuple[SupportData, list[str]]:
     time is the band's.
     """
     stated, right = _THEMIS_FOCAL_LENGTH
-    plain = not any(np.any(one.get("coefficients", [1.0])) for one in isd.optical_distortion.values())
+    plain = not any(np.any(model.get("coefficients", [1.0])) for model in isd.optical_distortion.values())
     if not (_has_code(isd, _THEMIS) and plain):
         return isd, []
     distortion = themis_of_line(isd.starting_detector_line)

@@ -101,31 +101,31 @@ def distortion_of_support(models: Mapping[str, Mapping[str, Any]], focal_length:
         return NoDistortion()
     if len(models) > 1:
         raise InputError(where, f"{len(models)} models: {', '.join(models)}", "one")
-    ((said, values),) = models.items()
-    name = said.lower()
-    model = _known(name, f"the model {said!r}", where)
+    ((stated, values),) = models.items()
+    name = stated.lower()
+    model = _model_named(name, f"the model {stated!r}", where)
     if not model.axes:
-        coefficients = _numbers(values.get("coefficients", []), f"{where}.{said}.coefficients", len(model.powers))
-        return _made(model, coefficients, focal_length)
+        coefficients = _numbers(values.get("coefficients", []), f"{where}.{stated}.coefficients", len(model.powers))
+        return _distortion(model, coefficients, focal_length)
     size = len(model.powers) // 2
     both = []
     for axis in ("x", "y"):
         ahead = [f"boresight_{axis}"] if name == "kaguyalism" else []
         own = _listed(values.get(axis, []))
         filled = [*own, *[0.0] * (size - len(ahead) - len(own))] if own else own  # ALE fills up with zeros, too
-        both += [_numbers(values.get(key, 0.0), f"{where}.{said}.{key}", 1)[0] for key in ahead]
-        both += _numbers(filled, f"{where}.{said}.{axis}", size - len(ahead))
-    return _made(model, both, focal_length)
+        both += [_numbers(values.get(key, 0.0), f"{where}.{stated}.{key}", 1)[0] for key in ahead]
+        both += _numbers(filled, f"{where}.{stated}.{axis}", size - len(ahead))
+    return _distortion(model, both, focal_length)
 
 
 def distortion_of_state(number: int, coefficients: list[float], focal_length: float, where: str) -> Distortion:
     """Of ``m_distortionType`` and ``m_opticalDistCoeffs`` of a model state; the focal length in m."""
     names = {value: name for name, value in [*NUMBERS.items(), *_FRAMING.items()]}
-    model = _known(names.get(number, ""), f"the type {number}", f"{where}, m_distortionType")
-    return _made(model, _numbers(coefficients, f"{where}, m_opticalDistCoeffs", len(model.powers)), focal_length)
+    model = _model_named(names.get(number, ""), f"the type {number}", f"{where}, m_distortionType")
+    return _distortion(model, _numbers(coefficients, f"{where}, m_opticalDistCoeffs", len(model.powers)), focal_length)
 
 
-def _known(name: str, found: str, where: str) -> _Model:
+def _model_named(name: str, found: str, where: str) -> _Model:
     if name in _FRAMING:
         raise InputError(where, f"{found}, of a framing camera", f"a line scanner's: {KNOWN}")
     if name not in _MODELS:
@@ -139,13 +139,13 @@ def _listed(values: Any) -> list[Any]:
 
 def _numbers(values: Any, where: str, size: int) -> list[float]:
     listed = _listed(values)
-    good = all(isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < 1e300 for one in listed)
+    good = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e300 for v in listed)
     if not good or len(listed) != size:
         raise InputError(where, f"{listed}"[:60], f"{size} finite numbers")
-    return [float(one) for one in listed]
+    return [float(value) for value in listed]
 
 
-def _made(model: _Model, coefficients: list[float], focal_length: float) -> Distortion:
+def _distortion(model: _Model, coefficients: list[float], focal_length: float) -> Distortion:
     metres = np.array(coefficients) * _scales(model)
     return NoDistortion() if not metres.any() and model.number == 0 else model.made(metres.tolist(), focal_length)
 
@@ -197,7 +197,7 @@ def _transverse(themis: ThemisIrDistortion) -> TransverseDistortion:
 def _flat(distortion: Any) -> Array:
     if isinstance(distortion, KaguyaDistortion):
         return np.array([0.0, *distortion.x, 0.0, *distortion.y])
-    values = np.hstack([np.ravel(one) for one in astuple(distortion)])
+    values = np.hstack([np.ravel(field) for field in astuple(distortion)])
     return np.asarray(values[:-1] if isinstance(distortion, RadtanDistortion) else values)
 
 
@@ -340,7 +340,7 @@ def support_fields(
     to_pixel = interior.to_pixel.copy()
     to_pixel[:, 1:] *= MM
     first = epoch + float(timing.start_times[0]) - shift
-    found: dict[str, Any] = msgspec.to_builtins(SupportData(
+    keys: dict[str, Any] = msgspec.to_builtins(SupportData(
         image_lines=image.lines, image_samples=image.samples, image_identifier=image.name, name_model=MODEL,
         line_scan_rate=np.column_stack(
             [timing.first_lines + ISIS_OFFSET, timing.start_times - shift, timing.periods]
@@ -356,7 +356,7 @@ def support_fields(
         body_rotation=body_rotation, instrument_pointing=pointing, instrument_position=position,
         sun_position=sun_position,
     ))  # fmt: skip
-    return found | {"interpolation_method": "lagrange"}
+    return keys | {"interpolation_method": "lagrange"}
 
 
 def state_table(times: Array, positions: Array, velocities: Array) -> StateTable:

@@ -44,7 +44,7 @@ _NORMS = 0.5, 2.0
 """Of quaternions."""
 _TOLERANCE = 2e-4
 """Pixels by which positions, and attitudes, may be off between samples."""
-_SAME_SPEED, _SAME_SIZE, _SAME_HEIGHT, _ALIKE, _NEAR = 0.05, 0.025, 0.1, 1.5, 20e3
+_SAME_SPEED, _SAME_SIZE, _SAME_HEIGHT, _SAME_RATIO, _NEAR = 0.05, 0.025, 0.1, 1.5, 20e3
 """Shares of speeds and sizes, and m, by which a state's own summaries may be off: heights of the ground are not known.
 """
 _PIXELS = 0.24
@@ -147,7 +147,7 @@ def read_model_state(path: Path, name: str) -> PushbroomImage:
 
 
 def _second_statements(state: _State, image: PushbroomImage, source: str) -> Iterator[str]:
-    """Remarks on what a state says a second time, and InputError where it contradicts itself: numbers of values,
+    """Remarks on second statements in a state, and InputError where it contradicts itself: numbers of values,
     velocities, height of flight, size of a pixel and the place of the middle on the ground.
     """
     for key, stated, values in (
@@ -155,7 +155,7 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
         ("m_numQuaternions", state.m_numQuaternions, state.m_quaternions),
     ):
         if stated not in (None, 0, len(values)):
-            raise InputError(f"{source}, {key}", f"{stated}, and {len(values)} numbers", "as many", "write it anew")
+            raise InputError(f"{source}, {key}", f"{stated}, and {len(values)} numbers", "as many", "write it again")
     places = np.array(state.m_positions).reshape(-1, 3)
     if len(state.m_velocities) == places.size and np.any(state.m_velocities):
         stated_speeds = np.array(state.m_velocities).reshape(-1, 3)
@@ -169,28 +169,28 @@ def _second_statements(state: _State, image: PushbroomImage, source: str) -> Ite
     if not np.all(np.isfinite(ground)):
         if np.any(state.m_referencePointXyz):
             where, expected = f"{source}, m_referencePointXyz", "one that sees it, where this point says"
-            raise InputError(where, "a middle pixel that looks past the ellipsoid", expected, "mend the wrong keys")
+            raise InputError(where, "a middle pixel that looks past the ellipsoid", expected, "fix the wrong keys")
         return
     height = float(np.linalg.norm(image.pose(image.middle[0]).position - ground))
     pixel = float(np.linalg.norm(slope.reshape(3, 2)[:, 1]))
-    for key, said, found_here, same in (
+    for key, by_state, computed, same in (
         ("m_flyingHeight", state.m_flyingHeight, height, _SAME_HEIGHT), ("m_gsd", state.m_gsd, pixel, _SAME_SIZE)
     ):
-        if said > 0.0 and not 1.0 / _ALIKE < said / found_here < _ALIKE:
-            raise InputError(f"{source}, {key}", f"{said:.6g} m", f"about {found_here:.6g} m, as the other keys say")
-        if said > 0.0 and abs(said / found_here - 1.0) > same:
-            yield f"{key} is {said:.6g} m, and by the other keys {found_here:.6g} m"
+        if by_state > 0.0 and not 1.0 / _SAME_RATIO < by_state / computed < _SAME_RATIO:
+            raise InputError(f"{source}, {key}", f"{by_state:.6g} m", f"about {computed:.6g} m, as the other keys say")
+        if by_state > 0.0 and abs(by_state / computed - 1.0) > same:
+            yield f"{key} is {by_state:.6g} m, and by the other keys {computed:.6g} m"
     if len(state.m_referencePointXyz) == 3 and np.any(state.m_referencePointXyz):
         away = float(np.linalg.norm(np.array(state.m_referencePointXyz) - ground[0]))
         where = f"{away:.6g} m from where the middle pixel's ray meets the ellipsoid"
         if away > _NEAR + abs(state.m_halfSwath):
-            raise InputError(f"{source}, m_referencePointXyz", where, "near it", "mend the wrong keys")
+            raise InputError(f"{source}, m_referencePointXyz", where, "near it", "fix the wrong keys")
         if away > _PIXELS * pixel:
             yield f"m_referencePointXyz is {where}"
 
 
 def _require_plain(state: _State, source: str) -> None:
-    """Refuse what usgscsm would do beside its tables."""
+    """Refuse what usgscsm would compute besides its tables."""
     if any(state.m_currentParameterValue):
         raise InputError(
             f"{source}, m_currentParameterValue", "parameters that are not zero", "zeros",
@@ -256,7 +256,7 @@ def _trajectory(state: _State, interior: InteriorOrientation, timing: LineTiming
 
 
 def _require_samples(places: Array, turns: Array, source: str) -> None:
-    """Raise InputError for positions that are none, and quaternions that are far from unit ones."""
+    """Raise InputError for impossible positions, and quaternions far from unit length."""
     require_near_sun(places, f"{source}, m_positions")
     largest = np.abs(turns).max(axis=1)
     norms = np.linalg.norm(np.where(largest[:, None] < _NORMS[1], turns, 0.0), axis=1)
@@ -289,12 +289,12 @@ class _EvenTable:
         orders = np.minimum(2 * np.minimum(beside, 3) + 2, self.highest)
         values = np.empty((times.size, self.nodes.shape[1]))
         for order in np.unique(orders).tolist():
-            mine = np.flatnonzero(orders == order)
+            of_order = np.flatnonzero(orders == order)
             offsets = np.arange(order) - (order // 2 - 1)
-            apart = (where - index + moved)[mine, None] - offsets
-            factors = np.where(np.eye(order, dtype=bool), 1.0, apart[:, None, :])
+            distances = (where - index + moved)[of_order, None] - offsets
+            factors = np.where(np.eye(order, dtype=bool), 1.0, distances[:, None, :])
             weights = np.prod(factors, axis=2) / np.prod(offsets[:, None] - offsets + np.eye(order), axis=1)
-            values[mine] = np.einsum("no,nok->nk", weights, self.nodes[index[mine, None] + offsets])
+            values[of_order] = np.einsum("no,nok->nk", weights, self.nodes[index[of_order, None] + offsets])
         return values
 
 
@@ -308,7 +308,7 @@ def _turned(turns: _EvenTable, times: Array) -> AttitudeTable:
 
 
 def _dense(
-    samples: _EvenTable, made: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
+    samples: _EvenTable, make: Callable[[_EvenTable, Array], Table], off: Callable[[Table, Array], Array],
     edges: Array, where: str,
 ) -> Table:  # fmt: skip
     """A table at the samples, and at as many times between them as its own interpolation needs to be near enough to
@@ -318,7 +318,7 @@ def _dense(
     times = samples.times(np.arange(len(samples.nodes) - 1)[:, None] + [_CORNER, 1.0 - _CORNER]).ravel()
     pixels = np.zeros(0)
     for _ in range(_HALVINGS):
-        table = made(samples, times)
+        table = make(samples, times)
         inside = np.flatnonzero((times[1:] > edges[0]) & (times[:-1] < edges[1]))
         between = times[inside, None] + np.diff(times)[inside, None] * _BETWEEN
         pixels = off(table, between.ravel()).reshape(-1, _BETWEEN.size).max(axis=1, initial=0.0)

@@ -1,4 +1,4 @@
-"""Support data against what they say a second time, in `naif_keywords` and in their own tables.
+"""Compares support data with their second statements in `naif_keywords` and in their own tables.
 
 A contradiction is refused where one of both would move the ground by more than a twentieth of a pixel and nothing tells
 which; smaller and known ones become remarks.
@@ -57,7 +57,7 @@ _MOC = (-94031, -94032, -94033)
 """ALE writes pixel sizes for coefficients of these, which repairs have taken out."""
 
 
-class _Twin(NamedTuple):
+class _Repeated(NamedTuple):
     """Numbers that are stated twice."""
 
     key: str
@@ -82,7 +82,7 @@ def contradictions_of_times(isd: SupportData, keywords: NaifKeywords, source: st
         off = isd.center_ephemeris_time + start - isd.starting_ephemeris_time
         if abs(off) > max(_LATE * period, _SAME * 10.0):
             found = f"a first line {off:+.6f} s from starting_ephemeris_time"
-            raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "mend the wrong one")
+            raise InputError(f"{source}, line_scan_rate", found, "one time of the first line", "fix the wrong one")
     for name in ("instrument_position", "instrument_pointing", "body_rotation"):
         _require_described(getattr(isd, name), f"{source}, {name}")
     remarks = list(_clock(isd, keywords))
@@ -98,8 +98,8 @@ def odd_rows(isd: SupportData) -> Iterator[str]:
         unit, steps = UNITS[table.unit], np.diff(np.array(table.ephemeris_times))
         places, speeds = np.array(table.positions) * unit, np.array(table.velocities) * unit
         off = np.linalg.norm(np.diff(places, axis=0) - 0.5 * steps[:, None] * (speeds[1:] + speeds[:-1]), axis=1)
-        bent = np.linalg.norm(speeds[1:], axis=1) ** 3 / np.linalg.norm(places[1:], axis=1) ** 2  # of an orbit, m/s^3
-        for k in np.flatnonzero(off > _MOVED + 0.25 * steps**3 * bent)[:1].tolist():
+        jerk = np.linalg.norm(speeds[1:], axis=1) ** 3 / np.linalg.norm(places[1:], axis=1) ** 2  # of an orbit, m/s^3
+        for k in np.flatnonzero(off > _MOVED + 0.25 * steps**3 * jerk)[:1].tolist():
             yield f"positions {k} and {k + 1} are {off[k]:.4g} m off what their velocities lead to"
     pointing = isd.instrument_pointing
     times, rates = np.array(pointing.ephemeris_times), np.array(pointing.angular_velocities or [])
@@ -117,11 +117,11 @@ def _require_described(table: StateTable | RotationTable, where: str) -> None:
     """Raise InputError where a table is not as long as its file says."""
     times = np.array(table.ephemeris_times)
     for kind in ("ck", "spk"):
-        for end, found in (("start_time", times[0]), ("end_time", times[-1]), ("original_size", times.size)):
+        for end, actual in (("start_time", times[0]), ("end_time", times[-1]), ("original_size", times.size)):
             stated = getattr(table, f"{kind}_table_{end}", None)
-            if stated is None or abs(stated - found) <= _SAME_TIME or (end == "original_size" and stated > found):
+            if stated is None or abs(stated - actual) <= _SAME_TIME or (end == "original_size" and stated > actual):
                 continue  # ISIS makes tables smaller
-            raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{found:.12g}, as ephemeris_times say")
+            raise InputError(f"{where}, {kind}_table_{end}", f"{stated:.12g}", f"{actual:.12g}, as ephemeris_times say")
 
 
 def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
@@ -130,11 +130,11 @@ def _turning(table: RotationTable, name: str, source: str) -> Iterator[str]:
         return
     noise = MEASURED if name == "instrument_pointing" else 0.0
     times, quaternions, rates = map(np.array, (table.ephemeris_times, table.quaternions, table.angular_velocities))
-    if not (found := turning_otherwise(times, quaternions, rates, noise)):
+    if not (remark := turning_otherwise(times, quaternions, rates, noise)):
         return
     if _ODD_RATES not in (table.time_dependent_frames or ()):
-        raise InputError(f"{source}, {name}", found, remedy="quaternions are scalar first, inertial to frame")
-    yield f"{name}: {found}, which Kaguya's C-kernels have wrong"
+        raise InputError(f"{source}, {name}", remark, remedy="quaternions are scalar first, inertial to frame")
+    yield f"{name}: {remark}, which Kaguya's C-kernels have wrong"
 
 
 def _clock(isd: SupportData, keywords: NaifKeywords) -> Iterator[str]:
@@ -149,8 +149,8 @@ def _clock(isd: SupportData, keywords: NaifKeywords) -> Iterator[str]:
     if code := re.fullmatch(rf"INS(-\d{{5,6}}){preroll}", _only(keywords, "INS", preroll)):
         number_of_camera = int(code[1])
         factor = 1.0 + number(keywords, f"INS{number_of_camera}_{CORRECTIONS[3]}")
-        usual += [corrected(keywords, number_of_camera, 0.0, one)[0] for one in (period, period / factor)]
-    if min(abs(late - one) for one in usual) > period:
+        usual += [corrected(keywords, number_of_camera, 0.0, seconds)[0] for seconds in (period, period / factor)]
+    if min(abs(late - usual_time) for usual_time in usual) > period:
         yield f"the first line is {late:+.6f} s from the clock count of {names[0]}"
 
 
@@ -195,40 +195,40 @@ def contradictions_of_constants(
     """
     remarks = list(_radii(keywords, body, f"{source}, radii"))
     remarks += _focal_length(isd, keywords, source)
-    for twin in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
-        if twin.found.shape != twin.stated.shape or np.abs(twin.found - twin.stated).max(initial=0.0) > twin.allowed:
-            _refuse(twin, source)
+    for pair in (*_affine(isd, keywords), *_distortion(isd, keywords, source)):
+        if pair.found.shape != pair.stated.shape or np.abs(pair.found - pair.stated).max(initial=0.0) > pair.allowed:
+            _refuse(pair, source)
     remarks += _center(isd, keywords, source)
     _require_on_detector(isd, keywords, source)
     _require_rotation(isd, keywords, source)
     return remarks
 
 
-def _refuse(twin: _Twin, source: str) -> None:
-    found, stated = (", ".join(f"{one:.9g}" for one in values) for values in (twin.found, twin.stated))
-    raise InputError(f"{source}, {twin.key}", found, f"{stated}, as {twin.keyword} says", "mend the wrong one")
+def _refuse(pair: _Repeated, source: str) -> None:
+    found, stated = (", ".join(f"{number:.9g}" for number in values) for values in (pair.found, pair.stated))
+    raise InputError(f"{source}, {pair.key}", found, f"{stated}, as {pair.keyword} says", "fix the wrong one")
 
 
 def _radii(keywords: NaifKeywords, body: Ellipsoid, where: str) -> Iterator[str]:
     code = int(number(keywords, "BODY_CODE")) if "BODY_CODE" in keywords else None
-    every = [key for key in keywords.values if re.fullmatch(r"BODY\d+_RADII", key)]
-    nearest = min(every, key=lambda one: _radius_difference(keywords, one, body), default="")
+    keys = [key for key in keywords.values if re.fullmatch(r"BODY\d+_RADII", key)]
+    nearest = min(keys, key=lambda candidate: _radius_difference(keywords, candidate, body), default="")
     key = nearest if code is None else f"BODY{code}_RADII"
     require_possible(body, body_name(code) if code is not None else "", where)
-    if every and key not in every:
-        expected = f"the body of {', '.join(every)}"
+    if keys and key not in keys:
+        expected = f"the body of {', '.join(keys)}"
         raise InputError(f"{keywords.source}, BODY_CODE", f"{code}, without its radii", expected)
-    if not every:
+    if not keys:
         return
     stated = keywords.numbers(key, 3) * KM
     if abs(stated[0] - stated[1]) > _SAME * stated[0]:
-        axes = f"{', '.join(f'{one / KM:.9g}' for one in stated)} km in {key}"
+        axes = f"{', '.join(f'{length / KM:.9g}' for length in stated)} km in {key}"
         raise InputError(where, axes, "a body of revolution: two radii on the equator that are the same")
-    for name, found, said in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
-        both = f"{found / KM:.9g} km, where {key} says {said / KM:.9g} km"
-        if abs(found - said) > _SAME_RADII * abs(said):
-            raise InputError(f"{where}.{name}", both, "one radius", f"mend radii, their unit or {key}")
-        if abs(found - said) > _SAME * abs(said):
+    for name, radius, by_key in (("semimajor", body.equatorial, stated[0]), ("semiminor", body.polar, stated[2])):
+        both = f"{radius / KM:.9g} km, where {key} says {by_key / KM:.9g} km"
+        if abs(radius - by_key) > _SAME_RADII * abs(by_key):
+            raise InputError(f"{where}.{name}", both, "one radius", f"fix radii, their unit or {key}")
+        if abs(radius - by_key) > _SAME * abs(by_key):
             yield f"radii.{name} is {both}"
 
 
@@ -240,50 +240,50 @@ def _radius_difference(keywords: NaifKeywords, key: str, body: Ellipsoid) -> flo
 def _focal_length(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[str]:
     if not (key := _only(keywords, "INS", "_FOCAL_LENGTH")):
         return
-    stated, found = number(keywords, key), isd.focal_length_model.focal_length
-    said = f"{found:g} mm, where {key} says {stated:g}"
-    if abs(found - stated) > _SAME_FOCAL_LENGTH * abs(stated):
-        raise InputError(f"{source}, focal_length_model", said, "one focal length", "mend the wrong one")
-    if abs(found - stated) > _SAME * abs(stated):
-        yield f"focal_length_model is {said}"
+    stated, focal_length = number(keywords, key), isd.focal_length_model.focal_length
+    text = f"{focal_length:g} mm, where {key} says {stated:g}"
+    if abs(focal_length - stated) > _SAME_FOCAL_LENGTH * abs(stated):
+        raise InputError(f"{source}, focal_length_model", text, "one focal length", "fix the wrong one")
+    if abs(focal_length - stated) > _SAME * abs(stated):
+        yield f"focal_length_model is {text}"
 
 
-def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Twin]:
+def _affine(isd: SupportData, keywords: NaifKeywords) -> Iterator[_Repeated]:
     """Detector and focal plane. ALE's lines of Kaguya may run the other way, which is a line's difference at most."""
     codes = _codes(keywords)
-    for axis, found in (("L", isd.focal2pixel_lines), ("S", isd.focal2pixel_samples)):
+    for axis, row in (("L", isd.focal2pixel_lines), ("S", isd.focal2pixel_samples)):
         name = {"L": "focal2pixel_lines", "S": "focal2pixel_samples"}[axis]
-        mine, size = np.array(found), float(np.linalg.norm(found[1:]))
+        values, size = np.array(row), float(np.linalg.norm(row[1:]))
         if key := _only(keywords, "INS", f"_ITRANS{axis}"):
             stated = keywords.numbers(key, 3)
             turned = axis == "L" and codes & set(_MODELS) and _MODELS[min(codes & set(_MODELS))] == "kaguyalism"
-            if turned and float(mine[1:] @ stated[1:]) < 0.0:
+            if turned and float(values[1:] @ stated[1:]) < 0.0:
                 stated = -stated
-            yield _Twin(name, mine, key, stated, max(1e-5 * size, 1e-9))
+            yield _Repeated(name, values, key, stated, max(1e-5 * size, 1e-9))
         elif key := _only(keywords, "INS", "_PIXEL_PITCH"):
             per_mm = np.array([1.0 / number(keywords, key)])
-            yield _Twin(f"{name} (their norm)", np.array([size]), f"{key} (its inverse)", per_mm, 1e-3 * size)
+            yield _Repeated(f"{name} (their norm)", np.array([size]), f"{key} (its inverse)", per_mm, 1e-3 * size)
 
 
-def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[_Twin]:
+def _distortion(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[_Repeated]:
     """Coefficients of the one model; another model than the camera's is refused, and none where there should be one."""
-    where, models = f"{source}, optical_distortion", {key.lower(): one for key, one in isd.optical_distortion.items()}
+    where, models = f"{source}, optical_distortion", {key.lower(): m for key, m in isd.optical_distortion.items()}
     codes = _codes(keywords)
     model = next(iter({_MODELS[code] for code in codes if code in _MODELS}), "")
-    coefficients = {name: _numbers(one.get("coefficients", [])) for name, one in models.items()}
-    plain = {name for name, one in coefficients.items() if name == "radial" and not one.any()}
+    coefficients = {name: _numbers(model.get("coefficients", [])) for name, model in models.items()}
+    plain = {name for name, values in coefficients.items() if name == "radial" and not values.any()}
     for name in models.keys() - plain - {model} if model else ():
-        raise InputError(where, f"the model {name!r}", f"{model!r}, the camera's", "write the support data anew")
+        raise InputError(where, f"the model {name!r}", f"{model!r}, the camera's", "write the support data again")
     if (key := _only(keywords, "INS", "_OD_K")) and not codes & set(_MOC):
-        name = next((one for one in ("radial", "lrolrocnac") if one in models), "")
-        found = coefficients[name] if name else np.zeros(1)
-        stated = keywords.numbers(key, found.size or 1)
-        yield _Twin(f"optical_distortion.{name}", found, key, stated, 1e-5 * float(np.abs(stated).max(initial=1e-9)))
+        name = next((candidate for candidate in ("radial", "lrolrocnac") if candidate in models), "")
+        own = coefficients[name] if name else np.zeros(1)
+        stated = keywords.numbers(key, own.size or 1)
+        yield _Repeated(f"optical_distortion.{name}", own, key, stated, 1e-5 * float(np.abs(stated).max(initial=1e-9)))
     for axis in "xy":
         if key := _only(keywords, "INS", f"_DISTORTION_COEF_{axis.upper()}"):
-            found = _numbers(models.get("kaguyalism", {}).get(axis, [0.0]))
-            stated = keywords.numbers(key, found.size or 1)
-            yield _Twin(f"optical_distortion.kaguyalism.{axis}", found, key, stated, 1e-9)
+            own = _numbers(models.get("kaguyalism", {}).get(axis, [0.0]))
+            stated = keywords.numbers(key, own.size or 1)
+            yield _Repeated(f"optical_distortion.kaguyalism.{axis}", own, key, stated, 1e-9)
 
 
 def _numbers(values: object) -> Array:
@@ -295,35 +295,35 @@ def _center(isd: SupportData, keywords: NaifKeywords, source: str) -> Iterator[s
     at 0.5 where its first sample says so. Programs differ by halves in other keywords, and along track.
     """
     counted = isd.starting_detector_sample % 1.0 - _HALF
-    for name, k, found, shift in (
+    for name, k, center, shift in (
         ("line", 1, isd.detector_center.line, 0.0), ("sample", 0, isd.detector_center.sample, counted)
     ):
         if not (key := _only(keywords, "INS", f"_BORESIGHT_{name.upper()}")):
             continue
         stated = number(keywords, key)
-        off = abs(found - (stated + shift))
+        off = abs(center - (stated + shift))
         if off <= _SAME * 100.0:
             continue
-        others = [_only(keywords, "INS", f"_{one}") for one in ("CCD_CENTER", "CENTER")]
-        centers = [keywords.numbers(one, 2)[k] for one in others if one and len(_numbers(keywords.values[one])) > 1]
-        if not any(abs(found - one + half) < _SAME * 100.0 for one in (stated, *centers) for half in (0.0, _HALF)):
-            both = f"{found:.9g}, where {key} says {stated:.9g} (its first pixel's centre is 1)"
-            raise InputError(f"{source}, detector_center.{name}", both, "one principal point", "mend the wrong one")
-        yield f"detector_center.{name} is {found:.9g}, where {key} says {stated:.9g}"
+        keys = [_only(keywords, "INS", f"_{suffix}") for suffix in ("CCD_CENTER", "CENTER")]
+        centers = [keywords.numbers(name, 2)[k] for name in keys if name and len(_numbers(keywords.values[name])) > 1]
+        if not any(abs(center - c + half) < _SAME * 100.0 for c in (stated, *centers) for half in (0.0, _HALF)):
+            both = f"{center:.9g}, where {key} says {stated:.9g} (its first pixel's centre is 1)"
+            raise InputError(f"{source}, detector_center.{name}", both, "one principal point", "fix the wrong one")
+        yield f"detector_center.{name} is {center:.9g}, where {key} says {stated:.9g}"
 
 
 def _require_on_detector(isd: SupportData, keywords: NaifKeywords, source: str) -> None:
     """By the keywords, or by the camera that they are of; files of the archive may have masked pixels beside."""
     key, codes = _only(keywords, "INS", "_PIXEL_SAMPLES"), _codes(keywords)
-    known = [camera.pixels * _MASKED for camera in CAMERAS if camera.instrument in codes]
-    if not key and not known:
+    widths = [camera.pixels * _MASKED for camera in CAMERAS if camera.instrument in codes]
+    if not key and not widths:
         return
-    pixels, summing = number(keywords, key) if key else max(known), isd.detector_sample_summing
+    pixels, summing = number(keywords, key) if key else max(widths), isd.detector_sample_summing
     last = max(isd.starting_detector_sample, 0.0) + isd.image_samples * summing
     if last > pixels + summing or isd.starting_detector_sample < -summing:
         found = f"{isd.image_samples} samples of {summing:g} pixels from {isd.starting_detector_sample:g} on"
         expected = f"within the {pixels:.0f} pixels that {f'{key} says' if key else 'the camera has'}"
-        raise InputError(f"{source}, detector_sample_summing", found, expected, "mend one of them")
+        raise InputError(f"{source}, detector_sample_summing", found, expected, "fix one of them")
 
 
 def odd_pixels(image: PushbroomImage) -> list[str]:
@@ -354,19 +354,19 @@ def _require_rotation(isd: SupportData, keywords: NaifKeywords, source: str) -> 
     quaternions = np.array(table.quaternions[:1])
     if table.constant_frames or not are_unit(quaternions):
         return
-    found = rotation.to_matrix(rotation.unit_vectors(quaternions))[0]
-    off = float(np.linalg.norm(rotation.logarithm((found @ expected.T)[None])[0]))
+    matrix = rotation.to_matrix(rotation.unit_vectors(quaternions))[0]
+    off = float(np.linalg.norm(rotation.logarithm((matrix @ expected.T)[None])[0]))
     plain = abs(float(keywords.numbers(keys[0], 1)[0]) - _IAU2000) < 1e-3
     if off > (_PLAIN_POLE if plain else _POLE):
         raise InputError(
             f"{source}, body_rotation", f"a body turned by {off / DEG:.4g} degrees",
-            f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "mend the wrong one",
+            f"the pole and prime meridian of {keys[2].removesuffix('_PM')}", "fix the wrong one",
         )  # fmt: skip
 
 
 def _codes(keywords: NaifKeywords) -> set[int]:
     """NAIF ids of the instruments whose optics keywords have."""
-    return {int(found[1]) for key in keywords.values if (found := re.match(_OPTICS, key))}
+    return {int(match[1]) for key in keywords.values if (match := re.match(_OPTICS, key))}
 
 
 def _only(keywords: NaifKeywords, begin: str, end: str) -> str:
@@ -387,13 +387,13 @@ def keywords_of_camera(isd: SupportData, source: str) -> tuple[NaifKeywords, lis
         raise InputError(f"{source}, naif_keywords, {nested[0]}", "an object", "a number, a word or a list")
     table = isd.instrument_pointing
     frames = {str(code) for code in (*(table.constant_frames or ()), *(table.time_dependent_frames or ()))}
-    codes = {found[1] for key in values if (found := re.match(_OPTICS, key))}
+    codes = {match[1] for key in values if (match := re.match(_OPTICS, key))}
     others = codes - frames if codes & frames else set[str]()
     # parts of a detector (HiRISE's CCDs) have constants that the whole camera lacks
-    mine = {key: value for key, value in values.items() if not any(key.startswith(f"INS{code}_") for code in others)}
-    ends = {key.partition("_")[2] for key in mine if key.startswith("INS")}
-    mine |= {key: value for key, value in values.items() if key not in mine and key.partition("_")[2] not in ends}
-    kept = NaifKeywords(source, mine)
-    optics = sorted({key.partition("_")[2] for key in mine if re.match(_OPTICS, key)})
-    left = [end for end in optics if not _only(kept, "INS", f"_{end}")]
-    return kept, [f"keywords of several instruments that differ are not compared: {', '.join(left)}"] if left else []
+    chosen = {key: value for key, value in values.items() if not any(key.startswith(f"INS{code}_") for code in others)}
+    ends = {key.partition("_")[2] for key in chosen if key.startswith("INS")}
+    chosen |= {key: value for key, value in values.items() if key not in chosen and key.partition("_")[2] not in ends}
+    keywords = NaifKeywords(source, chosen)
+    optics = sorted({key.partition("_")[2] for key in chosen if re.match(_OPTICS, key)})
+    odd = [end for end in optics if not _only(keywords, "INS", f"_{end}")]
+    return keywords, [f"keywords of several instruments that differ are not compared: {', '.join(odd)}"] if odd else []

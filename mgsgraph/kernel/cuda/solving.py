@@ -170,9 +170,9 @@ def one_row(value, of_point, state):
 def range_rows(data, at, stride, state, point, weight):
     """Row of a range; its state is the instrument's position, and the range bias."""
     centre = add(vector(data, at, stride, 0), (state[0], state[1], state[2]))
-    value, of_point = range_residual(data[at + 3 * stride], point, centre, state[3])
-    of_point = scale(weight, of_point)
-    return one_row(weight * value, of_point, by_shift(of_point, -weight))
+    shares, measured = vector(data, at, stride, 3), data[at + 6 * stride]
+    value, of_point, of_centre = range_residual(measured, point, centre, state[3], shares)
+    return one_row(weight * value, scale(weight, of_point), by_shift(scale(-weight, of_centre), -weight))
 
 
 @on_device

@@ -38,7 +38,7 @@ OUTSIDE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckProfile(Record):
-    """Shots of one file that took no part, and what is known of them."""
+    """Shots of one file that took no part, and their sigmas."""
 
     name: str
     """Name of the file."""
@@ -118,31 +118,31 @@ def check_profiles(
     for file, (_, shots) in zip(more, entries[len(stated) :], strict=True):
         if not np.any(shots.ground):
             raise InputError(str(file), f"{shots.times.size} shots, none from the ground", "ground returns")
-    found = (
+    checked = (
         _unused(posterior, entry, part, used, name)
         for entry, shots in entries for name, part in _by_shifts(shots, posterior.network.shift_names)
     )  # fmt: skip
-    return tuple(one for one in found if one.shots.times.size)
+    return tuple(check for check in checked if check.shots.times.size)
 
 
 def _by_shifts(shots: AltimeterShots, shifts: Collection[str]) -> Iterator[tuple[str, AltimeterShots]]:
     """Shots of a file with the name of their shift: that of the file, or of each of its profiles."""
     stem, names = Path(shots.source).stem, shots.profile_names()
-    parts = [one for one in names.used if f"{stem}:{one}" in shifts]
+    parts = [profile for profile in names.used if f"{stem}:{profile}" in shifts]
     number = names.over(parts)
-    for k, one in enumerate(parts):
-        yield f"{stem}:{one}", shots.chosen(number == k)
-    others = number < 0
-    if np.any(others):
-        yield stem, shots.chosen(others)
+    for k, profile in enumerate(parts):
+        yield f"{stem}:{profile}", shots.chosen(number == k)
+    rest = number < 0
+    if np.any(rest):
+        yield stem, shots.chosen(rest)
 
 
 def _unused(
     posterior: Posterior, entry: ShotsInput, shots: AltimeterShots, used: Collection[str], name: str
 ) -> CheckProfile:
     stem = Path(shots.source).stem
-    taken = np.array([f"{stem}:{one}" in used for one in shots.ids], dtype=bool)
-    left = shots.chosen(shots.ground & ~taken)
+    in_solution = np.array([f"{stem}:{shot}" in used for shot in shots.ids], dtype=bool)
+    left = shots.chosen(shots.ground & ~in_solution)
     values, covariance = np.zeros(2), np.eye(2) * (entry.shift_sigma_m or 0.0) ** 2
     ways = east_north(left.footprints)
     network, linearised = posterior.network, posterior.linearised
@@ -151,7 +151,7 @@ def _unused(
         for k, shared in enumerate(network.shared):
             if shared.kind.moves_footprints and _moves(network, shared, name):
                 variables.append(network.first_shared + k)
-                ways = np.concatenate([ways, _motion(network, shared, shots.chosen(taken), left)], axis=1)
+                ways = np.concatenate([ways, _motion(network, shared, shots.chosen(in_solution), left)], axis=1)
         values = np.concatenate([linearised.values[variable] for variable in variables])
         covariance = linearised.joint.of(variables)
     assert entry.ground_sigma_m is not None
@@ -165,10 +165,10 @@ def _moves(network: Network, shared: SharedUnknown, name: str) -> bool:
 
 
 def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left: AltimeterShots) -> Array:
-    """(n, width, 3) m per unit, how a shared unknown of the used shots moves those that are left; nothing where no
+    """(n, width, 3) m per unit, how a shared unknown of the used shots moves the others; nothing where no
     image was taken along with them.
     """
-    found = np.zeros((left.times.size, shared.kind.width, 3))
+    motion = np.zeros((left.times.size, shared.kind.width, 3))
     if shared.kind is SharedKind.PROFILE_DRIFT:
         ends = used.times.min(), used.times.max()
         along = (2.0 * left.times - sum(ends)) / max(ends[1] - ends[0], 1e-9) * float(ends[1] > ends[0])
@@ -177,8 +177,8 @@ def _motion(network: Network, shared: SharedUnknown, used: AltimeterShots, left:
         trajectory = network.images[j].trajectory
         since, (start, stop) = left.times - trajectory.epoch, trajectory.coverage
         along_with = (since >= start) & (since <= stop)
-        found[along_with] = beam_motion(network.images[j], since[along_with], left.footprints[along_with])
-    return found
+        motion[along_with] = beam_motion(network.images[j], since[along_with], left.footprints[along_with])
+    return motion
 
 
 def _height_sigma(entry: ShotsInput) -> float:
@@ -187,47 +187,47 @@ def _height_sigma(entry: ShotsInput) -> float:
 
 def checked(model: HeightGrid, profiles: Sequence[CheckProfile]) -> HeightChecks:
     """Compare a terrain model with the shots that lie on it, between four posts with heights."""
-    parts = [_differences(model, one, k) for k, one in enumerate(profiles)]
+    parts = [_differences(model, entry, k) for k, entry in enumerate(profiles)]
     ids = tuple(name for part, _ in parts for name in part)
     columns = [np.concatenate(column) for column in zip(*(arrays for _, arrays in parts), strict=True)] or [
         np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 2)), *(np.zeros(0) for _ in range(4))
     ]  # fmt: skip
-    profile, *others = columns
-    return HeightChecks(tuple(one.name for one in profiles), profile, ids, *others)
+    profile, *rest = columns
+    return HeightChecks(tuple(entry.name for entry in profiles), profile, ids, *rest)
 
 
-def _differences(model: HeightGrid, one: CheckProfile, number: int) -> tuple[list[str], tuple[Array, ...]]:
+def _differences(model: HeightGrid, check: CheckProfile, number: int) -> tuple[list[str], tuple[Array, ...]]:
     """Names of the shots on the model, and the columns of `HeightChecks` from `profile` on."""
-    given = one.shots.footprints
-    positions = given + np.einsum("w,nwj->nj", one.values, one.ways)
+    given = check.shots.footprints
+    positions = given + np.einsum("w,nwj->nj", check.values, check.ways)
     plane = model.map.chart.plane(positions)
     pixels = model.map.pixels(plane)
     heights = bilinear(model.heights, pixels)
     on = np.isfinite(heights) & (np.einsum("ni,i->n", positions, model.map.chart.axes[2]) > 0.0)  # not the far side
     pixels, heights, positions, plane = pixels[on], heights[on], positions[on], plane[on]
     slopes = np.nan_to_num(bilinear(model.slopes, pixels))
-    ways = np.einsum("nij,nwj->nwi", east_north_up(given[on]), one.ways[on])
+    ways = np.einsum("nij,nwj->nwi", east_north_up(given[on]), check.ways[on])
     common = np.einsum("nwi,ni->nw", ways, np.column_stack([slopes, -np.ones(len(slopes))]))
-    planimetric = one.sigma**2 * np.sum(slopes**2, axis=1) + np.einsum("nv,vw,nw->n", common, one.covariance, common)
+    horizontal = check.sigma**2 * np.sum(slopes**2, axis=1) + np.einsum("nv,vw,nw->n", common, check.covariance, common)
     matching, orientation = (bilinear(band, pixels) for band in (model.matching, model.orientation))
-    independent = matching**2 + one.height_sigma**2 + planimetric
+    independent = matching**2 + check.height_sigma**2 + horizontal
     differences = heights - (np.linalg.norm(positions, axis=1) - model.map.radius)
-    ids = np.array(one.shots.ids, dtype=object)[on].tolist()
+    ids = np.array(check.shots.ids, dtype=object)[on].tolist()
     return ids, (
         np.full(len(ids), number), positions, plane, heights, differences, np.sqrt(independent + orientation**2),
         np.sqrt(independent),
     )  # fmt: skip
 
 
-def check_figures(checks: HeightChecks, mine: Mask) -> dict[str, float]:
+def check_figures(checks: HeightChecks, chosen: Mask) -> dict[str, float]:
     """Number of some shots, and mean, rms (m), rms over stated sigma and share beyond three of their differences."""
-    off, ratio = checks.differences[mine], checks.differences[mine] / checks.sigmas[mine]
+    off, ratio = checks.differences[chosen], checks.differences[chosen] / checks.sigmas[chosen]
     return {
-        "shots": int(mine.sum()),
+        "shots": int(chosen.sum()),
         "mean_m": float(off.mean()),
         "rms_m": root_mean_square(off),
         "scatter_m": float(off.std()),
         "rms_by_sigma": root_mean_square(ratio),
-        "scatter_by_independent_sigma": root_mean_square((off - off.mean()) / checks.independent[mine]),
+        "scatter_by_independent_sigma": root_mean_square((off - off.mean()) / checks.independent[chosen]),
         "beyond_3_sigma": float(np.mean(np.abs(ratio) > OUTSIDE)),
     }

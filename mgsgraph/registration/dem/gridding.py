@@ -105,11 +105,11 @@ def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatc
     (`production.adjusted_scene`). Those whose rays don't meet are left out; InputError where none is left.
     """
     parts = [
-        _of_pair(posterior, scene, one, k, slice(begin, begin + _AT_ONCE), nodes)
-        for k, one in enumerate(matches)
-        if len(one.anchors)
-        for nodes in [_orientation_nodes(posterior, scene, one)]
-        for begin in range(0, len(one.anchors), _AT_ONCE)
+        _of_pair(posterior, scene, matched, k, slice(begin, begin + _AT_ONCE), nodes)
+        for k, matched in enumerate(matches)
+        if len(matched.anchors)
+        for nodes in [_orientation_nodes(posterior, scene, matched)]
+        for begin in range(0, len(matched.anchors), _AT_ONCE)
     ]
     joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
     if not joined or not len(joined[0]):
@@ -122,16 +122,16 @@ def intersected(posterior: Posterior, scene: Scene, matches: Sequence["DenseMatc
 
 
 def _of_pair(
-    posterior: Posterior, scene: Scene, one: "DenseMatches", number: int, some: slice, nodes: "_Nodes"
+    posterior: Posterior, scene: Scene, matched: "DenseMatches", number: int, some: slice, nodes: "_Nodes"
 ) -> tuple[Array, Array, Array, Index, Array, Array]:
     """The record's arrays for some matches of a pair."""
-    first, second = (scene.pictures[j] for j in (one.first, one.second))
-    met = _crossed(first, second, one.anchors[some], one.pixels[some])
+    first, second = (scene.pictures[j] for j in (matched.first, matched.second))
+    met = _crossed(first, second, matched.anchors[some], matched.pixels[some])
     variance, of_miss = (
-        np.einsum("ni,nij,nj->n", rows, one.covariances[some], rows) for rows in (met.by_pixel, met.miss_by_pixel)
+        np.einsum("ni,nij,nj->n", rows, matched.covariances[some], rows) for rows in (met.by_pixel, met.miss_by_pixel)
     )
     good = met.good & np.isfinite(variance) & (variance > 0.0)
-    orientation = nodes.at(one.anchors[some][good])
+    orientation = nodes.at(matched.anchors[some][good])
     matching = met.along[good] * np.sqrt(variance[good])[:, None]
     pair = np.full(int(good.sum()), number)
     return met.positions[good], matching, orientation, pair, met.misses[good], np.sqrt(of_miss[good])
@@ -176,10 +176,10 @@ class _Nodes(NamedTuple):
         return between_nodes(self.covariances, at)
 
 
-def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") -> _Nodes:
+def _orientation_nodes(posterior: Posterior, scene: Scene, matched: "DenseMatches") -> _Nodes:
     """Over the part of the first image that is matched."""
-    first, second = (scene.pictures[j] for j in (one.first, one.second))
-    low, high = one.anchors.min(axis=0) - 1.0, one.anchors.max(axis=0) + 1.0
+    first, second = (scene.pictures[j] for j in (matched.first, matched.second))
+    low, high = matched.anchors.min(axis=0) - 1.0, matched.anchors.max(axis=0) + 1.0
     lines = np.linspace(low[0], high[0], max(_LEAST_NODES, int((high[0] - low[0]) / _LINES_PER_NODE) + 1))
     samples = np.linspace(low[1], high[1], _NODES_ACROSS)
     down, across = np.meshgrid(lines, samples, indexing="ij")
@@ -191,18 +191,18 @@ def _orientation_nodes(posterior: Posterior, scene: Scene, one: "DenseMatches") 
     ]
     number, count = [posterior.network.image_number(picture.image.name) for picture in (first, second)], len(anchors)
     both = [np.stack(part, axis=1).reshape(-1, 2) for part in zip(*rays, strict=True)]
-    asked = ImageRays(np.repeat(np.arange(count), 2), np.tile(number, count), *both)
-    found = posterior.intersections(asked)[1].reshape(lines.size, samples.size, 3, 3)
-    if not np.all(np.isfinite(found)):
+    lattice = ImageRays(np.repeat(np.arange(count), 2), np.tile(number, count), *both)
+    covariances = posterior.intersections(lattice)[1].reshape(lines.size, samples.size, 3, 3)
+    if not np.all(np.isfinite(covariances)):
         names = f"images {first.image.name} and {second.image.name}"
         raise InputError(names, "rays that don't meet as they were adjusted", "images of common ground")
-    return _Nodes(lines, samples, found)
+    return _Nodes(lines, samples, covariances)
 
 
 def _pixel_sizes(picture: Picture, ground: Ground, pixels: Array) -> Array:
     """(n, 2) m on the ground of a step of one line and of one sample from lines and samples (n, 2)."""
-    here = picture.on_chart(ground, pixels)
-    sizes = [np.linalg.norm(picture.on_chart(ground, pixels + step) - here, axis=1) for step in np.eye(2)]
+    base = picture.on_chart(ground, pixels)
+    sizes = [np.linalg.norm(picture.on_chart(ground, pixels + step) - base, axis=1) for step in np.eye(2)]
     return np.stack(sizes, axis=1)
 
 
@@ -310,9 +310,9 @@ def bilinear(values: Array, pixels: Array) -> Array:
     beside posts that are NaN.
     """
     inside = np.all((pixels >= 0.0) & (pixels <= np.array(values.shape[:2]) - 1.0), axis=1)
-    found = between_nodes(values, np.where(inside[:, None], pixels, 0.0))
-    found[~inside] = np.nan
-    return found
+    result = between_nodes(values, np.where(inside[:, None], pixels, 0.0))
+    result[~inside] = np.nan
+    return result
 
 
 _REACH = 1.5
@@ -348,10 +348,10 @@ class HeightGrid(Record):
     @property
     def slopes(self) -> Array:
         """(rows, columns, 2) m per m, eastward and northward, between the neighbours of each post; NaN at the edges."""
-        found = np.full((*self.heights.shape, 2), np.nan)
-        found[:, 1:-1, 0] = (self.heights[:, 2:] - self.heights[:, :-2]) / (2.0 * self.map.post)
-        found[1:-1, :, 1] = (self.heights[:-2] - self.heights[2:]) / (2.0 * self.map.post)
-        return found
+        gradients = np.full((*self.heights.shape, 2), np.nan)
+        gradients[:, 1:-1, 0] = (self.heights[:, 2:] - self.heights[:, :-2]) / (2.0 * self.map.post)
+        gradients[1:-1, :, 1] = (self.heights[:-2] - self.heights[2:]) / (2.0 * self.map.post)
+        return gradients
 
 
 def gridded(
@@ -371,8 +371,8 @@ def gridded(
         raise InputError("terrain model", f"points every {spacing} m, windows of {window} m", "positive numbers")
     parts = _parts(grid.post / spacing)
     finer = replace(grid, post=grid.post / parts, rows=parts * grid.rows, columns=parts * grid.columns)
-    found = _fitted(points, finer, spacing, window, workers, progress)
-    height, variance, orientation, count, excess, freedom, squares = np.moveaxis(found, 2, 0)
+    posts = _fitted(points, finer, spacing, window, workers, progress)
+    height, variance, orientation, count, excess, freedom, squares = np.moveaxis(posts, 2, 0)
     relief = np.where(count < _MANY, _pooled(excess) / _pooled(freedom), excess / freedom)
     matching = np.sqrt(variance + np.maximum(relief, 0.0) * (1.0 + squares))
     bands = [height, matching, orientation, np.nan_to_num(count).astype(np.int32)]
@@ -386,7 +386,7 @@ def gridded(
 
 
 def _parts(ratio: float) -> int:
-    """Into how many posts, an odd number, one that is `ratio` as wide as points are apart is divided."""
+    """Number of posts, odd, into which a post is divided; `ratio` is its width over the distance of points."""
     return 1 + 2 * max(round((ratio - 1.0) / 2.0), 0)
 
 
@@ -397,24 +397,24 @@ def _fitted(
     """(rows, columns, COLUMNS) of the kernel, which works with the post as its unit of length."""
     from mgsgraph.registration.dem.surface import COLUMNS, surface  # numba takes its time to load
 
-    found = np.full((grid.rows, grid.columns, COLUMNS), np.nan)
+    posts = np.full((grid.rows, grid.columns, COLUMNS), np.nan)
     kernel_input = _by_cell(points, grid)
 
     def fit(first: int) -> None:
         last = min(first + _ROWS_AT_ONCE, grid.rows)
         surface(
-            first, last, grid.columns, *kernel_input, _REACH * spacing / grid.post, window / grid.post, found
+            first, last, grid.columns, *kernel_input, _REACH * spacing / grid.post, window / grid.post, posts
         )
 
     blocks = range(0, grid.rows, _ROWS_AT_ONCE)
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(fit, blocks), start=1):
             progress("gridding", min(done * _ROWS_AT_ONCE, grid.rows), grid.rows)
-    return found
+    return posts
 
 
 def _by_cell(points: DensePoints, grid: MapGrid) -> tuple[NDArray[np.int64], Array, Array, Array, NDArray[np.int64]]:
-    """What the kernel takes: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
+    """Input of the kernel: first point of each cell, positions, covariances along the map's axes in posts, pairs."""
     pixels = grid.pixels(grid.chart.plane(points.positions))
     nearest = np.rint(pixels).astype(np.int64)
     inside = np.all((nearest >= 0) & (nearest < [grid.rows, grid.columns]), axis=1)

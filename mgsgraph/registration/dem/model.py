@@ -57,12 +57,12 @@ class DemSettings(Record):
             value = getattr(self, name)
             good = value is None or 0.0 < value < np.inf
             require(good, f"terrain model, {name.replace('_', ' ')}", f"{value} m", "a positive number")
-        known = get_args(Heights)
-        require(self.heights in known, "terrain model, heights", repr(self.heights), " or ".join(known))
+        choices = get_args(Heights)
+        require(self.heights in choices, "terrain model, heights", repr(self.heights), " or ".join(choices))
 
 
 class MatchedPair(NamedTuple):
-    """How densely, and how well, two images were matched."""
+    """Density and quality of the matches of two images."""
 
     images: tuple[str, str]
     """Names of both."""
@@ -136,9 +136,9 @@ def dem_of(
     require_reference(posterior, settings)
     progress("intersecting", 0, 1)
     points = intersected(posterior, scene, matches)
-    spacing = max(one.spacing for one in matches)
+    spacing = max(pair.spacing for pair in matches)
     grid = MapGrid.around(points.positions, scene.ground.body, settings.post or spacing)
-    related = replace(points, pair=_kin([(one.first, one.second) for one in matches])[points.pair])
+    related = replace(points, pair=_kin([(pair.first, pair.second) for pair in matches])[points.pair])
     model = gridded(related, grid, spacing, window, workers, progress)
     heights, reference = model.heights, f"a sphere of {grid.radius / KM:.3f} km"
     areoid = posterior.network.areoid
@@ -147,12 +147,12 @@ def dem_of(
     names = tuple(picture.image.name for picture in scene.pictures)
     pairs = tuple(
         MatchedPair(
-            (names[one.first], names[one.second]), len(one.anchors), one.posts,
+            (names[pair.first], names[pair.second]), len(pair.anchors), pair.posts,
             *(root_mean_square(misses[points.pair == k]) for misses in (points.misses, points.miss_sigmas)),
         )
-        for k, one in enumerate(matches)
+        for k, pair in enumerate(matches)
     )  # fmt: skip
-    ortho = max(matches, key=lambda one: len(one.anchors)).first
+    ortho = max(matches, key=lambda pair: len(pair.anchors)).first
     checks = checked(model, profiles)
     return Dem(
         name, names, ortho, model, heights, reference, pairs, spacing, window, checks, tuple(profiles)
@@ -177,7 +177,7 @@ def ortho_grid(dem: Dem, scene: Scene, settings: DemSettings) -> MapGrid:
 
 
 def require_reference(posterior: Posterior, settings: DemSettings) -> None:
-    """Raise InputError where heights are asked for above an areoid that nobody knows."""
+    """Raise InputError where heights are wanted above an unknown areoid."""
     if settings.heights == "areoid" and posterior.network.areoid is None:
         raise InputError(
             "terrain model, heights", "areoid, which the adjusted case doesn't have",
@@ -187,10 +187,10 @@ def require_reference(posterior: Posterior, settings: DemSettings) -> None:
 
 def _above_areoid(model: HeightGrid, areoid: TerrainGrid) -> Array:
     """(rows, columns) m; NaN where the areoid isn't known."""
-    there = np.isfinite(model.heights)
-    found = np.full(there.shape, np.nan)
-    points = model.map.points(model.map.posts()[there.ravel()], model.heights[there])
-    found[there] = areoid_heights(points, areoid)
-    if not np.any(np.isfinite(found)):
+    has_height = np.isfinite(model.heights)
+    heights = np.full(has_height.shape, np.nan)
+    points = model.map.points(model.map.posts()[has_height.ravel()], model.heights[has_height])
+    heights[has_height] = areoid_heights(points, areoid)
+    if not np.any(np.isfinite(heights)):
         raise InputError(f"terrain {areoid.source}", "no areoid under the terrain model", "one of the images' ground")
-    return found
+    return heights

@@ -59,7 +59,7 @@ def ortho_tiles(
     over = _ModelGround(
         grid.chart, ground.body, ground.height, ground.height_sigma, map=model.map, filled=_filled(model.heights)
     )
-    there = np.isfinite(model.heights)
+    has_height = np.isfinite(model.heights)
     corners = [(row, column) for row in range(0, grid.rows, _SIDE) for column in range(0, grid.columns, _SIDE)]
     for k, (row, column) in enumerate(corners):
         rows, columns = min(_SIDE, grid.rows - row), min(_SIDE, grid.columns - column)
@@ -67,52 +67,52 @@ def ortho_tiles(
             grid.longitude, grid.latitude, grid.radius, grid.west + column * grid.post, grid.north - row * grid.post,
             grid.post, rows, columns,
         )  # fmt: skip
-        inside = _nearest(there, model.map, part)
+        inside = _nearest(has_height, model.map, part)
         west, south = part.west + 0.5 * grid.post, part.north - (rows - 0.5) * grid.post
         patch = ortho_patch(picture, over, Tile(k, west, south, grid.post, rows, columns, 0))
         progress("ortho image", k + 1, len(corners))
         if patch is not None and np.any(inside):
-            shown = (patch.valid[::-1] > 0) & inside
-            yield row, column, np.where(shown, np.maximum(patch.grey[::-1], 1), 0).astype(np.uint8)
+            visible = (patch.valid[::-1] > 0) & inside
+            yield row, column, np.where(visible, np.maximum(patch.grey[::-1], 1), 0).astype(np.uint8)
 
 
-def _nearest(there: NDArray[np.bool_], model: MapGrid, part: MapGrid) -> NDArray[np.bool_]:
+def _nearest(has_height: NDArray[np.bool_], model: MapGrid, part: MapGrid) -> NDArray[np.bool_]:
     """(rows, columns) whether the post of the model in whose cell each pixel of `part` lies has a height."""
     y = part.north - (np.arange(part.rows) + 0.5) * part.post
     x = part.west + (np.arange(part.columns) + 0.5) * part.post
     rows = np.clip(((model.north - y) / model.post).astype(np.int64), 0, model.rows - 1)
     columns = np.clip(((x - model.west) / model.post).astype(np.int64), 0, model.columns - 1)
-    return np.asarray(there[np.ix_(rows, columns)])
+    return np.asarray(has_height[np.ix_(rows, columns)])
 
 
 def _filled(heights: Array) -> Array:
     """(rows, columns) m without NaN: holes and the rim take the mean of what is next to them, ring by ring; what is
     far away takes the mean of all.
     """
-    found = heights.copy()
+    filled = heights.copy()
     for _ in range(_REACH):
-        holes = np.isnan(found)
+        holes = np.isnan(filled)
         if not holes.any():
-            return found
-        padded = np.pad(found, 1, constant_values=np.nan)
-        near = [padded[i : i + found.shape[0], j : j + found.shape[1]][holes] for i in range(3) for j in range(3)]
-        known = np.isfinite(near)
-        count = known.sum(axis=0)
-        found[holes] = np.where(count > 0, np.where(known, near, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-    return np.where(np.isnan(found), np.nanmean(heights), found)
+            return filled
+        padded = np.pad(filled, 1, constant_values=np.nan)
+        near = [padded[i : i + filled.shape[0], j : j + filled.shape[1]][holes] for i in range(3) for j in range(3)]
+        finite = np.isfinite(near)
+        count = finite.sum(axis=0)
+        filled[holes] = np.where(count > 0, np.where(finite, near, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return np.where(np.isnan(filled), np.nanmean(heights), filled)
 
 
 _LEAST_SIGMA = 100.0
 """m, by how much the ground may leave the mean height of the adjusted points, at least."""
 
 
-def expected_ground(posterior: Posterior, wanted: CaseInput) -> tuple[float | None, float | None]:
+def expected_ground(posterior: Posterior, tables: CaseInput) -> tuple[float | None, float | None]:
     """Height of the ground above the ellipsoid in m, and by how much it may leave that: of the adjusted points, where
     the case has no terrain model that says more.
     """
     points = posterior.linearised.points
     points = points[np.linalg.norm(points, axis=1) > 0.0]
-    if wanted.terrain_models or not len(points):
+    if tables.terrain_models or not len(points):
         return None, None
     heights = geodetic(points, posterior.network.images[0].body)[:, 2]
     return float(np.median(heights)), max(_LEAST_SIGMA, 2.0 * float(heights.std()))
@@ -128,9 +128,9 @@ def densely_matched(
 
 
 def adjusted_names(
-    there: Sequence[str], posterior: Posterior, chosen: Sequence[str] = (), where: str = "the case"
+    available: Sequence[str], posterior: Posterior, chosen: Sequence[str] = (), where: str = "the case"
 ) -> list[str]:
-    """Of the images `there`, those `chosen` (all when empty); `where` names their case in errors.
+    """Of the images `available`, those `chosen` (all when empty); `where` names their case in errors.
 
     Raises
     ------
@@ -138,12 +138,12 @@ def adjusted_names(
         Where one was not adjusted, isn't there, or there are fewer than two.
     """
     with errors_from(where):
-        names = image_names(chosen, there) or list(there)
+        names = image_names(chosen, available) or list(available)
     if len(names) < 2:
         raise InputError(where, f"one image for a terrain model ({names[0]})", "two different ones, at least")
     adjusted = [image.name for image in posterior.network.images]
     if missing := [name for name in names if name not in adjusted]:
-        both = sum(name in adjusted for name in there) > 1
+        both = sum(name in adjusted for name in available) > 1
         raise InputError(
             where, f"images that the solution doesn't have: {some(missing, len(missing))}",
             f"those that were adjusted ({some(adjusted, len(adjusted))})",
@@ -161,10 +161,10 @@ def adjusted_scene(scene: Scene, posterior: Posterior, chosen: Sequence[str] = (
     InputError
         As `adjusted_names`.
     """
-    there = {picture.image.name: picture for picture in scene.pictures}
+    by_name = {picture.image.name: picture for picture in scene.pictures}
     pictures = [
-        replace(there[name], image=posterior.image(j), correction=posterior.correction(j))
-        for name in adjusted_names(list(there), posterior, chosen)
+        replace(by_name[name], image=posterior.image(j), correction=posterior.correction(j))
+        for name in adjusted_names(list(by_name), posterior, chosen)
         for j in [posterior.network.image_number(name)]
     ]
     return replace(scene, pictures=tuple(pictures))

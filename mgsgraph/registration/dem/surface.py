@@ -5,7 +5,7 @@ absolute residuals (Tukey's weights, so that a single blunder counts for nothing
 theirs, a'h, so its variance is a' S a with S_ij = s_i s_j r_ij: matching errors of pairs that have images in common are
 correlated by what their windows share, r = (1 - |dx| / w) (1 - |dy| / w), and n neighbours are not n measurements.
 
-What scatters about the plane beyond that is relief (or noise that nobody stated). With weights W and the projection
+What scatters about the plane beyond that is relief (or unstated noise). With weights W and the projection
 Q = W X (X'WX)^-1 X' W the squares' expectation is E r'Wr = tr(WS) - tr(QS) + relief^2 (tr W - tr Q); `surface` returns
 both sides, to be pooled over neighbouring posts.
 """
@@ -36,7 +36,7 @@ _LEAST_SIGMA = 1e-9
 
 
 class _Given(NamedTuple):
-    """What `surface` is given of the points."""
+    """Input of `surface` about the points."""
 
     columns: int
     first: Index
@@ -49,7 +49,7 @@ class _Given(NamedTuple):
 
 
 class _Near(NamedTuple):
-    """Points near a post, and what is made of them; arrays for as many as any post has."""
+    """Points near a post, and work arrays; each is large enough for any post."""
 
     x: Array
     """posts eastward from the post."""
@@ -79,13 +79,13 @@ class _Near(NamedTuple):
 
 @compiled
 def _sort(values: Array, n: int) -> None:
-    """By insertion: so few are there, and NumPy's takes long to compile."""
+    """Insertion sort: there are few values, and NumPy's sort takes long to compile."""
     for i in range(1, n):
-        one, j = values[i], i - 1
-        while j >= 0 and values[j] > one:
+        value, j = values[i], i - 1
+        while j >= 0 and values[j] > value:
             values[j + 1] = values[j]
             j -= 1
-        values[j + 1] = one
+        values[j + 1] = value
 
 
 @compiled
@@ -123,7 +123,7 @@ def _empty(n: int) -> _Near:
 
 @compiled
 def _gather(given: _Given, row: int, column: int, near: _Near) -> int:
-    """Fill in the points within reach of a post; how many."""
+    """Fill in the points within reach of a post; their number."""
     n = 0
     begin, end, west, east = _cells(given, row, column)
     for i in range(begin, end):
@@ -186,7 +186,7 @@ def _robust(near: _Near, n: int) -> bool:
         return False
     if _residuals(near, n) <= _FINE:
         return True
-    for _ in range(_ABSOLUTE):  # near and far points alike: a blunder at the post itself has no neighbour's weight
+    for _ in range(_ABSOLUTE):  # near and far points in one way: a blunder at the post itself has no neighbour's weight
         for i in range(n):
             near.w[i] = 1.0 / (near.sigma[i] * max(near.left[i], near.sigma[i]))
         if not _plane(near, n):
@@ -225,15 +225,15 @@ def _surrounded(near: _Near, n: int) -> bool:
 
 
 @compiled
-def _keep(near: _Near, n: int) -> int:
-    """Close up the points that count; how many."""
-    kept = 0
+def _compact(near: _Near, n: int) -> int:
+    """Move the points that count to the front; their number."""
+    count = 0
     for i in range(n):
         if near.w[i] > 0.0:
-            near.x[kept], near.y[kept], near.h[kept] = near.x[i], near.y[i], near.h[i]
-            near.w[kept], near.which[kept] = near.w[i], near.which[i]
-            kept += 1
-    return kept
+            near.x[count], near.y[count], near.h[count] = near.x[i], near.y[i], near.h[i]
+            near.w[count], near.which[count] = near.w[i], near.which[i]
+            count += 1
+    return count
 
 
 @compiled
@@ -308,7 +308,7 @@ def _correlated(given: _Given, near: _Near, n: int) -> tuple[float, float, float
 @cached_kernel
 def surface(
     first_row: int, last_row: int, columns: int, first: Index, points: Array, spread: Array, orientation: Array,
-    pair: Index, reach: float, window: float, found: Array,
+    pair: Index, reach: float, window: float, posts: Array,
 ) -> None:
     """Fit the posts of some rows.
 
@@ -332,7 +332,7 @@ def surface(
         posts, up to which points count.
     window : float
         posts, width of a matching window.
-    found : (rows, columns, COLUMNS)
+    posts : (rows, columns, COLUMNS)
         Filled; left as it is where there is no height.
     """
     given = _Given(columns, first, points, spread, orientation, pair, reach, window)
@@ -347,8 +347,8 @@ def surface(
                 near.h[i] -= level
             if not _robust(near, n) or not _surrounded(near, n):
                 continue
-            n = _keep(near, n)
+            n = _compact(near, n)
             if n < LEAST:
                 continue
-            found[row, column, 0] = near.plane[0] + level
-            _sigmas(given, near, n, found[row, column])
+            posts[row, column, 0] = near.plane[0] + level
+            _sigmas(given, near, n, posts[row, column])

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from mgsgraph.geometry.records import Array, thinned
-from mgsgraph.matching.coarse import apart
+from mgsgraph.matching.coarse import match_offsets
 from mgsgraph.matching.match import Matches
 from mgsgraph.matching.scene import Scene, by_pair, footprints
 from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, MOST_MARKS, SOFT, Sheet, new_sheet, number, plain_style
@@ -54,5 +54,5 @@ def _nominal(matches: Matches, scene: Scene) -> tuple[Array, Array]:
     for i, j, mine in by_pair(picture[anchors], picture[others]):
         places = ties.measures[anchors[mine]], ties.measures[others[mine]]
         plane[mine] = scene.pictures[i].on_chart(scene.ground, places[0])
-        nominal[mine] = apart(scene.pictures[i], scene.pictures[j], places, scene.ground)
+        nominal[mine] = match_offsets(scene.pictures[i], scene.pictures[j], places, scene.ground)
     return plane, nominal

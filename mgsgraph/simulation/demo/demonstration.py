@@ -70,10 +70,10 @@ def point_errors(solution: Solution, truth: Mapping[str, Array], point_class: Po
 def point_statements(solution: Solution, truth: Mapping[str, Array]) -> list[str]:
     """A sentence with the errors of tie points and laser points, and one with their stated sigmas against these."""
     classes = (PointClass.TIE, PointClass.LASER)
-    found = [(one.name.lower(), errors) for one in classes if (errors := point_errors(solution, truth, one))]
-    sizes = [f"{name} points {length(one.rms_before)} before, {length(one.rms_after)} after (predicted "
-             f"{two(one.predicted)})" for name, one in found]  # fmt: skip
-    ratios = [f"{one.nees:.2f} of {name} points" for name, one in found]
+    by_class = [(kind.name.lower(), errors) for kind in classes if (errors := point_errors(solution, truth, kind))]
+    sizes = [f"{name} points {length(error.rms_before)} before, {length(error.rms_after)} after (predicted "
+             f"{two(error.predicted)})" for name, error in by_class]  # fmt: skip
+    ratios = [f"{error.nees:.2f} of {name} points" for name, error in by_class]
     return [
         f"Absolute error: {'; '.join(sizes)}.",
         f"Stated sigmas: NEES per degree of freedom {listed(ratios)} (1: consistent; one draw scatters).",
@@ -115,7 +115,7 @@ _MOST = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disagreement:
-    """Of one laser profile in one image."""
+    """Disagreement of one laser profile and one image."""
 
     state: str
     """The step after which it is."""
@@ -135,22 +135,22 @@ class Disagreement:
 def disagreements(
     simulated: SimulatedSite, case: Case, steps: Sequence[tuple[str, Solution | None]]
 ) -> tuple[Disagreement, ...]:
-    """Of each profile in each image that sees it, by the kernels (no solution) and by solutions of the case."""
-    known, found = true_shots(simulated), list[Disagreement]()
+    """One for each profile in each image that sees it, by the kernels (no solution) and by solutions of the case."""
+    true, result = true_shots(simulated), list[Disagreement]()
     for state, solution in steps:
         adjusted = None if solution is None else _Adjusted(solution)
         for shots in case.profiles:
-            profile, truth = Path(shots.source).stem, np.array([known[name][1] for name in shots.ids])
+            profile, truth = Path(shots.source).stem, np.array([true[name][1] for name in shots.ids])
             for j, image in enumerate(case.network.images):
-                seen = np.all((truth[:, j] >= 0.0) & (truth[:, j] <= [image.lines, image.samples]), axis=1)
-                if not np.any(seen):
+                visible = np.all((truth[:, j] >= 0.0) & (truth[:, j] <= [image.lines, image.samples]), axis=1)
+                if not np.any(visible):
                     continue
-                pixels = np.where(seen[:, None], truth[:, j], np.nan)
+                pixels = np.where(visible[:, None], truth[:, j], np.nan)
                 off, sigmas = misregistration(image, shots, pixels), np.full(2, np.nan)
                 if adjusted is not None:
                     off, sigmas = adjusted.misregistration(j, profile, shots, pixels)
-                found.append(Disagreement(state, profile, off, sigmas))
-    return tuple(found)
+                result.append(Disagreement(state, profile, off, sigmas))
+    return tuple(result)
 
 
 class _Adjusted:
@@ -166,47 +166,47 @@ class _Adjusted:
         """Of a profile in one image, by true pixels (n, 2), NaN where unseen; and its predicted sigmas (2,) in m."""
         names = [f"{profile}:{name}" for name in shots.ids]
         points = np.array([self._positions[name] for name in names])
-        found = misregistration(
+        measured = misregistration(
             self._posterior.image(j), shots, pixels, self._posterior.correction(j), points
         )
-        return found, self._predicted(j, [names[k] for k in found.shots.tolist()])
+        return measured, self._predicted(j, [names[k] for k in measured.shots.tolist()])
 
     def _predicted(self, j: int, names: Sequence[str]) -> Array:
         """(2,) m along and across the flight: root of the mean variance of some points' projections; NaN for none."""
         image, estimates = self._posterior.image(j), list[PixelEstimate]()
         for k in thinned(len(names), _MOST).tolist():
-            with suppress(InputError):  # it falls beside the image, whose orientation nobody knows there
+            with suppress(InputError):  # it falls beside the image, whose orientation is unknown there
                 estimates.append(self._posterior.projection(names[k], image.name))
         if not estimates:
             return np.full(2, np.nan)
-        pixels, covariances = (np.array([getattr(one, what) for one in estimates]) for what in ("pixel", "covariance"))
-        points = np.array([self._positions[one.point] for one in estimates])
+        pixels, covariances = (np.array([getattr(e, what) for e in estimates]) for what in ("pixel", "covariance"))
+        points = np.array([self._positions[estimate.point] for estimate in estimates])
         metres = on_ground(image, pixels, points, self._posterior.correction(j))
         return np.asarray(np.sqrt(np.einsum("nij,njk,nik->ni", metres, covariances, metres).mean(axis=0)))
 
 
-def overall(found: Sequence[Disagreement], state: str) -> tuple[float, float]:
+def overall(disagreements: Sequence[Disagreement], state: str) -> tuple[float, float]:
     """Rms distance on the ground over all footprints and images in one state, and its predicted size, m."""
-    mine = [one for one in found if one.state == state]
-    metres = np.concatenate([one.found.metres for one in mine])
-    counts = np.array([one.found.shots.size for one in mine])
-    squares = np.array([np.sum(one.sigmas**2) for one in mine])
+    of_state = [item for item in disagreements if item.state == state]
+    metres = np.concatenate([item.found.metres for item in of_state])
+    counts = np.array([item.found.shots.size for item in of_state])
+    squares = np.array([np.sum(item.sigmas**2) for item in of_state])
     return rms_length(metres), float(np.sqrt(np.average(squares, weights=counts)))
 
 
-def disagreement_table(found: Sequence[Disagreement]) -> Table:
+def disagreement_table(rows: Sequence[Disagreement]) -> Table:
     """One row per state, profile and image."""
-    means = np.array([one.found.metres.mean(axis=0) for one in found]).reshape(-1, 2)
-    sigmas = np.array([one.sigmas for one in found]).reshape(-1, 2)
+    means = np.array([row.found.metres.mean(axis=0) for row in rows]).reshape(-1, 2)
+    sigmas = np.array([row.sigmas for row in rows]).reshape(-1, 2)
     return Table("disagreement", "MOLA's footprints in MOC's images, beside their true pixels", (
-        Column("state", [one.state for one in found], meaning="orientation and footprints after which step", head="by",
+        Column("state", [row.state for row in rows], meaning="orientation and footprints after which step", head="by",
                text="<16"),
-        Column("profile", [one.profile for one in found], text="<10"),
-        Column("image", [one.found.image for one in found], text="<10"),
-        Column("footprints", np.array([one.found.shots.size for one in found]), label="shots", text=">6d"),
+        Column("profile", [row.profile for row in rows], text="<10"),
+        Column("image", [row.found.image for row in rows], text="<10"),
+        Column("footprints", np.array([row.found.shots.size for row in rows]), label="shots", text=">6d"),
         Column("mean_{}", means, "m", "of the flight, on the ground", ("along", "across"), label="mean (m)",
                text=">+8.1f", gap=2),
-        Column("rms", np.array([one.rms for one in found]), "m", "of the distances", label="rms (m)", text=">8.1f",
+        Column("rms", np.array([row.rms for row in rows]), "m", "of the distances", label="rms (m)", text=">8.1f",
                gap=2),
         Column("sigma_{}", sigmas, "m", "predicted", ("along", "across"), label="predicted sigma (m)", text=">8.1f",
                gap=2),
@@ -250,7 +250,7 @@ def simulation(
     given = {"kind": kind, "images": images, "ties": ties, "steps": steps or None}
     for name, value in given.items():
         if value is not None and name not in _OPTIONS.get(site, ()):
-            owner = next(one for one, names in _OPTIONS.items() if name in names)
+            owner = next(option for option, names in _OPTIONS.items() if name in names)
             raise InputError(name, f"given for {site}", f"the site {owner}", "leave it out")
     if site == STRIP:
         numbers: dict[str, Any] = {name: n for name, n in (("images", images), ("ties", ties)) if n is not None}
@@ -318,7 +318,7 @@ class Demonstration:
 
     @property
     def solution(self) -> Solution:
-        """What the last step made of it."""
+        """Solution of the last step."""
         return self.adjusted if isinstance(self.relief, str) else self.relief.solution
 
     def __repr__(self) -> str:
@@ -371,14 +371,14 @@ def demonstrate(
         case = _named_from(read_case(path), folder)
     with stages.stage("adjusting"):
         adjusted = adjusting(case)
-    found = _registered_by_relief(case, adjusted, stages) if relief else "not asked for (--no-relief)"
+    relief_result = _registered_by_relief(case, adjusted, stages) if relief else "not asked for (--no-relief)"
     steps: list[tuple[str, Solution | None]] = [(KERNELS, None), (TIES, adjusted)]
-    steps += [] if isinstance(found, str) else [(BY_RELIEF, found.solution)]
+    steps += [] if isinstance(relief_result, str) else [(BY_RELIEF, relief_result.solution)]
     solution = steps[-1][1] or adjusted
     with stages.stage("comparing"):
         registration = register_case(case, solution)
-        apart = disagreements(simulated, case, steps)
-    return Demonstration(simulated, case, adjusted, found, registration, apart, stages)
+        compared = disagreements(simulated, case, steps)
+    return Demonstration(simulated, case, adjusted, relief_result, registration, compared, stages)
 
 
 def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> ReliefRegistration | str:
@@ -393,7 +393,7 @@ def _registered_by_relief(case: Case, before: Solution, stages: Stages) -> Relie
 
 
 def _named_from(case: Case, folder: Path) -> Case:
-    """The case with its sources named from the folder that holds `folder`, which may not have its name for good yet."""
+    """The case with its sources named from the folder that holds `folder`, which may still have a temporary name."""
 
     def short(source: str) -> str:
         return source.replace(str(folder / "x")[:-1], str(Path(folder.name) / "x")[:-1])
@@ -404,7 +404,7 @@ def _named_from(case: Case, folder: Path) -> Case:
     )
     areoid = network.areoid and replace(network.areoid, source=short(network.areoid.source))
     profiles = tuple(replace(shots, source=short(shots.source)) for shots in case.profiles)
-    models = tuple(replace(one, lattice=replace(one.lattice, source=short(one.lattice.source))) for one in case.terrain)
+    models = tuple(replace(m, lattice=replace(m.lattice, source=short(m.lattice.source))) for m in case.terrain)
     return replace(case, network=replace(network, surface=surface, areoid=areoid), profiles=profiles, terrain=models)
 
 
@@ -412,9 +412,9 @@ def true_points(demo: Demonstration) -> dict[str, Array]:
     """True position (3,) in m, body-fixed, of each ground point of the network by its id."""
     simulated = demo.simulated
     ties = dict(zip(simulated.ties.ids, simulated.true_ties, strict=True))
-    known = true_shots(simulated)
+    by_name = true_shots(simulated)
     shots = {
-        f"{registered.name}:{name}": known[name][0]
+        f"{registered.name}:{name}": by_name[name][0]
         for registered, profile in zip(demo.registration.before, demo.case.profiles, strict=True)
         for name in profile.ids
     }

@@ -1,4 +1,4 @@
-"""What a demo has shown: sentences and tables; the same as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
+"""Summary of a demo: sentences and tables; the same as summary.json. Sigmas are predicted ones, for sigma0 = 1."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -106,11 +106,11 @@ def injected_table(simulated: SimulatedSite) -> Table:
     errors = [image.errors for image in images]
     return Table("injected", "Injected: errors of the kernels in the middle of each image, and of its profile", (
         Column("image", [image.true.name for image in images], text="<10"),
-        Column("position_{}", np.array([one.position[0] for one in errors]), "m", "of the SPK",
+        Column("position_{}", np.array([error.position[0] for error in errors]), "m", "of the SPK",
                ("radial", "along", "across"), label="position (m)", text=">+7.1f"),
-        Column("{}", np.array([one.rotation[0] / ARCSEC for one in errors]), "arcsec", "of the CK",
+        Column("{}", np.array([error.rotation[0] / ARCSEC for error in errors]), "arcsec", "of the CK",
                ("roll", "pitch", "yaw"), label="attitude (arcsec)", text=">+7.1f", gap=2),
-        Column("attitude_time_bias", np.array([one.attitude_time_bias for one in errors]), "s", "of the CK",
+        Column("attitude_time_bias", np.array([error.attitude_time_bias for error in errors]), "s", "of the CK",
                label="CK (s)", text=">6.2f", gap=2),
         Column("profile", [image.settings.profile for image in images], text="<8", gap=2),
         Column("shift_{}", np.array([image.profile.shift for image in images]), "m", "of all its footprints",
@@ -139,22 +139,22 @@ def shifts_table(demo: Demonstration) -> Table:
 
 def headline(demo: Demonstration) -> str:
     """By how much MOLA and MOC disagree before and after, with the predictions."""
-    apart = demo.disagreements
-    (before, _), (ties, of_ties) = overall(apart, KERNELS), overall(apart, TIES)
+    compared = demo.disagreements
+    (before, _), (ties, of_ties) = overall(compared, KERNELS), overall(compared, TIES)
     text = (
         f"MOLA against MOC: {before:.0f} m by the kernels, {ties:.0f} m (predicted {of_ties:.0f}) with tie points and "
         "ranges"
     )
     if isinstance(demo.relief, str):
         return f"{text}; registration by relief, which would remove it, was left out: {demo.relief}."
-    now, predicted = overall(apart, BY_RELIEF)
+    now, predicted = overall(compared, BY_RELIEF)
     return f"{text}, {now:.1f} m (predicted {predicted:.1f}) with registration by relief."
 
 
 def demo_statements(demo: Demonstration) -> list[str]:
     """Four sentences: MOLA against MOC, image against image, absolute errors, and stated sigmas against these."""
     before, after = (
-        rms_length(np.concatenate([one.metres for profile in profiles for one in profile.discrepancies]))
+        rms_length(np.concatenate([pair.metres for profile in profiles for pair in profile.discrepancies]))
         for _, profiles in demo.registration.states()
     )
     between = f"Image against image at the laser footprints: {two(before)} m by the kernels, {two(after)} m adjusted."
@@ -177,17 +177,17 @@ def summary_json(demo: Demonstration) -> dict[str, Any]:
         "truth": {
             "counting": "projected minus true places; along and across the flight; sigmas are predicted ones",
             "footprints": [
-                {"state": one.state, "profile": one.profile, **discrepancy_json(one.found)}
-                for one in demo.disagreements
+                {"state": row.state, "profile": row.profile, **discrepancy_json(row.found)}
+                for row in demo.disagreements
             ],
         },
         "orientation": [_orientation(demo, j) for j in range(len(solution.network.images))],
         "terrain_shift_east_north_m": grid_shift(demo.simulated.terrain),
-        **{one.name: one.records() for one in tables(demo)},
+        **{table.name: table.records() for table in tables(demo)},
         "points": {
-            one.name.lower(): dict(zip(_ERRORS, errors, strict=True))
-            for one in (PointClass.TIE, PointClass.LASER)
-            if (errors := point_errors(solution, true_points(demo), one))
+            kind.name.lower(): dict(zip(_ERRORS, errors, strict=True))
+            for kind in (PointClass.TIE, PointClass.LASER)
+            if (errors := point_errors(solution, true_points(demo), kind))
         },
         "seconds": demo.stages.seconds,
         "statements": demo_statements(demo),

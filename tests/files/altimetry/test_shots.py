@@ -197,7 +197,7 @@ def test_text_by_its_label(tmp_path: Path) -> None:
     assert shots.profile_names() == ("2008-01-07T00:00",) * 2
     text = label.read_text()
     label.write_text(text.replace('"LALT"', '"MLA"'))  # nothing says what its heights would be above
-    with pytest.raises(InputError, match="without radii, above no one knows what"):
+    with pytest.raises(InputError, match="without radii, above an unknown surface"):
         read_shots(label)
 
 
