@@ -112,8 +112,8 @@ def input_keys_markdown() -> str:
     for name, keys in FORMATS.items():
         lines += ["", f"## {name[0].upper()}{name[1:]}", ""]
         lines += ["| key | use | meaning | held against |", "|---|---|---|---|"]
-        lines += [f"| `{_cell(one.name)}` | {one.use} | {_cell(one.meaning)} | {_cell(one.twin)} |" for one in keys]
-        alone = [f"`{_cell(one.name)}`" for one in keys if one.use == Use.READ and not one.twin]
+        lines += [f"| `{_cell(one.name)}` | {one.use} | {_cell(one.meaning)} | {_cell(one.same_as)} |" for one in keys]
+        alone = [f"`{_cell(one.name)}`" for one in keys if one.use == Use.READ and not one.same_as]
         lines += ["", f"Without a second statement: {', '.join(alone)}."] if alone else []
     return "\n".join(lines) + "\n"
 
