@@ -110,8 +110,8 @@ def laser_range(
     if not measured > 0.0:
         raise InputError(where, f"{measured:g} m", "a positive number of meters")
     if not abs(line) <= _FARTHEST * image.lines:
-        found, remedy = f"an image of {image.lines} lines", "image.timing.lines(times - image.trajectory.epoch) gives it"
-        raise InputError(where, found, "the image's line at the shot's time", remedy)
+        remedy = "image.timing.lines(times - image.trajectory.epoch) gives it"
+        raise InputError(where, f"an image of {image.lines} lines", "its line at the shot's time", remedy)
     own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
     known, shares = np.zeros((2, 3)) if footprint is None else footprint
     row = Range(
