@@ -20,17 +20,16 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "sphinx_gallery.gen_gallery",
     "annotations",
     "mathml",
     "sources",
 ]
 root_doc = "index"
-exclude_patterns = ["extensions", "gallery"]
+exclude_patterns = ["extensions"]
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r".*")]  # types in signatures; everything else that is named must be there
-suppress_warnings = ["config.cache", "ref.python"]
-"""Settings that hold functions; words of types that several records have."""
+suppress_warnings = ["ref.python"]
+"""Words of types that several records have."""
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
 myst_heading_anchors = 4
@@ -55,19 +54,3 @@ html_css_files = ["mgsgraph.css"]
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
-
-sphinx_gallery_conf = {
-    "examples_dirs": "gallery",
-    "gallery_dirs": "auto_gallery",
-    "filename_pattern": r"\.py$",
-    "image_scrapers": ("sheets",),
-    "reset_modules": ("sheets.draw_plainly",),
-    "abort_on_example_error": True,
-    "download_all_examples": False,
-    "show_signature": False,
-    "show_memory": False,
-    "write_computation_times": False,
-    "min_reported_time": 1e9,
-    "within_subsection_order": "FileNameSortKey",
-    "remove_config_comments": True,
-}

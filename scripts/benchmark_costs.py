@@ -246,14 +246,15 @@ def archive(parser: OneLine, arguments: list[str]) -> int:
 
     python scripts/benchmark.py archive --work WORK [block block-pages block-pvl kaguya dense ctx] [--repeat 3]
 
-    Archives are made in WORK by `mgsgraph simulate archive` where they are missing. Every run is added to
-    WORK/runs.jsonl as soon as it ends, so that an interrupted campaign continues where it stopped. Fills docs/scale.md.
+    Archives are made in WORK by `mgsgraph simulate archive` where they aren't there. Every run is added to
+    WORK/runs.jsonl as soon as it is over, so that an interrupted campaign goes on where it was. Fills
+    docs/evidence_cost.md.
     """
     parser.add_argument("jobs", nargs="*", default=["block", "block-pages", "block-pvl", "kaguya"], metavar="JOB",
                         help=f"of {', '.join(JOBS)}")  # fmt: skip
     parser.add_argument("--work", type=Path, required=True, help="folder of archives and runs; 20 GB for all")
     parser.add_argument("--repeat", type=at_least(1), default=3)
-    parser.add_argument("--out", type=Path, default=DOCS / "scale.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_cost.md")
     options = parser.parse_args(arguments)
     for name in options.jobs:
         if name not in JOBS:
@@ -270,7 +271,7 @@ def archive(parser: OneLine, arguments: list[str]) -> int:
                     file.write(json.dumps(asdict(done)) + "\n")
         return {"archive": archive_tables(finished(record))}
 
-    return write_page(parser, options.out, "scale.md", make)
+    return write_page(parser, options.out, "evidence_cost.md#archive", make)
 
 
 # --- the commands of a project
@@ -341,13 +342,13 @@ def project(parser: OneLine, arguments: list[str]) -> int:
     """What do `project add`, `status` and `solve` cost as commands, with 10, 100, 498 images already in the project?
 
     Makes a project of a simulated strip's first images (batch, adopted), writes the files of the next image, and runs
-    the commands on copies of the project, each several times. Fills docs/project_cost.md.
+    the commands on copies of the project, each several times. Fills docs/evidence_cost.md.
     """
     parser.add_argument("images", type=at_least(2), nargs="*", default=[10, 100, 498], help="images there already")
     parser.add_argument("--ties", type=at_least(1), default=2000, help="new ties per image")
     parser.add_argument("--repeats", type=at_least(1), default=3, help="runs whose median counts")
     parser.add_argument("--no-solve", action="store_true", help="leave solve out")
-    parser.add_argument("--out", type=Path, default=DOCS / "project_cost.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_cost.md")
     options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
@@ -358,7 +359,7 @@ def project(parser: OneLine, arguments: list[str]) -> int:
         head = ["images", "points", "project (MB)", "add (s)", "tree (s)", "dry run (s)", "status (s)", "solve (s)"]
         return {"project": table(head, rows)}
 
-    return write_page(parser, options.out, "project_cost.md", make)
+    return write_page(parser, options.out, "evidence_cost.md#project", make)
 
 
 # --- questions
@@ -432,13 +433,13 @@ def analysis(parser: OneLine, arguments: list[str]) -> int:
     Adjusts one of the peer's problems (or the Kaguya-sized block) and times, in one process and in turn: an adjustment,
     linearizing it at its solution, the reliability table, its sorting and its file, variance components, and single
     queries of the posterior. The first turn, which also loads the compiled kernel, isn't counted. Fills
-    docs/analysis_cost.md.
+    docs/evidence_cost.md.
     """
     parser.add_argument("size", nargs="?", choices=SIZES, default="L")
     parser.add_argument("--repeat", type=at_least(1), default=5, help="turns")
     parser.add_argument("--queries", type=at_least(1), default=20, help="single queries of each kind in a turn")
     parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the peer's generator")
-    parser.add_argument("--out", type=Path, default=DOCS / "analysis_cost.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_cost.md")
     options = parser.parse_args(arguments)
 
     def make() -> dict[str, list[str]]:
@@ -452,4 +453,4 @@ def analysis(parser: OneLine, arguments: list[str]) -> int:
         title = f"Size {options.size}: {', '.join(sizes)}; {options.repeat} turns."
         return {"analysis": [title, "", *query_tables(seconds)]}
 
-    return write_page(parser, options.out, "analysis_cost.md", make)
+    return write_page(parser, options.out, "evidence_cost.md#analysis", make)

@@ -236,4 +236,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES + TUKEY, 200, "blunders.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES + TUKEY, 200, "evidence_errors.md#blunders"), one_draw, judge))

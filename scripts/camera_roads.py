@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from camera_equations import Scene, Variant, Vector, furnished
 from camera_scenes import CAMERAS, Tabled, kernels_of, without
-from study import DOCS, Blocks, command, table, write_page
+from study import Blocks, command, default, table, write_page
 
 from mgsgraph.files.labels.isis_cube import read_isis_cube
 from mgsgraph.files.labels.labelled_image import read_labelled_image
 from mgsgraph.files.support_data.isd import read_isd
 from mgsgraph.geometry.image import PushbroomImage
 
-ROOT, PAGE = Path(__file__).resolve().parents[1], "cameras.md"
+ROOT, PAGE = Path(__file__).resolve().parents[1], "cameras.md#camera_roads"
 HEAD = (
     "camera", "image", "label and kernels against own equations", "support data against own equations", "the two roads",
     "why",
@@ -106,7 +106,7 @@ def main() -> int:
     """Command line."""
     parser = command(__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--out", type=Path, default=DOCS / PAGE)
+    parser.add_argument("--out", type=Path, default=default(PAGE))
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, help="these alone, and no page is written")
     chosen = parser.parse_args()
     if chosen.cameras:

@@ -203,4 +203,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 200, "cells.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 200, "evidence_terrain.md#cells"), one_draw, judge))

@@ -109,4 +109,4 @@ def _of_profile(image: SimulatedImage, stated: dict[str, Any]) -> Iterator[tuple
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 300, "fair_draws.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 300, "evidence_consistency.md#fair_draws"), one_draw, judge))

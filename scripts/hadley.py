@@ -6,7 +6,7 @@ what separates it from the attitude, and what LOLA's shots of eight dates could 
 
     python scripts/hadley.py [--data FOLDER] [--out FILE]
 
-Writes docs/rig_hadley.md by default. Exit status: 0 done, 2 bad input.
+Writes docs/evidence_real.md by default. Exit status: 0 done, 2 bad input.
 """
 
 import sys
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from study import DOCS, Blocks, command, number, table, write_page
+from study import Blocks, command, default, number, table, write_page
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -35,7 +35,7 @@ from mgsgraph.simulation.rig import PassErrors, joined, powers
 from mgsgraph.units import MRAD
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = "rig_hadley.md"
+PAGE = "evidence_real.md#hadley"
 SIDES = ("LRO/1/269182000:51104/NACL", "LRO/1/269182000:51104/NACR")
 ERRORS = PassErrors(position=(30.0, 10.0), attitude=(2.9e-4, 1e-4, 1e-4, 1e-4))
 """Sigmas of the pass: position of LRO's early orbits (m), attitude of degree 3 (rad)."""
@@ -315,7 +315,7 @@ def main() -> int:
     """Command line."""
     parser = command(__doc__)
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
-    parser.add_argument("--out", type=Path, default=DOCS / PAGE)
+    parser.add_argument("--out", type=Path, default=default(PAGE))
     chosen = parser.parse_args()
     return write_page(parser, chosen.out, PAGE, lambda: tables(chosen.data))
 

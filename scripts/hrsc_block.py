@@ -6,7 +6,7 @@ like MOLA's) and adjusts it without and then with the terrain. The page has the 
 
     python scripts/hrsc_block.py [--cases paper small] [--seeds 20] [--first 1] [--processes N] [--out FILE]
 
-Fills docs/hrsc_block.md with the last of the cases. Exit status: 0 done, 2 bad input.
+Fills docs/evidence_passes.md with the last of the cases. Exit status: 0 done, 2 bad input.
 """
 
 import sys
@@ -127,4 +127,4 @@ def nees_table(draws: list[Draw]) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, tuple(CASES), 20, "hrsc_block.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, tuple(CASES), 20, "evidence_passes.md#hrsc_block"), one_draw, judge))

@@ -4,7 +4,7 @@ A CTX pair (`simulation.ctx`, second image 22 degrees aside) is rendered through
 Hz in pitch and roll and a drift of 3 px that its support data don't have; control is a terrain model of 463 m posts. By
 the commands `match`, `adjust` and `dem` with orientations as polynomials of degree 3 (before), then `adjust` and `dem`
 with a slow process and vibrations = "estimated" (after); both models are held against the ground. Rewrites the made
-parts of docs/jitter_dem.md.
+parts of docs/evidence_terrain.md.
 """
 
 import sys
@@ -145,7 +145,7 @@ def main() -> int:
     parser.add_argument("--lines", type=at_least(1000), default=6000)
     parser.add_argument("--samples", type=at_least(300), default=5000)
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=DOCS / "jitter_dem.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_terrain.md")
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
@@ -173,7 +173,7 @@ def main() -> int:
         sentence = f"The ripple is cut {share:.1f} times. {time.perf_counter() - began:.0f} s in all."
         return {"dem": [*table(head, rows), "", sentence]}
 
-    return write_page(parser, options.out, "jitter_dem.md", make)
+    return write_page(parser, options.out, "evidence_terrain.md#jitter_dem", make)
 
 
 if __name__ == "__main__":

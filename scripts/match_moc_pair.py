@@ -7,7 +7,7 @@ crop are for comparison alone.
 
     python scripts/match_moc_pair.py [--data FOLDER] [--step METRES] [--cells N] [--out FILE]
 
-Prints, and fills docs/moc_pair.md. Exit status: 0 done, 2 bad input.
+Prints, and fills docs/evidence_real.md. Exit status: 0 done, 2 bad input.
 """
 
 import csv
@@ -364,10 +364,10 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real data")
     parser.add_argument("--step", type=positive, default=None, help="m between pixels of the ground grid")
     parser.add_argument("--cells", type=at_least(1), default=1000, help="of the ground that both show")
-    parser.add_argument("--out", type=Path, default=DOCS / "moc_pair.md", help="the page")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_real.md", help="the page")
     chosen = parser.parse_args()
     settings = MatchSettings(step=chosen.step, cells=chosen.cells)
-    return write_page(parser, chosen.out, "moc_pair.md", lambda: tables(trial(chosen.data, settings)))
+    return write_page(parser, chosen.out, "evidence_real.md#moc_pair", lambda: tables(trial(chosen.data, settings)))
 
 
 if __name__ == "__main__":

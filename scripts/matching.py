@@ -3,7 +3,7 @@
 Each site is simulated with rendered pictures, written in the mission's formats, read back, matched, and adjusted twice:
 with the tie points that are given with it, and with the matches alone. A match's true error: the ray of its reference
 pixel is cast on the true ground with the true orientation, and the place found there projected into the other image.
-Fills docs/matching_truth.md.
+Fills docs/evidence_terrain.md.
 
     python scripts/matching.py [--cases gusev eos isidis] [--seeds 3] [--first 1] [--processes N] [--out FILE]
 
@@ -123,4 +123,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 3, "matching_truth.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, SITE_NAMES, 3, "evidence_terrain.md#matching"), one_draw, judge))

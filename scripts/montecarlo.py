@@ -2,7 +2,7 @@
 
 Every seed draws a truth, an orientation and all measurements from the sigmas that the adjustment assumes
 (`tests/redraw.py`), adjusts, and compares what the posterior says of points, poses, pairs, projections and new places
-with the truth. A *planted* case states sigmas that are not those of its draws. Fills docs/montecarlo.md.
+with the truth. A *planted* case states sigmas that are not those of its draws. Fills docs/evidence_coverage.md.
 
     python scripts/montecarlo.py [--cases block eos ...] [--seeds 200] [--first 1] [--processes 2 | --cluster PLACE]
                                  [--keep FILE] [--out FILE]
@@ -245,4 +245,4 @@ def new_places(
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, tuple(CASES), 200, "montecarlo.md"), one_seed, judge))
+    sys.exit(run(seeds_of(__doc__, tuple(CASES), 200, "evidence_coverage.md#montecarlo"), one_seed, judge))

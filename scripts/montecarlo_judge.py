@@ -1,4 +1,4 @@
-"""Coverage, NEES and bias of one kind of question over many seeds, and what they would be if the posterior were honest.
+"""Coverage, NEES and bias of one kind of question over many seeds, and what a consistent posterior would give.
 
 Items of one seed share its orientation and are not independent; seeds are. So coverage is judged twice: by one item of
 each seed, drawn by lot, whose number inside is binomial; and by all items, whose scatter from seed to seed says how
@@ -121,7 +121,7 @@ class Judged:
     @property
     def sentence(self) -> str:
         """The verdict."""
-        return f"Outside: {'; '.join(self.outside)}." if self.outside else "Honest, all within limits."
+        return f"Outside: {'; '.join(self.outside)}." if self.outside else "Consistent, all within limits."
 
 
 def astray(draw: Draw) -> bool:
@@ -183,7 +183,8 @@ def binomial_limits(seeds: int, level: float, chance: float = CHANCE) -> tuple[i
 def judge(draws: list[Draw]) -> Blocks:
     """Made parts of the page."""
     by_case = {case: [judged(case, kind, cases(draws, case)) for kind in KINDS] for case in names_of(draws)}
-    lines = [line for case, rows in by_case.items() for line in (f"## {case.capitalize()}", "", *case_table(rows), "")]
+    heads = {case: f"### {case.capitalize()}" for case in by_case}
+    lines = [line for case, rows in by_case.items() for line in (heads[case], "", *case_table(rows), "")]
     return {"summary": summary(by_case, draws), "cases": lines}
 
 
@@ -215,7 +216,7 @@ def verdict(case: str, kinds: Sequence[Judged]) -> str:
     sound = max(kind.strain for kind in kinds) <= breaking_strain(kinds[0].seeds)
     if case.endswith("planted"):
         return "The planted fault is not seen." if sound else "The planted fault is seen."
-    return "The posterior is honest." if sound else "The posterior is not honest here; see below."
+    return "The posterior is consistent." if sound else "The posterior is inconsistent here; see below."
 
 
 def case_table(rows: Sequence[Judged]) -> list[str]:

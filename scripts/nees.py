@@ -2,7 +2,7 @@
 
 Every row and every orientation coefficient or node is drawn anew from its stated sigma (`tests/redraw.py`), the
 network is adjusted, and the errors are normalized by the stated covariances: per degree of freedom their mean is one if
-the sigmas are right. Fills the table of docs/nees.md.
+the sigmas are right. Fills the table of docs/evidence_consistency.md.
 
     python scripts/nees.py [--seeds 100] [--first 1] [--cases eos ...] [--processes N] [--out FILE]
 
@@ -150,4 +150,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 100, "nees.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 100, "evidence_consistency.md#nees"), one_draw, judge))

@@ -2,7 +2,7 @@
 
 Each draw has the errors of overlapping windows, and of heights above a terrain model with gaps between its tracks: as
 the network's groups of neighbors state them (model), or from the exact covariance, that of moving averages (exact).
-Fills the tables of docs/neighbors.md.
+Fills the tables of docs/evidence_consistency.md.
 
     python scripts/neighbors.py [--seeds 50] [--first 1] [--cases gusev ...] [--processes N] [--out FILE]
 
@@ -149,4 +149,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 50, "neighbors.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 50, "evidence_consistency.md#neighbors"), one_draw, judge))

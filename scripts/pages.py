@@ -1,7 +1,7 @@
 """Write what pages say of the program itself, as plain text that reads everywhere: every verb with its options
-(docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results
-(docs/files.md), every array of a solution.npz (docs/solution_npz.md), every key of input files that bears on geometry
-(docs/input_keys.md): what an array means is what stands under its field in the source.
+(docs/commands.md), every table and key of a case file (docs/case_file.md), every column of the results and every array
+of a solution.npz (docs/files.md), every key of input files that bears on geometry (docs/input_keys.md): the meaning of
+an array is what its field in the source says.
 
 `python scripts/pages.py` writes them; a test (tests/test_docs.py) holds them true.
 """
@@ -65,26 +65,25 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 _COMMANDS = """<!-- written by scripts/pages.py -->
 # Commands
 
-Every verb with its options, as `mgsgraph VERB --help` says it: this page is made from the commands themselves. Bad
-input is one line on standard error and exit status 2; 0 is done, 1 not converged (results are written), 130 interrupted
-(nothing is half-written). Results appear whole or not at all: an earlier result is replaced only when the new one is
-there, a folder that holds anything else is refused. Without `--out` they lie in the working directory, in NAME-VERB:
-NAME is that of the case file or result (of a `case.toml` that of its folder). An image is named by any part of its name
-that no other has.
+For users of the command line: every verb with its options, as `mgsgraph VERB --help` says it. This page is made from
+the commands themselves. Bad input is one line on standard error and exit status 2; 0 is done, 1 not converged (results
+are written), 130 interrupted. Output is atomic: an earlier result is replaced only when the new one is there, a folder
+with anything else in it is refused. Without `--out` results lie in the working directory, in NAME-VERB: NAME is that of
+the case file or result (of a `case.toml` that of its folder). An image is named by any unique part of its name.
 """
 _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files
 
-Keys that bear on geometry, by format: *read*, *compared* with what says the same a second time, or *refused* where they
-say anything else than the last column (the file is to be converted first). A key that looks geometric
-and is not here is named by `mgsgraph check`. What has no second statement in the input rests on that one key:
-`mgsgraph check CASE --details` prints the values of those that decide the geometry. This page is made from
-`mgsgraph/files/geometric_keys.py`, by which the readers go. Names are regular expressions.
+For users who ask which statements of their files decide the geometry. Keys that bear on geometry, by format: *read*,
+*compared* with what says the same a second time, or *refused* where they say anything else than the last column (the
+file is to be converted first). `mgsgraph check` names a key that looks geometric and is not listed. What has no second
+statement in the input rests on that one key: `mgsgraph check CASE --details` prints the values of those that decide the
+geometry. This page is made from `mgsgraph/files/geometric_keys.py`, which the readers use. Names are regular
+expressions.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _LIES = "\n## Lies"
 _COLUMNS = "<!-- columns: written by scripts/pages.py -->\n"
-_ARRAYS = "<!-- arrays: written by scripts/pages.py -->\n"
 
 
 def pages() -> dict[Path, str]:
@@ -92,9 +91,8 @@ def pages() -> dict[Path, str]:
     return {
         DOCS / "commands.md": _COMMANDS + commands_markdown(),
         DOCS / "case_file.md": f"{_before_mark('case_file.md', _KEYS)}\n{keys_markdown()}",
-        DOCS / "files.md": _before_mark("files.md", _COLUMNS) + columns_markdown(),
+        DOCS / "files.md": "\n".join([_before_mark("files.md", _COLUMNS) + columns_markdown(), *array_tables()]) + "\n",
         DOCS / "input_keys.md": _INPUT_KEYS + input_keys_markdown() + _after_mark("input_keys.md", _LIES),
-        DOCS / "solution_npz.md": _before_mark("solution_npz.md", _ARRAYS) + "\n".join(array_tables()) + "\n",
     }
 
 

@@ -7,7 +7,7 @@ in both (`alike`). Two strips: short ones whose attitude departs by Gauss-Markov
 
     python scripts/process_strengths.py [--cases CASE ...] [--seeds 20] [--first 1] [--processes N] [--out FILE]
 
-Fills docs/process_strengths.md. Exit status: 0 done, 2 bad input.
+Fills docs/evidence_passes.md. Exit status: 0 done, 2 bad input.
 """
 
 import sys
@@ -195,4 +195,4 @@ def of_clear(ratios: Array, errors: Array, clear: Mask) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "process_strengths.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "evidence_passes.md#process_strengths"), one_draw, judge))

@@ -2,7 +2,7 @@
 
     python scripts/real_networks.py [--out FILE]
 
-The data are looked for in ../shared/data from the project's root. Fills docs/real_networks.md.
+The data are looked for in ../shared/data from the project's root. Fills docs/evidence_real.md.
 
 Exit status: 0 done, 2 bad input.
 """
@@ -169,9 +169,9 @@ def adjusted(case: Path) -> Adjusted:
 def main() -> int:
     """Exit status."""
     parser = command(__doc__)
-    parser.add_argument("--out", type=Path, default=DOCS / "real_networks.md", help="the page")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_real.md", help="the page")
     options = parser.parse_args()
-    return write_page(parser, options.out, "real_networks.md", lambda: {**rig_page(DATA), **wide_page(DATA)})
+    return write_page(parser, options.out, "evidence_real.md#networks", lambda: {**rig_page(DATA), **wide_page(DATA)})
 
 
 def rig_page(data: Path) -> Blocks:

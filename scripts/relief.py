@@ -125,4 +125,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "relief.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "evidence_terrain.md#relief"), one_draw, judge))

@@ -1,7 +1,7 @@
 """Yoon & Shan's tables beside what this program makes of the simulated sites with the papers' weights.
 
 Simulates the three sites, reads them back through their files, adjusts the case `papers` of each, and puts every table
-beside the published numbers. Fills docs/papers.md.
+beside the published numbers. Fills docs/evidence_papers.md.
 
     python scripts/reproduce_papers.py [--sites eos gusev isidis] [--seed 1] [--out FILE]
 """
@@ -21,7 +21,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import point_statistics
 from mgsgraph.case.reading import Case, adjust, read_case
 from mgsgraph.geometry import rotation
-from mgsgraph.geometry.body import geodetic
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
@@ -29,7 +28,7 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
-from mgsgraph.units import ARCMIN, ARCSEC, DEG
+from mgsgraph.units import ARCMIN, ARCSEC
 
 PLACES = 31
 
@@ -61,58 +60,6 @@ def scatter(values: Array) -> Scatter:
 def cells(pairs: Scatter, digits: int = 2) -> tuple[str, ...]:
     """Mean / RMSE, as in the papers."""
     return tuple(f"{mean:.{digits}f} / {spread:.{digits}f}" for mean, spread in zip(*pairs, strict=True))
-
-
-# --- Table 1
-
-
-def properties(result: Result) -> list[str]:
-    """Table 1: simulated beside published, from the simulated images themselves."""
-    rows = []
-    for j, (image, printed) in enumerate(zip(result.simulated.images, PUBLISHED[result.site].images, strict=True)):
-        camera, size = image.true, line_and_sample(image.true)
-        emission = emission_angle(camera) / DEG
-        profile = result.case.profiles[j]
-        rows += [
-            (camera.name, "simulated", f"{emission:.2f}", f"{1e3 * image.settings.period:.4f}",
-             f"{camera.lines} x {camera.samples}", f"{size[0]:.2f} ({size[1]:.2f})", str(profile.times.size),
-             f"{profile.spacing:.0f}"),
-            ("", "published", f"{printed.emission_deg:.2f}", f"{printed.exposure_ms:.4f}",
-             f"{printed.lines} x {printed.samples}", f"{printed.pixel_m:.2f}", str(printed.shots),
-             f"{printed.spacing_m:.0f}"),
-        ]  # fmt: skip
-    head = (
-        "image", "", "emission (deg)", "exposure (ms)", "lines x samples", "m per line (sample)", "shots", "m apart",
-    )  # fmt: skip
-    ties = int(np.sum(result.solution.network.points.classes == PointClass.TIE))
-    ratio, printed_ratio = base_to_height(result.true), PUBLISHED[result.site].base_to_height
-    end = f"Tie points {ties} (published {PUBLISHED[result.site].ties}); base to height {ratio:.2f} ({printed_ratio})."
-    return [*table(head, rows), "", end]
-
-
-def line_and_sample(image: PushbroomImage) -> Array:
-    """(2,) m on the ground per line and per sample in the image's middle."""
-    _, by_pixel = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
-    return np.asarray(np.linalg.norm(by_pixel[0], axis=0))
-
-
-def emission_angle(image: PushbroomImage) -> float:
-    """rad, between the middle's ray and the ellipsoid's normal."""
-    middle = np.array([0.5 * image.lines])
-    ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]))
-    normal = ground[0] / np.array([image.body.equatorial, image.body.equatorial, image.body.polar]) ** 2
-    ray = image.pose(middle).position[0] - ground[0]
-    return float(np.arccos(normal @ ray / np.linalg.norm(normal) / np.linalg.norm(ray)))
-
-
-def base_to_height(images: tuple[PushbroomImage, ...]) -> float:
-    """Distance of the two cameras across the flight over the height of the higher one's place."""
-    eyes = [image.pose(np.array([0.5 * image.lines])) for image in images]
-    base = eyes[1].position[0] - eyes[0].position[0]
-    up, along = (vector[0] / np.linalg.norm(vector[0]) for vector in (eyes[0].position, eyes[0].velocity))
-    across = np.cross(along, up)
-    heights = [geodetic(eye.position, images[0].body)[0, 2] for eye in eyes]
-    return float(abs(base @ across) / np.mean(heights))
 
 
 # --- Table 2
@@ -240,6 +187,12 @@ def range_table(results: list[Result]) -> list[str]:
 # --- the shift
 
 
+def line_and_sample(image: PushbroomImage) -> Array:
+    """(2,) m on the ground per line and per sample in the image's middle."""
+    _, by_pixel = image.image_to_ground(np.array([0.5 * image.lines]), np.array([0.5 * image.samples]))
+    return np.asarray(np.linalg.norm(by_pixel[0], axis=0))
+
+
 def along_flight(result: Result) -> tuple[float, ...]:
     """m per image: how much farther along its own flight the nominal orientation sees the tie points than the truth."""
     shifts = []
@@ -296,10 +249,9 @@ def reweighted(network: Network, group: str, factor: float) -> Network:
 GROUPS = ("ties", "MOLA image points", "ranges", "MOLA ground points", "positions", "angles")
 
 
-def sensitivity_table(result: Result) -> list[str]:
-    """Each weight halved and doubled: how far the tie points go, and what Tables 4 and 5 become."""
+def sensitivity(result: Result) -> str:
+    """Each weight halved and doubled: how far the tie points go, and by how much their sigmas change."""
     case, reference = result.case, result.solution
-    rows = [(result.site, "papers' case", "1", "0 / 0", *_summary(reference))]
     ties = reference.members(PointClass.TIE)
     most, widest = (0.0, ""), (0.0, "")
     for group in GROUPS:
@@ -309,22 +261,10 @@ def sensitivity_table(result: Result) -> list[str]:
             most = max(most, (float(moved.max()), group))
             change = factors(sigmas_of(changed).tie, sigmas_of(reference).tie)
             widest = max(widest, (max(change), group))
-            rows.append(("", group, f"{factor:g}", f"{moved.mean():.1f} / {moved.max():.1f}", *_summary(changed)))
-    head = (
-        "site", "rows", "weight x", "ties move, mean / largest (m)", "tie sigmas X Y Z (m)", "MOLA sigmas X Y Z (m)",
-        "MOLA corrections x (px)", "sigma0",
-    )  # fmt: skip
-    summary = (
-        f"Tie points move by at most {most[0]:.1f} m ({most[1]}), their sigmas change by at most a factor of "
-        f"{widest[0]:.2f} ({widest[1]})."
+    return (
+        f"* {result.site}: tie points move by at most {most[0]:.1f} m ({most[1]}), their sigmas change by at most a "
+        f"factor of {widest[0]:.2f} ({widest[1]})."
     )
-    return [*table(head, rows), "", summary]
-
-
-def _summary(solution: Solution) -> tuple[str, ...]:
-    sigmas, image = sigmas_of(solution), image_scatter(solution, PointClass.LASER, -1.0)
-    three = [" ".join(f"{value:.1f}" for value in part) for part in (sigmas.tie, sigmas.mola)]
-    return (*three, f"{image.mean[0]:+.1f}, {image.mean[2]:+.1f}", f"{sigmas.sigma0:.3f}")
 
 
 # --- what is required
@@ -388,7 +328,6 @@ def page(results: list[Result], seed: int, work: Path) -> Blocks:
     """All parts of the page."""
     return {
         "required": requirements(results),
-        "images": [line for result in results for line in (*properties(result), "")],
         "orientation": [line for result in results for line in (*orientation_table(result), "")],
         "points": tie_table(results),
         "sigmas": sigma_table([row for result in results for row in with_weights(result)]),
@@ -396,7 +335,7 @@ def page(results: list[Result], seed: int, work: Path) -> Blocks:
         "residuals": residual_table(results),
         "ranges": range_table(results),
         "shift": shift_table([pair for result in results for pair in with_biases(result, seed, work)]),
-        "weights": [line for result in results for line in (*sensitivity_table(result), "")],
+        "weights": [sensitivity(result) for result in results],
     }
 
 
@@ -422,7 +361,7 @@ def main() -> int:
     parser = command(__doc__)
     parser.add_argument("--sites", nargs="+", choices=SITE_NAMES, default=SITE_NAMES)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=DOCS / "papers.md")
+    parser.add_argument("--out", type=Path, default=DOCS / "evidence_papers.md")
     options = parser.parse_args()
 
     def make() -> Blocks:
@@ -430,7 +369,7 @@ def main() -> int:
             results = [reproduced(site, options.seed, Path(folder) / site, AS_PUBLISHED) for site in options.sites]
             return page(results, options.seed, Path(folder))
 
-    return write_page(parser, options.out, "papers.md", make)
+    return write_page(parser, options.out, "evidence_papers.md#papers", make)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """The harness of the studies in this folder: command line, draws of many seeds, bands of the NEES, pages.
 
 A study is a file with its settings, a function that makes one draw, and a judge that makes tables of all draws. Its
-page in docs is written by hand but for what stands between marks `<!-- made: NAME -->` and `<!-- end -->`, which
-`write_page` fills: the tables, and last (NAME: by) the command, the commit, the programs and the machine.
+section in a page of docs (PAGE#STUDY) is written by hand but for what stands between marks `<!-- made: STUDY NAME -->`
+and `<!-- end -->`, which `write_page` fills: the tables, and last (NAME: by) the command, commit, programs and machine.
 """
 
 import argparse
@@ -101,7 +101,7 @@ def status(name: str, job: Callable[[], int | None]) -> int:
 
 
 def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: str) -> OneLine:
-    """The command line of a study of many seeds: cases, seeds, workers, draws to keep, page."""
+    """The command line of a study of many seeds: cases, seeds, workers, draws to keep, page (PAGE#STUDY)."""
     parser = command(description)
     which = f"cases, or words of their names: {'; '.join(cases)}"
     parser.add_argument("--cases", nargs="+", default=cases, metavar="CASE", help=which)
@@ -111,7 +111,8 @@ def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: st
     workers.add_argument("--processes", type=at_least(1), default=1, help="worker processes on this machine")
     workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
-    parser.add_argument("--out", type=Path, default=DOCS / page, metavar="FILE", help=f"page; docs/{page} when absent")
+    parser.add_argument("--out", type=Path, default=default(page), metavar="FILE", help=f"docs/{page} when absent")
+    parser.set_defaults(page=page)
     return parser
 
 
@@ -133,8 +134,7 @@ def run(
     options = parser.parse_args(arguments)
     place = options.cluster or (f"local:{options.processes}" if options.processes > 1 else None)
     orders = [(case, options.first + k) for case in chosen(parser, options.cases) for k in range(options.seeds)]
-    page = Path(parser.get_default("out")).name
-    return write_page(parser, options.out, page, lambda: judge(drawn(orders, one_draw, options.keep, place)))
+    return write_page(parser, options.out, options.page, lambda: judge(drawn(orders, one_draw, options.keep, place)))
 
 
 def drawn(
@@ -214,9 +214,14 @@ def refusals(draws: Sequence[Draw]) -> str:
 # --- files and pages
 
 
+def default(page: str) -> Path:
+    """The file of PAGE#STUDY in docs."""
+    return DOCS / page.partition("#")[0]
+
+
 def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[], Blocks]) -> int:
-    """Make the blocks of a page of docs, print them, and write the page to a file, if one is named; the exit status.
-    It first tests whether the file can be written.
+    """Make the blocks of a study (PAGE#STUDY), print them, and write its page to a file, if one is named; the exit
+    status. Whether the file can be written is asked first.
     """
 
     def job() -> None:
@@ -232,10 +237,12 @@ def write_page(parser: OneLine, path: Path | None, page: str, make: Callable[[],
 
 
 def filled(page: str, blocks: Blocks) -> str:
-    """The text of a page of docs with its made parts replaced; InputError where the marks of one are missing."""
-    text = (DOCS / page).read_text(encoding="utf-8")
+    """The text of a page of docs with the made parts of a study (PAGE#STUDY) replaced; InputError where marks of one
+    are missing.
+    """
+    text, study = default(page).read_text(encoding="utf-8"), page.partition("#")[2]
     for name, lines in blocks.items():
-        before, begin, rest = text.partition(f"<!-- made: {name} -->\n")
+        before, begin, rest = text.partition(f"<!-- made: {study} {name} -->\n")
         _, end, after = rest.partition("<!-- end -->")
         if not (begin and end):
             raise InputError(f"docs/{page}", f"no marks of the made part {name!r}", f"{begin} .. <!-- end -->")

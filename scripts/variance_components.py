@@ -3,7 +3,7 @@
 Case *planted*: in each draw the groups of rows have errors 0.5, 2 or 5 times as large as their stated sigmas, by turns,
 all of them at once (of position and pointing one in turn: on narrow images neither is worth much against the other);
 `iterated_components` must find the factors. Case *right*: all sigmas are right; one adjustment each, for the p-values
-of the tests. Fills docs/variance_components.md.
+of the tests. Fills docs/evidence_errors.md.
 
     python scripts/variance_components.py [--cases planted right] [--seeds 90] [--first 1] [--processes N] [--out FILE]
 """
@@ -160,4 +160,4 @@ def judge(draws: list[Draw]) -> Blocks:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, ("planted", "right"), 90, "variance_components.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, ("planted", "right"), 90, "evidence_errors.md#components"), one_draw, judge))

@@ -2,7 +2,7 @@
 
     python scripts/versions.py             # as a table
     python scripts/versions.py --lowest    # and fails where an installed one is not the lowest that is declared
-    python scripts/versions.py --page      # writes docs/versions.md, in an environment with the newest ones
+    python scripts/versions.py --page      # writes docs/about.md, in an environment with the newest ones
 
 `.ci/run lowest` takes the second after `uv pip install --resolution lowest-direct`: a lowest version that no
 environment can have, since another package needs more, is not true.
@@ -19,7 +19,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "versions.md"
+PAGE = ROOT / "docs" / "about.md"
 EXTRAS = ("cluster", "cuda", "fetch", "gis", "match", "moc", "studio", "tables", "test", "docs", "dev")
 """Extras whose packages the table has; other extras are unions of these."""
 
@@ -68,16 +68,16 @@ def not_lowest() -> list[str]:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--lowest", action="store_true", help="fail unless each is the lowest that is declared")
-    options.add_argument("--page", action="store_true", help="write docs/versions.md")
-    arguments = options.parse_args()
-    if arguments.page:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lowest", action="store_true", help="fail unless each is the lowest that is declared")
+    parser.add_argument("--page", action="store_true", help="write docs/about.md")
+    options = parser.parse_args()
+    if options.page:
         head, _, _ = PAGE.read_text(encoding="utf-8").partition("| package |")
         PAGE.write_text(head + "\n".join(table()) + "\n", encoding="utf-8")
         return
     print("\n".join(table()))
-    if arguments.lowest and (wrong := not_lowest()):
+    if options.lowest and (wrong := not_lowest()):
         sys.exit("\n".join(["Not the lowest:", *wrong]))
 
 

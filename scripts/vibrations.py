@@ -3,7 +3,7 @@
 Simulated CTX pairs (`simulation.ctx`): 16 s, 800 ties of 0.2 px, second image 22 degrees aside, a terrain model of
 463 m posts of 10 m as control; a sine in pitch and roll of each image that no table has, of phases of its own or
 (`alike`) the same in both, and a slow drift. `analysis.vibrations.estimated_vibrations` knows neither frequency nor
-amplitude, nor whether there is any. Rewrites the made parts of docs/jitter.md.
+amplitude, nor whether there is any. Rewrites the made parts of docs/evidence_passes.md.
 """
 
 import math
@@ -125,7 +125,7 @@ def judge(draws: list[Draw]) -> Blocks:
     return {"vibrations": [*table(HEAD, [row(draws, case) for case in names_of(draws)]), "", sentence]}
 
 
-PARSER = seeds_of(__doc__, list(CASES), 20, "jitter.md")
+PARSER = seeds_of(__doc__, list(CASES), 20, "evidence_passes.md#vibrations")
 
 if __name__ == "__main__":
     sys.exit(run(PARSER, one_draw, judge))

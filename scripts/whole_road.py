@@ -1,8 +1,8 @@
 """The whole workflow on a simulated archive, from the ids of two images to a terrain model, command by command.
 
-The site's archives are written to a folder and served from localhost; then the commands of docs/whole_road.md run one
-after the other, each in a process of its own as a user types it. Seconds and peak memory of each are told, and at the
-end the terrain model is compared with the truth, which is known here.
+The site's archives are written to a folder and served from localhost; then the commands of docs/archive_to_dem.md run
+one after the other, each in a process of its own as a user types it. Seconds and peak memory of each are told, and
+at the end the terrain model is compared with the truth, which is known here.
 
     python scripts/whole_road.py [--site gusev] [--seed 1] [--work FOLDER] [--out FILE]
 """
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from study import DOCS, at_least, command, table, write_page
+from study import at_least, command, default, table, write_page
 
 from mgsgraph.simulation.site import SimulatedSite, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
@@ -29,7 +29,7 @@ from flaky_archive import serving, write_archive
 
 from mgsgraph.text import root_mean_square as rms
 
-PAGE = DOCS / "whole_road.md"
+PAGE = "evidence_terrain.md#whole_road"
 ROAD = (
     "fetch {images} --out DATA",
     "project init PROJECT --case DATA/case.toml",
@@ -83,7 +83,7 @@ def main() -> int:
     parser.add_argument("--site", choices=SITE_NAMES, default="gusev")
     parser.add_argument("--seed", type=at_least(0), default=1)
     parser.add_argument("--work", type=Path, help="folder to keep everything in; a temporary one when absent")
-    parser.add_argument("--out", type=Path, default=PAGE)
+    parser.add_argument("--out", type=Path, default=default(PAGE))
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
@@ -93,7 +93,7 @@ def main() -> int:
             judged = judge(work / "DEM" / "dem.tif", site)
         return {"commands": step_table(steps), "judged": words(judged), "said": report_lines(steps)}
 
-    return write_page(parser, options.out, PAGE.name, make)
+    return write_page(parser, options.out, PAGE, make)
 
 
 def commands(site: SimulatedSite) -> list[str]:

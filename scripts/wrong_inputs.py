@@ -534,8 +534,8 @@ def _of_wrong(all_draws: list[Draw]) -> list[str]:
         for site in sites:
             draws = [draw for draw in cases(all_draws, f"{site}, {kind}") if draw["ends"]]
             counts = [_cell([draw["ends"][k] for draw in draws]) for k in range(3)]
-            cells.append("<br>".join([*counts, f"({_least(site, wrong, kind) / scale:.2g})"]) if draws else "-")
-        sizes = "<br>".join([*(f"{size / scale:g}" for size in wrong.sizes), "(theory)"])
+            cells.append(" / ".join([*counts, f"({_least(site, wrong, kind) / scale:.2g})"]) if draws else "-")
+        sizes = " / ".join([*(f"{size / scale:g}" for size in wrong.sizes), "(theory)"])
         rows.append([kind, "arcmin" if wrong.unit == "rad" else wrong.unit or "1", sizes, *cells])
     ends = Counter(end.split(":")[0] for draw in all_draws for end in draw["ends"])
     total = f"{ends.total()} runs: " + ", ".join(f"{count} {end}" for end, count in ends.most_common())
@@ -572,4 +572,4 @@ def _cell(ends: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run(seeds_of(__doc__, CASES, 20, "verdict.md"), one_draw, judge))
+    sys.exit(run(seeds_of(__doc__, CASES, 20, "evidence_errors.md#wrong_inputs"), one_draw, judge))

@@ -74,6 +74,33 @@ def test_no_phrase_of_the_private_dialect() -> None:
         assert found is None, f"{path}: {found}"
 
 
+# --- pages
+
+
+def test_pages_are_few_and_each_stands_in_the_index() -> None:
+    """At most 45, each in one of the five kinds (a table of docs/index.md and a toctree)."""
+    pages, index = sorted(path.stem for path in DOCS.rglob("*.md")), (DOCS / "index.md").read_text(encoding="utf-8")
+    assert len(pages) <= 45
+    kinds = re.findall(r"^## (Tutorials|How-to guides|Reference|Explanation|Evidence)$", index, re.MULTILINE)
+    assert len(kinds) == 5
+    listed = re.findall(r"^\| \[\]\((\w+)\.md\) \|", index, re.MULTILINE)
+    assert sorted([*listed, "index"]) == pages
+    trees = re.findall(r"```\{toctree\}\n(?::[^\n]*\n)+\n(.*?)```", index, re.DOTALL)
+    assert [line.split("<")[-1].rstrip(">") for line in "".join(trees).split("\n") if line] == listed
+
+
+@pytest.mark.parametrize("path", sorted(DOCS.rglob("*.md")), ids=lambda path: path.stem)
+def test_no_page_is_longer_than_five_screens(path: Path) -> None:
+    """200 lines of 110 characters, of text and of what is printed; tables and made parts are generated, or scroll."""
+    text = re.sub(r"<!-- made: .*?<!-- end -->", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    lines = [line for line in text.splitlines() if line and not line.startswith("|")]
+    assert path.stem in GENERATED or sum(max(1.0, len(line) / 110) for line in lines) <= 200
+
+
+GENERATED = {"api", "case_file", "commands", "files", "input_keys", "glossary"}
+"""Reference: looked up by headings, not read."""
+
+
 # --- which block is whose
 
 
@@ -152,13 +179,12 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/exchange.md": (nothing, "PointId of 1 point (they are counted anew)"),
     "docs/export.md": (adjusted, "Dimensions:"),
     "docs/gtsam.md": (a_case, "posterior sigmas from the minimum"),
-    "docs/incremental.md": (nothing, "Closing check"),
-    "docs/jigsaw.md": (nothing, "network_without_laser.net"),
-    "docs/matching.md": (pixels, "Matches("),
-    "docs/review.md": (nothing, "5 of 20 tie points"),
-    "docs/solution_npz.md": (adjusted, "SIM/A"),
-    "docs/strips.md": (nothing, "HRSC/01: "),
-    "docs/two_steps.md": (nothing, "with terrain: mean sigmas"),
+    "docs/migrate.md": (nothing, "network_without_laser.net"),
+    "docs/matching.md": (pixels, "5 of 20 tie points"),
+    "docs/files.md": (adjusted, "SIM/A"),
+    "docs/passes.md": (nothing, "HRSC/01: "),
+    "docs/projects.md": (nothing, "Closing check"),
+    "docs/terrain.md": (nothing, "with terrain: mean sigmas"),
 }
 """What a page's blocks, run one after the other, find in the folder and among their names, and a part of what they
 print."""
@@ -234,8 +260,8 @@ def test_shell_lines_are_commands_that_there_are(block: Block) -> None:
         PROGRAMS[program](words[1:], comment)
 
 
-TABLES = {"docs/gpu.md", "docs/strips.md", "docs/whole_road.md"}
-"""Pages that show it in tables: measured times, what is said without a GPU, spacings of nodes."""
+TABLES = {"docs/passes.md"}
+"""Pages that show it in tables of another page."""
 
 
 WITH_COMMANDS = {block.page for block in BLOCKS if block.language == "sh" and re.search("^mgsgraph ", block.text, re.M)}
@@ -351,7 +377,7 @@ def as_case(table: dict[str, Any]) -> None:
 
 
 TOML: dict[str, Callable[[dict[str, Any]], None]] = {
-    "docs/incremental.md": as_settings,
+    "docs/projects.md": as_settings,
     "docs/plan.md": as_candidates,
 }
 """What the files of a page are; cases on all others."""
@@ -387,7 +413,7 @@ def verdicts(text: str, folder: Path) -> None:
     assert read_verdicts(folder / "verdicts.csv").of
 
 
-TEXTS: dict[str, Callable[[str, Path], None]] = {"docs/exchange.md": a_table, "docs/review.md": verdicts}
+TEXTS: dict[str, Callable[[str, Path], None]] = {"docs/exchange.md": a_table, "docs/matching.md": verdicts}
 """Readers of a page's files."""
 
 
@@ -410,7 +436,7 @@ def anchors(path: Path) -> set[str]:
 def test_links_lead_somewhere(path: Path) -> None:
     text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if re.match(r"https?://", target) or target.startswith("auto_gallery/"):
+        if re.match(r"https?://", target):
             continue
         file, _, anchor = target.partition("#")
         there = (path.parent / file).resolve() if file else path
@@ -457,8 +483,16 @@ def test_pages_about_the_program_are_as_the_program_is(monkeypatch: pytest.Monke
         assert path.read_text(encoding="utf-8") == text, "write it anew: python scripts/pages.py"
 
 
+THEORY = ("theory", "theory_common", "estimation")
+
+
+def theory() -> str:
+    """All pages of the theory."""
+    return "".join((DOCS / f"{page}.md").read_text(encoding="utf-8") for page in THEORY)
+
+
 def test_modules_that_the_theory_names_are_there() -> None:
-    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    text = theory()
     named = re.findall(r"`((?:factors|kernel|geometry|network|adjustment|matching|io)/[\w/]+)`", text)
     assert len(named) > 30
     for name in named:
@@ -467,7 +501,7 @@ def test_modules_that_the_theory_names_are_there() -> None:
 
 
 def test_the_theory_links_each_equation_to_functions_that_are_there() -> None:
-    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    text = theory()
     rows = re.findall(r"^\| (?:\{eq\}`(\w+)` )?\| `([\w/]+)` \| (.+) \|$", text, re.MULTILINE)
     assert {label for label, _, _ in rows if label} == set(re.findall(r"^\$\$ \((\w+)\)$", text, re.MULTILINE))
     for _, file, functions in rows:
@@ -492,7 +526,6 @@ MESSAGES = dict(
 CHANGED = {
     "A key is unknown": ("sigma_px", "sigm_px"),
     "A value is of the wrong kind": ("sigma_px = 1.0", 'sigma_px = "one"'),
-    "The TOML cannot be read": ("[ties]", "[ties"),
     "No format": ("format = 1\n", ""),
     "No image has the network's name": ('name = "SIM/A"', 'name = "SIM/X"'),
     "No measures at all": ('[ties]\nnetwork = "network.pvl"\nsigma_px = 1.0\n', ""),
@@ -503,8 +536,6 @@ ASKED = {
     "A file is missing": "adjust nothing.toml --out NEW",
     "No pixels": "match data/case.toml --out NEW",
     "A column is unknown": "convert points.csv x.net",
-    "Verdicts of another network": "studio data/case.toml --verdicts verdicts.csv --review kept.pvl",
-    "Nothing to register": "align data/case.toml --out NEW",
     "The folder is taken": "adjust data/case.toml --out other",
     "Not a result": "analyze other",
     "No such point, no such image": "analyze RESULT --pose SIMA 10",
@@ -521,8 +552,6 @@ def folder(pair_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (here / "other").mkdir()
     (here / "other" / "mine.txt").touch()
     (here / "points.csv").write_text("id,image,line,sampel\nA,SIM/A,1,1\n", encoding="utf-8")
-    head = "# network 0000000000000000\nid,verdict,note\n"
-    (here / "verdicts.csv").write_text(f"{head}TIE00001,reject,\n", encoding="utf-8")
     assert call("adjust", case, "--no-figures", "--out", here / "RESULT") == 0
     return here
 

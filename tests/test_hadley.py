@@ -118,7 +118,7 @@ def test_check_says_the_mounting_of_r(case: Path) -> None:
 
 
 def test_case_and_script_have_one_answer(solution: Solution) -> None:
-    """Radii free: sigma0 and residuals as docs/rig_hadley.md has them, to its digits."""
+    """Radii free: sigma0 and residuals as docs/evidence_real.md has them, to its digits."""
     assert solution.converged
     assert solution.sigma0 == pytest.approx(0.536, abs=0.02)
     for j in (0, 1):

@@ -169,7 +169,7 @@ DOOR = {
     "mgsgraph.project.campaign": {"open"},
     "mgsgraph.atomic_write": {"open"}, "mgsgraph.workers": {"open"},
 }  # fmt: skip
-"""Where files from outside are opened and parsed: all else takes them from these (docs/hostile_files.md)."""
+"""Where files from outside are opened and parsed: all else takes them from these (docs/evidence_robustness.md)."""
 METHODS = {"open", "read_bytes", "read_text"}
 """Of paths; the functions of the same name are the door."""
 READING = {
@@ -355,7 +355,7 @@ def test_every_package_has_a_lower_bound_and_no_other() -> None:
 
 def test_the_page_of_versions_has_every_lower_bound() -> None:
     row = r"^\| ([\w-]+) \| ([\w-]+) \| ([\d.]+) \| ([\d.]+|-) \|$"
-    rows = re.findall(row, text_of("docs/versions.md"), re.MULTILINE)
+    rows = re.findall(row, text_of("docs/about.md"), re.MULTILINE)
     declared = lowest([*PROJECT["dependencies"], *(one for extra in EXTRAS.values() for one in extra)])
     declared.pop("mgsgraph", None)
     assert {name: bound for name, _, bound, _ in rows} == declared, "write it anew: python scripts/versions.py --page"

@@ -2,7 +2,7 @@
 
 A line of code holds a token that is no comment, docstring or import. Nodes of the syntax tree do not depend on how
 lines are broken. Every tracked Python file counts. A change that makes a room smaller lowers its ceiling; a ceiling
-rises only for a capability that an issue names, with its reason in CHANGELOG.md.
+rises only for a capability that an issue names, with its reason in CHANGELOG.md (Sizes).
 """
 
 import ast
@@ -35,7 +35,7 @@ CEILINGS = {
     "single files": (836, 9712, 10),
     "scripts": (6924, 111100, 50),
     "tests": (36480, 553272, 200),
-    "docs": (293, 3775, 13),
+    "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
 

@@ -165,7 +165,7 @@ def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path)
 
 
 def _of_relief(path: Path, out: Path) -> tuple[Path, str, bool]:
-    sigma = commented("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/coregister.md")
+    sigma = commented("sigma_m = [10.0, 1.0]", "of each shot: horizontal, vertical; docs/align.md")
     return path, f"{_ALTIMETRY}\nfile = {place(path, out)}\n{sigma}", False
 
 

@@ -232,7 +232,7 @@ def rig_notes(images: Sequence[PushbroomImage], of_passes: Sequence[Sequence[int
         if seconds(late)[0] < seconds(early)[1] and len(found_passes([early, late])) == 1:
             return [
                 f"{early.name} and {late.name} were taken at one time from one trajectory: [[passes]] adjusts it once, "
-                "[[mountings]] the angles between their cameras (docs/rigs.md)"
+                "[[mountings]] the angles between their cameras (docs/passes.md)"
             ]
     return []
 

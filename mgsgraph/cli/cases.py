@@ -78,7 +78,7 @@ def adjust(
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
     Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
-    blunders are sought without the terrain model, and then the block is fitted to it: see docs/two_steps.md.
+    blunders are sought without the terrain model, and then the block is fitted to it: see docs/terrain.md.
 
     The first line says whether the result is valid, SUSPECT (a test found what the stated sigmas don't explain) or
     INVALID. Exit status: 0 valid or suspect; 1 invalid: not converged, most of a kind of observations left out, an
@@ -229,7 +229,7 @@ def align(
     The images are matched densely; each profile and terrain model with an unknown shift is searched for on the surface
     that they show; the case is adjusted again with one row more per shot and post, its height above that surface. OUT
     holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv
-    and figures: see docs/coregister.md.
+    and figures: see docs/align.md.
 
     Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
     """

@@ -4,7 +4,7 @@ jigsaw's names, order and units of columns.
 Latitudes are planetocentric, coordinates km, sigmas and corrections m, angles degrees, pixels counted from 1. Sources:
 DOI-USGS/ISIS3, BundleSolutionInfo.cpp (outputImagesCSV, outputPointsCSV, outputLidarCSV, outputResiduals),
 IsisBundleObservation.cpp (bundleOutputCSV), BundleLidarRangeConstraint.cpp. The files have no room for notes:
-docs/jigsaw.md has them.
+docs/migrate.md has them.
 
 jigsaw solves for polynomials of time of X, Y, Z and of the angles RA, DEC, TWIST; here they are fitted to the
 orientation before and after at the papers' 31 lines, and the sigmas of the coefficients follow from the joint
@@ -34,7 +34,7 @@ from mgsgraph.units import DEG, ISIS_OFFSET, KM, MM
 
 PARAMETERS = ("X", "Y", "Z", "RA", "DEC", "TWIST")
 """jigsaw's names: position, and angles about the axes 3, 1, 3 (`rotation.angles_313`). Its RA is 90 deg more than the
-right ascension of the optical axis, its DEC what the declination lacks to 90 deg (docs/real_networks.md)."""
+right ascension of the optical axis, its DEC what the declination lacks to 90 deg (docs/evidence_real.md)."""
 _USUAL_DEGREE = 2
 """jigsaw's CKDEGREE and SPKDEGREE, for images without polynomials of their own."""
 _NOTHING = 1e-9

@@ -7,7 +7,7 @@ began, and a correction with eighteen coefficients makes the rays of a dozen mee
 few of the surest features end as a match, few agreed on an orientation, they lie in few cells, and their rays miss each
 other by far more than their sigmas say, from one match to the next. Good pairs show one of these signs: noise costs
 matches, jitter of the spacecraft moves rays. So two signs refuse a pair, and one is said. The limits lie between what
-good and false pairs have shown (docs/matching.md); `chance_agreements` is theory.
+good and false pairs have shown (docs/evidence_terrain.md); `chance_agreements` is theory.
 """
 
 import math

@@ -57,7 +57,7 @@ def read_settings(path: Path) -> tuple[str, ProjectSettings]:
     toml = read_toml(path, "settings")
     if "images" in toml.tables:
         raise InputError(str(path), "a case with images", "settings alone", "give it as --case, which takes them too")
-    read = validated(toml, _File, path, "see docs/incremental.md")
+    read = validated(toml, _File, path, "see docs/projects.md")
     read.orientation.prior(f"{path}, orientation")  # complains where its sigmas make no sense
     spice = _absolute(read.spice, path.parent)
     return read.name, ProjectSettings(read.orientation, spice, read.measures, read.solver)

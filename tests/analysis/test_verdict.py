@@ -283,7 +283,7 @@ def test_errors_of_the_hidden_factor_are_found() -> None:
 
 
 def test_right_sigmas_are_valid_and_wrong_ones_suspect() -> None:
-    """A few draws; 200 of each of five cases are in docs/wrong_inputs.md."""
+    """A few draws; 200 of each of five cases are in docs/evidence_errors.md."""
     for seed in range(3):
         draw = redraw(network(pair(ties=30, shots=30)), np.random.default_rng(seed))
         assert verdict(adjusted(draw.network)).state is State.VALID

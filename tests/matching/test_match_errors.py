@@ -254,7 +254,7 @@ def test_points_of_two_runs_have_different_names() -> None:
 
 
 NAN = math.nan
-FALSE = [  # agreed, found again, cells filled, scatter: measured (docs/matching.md)
+FALSE = [  # agreed, found again, cells filled, scatter: measured (docs/evidence_terrain.md)
     (9 / 134, 32 / 2341, 15 / 296, 7.4), (10 / 59, 18 / 1457, 9 / 2490, 9.1), (11 / 178, 65 / 2556, 24 / 274, 12.7),
     (7 / 48, 16 / 1760, 3 / 949, 4.6), (5 / 53, 13 / 1056, 8 / 353, 6.3), (155 / 166, 93 / 1041, 39 / 269, 4.1),
 ]  # fmt: skip

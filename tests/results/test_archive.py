@@ -40,7 +40,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.results.archive import FORMAT, pack, read_solution, unpack_parts, write_archive
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "solution_npz.md"
+PAGE = ROOT / "docs" / "files.md"
 
 
 @pytest.fixture(scope="module")

@@ -44,6 +44,7 @@ from redraw import Draw, redraw  # noqa: E402
 from study import chi_square_band, nees_band  # noqa: E402
 
 STUDIES = ("eos", "eos, terrain", "gusev")
+PAGE = "evidence_consistency.md#fair_draws"
 
 
 class Asked:
@@ -57,7 +58,7 @@ class Asked:
         return {"value": seed + 0.5}
 
     def __call__(self, *given: str | Path) -> int:
-        parser = study.seeds_of("A study.", STUDIES, 5, "fair_draws.md")
+        parser = study.seeds_of("A study.", STUDIES, 5, PAGE)
         return study.run(parser, self.one, lambda every: {"errors": [json.dumps(every)]}, [str(one) for one in given])
 
 
@@ -72,21 +73,24 @@ def test_a_page_keeps_its_words_and_gets_new_tables(
     page = tmp_path / "page.md"
     assert asked("--cases", "gusev", "--seeds", "2", "--first", "7", "--out", page) == 0
     assert asked.orders == [("gusev", 7), ("gusev", 8)]
-    text, before = page.read_text(encoding="utf-8"), (study.DOCS / "fair_draws.md").read_text(encoding="utf-8")
+    text, before = page.read_text(encoding="utf-8"), study.default(PAGE).read_text(encoding="utf-8")
     assert text.startswith(before.partition("<!-- made")[0])
     assert '"value": 7.5' in text
     assert "| kernels, X 0 |" not in text
+    others = "<!-- made: nees by -->"  # the other studies of the page stay as they were
+    assert text.partition(others)[2] == before.partition(others)[2] != ""
     assert '"value": 7.5' in capsys.readouterr().out
     with pytest.raises(InputError, match="no marks of the made part 'none'"):
-        study.filled("fair_draws.md", {"none": []})
+        study.filled(PAGE, {"none": []})
 
 
 @pytest.mark.parametrize("page", sorted(study.DOCS.glob("*.md")), ids=lambda page: page.stem)
 def test_marks_of_made_parts_come_in_pairs(page: Path) -> None:
-    marks = re.findall(r"<!-- (made: \w+|end) -->", page.read_text(encoding="utf-8"))
-    assert all(mark == "end" for mark in marks[1::2])
-    assert not any(mark == "end" for mark in marks[::2])
-    assert not marks or marks[-2:] == ["made: by", "end"]
+    marks = re.findall(r"<!-- (?:made: (.+)|end) -->", page.read_text(encoding="utf-8"))
+    assert not any(marks[1::2])
+    parts = [tuple(mark.split()) for mark in marks[::2]]
+    assert len(set(parts)) == len(parts)
+    assert {study for study, _ in parts} == {study for study, name in parts if name == "by"}
 
 
 def test_kept_draws_are_not_made_again(asked: Asked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -149,7 +149,7 @@ def test_the_cameras_are_mounted_as_lro_has_them() -> None:
 
 
 def test_l_and_r_share_a_narrow_strip() -> None:
-    """Some 130 of 5064 samples, as near Hadley rille (docs/real_networks.md), all along."""
+    """Some 130 of 5064 samples, as near Hadley rille (docs/evidence_real.md), all along."""
     left, right = nac_images()[:2]
     lines, samples = np.repeat([0.1, 0.5, 0.9], SAMPLES) * left.lines, np.tile(np.arange(SAMPLES) + 0.5, 3)
     ground, _ = left.image_to_ground(lines, samples)

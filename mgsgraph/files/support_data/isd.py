@@ -361,7 +361,7 @@ def _line_times_of_lroc(isd: SupportData, source: str) -> tuple[SupportData, lis
 def _boresight_by_isis(isd: SupportData, _: str) -> tuple[SupportData, list[str]]:
     """ISIS counts the centre of the detector's first pixel as 1. Older ALE gave its keyword for the centre as it
     stands, present drivers take the half pixel off. Only with it off do ISIS's own adjusted cameras of NAC-L and NAC-R
-    see the points that they were fixed to (docs/real_networks.md).
+    see the points that they were fixed to (docs/evidence_real.md).
     """
     stated = [value for key, value in isd.naif_keywords.items() if key.endswith("_BORESIGHT_SAMPLE")]
     if stated != [isd.detector_center.sample] or isd.starting_detector_sample % 1.0 == ISIS_OFFSET:
