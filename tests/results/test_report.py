@@ -223,8 +223,8 @@ def test_points_by_their_names(solution: Solution) -> None:
                       network=replace(solution.network, points=replace(points, ids=names)))  # fmt: skip
     found = compare(solution, earlier)
     n = len(names) - 1
-    moved = f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), median 5 m, at most 5 m"
-    assert moved in found.section.sentences[1]
+    said = found.section.sentences[1]
+    assert f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), median 5 m, at most 5 m" in said
     table = named(found.section.tables, "points_compared")
     assert {row[4] for row in table.rows} == {"5.00"}
     size = max(np.linalg.norm(solution.sigmas[1:], axis=1))
