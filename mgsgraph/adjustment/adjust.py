@@ -95,7 +95,7 @@ def nominal_reduction(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    layout, before = relinearized(layout, selection, before, own=True, sweeper=sweeper)
+    layout, before = relinearized(layout, selection, before, in_place=True, sweeper=sweeper)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 

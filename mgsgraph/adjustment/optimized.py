@@ -78,7 +78,7 @@ def solution_of(
     known = [values.atVector(keys.variable(v)) if at >= 0 else np.zeros(0) for v, at in enumerate(first)]
     orientation = layout.variables.joined(known)
     reduction = BundleGraph(layout, selection.rows(layout)).reduction(orientation)
-    layout, reduction = relinearized(layout, selection, reduction, own=True)
+    layout, reduction = relinearized(layout, selection, reduction, in_place=True)
     points, begin = reduction.points.copy(), gtsam.Values(values)
     for k, i in enumerate(layout.point_order.tolist()):
         if values.exists(keys.point(i)):
