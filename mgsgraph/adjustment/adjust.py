@@ -69,9 +69,9 @@ class Nominal:
 def nominal_state(layout: Layout, before: Reduction, sweeper: Sweeper = IN_PROCESS) -> Nominal:
     """Places and residuals with the nominal orientation; `before` is the reduction there."""
     places = np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
-    kept, orientation = layout.network_order(places), np.zeros(layout.columns)
+    nominal, orientation = layout.network_order(places), np.zeros(layout.columns)
     layout, places = exactly(layout, orientation, places, sweeper)  # a-priori places are not where the rays alone meet
-    return Nominal(kept, residuals(layout, orientation, places, sweeper))
+    return Nominal(nominal, residuals(layout, orientation, places, sweeper))
 
 
 def nominal_reduction(
@@ -161,7 +161,7 @@ def read_off(
     without_laser = (None, None) if mixture is not None else _sigmas_without_laser(layout, solved, sweeper)
     clock.stop("without laser")
     unknowns = _unknowns(solved)
-    left, judged, drivers = _misfit(solved, nominal, unknowns, sweeper, clock)
+    at_end, judged, drivers = _misfit(solved, nominal, unknowns, sweeper, clock)
     joint, covariances, straight = _covariances(solved, mixture, sweeper, clock)
     return Solution(
         name=name,
@@ -180,9 +180,9 @@ def read_off(
         determined=determined,
         rays_used=(rows.weight[0, layout.observation_rows.rays] > 0.0) & determined[network.rays.point],
         ranges_used=rows.weight[0, layout.observation_rows.ranges] > 0.0,
-        residuals=left.image,
+        residuals=at_end.image,
         residuals_before=nominal.residuals.image,
-        range_residuals=left.ranges,
+        range_residuals=at_end.ranges,
         range_residuals_before=nominal.residuals.ranges,
         sigmas_without_laser=without_laser[0],
         median_sigmas_without_laser=without_laser[1],
@@ -192,7 +192,7 @@ def read_off(
         ranges_rejected=~selection.ranges,
         stereo_rejected=~selection.stereo,
         test_dimensions=solved.dimensions,
-        stereo_heights=np.where(determined, left.stereo, np.nan),
+        stereo_heights=np.where(determined, at_end.stereo, np.nan),
         linearity=straight,
         drivers=drivers,
         **unknowns,
@@ -213,8 +213,8 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
     layout, orientation = solved.layout, solved.orientation
     network, variables = layout.network, layout.variables
     coefficients = tuple(
-        orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
-        for j, own in enumerate(network.with_polynomial.tolist())
+        orientation[layout.columns_of(j)].reshape(-1, 6) if adjusted else np.zeros_like(network.priors[j].sigmas)
+        for j, adjusted in enumerate(network.with_polynomial.tolist())
     )
     shifts, lift = shift_values(network, variables, orientation)
     nodes, trends = pass_values(network, variables, orientation)
@@ -234,26 +234,26 @@ def _misfit(
     valid; books its stages. Raises SolverError (`_require_covariance`).
     """
     layout, orientation = solved.layout, solved.orientation
-    found = residuals(layout, orientation, solved.points, sweeper)
-    judged, drivers = fit(layout, solved.rows, orientation, solved.points, found), None
+    at_end = residuals(layout, orientation, solved.points, sweeper)
+    judged, drivers = fit(layout, solved.rows, orientation, solved.points, at_end), None
     strained = strained_orientations(layout.network, unknowns["coefficients"], unknowns["nodes"])
-    if not solved.outcome.converged or judged.absurd or any(one.impossible for one in strained):
-        drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, found)
+    if not solved.outcome.converged or judged.absurd or any(image.impossible for image in strained):
+        drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, at_end)
         clock.stop("drivers")
     places = solved.points
     if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
         places = places_of_all(layout, solved, sweeper)
-        found = residuals(layout, orientation, places, sweeper)
-    found.ranges[:] += errors_with_footprints(layout, orientation, places)
+        at_end = residuals(layout, orientation, places, sweeper)
+    at_end.ranges[:] += errors_with_footprints(layout, orientation, places)
     rays = layout.network.common_rays
     if rays is not None:
-        found.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]
+        at_end.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]
     never = solved.selection.out[layout.network.rays.point]
-    found.image[never] = nominal.residuals.image[never] = np.nan
+    at_end.image[never] = nominal.residuals.image[never] = np.nan
     clock.stop("residuals")
     if drivers is not None:
         _require_covariance(solved, drivers)
-    return found, judged, drivers
+    return at_end, judged, drivers
 
 
 def _require_covariance(solved: Solved, drivers: Drivers) -> None:
@@ -312,19 +312,18 @@ def _sigmas_without_laser(
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
         return None, None
-    left = solved.selection
-    rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
+    selection = solved.selection
+    rows = replace(selection, ranges=np.zeros_like(selection.ranges), out=selection.out | laser).rows(layout)
     if np.any(np.isinf(layout.sigmas)):
         return None, None  # without the laser nothing may hold the datum
     graph = BundleGraph(layout, rows, sweeper)
-    reduction = graph.reduction(solved.orientation, points=solved.points)
-    joint = orientation_covariance(graph, reduction)
+    joint = orientation_covariance(graph, graph.reduction(solved.orientation, points=solved.points))
     covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
-    mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
-    if not np.any(mine):
+    chosen = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
+    if not np.any(chosen):
         return None, None
-    sigmas = [np.sqrt(covariances[mine, axis, axis]) for axis in range(3)]
-    return np.array([one.mean() for one in sigmas]), np.array([np.median(one) for one in sigmas])
+    sigmas = [np.sqrt(covariances[chosen, axis, axis]) for axis in range(3)]
+    return np.array([of_axis.mean() for of_axis in sigmas]), np.array([np.median(of_axis) for of_axis in sigmas])
 
 
 def versions() -> dict[str, str]:
@@ -414,8 +413,8 @@ def adjust_network(
             clock.stop("starts")
         _require_ties(name, solved)
         del before, layout  # the posterior needs the memory
-        found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
-        return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
+        solution = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
+        return replace(solution, minima=minima, message=" ".join(filter(None, [solution.message, sweeper.remark])))
 
 
 def _require_redundancy(layout: Layout, selection: Selection) -> None:
@@ -443,11 +442,11 @@ def _require_ties(name: str, solved: Solved) -> None:
     network = solved.layout.network
     ties = (network.points.classes == PointClass.TIE) & (network.ray_counts > 1)
     taking = np.bincount(network.rays.point, solved.selection.rays, len(network.points))
-    left = solved.layout.network_order(determined_points(solved.rows)) & (taking > 0)
-    if np.any(ties) and not np.any(ties & left):
-        lost, weak = int(np.count_nonzero(ties)), int(np.count_nonzero(ties & (taking > 1)))
+    remaining = solved.layout.network_order(determined_points(solved.rows)) & (taking > 0)
+    if np.any(ties) and not np.any(ties & remaining):
+        total, weak = int(np.count_nonzero(ties)), int(np.count_nonzero(ties & (taking > 1)))
         raise InputError(
-            name, f"none of {lost} tie points is left ({lost - weak} rejected, {weak} not determined by their rays)",
+            name, f"none of {total} tie points is left ({total - weak} rejected, {weak} not determined by their rays)",
             "ties that agree with the orientations, heights and laser shots",
             "look at mgsgraph check: images, lines and samples, or columns interchanged, orientations far off; "
             "without rejection (reject = 0) the table of residuals shows by how much",

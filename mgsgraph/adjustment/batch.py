@@ -80,13 +80,13 @@ class ReducedEquations:
     With the factor of `kept`, the matrix is that of another state; the gradient is that of the reduction.
     """
 
-    def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
+    def __init__(self, graph: BundleGraph, reduction: Reduction, factored: "ReducedEquations | None" = None) -> None:
         self._graph, self._reduction, self.gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
         self._factor: Solving | None = None
-        self.kept = kept is not None
-        if kept is not None:
-            self._factor, self._damping = kept._factor, kept._damping
+        self.kept = factored is not None
+        if factored is not None:
+            self._factor, self._damping = factored._factor, factored._damping
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
@@ -111,9 +111,9 @@ class ReducedEquations:
 class BundleProblem:
     """The bundle form; its state is the orientation vector (columns,). Each sweep begins where the last one ended."""
 
-    def __init__(self, graph: BundleGraph, known: Reduction | None = None) -> None:
+    def __init__(self, graph: BundleGraph, reduction: Reduction | None = None) -> None:
         self.graph, self.adjusts = graph, graph.layout.columns > 0
-        self._last = known
+        self._last = reduction
 
     def at(self, state: Array, task: int) -> Reduction:
         """All points solved (and eliminated) at a state."""
@@ -131,9 +131,9 @@ class BundleProblem:
         """Full cost, all points solved from their first places."""
         return self.graph.cost(self.graph.reduction(state, COSTS))
 
-    def linear(self, state: Array, kept: ReducedEquations | None = None) -> ReducedEquations:
+    def linear(self, state: Array, factored: ReducedEquations | None = None) -> ReducedEquations:
         """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
-        return ReducedEquations(self.graph, self.at(state, SYSTEM if kept is None else GRADIENT), kept)
+        return ReducedEquations(self.graph, self.at(state, SYSTEM if factored is None else GRADIENT), factored)
 
 
 class HeldEquations(ReducedEquations):
@@ -143,11 +143,11 @@ class HeldEquations(ReducedEquations):
     """
 
     def __init__(
-        self, graph: BundleGraph, reduction: Reduction, directions: Array, kept: "HeldEquations | None" = None
+        self, graph: BundleGraph, reduction: Reduction, directions: Array, factored: "HeldEquations | None" = None
     ) -> None:
-        super().__init__(graph, reduction, kept)
+        super().__init__(graph, reduction, factored)
         self._directions = directions
-        self._through: tuple[Solving, Array] | None = None if kept is None else kept._through
+        self._through: tuple[Solving, Array] | None = None if factored is None else factored._through
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
@@ -156,7 +156,7 @@ class HeldEquations(ReducedEquations):
             return None
         assert self._factor is not None
         if self._through is None or self._through[0] is not self._factor:
-            self._through = self._factor, np.stack([self._factor.solve(one) for one in held.T], axis=1)
+            self._through = self._factor, np.stack([self._factor.solve(direction) for direction in held.T], axis=1)
         through = self._through[1]
         return np.asarray(free - through @ np.linalg.solve(held.T @ through, held.T @ free))
 
@@ -164,15 +164,15 @@ class HeldEquations(ReducedEquations):
 class HeldProblem(BundleProblem):
     """The bundle form with directions (columns, m) of its state held."""
 
-    def __init__(self, graph: BundleGraph, directions: Array, known: Reduction) -> None:
-        super().__init__(graph, known)
+    def __init__(self, graph: BundleGraph, directions: Array, reduction: Reduction) -> None:
+        super().__init__(graph, reduction)
         self._directions = directions
 
-    def linear(self, state: Array, kept: ReducedEquations | None = None) -> HeldEquations:
+    def linear(self, state: Array, factored: ReducedEquations | None = None) -> HeldEquations:
         """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
-        assert kept is None or isinstance(kept, HeldEquations)
-        reduction = self.at(state, SYSTEM if kept is None else GRADIENT)
-        return HeldEquations(self.graph, reduction, self._directions, kept)
+        assert factored is None or isinstance(factored, HeldEquations)
+        reduction = self.at(state, SYSTEM if factored is None else GRADIENT)
+        return HeldEquations(self.graph, reduction, self._directions, factored)
 
 
 def levenberg_marquardt(
@@ -204,8 +204,8 @@ def levenberg_marquardt(
     state, cost = start, problem.cost(start, SYSTEM)
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
-        said = "the starting values have no finite cost; check that all points lie before their cameras"
-        raise Unsolvable(said, start)
+        message = "the starting values have no finite cost; check that all points lie before their cameras"
+        raise Unsolvable(message, start)
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
@@ -276,7 +276,7 @@ def _slow(history: list[Iteration]) -> bool:
     that the linear model overestimates.
     """
     last = history[-_SLOW_STEPS - 1 :]
-    near = all(one.accepted and one.predicted <= EARLY * one.cost and one.damping <= _FIRST_DAMPING for one in last)
+    near = all(s.accepted and s.predicted <= EARLY * s.cost and s.damping <= _FIRST_DAMPING for s in last)
     return len(last) > _SLOW_STEPS and near and all(b.step > _SLOWER * a.step for a, b in pairwise(last))
 
 
@@ -327,11 +327,11 @@ def settled_minimum(
     doesn't.
     """
     early = replace(settings, cost_tolerance=max(settings.cost_tolerance, EARLY))
-    found = levenberg_marquardt(problem, start, early, progress)
-    outcome = with_final_steps(problem, found, settings, progress)
-    if outcome.converged or not found.converged:
+    outcome_early = levenberg_marquardt(problem, start, early, progress)
+    outcome = with_final_steps(problem, outcome_early, settings, progress)
+    if outcome.converged or not outcome_early.converged:
         return outcome
-    return with_final_steps(problem, _further(problem, found, settings, progress), settings, progress)
+    return with_final_steps(problem, _further(problem, outcome_early, settings, progress), settings, progress)
 
 
 def minimum(
@@ -346,20 +346,20 @@ def minimum(
     """
     if slow:
         return replace(settled_minimum(problem, start, _at_rest(problem, start, settings), progress), slow=True)
-    found = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
-    if not found.slow:
-        return found
-    outcome = with_final_steps(problem, found, _at_rest(problem, found.state, settings), progress)
-    return outcome if outcome.converged else replace(_further(problem, found, settings, progress), slow=True)
+    outcome_plain = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
+    if not outcome_plain.slow:
+        return outcome_plain
+    outcome = with_final_steps(problem, outcome_plain, _at_rest(problem, outcome_plain.state, settings), progress)
+    return outcome if outcome.converged else replace(_further(problem, outcome_plain, settings, progress), slow=True)
 
 
 def _further(
-    problem: BundleProblem, found: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
+    problem: BundleProblem, before: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
 ) -> Outcome:
     """An outcome from where another one ended."""
-    tried = levenberg_marquardt(problem, found.state, settings, progress)
-    later = tuple(replace(one, number=one.number + len(found.history)) for one in tried.history)
-    return replace(tried, cost_initial=found.cost_initial, history=found.history + later)
+    tried = levenberg_marquardt(problem, before.state, settings, progress)
+    later = tuple(replace(step, number=step.number + len(before.history)) for step in tried.history)
+    return replace(tried, cost_initial=before.cost_initial, history=before.history + later)
 
 
 def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
@@ -370,7 +370,7 @@ def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> 
 
 def with_final_steps(
     problem: BundleProblem,
-    found: Outcome,
+    converged: Outcome,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome:
@@ -389,9 +389,9 @@ def with_final_steps(
     Outcome
         Not converged where steps don't become short enough; then the state is that found.
     """
-    if not found.converged or not problem.adjusts:
-        return found
-    state, cost, history = found.state, found.cost_final, list(found.history)
+    if not converged.converged or not problem.adjusts:
+        return converged
+    state, cost, history = converged.state, converged.cost_final, list(converged.history)
     matrix = linear = problem.linear(state)
     plain, pairs, farthest = linear.step(LEAST_DAMPING), list[_Pair](), math.inf
     for _ in range(_MOST):
@@ -406,10 +406,10 @@ def with_final_steps(
         history.append(now)
         progress(now)
         if length < settings.step_tolerance:
-            if cost > found.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
+            if cost > converged.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
                 break
             message = f"Converged: the last step was {length:.1e} posterior sigmas long."
-            return replace(found, state=state, cost_final=cost, message=message, history=tuple(history))
+            return replace(converged, state=state, cost_final=cost, message=message, history=tuple(history))
         state = state + step
         cost = problem.cost(state, GRADIENT)
         if not math.isfinite(cost):
@@ -420,26 +420,26 @@ def with_final_steps(
         if plain is not None:
             pairs = [*pairs, _Pair(step, linear.gradient - before, longer - plain)][-_DEPTH:]
     message = "Stopped: near the optimum steps do not become short enough; look for blunders (reject)."
-    return replace(found, converged=False, message=message, history=tuple(history))
+    return replace(converged, converged=False, message=message, history=tuple(history))
 
 
 def _corrected(gradient: Array, plain: Array, pairs: Sequence[_Pair]) -> Array:
     """The step (columns,) that a linear model's step becomes by the curvature that steps before it have shown."""
-    useful = [one for one in pairs if one.step @ one.slope > 0.0]  # elsewhere the cost bends downward
-    left, shares = gradient, list[float]()
-    for one in reversed(useful):
-        shares.append(float(one.step @ left) / float(one.step @ one.slope))
-        left = left - shares[-1] * one.slope
-    found = plain + sum(share * one.solved for share, one in zip(shares, reversed(useful), strict=True))
-    for share, one in zip(reversed(shares), useful, strict=True):
-        found = found - (share + float(one.slope @ found) / float(one.step @ one.slope)) * one.step
-    return found
+    useful = [pair for pair in pairs if pair.step @ pair.slope > 0.0]  # elsewhere the cost bends downward
+    remainder, shares = gradient, list[float]()
+    for pair in reversed(useful):
+        shares.append(float(pair.step @ remainder) / float(pair.step @ pair.slope))
+        remainder = remainder - shares[-1] * pair.slope
+    corrected = plain + sum(share * pair.solved for share, pair in zip(shares, reversed(useful), strict=True))
+    for share, pair in zip(reversed(shares), useful, strict=True):
+        corrected = corrected - (share + float(pair.slope @ corrected) / float(pair.step @ pair.slope)) * pair.step
+    return corrected
 
 
 def solve_bundle(
     graph: BundleGraph,
     start: Array,
-    known: Reduction | None,
+    reduction: Reduction | None,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
     slow: bool = False,
@@ -447,7 +447,7 @@ def solve_bundle(
     """Solve from an orientation vector (columns,); the reduction at the optimum comes with it. `slow` says that an
     earlier pass converged slowly.
     """
-    problem = BundleProblem(graph, known)
+    problem = BundleProblem(graph, reduction)
     if graph.layout.network.on_relief:
         outcome = settled_minimum(problem, start, settings, progress)
     else:

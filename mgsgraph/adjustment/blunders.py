@@ -69,8 +69,7 @@ def pair_tests(misfit: Array, share: Array, between: Array, root: Array | None) 
         with np.errstate(divide="ignore", invalid="ignore"):
             test = (b * z0 * z0 + (2.0 * between * z0 + a * z1) * z1) / determinant
         rest = np.flatnonzero(~two)
-        squares = z0[rest] ** 2 + z1[rest] ** 2
-        test[rest] = squares / np.where(some[rest], trace[rest], np.inf)
+        test[rest] = (z0[rest] ** 2 + z1[rest] ** 2) / np.where(some[rest], trace[rest], np.inf)
         return test, dimensions
     angle, half = 0.5 * np.arctan2(-between, 0.5 * (a - b)), np.hypot(0.5 * (a - b), between)
     along, across = z0 * np.cos(angle) + z1 * np.sin(angle), z1 * np.cos(angle) - z0 * np.sin(angle)
@@ -247,8 +246,7 @@ class Search:
     def without_gross(self, at: Linearised, taken: Mask) -> Mask:
         """Observations without the worst of each point beyond the limit, where blunders hardly disturb `at`."""
         tested = judged(at.layout)
-        gross = self._candidates(at, tested, *self._tests(at, tested), most=taken.size)
-        return _without(at, tested, taken, gross)
+        return _without(at, tested, taken, self._candidates(at, tested, *self._tests(at, tested), most=taken.size))
 
     def next(self, at: Linearised, with_all: Linearised, taken: Mask) -> Mask:
         """Observations of the next adjustment; those of this one when the search has ended.
@@ -333,8 +331,7 @@ class Search:
             used = chosen[:, rows.observation] & (rows.observation != slot)
             test, dimensions = closure(rows, used, shared)
             limits = np.array([critical_value(self.limit, d) if d > 0 else -1.0 for d in dimensions.tolist()])
-            fits = (test <= unit * limits) & ~hardly_converging(rows, used)
-            tests.append(np.where(fits, test / unit, np.inf))
+            tests.append(np.where((test <= unit * limits) & ~hardly_converging(rows, used), test / unit, np.inf))
         with_each, *without = tests
         best, second = np.partition(without, 1, axis=0)[:2] if len(without) > 1 else (without[0], np.inf)
         but_one = ~np.isfinite(with_each) & np.isfinite(best) & (second > best + _DECISIVE)

@@ -128,31 +128,31 @@ def prior_covariance(layout: Layout) -> JointCovariance | None:
             return joint_covariance(factor.square_root())
     except NotDefinite:
         pass
-    return joint_covariance(_strip_by_strip(layout))
+    return joint_covariance(_pass_by_pass(layout))
 
 
-def _strip_by_strip(layout: Layout) -> SquareRoot:
-    """Square root of the priors' information by a dense QR decomposition of each strip's rows.
+def _pass_by_pass(layout: Layout) -> SquareRoot:
+    """Square root of the priors' information by a dense QR decomposition of each pass's rows.
 
     Nodes that may hardly leave a trend of which little is known make pivots fall below 2^-24 of the diagonal that they
     began with. The rows themselves lose half as many digits as their squares.
     """
-    variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
-    cliques, rows = _known_together(layout), list[Array]()
+    variables, rows_of_priors, scales = layout.variables, layout.prior.design.tocsc(), layout.scales
+    cliques, rows = _joined_by_priors(layout), list[Array]()
     for members in cliques:
         columns = np.concatenate([np.arange(variables.first[v], variables.columns_of(v).stop) for v in members])
-        part = every[:, columns]
-        own = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
-        rows.append(np.linalg.qr(own, mode="r") / scales[columns])
+        part = rows_of_priors[:, columns]
+        of_pass = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
+        rows.append(np.linalg.qr(of_pass, mode="r") / scales[columns])
     return in_cliques(variables.first, variables.width, cliques, rows)
 
 
-def _known_together(layout: Layout) -> list[list[int]]:
-    """Adjusted variables in groups that no prior joins: strips, profiles that cross, and any other by itself."""
-    group, together = layout.prior.group, dict[int, list[int]]()
+def _joined_by_priors(layout: Layout) -> list[list[int]]:
+    """Adjusted variables in groups that no prior joins: passes, profiles that cross, and any other by itself."""
+    group, members = layout.prior.group, dict[int, list[int]]()
     for v in layout.variables.adjusted():
-        together.setdefault(int(group[v]), []).append(v)
-    return list(together.values())
+        members.setdefault(int(group[v]), []).append(v)
+    return list(members.values())
 
 
 
@@ -247,9 +247,9 @@ class PointRows:
 
     def of(self, point: int) -> "PointRows":
         """Rows of one of the points."""
-        one = slice(point, point + 1)
+        chosen = slice(point, point + 1)
         return replace(
-            self, residuals=self.residuals[one], by_point=self.by_point[one], by_shared=self.by_shared[one]
+            self, residuals=self.residuals[chosen], by_point=self.by_point[chosen], by_shared=self.by_shared[chosen]
         )
 
     def following(self) -> tuple[Array, Array]:
@@ -307,19 +307,18 @@ class Linearised:
     @property
     def places(self) -> Array:
         """(n, 3) m, of the network's points; NaN for those that nothing determines."""
-        out = self.rows.kind == OUT
-        return self.layout.network_order(np.where(out[:, None], np.nan, self.points))
+        return self.layout.network_order(np.where((self.rows.kind == OUT)[:, None], np.nan, self.points))
 
     def point_covariances(self) -> Array:
         """(n, 3, 3) m^2, of these, for sigma0 = 1; NaN for those that nothing determines."""
-        found = point_covariances(self.layout, self.rows, self.orientation, self.points, self.joint)
+        covariances = point_covariances(self.layout, self.rows, self.orientation, self.points, self.joint)
         out = self.rows.kind == OUT
-        return self.layout.network_order(np.where(out[:, None, None], np.nan, found))
+        return self.layout.network_order(np.where(out[:, None, None], np.nan, covariances))
 
     def fit(self) -> Fit:
         """Weighted squares, observations and unknowns of the rows that take part."""
-        found = residuals(self.layout, self.orientation, self.points)
-        return fit(self.layout, self.rows, self.orientation, self.points, found)
+        misfit = residuals(self.layout, self.orientation, self.points)
+        return fit(self.layout, self.rows, self.orientation, self.points, misfit)
 
     def of_estimator(self) -> "Linearised":
         """The same with the covariance that estimates had were considered unknowns without error, and this the only
@@ -358,13 +357,13 @@ class Linearised:
         """Covariance of the shared unknowns in the blocks of a layout, this one's or that of `asked`."""
         return layout.blocks.filled(self.joint)
 
-    def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
+    def asked(self, places: Array, rays: ImageRays, held: bool) -> Layout:
         """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
 
-        Rays of known positions are rows without a point; those of unknown ones intersect in them.
+        Rays of `held` places are rows without a point; those of others intersect in them.
         """
         network, m = self.network, places.shape[0]
-        kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
+        kinds, ids = np.full(m, PointKind.FIXED if held else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
         none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface
@@ -383,7 +382,7 @@ class Linearised:
             common_heights=of_heights,
         )
         # the papers' form has no derivatives of a place, only of a misfit at a measured line
-        return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)
+        return lay_out(bare, replace(self.settings, line="predicted") if held else self.settings, places)
 
 
 def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
@@ -395,24 +394,23 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     counts = map(row_count.py_func, rows.observation_kind[observations].tolist())
     of_row = [(i, row) for i, count_of in enumerate(counts) for row in range(count_of)]
     observation, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
-    mine = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
-    members = slice(*layout.groups.member_first[group : group + 2])
-    width = layout.groups.member_width[members]
+    of_points = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
+    width = layout.groups.member_width[slice(*layout.groups.member_first[group : group + 2])]
     by_shared = np.zeros((count, observation.size, int(width.sum())))
     for k, places in enumerate(_columns(rows, first + observation, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
-            by_shared[:, k, column] += mine[:, k, ROW_NUMBERS + n]
+            by_shared[:, k, column] += of_points[:, k, ROW_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    by_point = mine[:, :, 1:ROW_NUMBERS]
-    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, observation, row, known)
+    by_point = of_points[:, :, 1:ROW_NUMBERS]
+    return PointRows(layout.group_variables[group], of_points[:, :, 0], by_point, by_shared, observation, row, known)
 
 
 def _columns(rows: Rows, observations: Index, first_of_member: Index) -> list[Index]:
     """Of each row's observation, where its numbers go among the columns of the group."""
-    found = []
+    columns = []
     for i in observations.tolist():
         entry, terms = int(rows.observation_entry[i]), int(rows.observation_terms[i])
-        mine = slice(entry, entry + terms + int(rows.observation_shared[i]))
-        begin = first_of_member[rows.entry_member[mine]] + rows.entry_inside[mine]
-        found.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
-    return found
+        own_columns = slice(entry, entry + terms + int(rows.observation_shared[i]))
+        begin = first_of_member[rows.entry_member[own_columns]] + rows.entry_inside[own_columns]
+        columns.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
+    return columns

@@ -167,8 +167,7 @@ def outstanding(
     typical = float(np.median(level[measures > 0.0])) if np.any(measures > 0.0) else 0.0
     flagged = (level >= LEAST) & (level > typical * (factor + few))
     flagged &= level >= pulled * np.max(level, initial=0.0, where=flagged)
-    enough = values[flagged].sum() >= _SHARE * (values.sum() if total is None else total)
-    return np.asarray(flagged & enough)
+    return np.asarray(flagged & (values[flagged].sum() >= _SHARE * (values.sum() if total is None else total)))
 
 
 def contributions(
@@ -271,10 +270,10 @@ def drivers_of(
     layout, network = graph.layout, graph.layout.network
     taking, states = layout.network_order(graph.rows.kind) != OUT, layout.network_order(reduction.states)
     residuals_ = known_residuals or residuals(layout, reduction.orientation, reduction.points, graph.sweeper)
-    lost = taking & (states != GOOD)
-    costs = _costs(graph, reduction, residuals_, lost)
+    unplaced = taking & (states != GOOD)
+    costs = _costs(graph, reduction, residuals_, unplaced)
     factor = _IMAGES if np.any(reduction.orientation) else _UNADJUSTED
-    parts = _of_cost(network, costs, factor) + _of_unplaced(network, lost, costs)
+    parts = _of_cost(network, costs, factor) + _of_unplaced(network, unplaced, costs)
     behind = np.flatnonzero(taking & (states == BEHIND))
     return Drivers(
         contributions=tuple(parts),
@@ -285,13 +284,13 @@ def drivers_of(
     )
 
 
-def _costs(graph: BundleGraph, reduction: Reduction, residuals_: Residuals, lost: Mask) -> _Costs:
+def _costs(graph: BundleGraph, reduction: Reduction, residuals_: Residuals, unplaced: Mask) -> _Costs:
     """Parts of the cost at a reduction, none of measures of lost points (n,)."""
     layout = graph.layout
     squares_by_kind = squares_of(layout, graph.rows, reduction.orientation, reduction.points, residuals_).values()
     point, image = (np.concatenate([getattr(kind, name) for kind in squares_by_kind]) for name in ("point", "image"))
     values = np.concatenate([kind.costs(layout.model) for kind in squares_by_kind])
-    values[lost[point] | ~np.isfinite(values)] = 0.0
+    values[unplaced[point] | ~np.isfinite(values)] = 0.0
     rows = layout.prior.residuals(reduction.orientation)
     rows = np.concatenate([rows[: layout.columns][layout.prior.weights > 0.0], rows[layout.columns :]])
     squares = np.asarray(np.bincount(layout.prior.about, 0.5 * rows**2, layout.columns), dtype=np.float64)
@@ -337,19 +336,19 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     return [part for part in (parts[::-1] if points_first else parts) if part.members.size]
 
 
-def _of_unplaced(network: Network, lost: Mask, costs: _Costs) -> list[Contributions]:
+def _of_unplaced(network: Network, unplaced: Mask, costs: _Costs) -> list[Contributions]:
     """Of points (n,) without a place: all of them stand out where they are few; images by how many of them they see."""
-    count = int(np.count_nonzero(lost))
+    count = int(np.count_nonzero(unplaced))
     if not count:
         return []
-    images_of_unplaced = network.rays.image[lost[network.rays.point]]
+    images_of_unplaced = network.rays.image[unplaced[network.rays.point]]
     number = np.bincount(images_of_unplaced, minlength=len(network.images)).astype(np.float64)
-    shares = np.bincount(network.rays.image, minlength=number.size) / lost.size
-    few, (level, measures) = count <= _MOST * lost.size, costs.of_images()
+    shares = np.bincount(network.rays.image, minlength=number.size) / unplaced.size
+    few, (level, measures) = count <= _MOST * unplaced.size, costs.of_images()
     far = (number >= 0.5 * count) & (number / count >= _IMAGES * shares) & (count >= FEWEST) & few
     level = level / np.maximum(measures, 1.0)
     parts = [
-        contributions(Quantity.LOST, Kind.POINT, lost.astype(np.float64), lost & few),
+        contributions(Quantity.LOST, Kind.POINT, unplaced.astype(np.float64), unplaced & few),
         contributions(Quantity.LOST, Kind.IMAGE, number, far, level, count),
     ]
     return parts[::-1] if np.any(far) else parts

@@ -37,13 +37,13 @@ def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweepe
     """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
     places = layout.observation_rows
     values = sweeper.residuals(layout, layout.rows, orientation, points)
-    nothing = np.broadcast_to(np.nan, points.shape[0])  # it takes no memory
-    heights, stereo = nothing, nothing
+    undefined = np.broadcast_to(np.nan, points.shape[0])  # it takes no memory
+    heights, stereo = undefined, undefined
     if places.on_terrain.size:
-        heights = nothing.copy()
+        heights = undefined.copy()
         heights[places.on_terrain] = values[places.heights, 0]
     if layout.stereo is not None:
-        stereo = nothing.copy()
+        stereo = undefined.copy()
         stereo[layout.stereo.points] = values[places.stereo, 0]
     return Residuals(values[places.rays], values[places.ranges, 0], heights, stereo)
 
@@ -77,12 +77,12 @@ class Squares(NamedTuple):
         """Costs and weights."""
         if not self.robust or model.loss == NO_LOSS:
             return 0.5 * self.values, 1.0
-        found: tuple[Any, Any] = _LOSSES[model.loss](self.values, model.width)
-        return found
+        result: tuple[Any, Any] = _LOSSES[model.loss](self.values, model.width)
+        return result
 
 
 def squares_of(
-    layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals
+    layout: Layout, rows: Rows, orientation: Array, points: Array, residual: Residuals
 ) -> dict[str, Squares]:
     """Squares of each kind of measures: image rays, ranges, a-priori places, heights above the terrain model and above
     stereo surfaces.
@@ -96,20 +96,21 @@ def squares_of(
         Shared unknowns, m and rad.
     points : (n, 3) array
         m, layout order.
-    found : Residuals
-        There.
+    residual : Residuals
+        At these.
     """
     network, places, kind = layout.network, layout.observation_rows, layout.network_order(rows.kind)
     rays = _taking((rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT))
-    whitened = found.image[rays] / network.rays.sigmas[rays]
+    whitened = residual.image[rays] / network.rays.sigmas[rays]
     ranges = _taking((rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT))
-    known = np.flatnonzero(kind == PRIOR)
-    offset = layout.network_order(points)[known] - network.points.places[known] - _shifts(layout, orientation, known)
-    ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
-    low = np.flatnonzero(np.isfinite(found.heights) & (kind != OUT))
+    with_prior = np.flatnonzero(kind == PRIOR)
+    offset = (layout.network_order(points) - network.points.places)[with_prior]
+    offset -= _shifts(layout, orientation, with_prior)
+    ground = np.linalg.solve(network.points.covariances[with_prior], offset[:, :, None])[:, :, 0]
+    low = np.flatnonzero(np.isfinite(residual.heights) & (kind != OUT))
     sigmas = network.surface.sigmas[low] if network.surface is not None else np.zeros(0)
-    range_squares = (found.ranges[ranges] / network.ranges.sigmas[ranges]) ** 2
-    on_stereo, stereo_squares = _of_stereo(layout, rows, found)
+    range_squares = (residual.ranges[ranges] / network.ranges.sigmas[ranges]) ** 2
+    on_stereo, stereo_squares = _of_stereo(layout, rows, residual)
 
     def nowhere(of: Index) -> Index:
         return np.full(of.size, -1)
@@ -119,8 +120,8 @@ def squares_of(
             network.rays.point[rays], network.rays.image[rays], np.einsum("ki,ki->k", whitened, whitened), 2, True
         ),
         "ranges": Squares(network.ranges.point[ranges], network.ranges.image[ranges], range_squares, 1, True),
-        "places": Squares(known, nowhere(known), np.einsum("ki,ki->k", offset, ground), 3, False),
-        "heights": Squares(low, nowhere(low), (found.heights[low] / sigmas) ** 2, 1, False),
+        "places": Squares(with_prior, nowhere(with_prior), np.einsum("ki,ki->k", offset, ground), 3, False),
+        "heights": Squares(low, nowhere(low), (residual.heights[low] / sigmas) ** 2, 1, False),
         "stereo heights": Squares(on_stereo, nowhere(on_stereo), stereo_squares, 1, True),
     }
 
@@ -130,14 +131,14 @@ def _taking(mask: Mask) -> Index | slice:
     return slice(None) if np.all(mask) else np.flatnonzero(mask)
 
 
-def _of_stereo(layout: Layout, rows: Rows, found: Residuals) -> tuple[Index, Array]:
+def _of_stereo(layout: Layout, rows: Rows, residual: Residuals) -> tuple[Index, Array]:
     """(m,) points whose heights above stereo surfaces take part, and their squares in sigmas."""
     control, stereo = layout.network.stereo, layout.stereo
     if control is None or stereo is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     kind = layout.network_order(rows.kind)[stereo.points]
     points = stereo.points[(rows.weight[0, layout.observation_rows.stereo] > 0.0) & (kind != OUT)]
-    return points, (found.stereo[points] / control.sigmas[points]) ** 2
+    return points, (residual.stereo[points] / control.sigmas[points]) ** 2
 
 
 def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
@@ -149,8 +150,8 @@ def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
     profile = network.shifts.profile[points]
     moved = profile >= 0
     first = layout.variables.first[len(network.images) + profile[moved]]
-    both = orientation[np.stack([first, first + 1], axis=1)]
-    shift[moved] += np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
+    east_and_north = orientation[np.stack([first, first + 1], axis=1)]
+    shift[moved] += np.einsum("pk,pkj->pj", east_and_north, east_north(network.points.places[points[moved]]))
     return shift
 
 
@@ -206,15 +207,15 @@ class Fit(Record):
         return self.sigma0 > ABSURD
 
 
-def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
+def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, residual: Residuals) -> Fit:
     """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
     kind = layout.network_order(rows.kind)
-    every = squares_of(layout, rows, orientation, points, found).values()
+    kinds = squares_of(layout, rows, orientation, points, residual).values()
     corrections = layout.prior.residuals(orientation)
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
-        squares=float(sum(one.weighted(layout.model).sum() for one in every) + corrections @ corrections),
-        observations=sum(one.rows * one.values.size for one in every) + layout.prior.rows,
+        squares=float(sum(squares.weighted(layout.model).sum() for squares in kinds) + corrections @ corrections),
+        observations=sum(squares.rows * squares.values.size for squares in kinds) + layout.prior.rows,
         unknowns=layout.columns + 3 * free,
     )
 
@@ -254,12 +255,12 @@ def strained_orientations(
     nodes : sequence of array
         Of each pass, m and rad, as `Solution.nodes`: against their a-priori sigmas, trend and all.
     """
-    found = list[Strained]()
-    for one, moved in zip(network.passes, nodes, strict=True):
-        found.append(Strained(int(one.images[0]), _most(moved, one.prior.own_sigmas(one.nodes))))
+    candidates = list[Strained]()
+    for pass_, moved in zip(network.passes, nodes, strict=True):
+        candidates.append(Strained(int(pass_.images[0]), _most(moved, pass_.prior.own_sigmas(pass_.nodes))))
     for j in np.flatnonzero(network.with_polynomial).tolist():
-        found.append(Strained(j, _most(coefficients[j], network.priors[j].sigmas)))
-    return tuple(sorted((one for one in found if one.most > STRAINED), key=lambda one: -one.most))
+        candidates.append(Strained(j, _most(coefficients[j], network.priors[j].sigmas)))
+    return tuple(sorted((image for image in candidates if image.most > STRAINED), key=lambda image: -image.most))
 
 
 def _most(corrections: Array, sigmas: Array) -> float:

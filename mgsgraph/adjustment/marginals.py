@@ -283,8 +283,7 @@ def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
         m and rad, their a-priori sigmas.
     """
     considered = covariance[columns]
-    root = np.linalg.cholesky(np.diag(sigmas**2) - considered)
-    return np.asarray(np.linalg.solve(considered, covariance.T).T @ root)
+    return np.asarray(np.linalg.solve(considered, covariance.T).T @ np.linalg.cholesky(np.diag(sigmas**2) - considered))
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,8 +400,7 @@ class JointCovariance(Record):
         """(m,) place of each pair among those in store; -1 for one that isn't there in this order."""
         code, wanted = self._stored[0], first * self.square_root.width.size + second
         place = np.searchsorted(code, wanted)
-        stored = np.append(code, -1)[place] == wanted
-        return np.where(stored, place, -1)
+        return np.where(np.append(code, -1)[place] == wanted, place, -1)
 
     def _fill(self, first: Index, second: Index, at: Index, across: Index, result: Array) -> None:
         """Put blocks of pairs (m,) of variables at places `at` of a flat array, `across` numbers from row to row."""

@@ -252,8 +252,7 @@ def solve_in_rounds(
             break
     last = tuple(solved_before.values())[-1].selection  # costs compare where the same rows take part
     same_rows = (earlier for earlier in solved_before.values() if earlier.selection.same(last))
-    best = min(same_rows, key=lambda earlier: earlier.outcome.cost_final)
-    return replace(best, history=history, circling=True)
+    return replace(min(same_rows, key=lambda earlier: earlier.outcome.cost_final), history=history, circling=True)
 
 
 def _on_surfaces(layout: Layout, orientation: Array, points: Array) -> Layout:
@@ -425,10 +424,10 @@ def _without_undetermined(layout: Layout, selection: Selection, reduction: Reduc
     """The selection without rays of points that their remaining rays put behind a camera, or don't determine; itself
     when there are none.
     """
-    lost = layout.point_order[(reduction.states != GOOD) & determined_points(selection.rows(layout))]
-    if not lost.size:
+    undetermined = layout.point_order[(reduction.states != GOOD) & determined_points(selection.rows(layout))]
+    if not undetermined.size:
         return selection
-    return replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, lost))
+    return replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, undetermined))
 
 
 def _robust(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Solved | None:
@@ -457,8 +456,7 @@ def _least_squares(
 
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
-    selection = solved.selection
-    with_all = replace(all_rows(layout.network), out=selection.out)
+    with_all = replace(all_rows(layout.network), out=solved.selection.out)
     by_all = BundleGraph(layout, with_all.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 

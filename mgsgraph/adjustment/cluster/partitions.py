@@ -193,10 +193,10 @@ class Partitions(Sweeper):
         target, costs = layout.blocks.target, np.concatenate([part.piece_cost for part in parts])
         blocks = None if parts[0].blocks is None else np.zeros(target.size)
         gradient = np.zeros(target.columns if parts[0].gradient.size else 0)
-        for part, found in zip(self._parts, parts, strict=True):
-            gradient += found.gradient
+        for part, answer in zip(self._parts, parts, strict=True):
+            gradient += answer.gradient
             if blocks is not None:
-                blocks[part.blocks] += found.blocks
+                blocks[part.blocks] += answer.blocks
         ends, states = (np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "states"))
         return Reduction(task, orientation.copy(), float(costs.sum()), costs, blocks, gradient, ends, states)
 
@@ -214,10 +214,10 @@ class Partitions(Sweeper):
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
-        found = self._sweep(
+        answers = self._sweep(
             layout, rows, numbers, lambda part: (orientation, joint[part.blocks], points[part.points])
         )
-        return np.concatenate([values for values, _ in found])
+        return np.concatenate([values for values, _ in answers])
 
     # --- who does it
 
@@ -225,7 +225,7 @@ class Partitions(Sweeper):
         self, layout: Layout, rows: Rows, function: Callable[..., Any] | None,
         arguments: Callable[[_Part], tuple[Any, ...]],
     ) -> list[Any]:  # fmt: skip
-        """What a function of the kernel finds of each partition, in their order."""
+        """Results of a function of the kernel for each partition, in their order."""
         if layout.patterns is not self._layout.patterns:
             self._cluster.call_all(forget, [part.token for part in self._parts])
             self._divide(layout)
@@ -239,8 +239,8 @@ class Partitions(Sweeper):
             if isinstance(answer, Lost):
                 raise SolverError(f"{self._cluster.where}: {part} failed on {part.owner}: {answer.message}")
             if not answer:
-                lost = f"{part} was lost with worker {part.owner} (killed, restarted, or out of memory)"
-                raise SolverError(f"{self._cluster.where}: {lost}; run this again, or {_REMEDY}")
+                problem = f"{part} was lost with worker {part.owner} (killed, restarted, or out of memory)"
+                raise SolverError(f"{self._cluster.where}: {problem}; run this again, or {_REMEDY}")
             part.sent, answers[k] = marks, answer[0]
         return [answers[k] for k in range(len(self._parts))]
 
@@ -251,11 +251,10 @@ class Partitions(Sweeper):
         """The owner of a partition, and an order with what it lacks."""
         source, changes = None, dict[str, NDArray[Any]]()
         if part.sent is None:
-            mine = partition(rows, part.pieces.start, part.pieces.stop)
-            source = Source(mine, self._layout.groups, part.target)
+            source = Source(partition(rows, part.pieces.start, part.pieces.stop), self._layout.groups, part.target)
         else:
             for name, now in marks.items():
-                if any(one is not other for one, other in zip(now, part.sent[name], strict=True)):
+                if any(array is not sent for array, sent in zip(now, part.sent[name], strict=True)):
                     changes[name] = getattr(rows, name)[part.own[name]]
         return part.owner, Order(part.token, function, arguments, self._layout.model, source, changes)
 
@@ -268,16 +267,17 @@ def _marks(layout: Layout, rows: Rows) -> dict[str, list[object]]:
 def _part(layout: Layout, first: int, last: int, common: int, owner: str) -> _Part:
     """The partition of pieces first .. last - 1 for a worker; `common` bytes are the whole's tables."""
     rows = layout.rows
-    mine = partition(rows, first, last)
+    of_part = partition(rows, first, last)
     _, point, _, number, observation = rows.piece[first].tolist()
-    used = np.unique(rows.pattern_group[mine.piece[:, 0]])
-    own = {
-        "kind": slice(point, point + mine.kind.size),
-        "data": slice(number, number + mine.data.size),
-        "weight": (slice(None), slice(observation, observation + mine.weight.shape[1])),
+    used = np.unique(rows.pattern_group[of_part.piece[:, 0]])
+    selections = {
+        "kind": slice(point, point + of_part.kind.size),
+        "data": slice(number, number + of_part.data.size),
+        "weight": (slice(None), slice(observation, observation + of_part.weight.shape[1])),
     }
-    size = size_of((mine.kind, mine.start, mine.data, mine.weight)) + common
-    return _Part(slice(first, last), own, *blocks_of_partition(layout.groups, layout.blocks.target, used), size, owner)
+    size = size_of((of_part.kind, of_part.start, of_part.data, of_part.weight)) + common
+    blocks = blocks_of_partition(layout.groups, layout.blocks.target, used)
+    return _Part(slice(first, last), selections, *blocks, size, owner)
 
 
 def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:
@@ -287,14 +287,13 @@ def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tu
         width = groups.member_width[groups.member_first[group] : groups.member_first[group + 1]]
         places.append(target.pair[groups.pair_first[group] : groups.pair_first[group + 1]])
         sizes.append(np.multiply.outer(width, width).ravel())
-    table = np.concatenate(places)
-    first, example = np.unique(table, return_index=True)
+    first, example = np.unique(np.concatenate(places), return_index=True)
     size = np.concatenate(sizes)[example]
     begin = np.cumsum(size) - size
     inside = np.arange(size.sum()) - np.repeat(begin, size)
     pair = np.zeros_like(target.pair)
-    for group, found in zip(used, places[1:], strict=True):
-        pair[groups.pair_first[group] : groups.pair_first[group + 1]] = begin[np.searchsorted(first, found)]
+    for group, pairs in zip(used, places[1:], strict=True):
+        pair[groups.pair_first[group] : groups.pair_first[group + 1]] = begin[np.searchsorted(first, pairs)]
     return np.repeat(first, size) + inside, target._replace(pair=pair, size=int(size.sum()))
 
 

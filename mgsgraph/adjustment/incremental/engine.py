@@ -138,8 +138,7 @@ class Engine:
             self._changing[members] = Sweep(network, self._settings, _places_of(network, places))
         systems = self._systems_of(networks)
         dropped = [*dropped, *self._unused_shifts(removed, networks)]
-        units = {unknown: state.prior_sigmas for unknown, state in new.items()}
-        tree.change(units, systems, removed, dropped, rows)
+        tree.change({unknown: state.prior_sigmas for unknown, state in new.items()}, systems, removed, dropped, rows)
         for unknown in dropped:
             del self.shared[unknown], self.value[unknown]
         self._take(systems)
@@ -332,8 +331,8 @@ class Engine:
         longer for many than for few.
         """
         for some in _gathered({members: self.systems[members].unknowns for members in sorted(bundles)}):
-            together = tuple(dict.fromkeys(unknown for unknowns in some.values() for unknown in unknowns))
-            joint, place = self.joint(together), stretches(together, self.value)
+            unknowns_of_all = tuple(dict.fromkeys(unknown for unknowns in some.values() for unknown in unknowns))
+            joint, place = self.joint(unknowns_of_all), stretches(unknowns_of_all, self.value)
             columns = np.arange(joint.shape[0])
             for members, unknowns in some.items():
                 chosen = np.concatenate([columns[place[unknown]] for unknown in unknowns])
@@ -467,7 +466,6 @@ def places_by_name(bundles: Iterable[Bundle]) -> dict[str, Array]:
 
 def _places_of(network: Network, places: Mapping[str, Array]) -> Array:
     """(n, 3) m, NaN for a point without a known place, and for a fixed one."""
-    nowhere = np.full(3, np.nan)
-    positions = np.array([places.get(name, nowhere) for name in network.points.ids]).reshape(-1, 3)
+    positions = np.array([places.get(name, np.full(3, np.nan)) for name in network.points.ids]).reshape(-1, 3)
     positions[network.points.kinds == PointKind.FIXED] = np.nan
     return positions

@@ -333,8 +333,7 @@ def _left_undetermined(
     for members, bundle in bundles.items():
         missing = np.isnan(bundle.places[:, 0])
         if np.any(missing):
-            had = np.isfinite(was[members][0][:, 0])
-            missing_now += bundle.network.points.ids[missing & had].tolist()
+            missing_now += bundle.network.points.ids[missing & np.isfinite(was[members][0][:, 0])].tolist()
     return tuple(missing_now)
 
 
@@ -344,15 +343,15 @@ def _neighbours(subjects: Sequence[str], bundles: Mapping[Members, Bundle]) -> t
     for bundle in bundles.values():
         network = bundle.network
         number = {image.name: j for j, image in enumerate(network.images)}
-        seen = np.zeros((len(number), len(network.points)), dtype=bool)
-        seen[network.rays.image, network.rays.point] = True
-        seen &= np.isfinite(bundle.places[:, 0])
-        several = seen.sum(axis=0) > 1
-        with_own = np.any(seen[[number[name] for name in names if name in number]], axis=0)
+        visible = np.zeros((len(number), len(network.points)), dtype=bool)
+        visible[network.rays.image, network.rays.point] = True
+        visible &= np.isfinite(bundle.places[:, 0])
+        several = visible.sum(axis=0) > 1
+        with_own = np.any(visible[[number[name] for name in names if name in number]], axis=0)
         for name, j in number.items():
-            if np.any(seen[j] & several):
+            if np.any(visible[j] & several):
                 linked.add(name)
-            if name not in names and (count := int(np.count_nonzero(seen[j] & with_own))):
+            if name not in names and (count := int(np.count_nonzero(visible[j] & with_own))):
                 shared[name] = shared.get(name, 0) + count
     return shared, linked
 
@@ -415,8 +414,7 @@ def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array
             worst, which = off, unknown
     k, off = _farthest(solution, places)
     converged = solution.converged
-    adopted = converged and max(worst, off) > EXACT
-    return Closing(which, worst, solution.network.points.ids[k], off, adopted, converged)
+    return Closing(which, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
 
 
 def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:

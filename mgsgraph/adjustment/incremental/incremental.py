@@ -223,8 +223,7 @@ class IncrementalAdjustment(Record):
             return self._added(more, with_images(with_definitions(images, Definitions()), all_images), brought)
         new = self._new_images(images, prior)
         batches = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
-        addition = build_network(ImagesByName(self.store, new), batches, tie_sigma, shot_sigma)
-        return self._added(new, addition, brought)
+        return self._added(new, build_network(ImagesByName(self.store, new), batches, tie_sigma, shot_sigma), brought)
 
     def remove(self, *images: str | int) -> Impact:
         """Remove images with their measures, and points that no other image sees.

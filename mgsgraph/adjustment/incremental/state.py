@@ -348,8 +348,7 @@ def without(
     `known` and `turned` as in `with_addition`.
     """
     definitions = store.definitions() if definitions is None else definitions
-    seeing = (members for image in images for members in store.seen_by(image))
-    replaced = list(dict.fromkeys([*seeing, *turned]))
+    replaced = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
     parts = (store.bundle(members).network for members in replaced)
     rest = [remaining for network in parts if (remaining := without_images(network, images)) is not None]
     return _completed(store, replaced, rest, definitions)

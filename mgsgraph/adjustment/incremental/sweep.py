@@ -358,7 +358,7 @@ class Sweep:
 
 def _with_points(bundles: Mapping[Members, Network], network: Network) -> Iterator[tuple[Network, Index]]:
     """Networks of bundles, each with the numbers of its points in the whole network."""
-    every = Names.concatenated([network_of_bundle.points.ids for network_of_bundle in bundles.values()])
-    numbers = network.points.ids.find(every)
+    ids = Names.concatenated([network_of_bundle.points.ids for network_of_bundle in bundles.values()])
+    numbers = network.points.ids.find(ids)
     ends = np.cumsum([len(network_of_bundle.points) for network_of_bundle in bundles.values()])
     return zip(bundles.values(), np.split(numbers, ends[:-1]), strict=True)

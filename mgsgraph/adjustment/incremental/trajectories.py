@@ -65,8 +65,7 @@ def extended(
         joining = [fresh[image] for image in pass_.images if image in fresh]
         if joining:
             passes[name] = _joined_by(store, passes[name], joining, pass_.axes is None)
-    shared = united([Definitions(shared=present.shared), Definitions(shared=brought.shared)]).shared
-    return Definitions(passes, shared)
+    return Definitions(passes, united([Definitions(shared=present.shared), Definitions(shared=brought.shared)]).shared)
 
 
 def shortened(store: StateStore, definitions: Definitions, removed: Iterable[str]) -> Definitions:
@@ -87,8 +86,7 @@ def _over(pass_: NamedPass, images: Sequence[PushbroomImage]) -> NamedPass:
         return pass_
     edges = np.array([seconds(image) for image in images]) - pass_.nodes.epoch
     nodes = pass_.nodes.over(float(edges[:, 0].min()), float(edges[:, 1].max()))
-    same = np.array_equal(nodes.times, pass_.nodes.times)
-    return pass_ if same else replace(pass_, nodes=nodes)
+    return pass_ if np.array_equal(nodes.times, pass_.nodes.times) else replace(pass_, nodes=nodes)
 
 
 def _joined_by(store: KnowsImages, pass_: NamedPass, joining: Sequence[PushbroomImage], by_look: bool) -> NamedPass:
