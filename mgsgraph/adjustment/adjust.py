@@ -1,6 +1,6 @@
-"""The main job: lay a network out, solve it (in passes, when blunders are sought), and read off the posterior.
+"""The main job: lay a network out, solve it (in passes, when blunders are sought), and compute the posterior.
 
-What the nominal orientation makes of a network, before anything is solved, stands here, too.
+The module also computes positions and residuals with the nominal orientation, before anything is solved.
 """
 
 import importlib.metadata
@@ -58,7 +58,7 @@ from mgsgraph.workers import no_progress
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominal:
-    """What the nominal orientation makes of the network."""
+    """Positions and residuals with the nominal orientation."""
 
     places: Array
     """(n, 3) m, network order: a-priori places; for free points the intersection of their rays."""
@@ -101,7 +101,7 @@ def nominal_reduction(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What the geometry and the a-priori sigmas alone say, before anything is solved."""
+    """Predictions from the geometry and the a-priori sigmas, before anything is solved."""
 
     places: Array
     """(n, 3) m, where the nominal orientation puts the points; NaN for undetermined ones."""
@@ -140,7 +140,7 @@ class Clock:
     _since: float = field(default_factory=time.perf_counter)
 
     def stop(self, stage: str) -> None:
-        """Book the time since the last stop."""
+        """Record the time since the last stop."""
         now = time.perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._since
         self._since = now
@@ -230,8 +230,8 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
 def _misfit(
     solved: Solved, nominal: Nominal, unknowns: Mapping[str, Any], sweeper: Sweeper, clock: Clock
 ) -> tuple[Residuals, Fit, Drivers | None]:
-    """How the observations fit at the end, sigma0 of those that take part, and what drives an adjustment that is not
-    valid; books its stages. Raises SolverError (`_require_covariance`).
+    """Residuals at the end, sigma0 of the rows that take part, and what drives an adjustment that is not valid; records
+    the time of its stages. Raises SolverError (`_require_covariance`).
     """
     layout, orientation = solved.layout, solved.orientation
     at_end = residuals(layout, orientation, solved.points, sweeper)
@@ -241,7 +241,7 @@ def _misfit(
         drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, at_end)
         clock.stop("drivers")
     places = solved.points
-    if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
+    if not np.all(solved.selection.rays):  # points with rejected rays are shown where all rays put them
         places = places_of_all(layout, solved, sweeper)
         at_end = residuals(layout, orientation, places, sweeper)
     at_end.ranges[:] += errors_with_footprints(layout, orientation, places)
@@ -418,8 +418,8 @@ def adjust_network(
 
 
 def _require_redundancy(layout: Layout, selection: Selection) -> None:
-    """Raise InputError for a robust loss where each row is needed to place its point, or for what has no prior: its
-    residual is zero, whatever is wrong with it.
+    """Raise InputError for a robust loss where each row is needed for its point, or for an unknown without a prior: its
+    residual is always zero.
     """
     network, n = layout.network, len(layout.network.points)
     kinds, surface, stereo = network.points.kinds, network.surface, network.stereo
@@ -436,8 +436,8 @@ def _require_redundancy(layout: Layout, selection: Selection) -> None:
 
 
 def _require_ties(name: str, solved: Solved) -> None:
-    """Raise InputError where tie points that two rays or more have seen are all lost: what is left to converge on
-    says nothing of how the images fit together.
+    """Raise InputError where all tie points with two rays or more are lost: the remaining observations do not connect
+    the images.
     """
     network = solved.layout.network
     ties = (network.points.classes == PointClass.TIE) & (network.ray_counts > 1)

@@ -1,15 +1,14 @@
-"""Covariances of the adjustment; a network linearised where it stands; whether the joint ellipsoid may be used.
+"""Covariances of the adjustment; a network linearized at its solution; whether the joint ellipsoid may be used.
 
 Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by sigma0 squared to scale them.
 
-Their covariance S = N^-1 is that of a cost that is a paraboloid about the optimum x. It is none where a-priori sigmas
-are so wide that rows bend within them. So states x + e are drawn from the ellipsoid, e of covariance S, the points meet
-anew at each, and twice the rise of the cost, L, is held against q = e' S^-1 e. L is the square of a likelihood ratio,
-chi-square with as many degrees of freedom as unknowns whatever coordinates these are counted in; q is what the
-ellipsoid makes of it. Where L is larger on the average, the ellipsoid holds states that the measures exclude: it lies
-across a valley that bends, and the truth, down in the valley, lies farther out in it than chi-square says. Single
-unknowns may be well behaved all the same. (Bates & Watts, 1980, take second derivatives at x; draws see the whole
-region, at the price of one sweep each.)
+Their covariance S = N^-1 assumes a cost that is a paraboloid about the optimum x. It is none where a-priori sigmas are
+so wide that rows are nonlinear within them. So states x + e are drawn from the ellipsoid, e of covariance S, with the
+points solved at each, and twice the rise of the cost, L, is compared with q = e' S^-1 e. L is the square of a
+likelihood ratio, chi-square with as many degrees of freedom as unknowns in any parametrization; q is its value by the
+ellipsoid. Where L is larger on average, the ellipsoid holds states that the measures exclude: it lies across a curved
+valley, and the truth, down in the valley, lies farther from x than chi-square says. Single unknowns may still be
+reliable. (Bates & Watts, 1980, take second derivatives at x; draws test the whole region, for one sweep each.)
 """
 
 import math
@@ -119,7 +118,7 @@ def point_covariances(
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:
-    """Joint covariance of the shared unknowns as their priors alone have it; None where of some nothing is known."""
+    """Joint covariance of the shared unknowns by their priors alone; None where some have no prior."""
     if np.any(np.isinf(layout.sigmas)):
         return None
     try:
@@ -134,8 +133,8 @@ def prior_covariance(layout: Layout) -> JointCovariance | None:
 def _pass_by_pass(layout: Layout) -> SquareRoot:
     """Square root of the priors' information by a dense QR decomposition of each pass's rows.
 
-    Nodes that may hardly leave a trend of which little is known make pivots fall below 2^-24 of the diagonal that they
-    began with. The rows themselves lose half as many digits as their squares.
+    Nodes tightly bound to a weakly known trend make pivots fall below 2^-24 of the original diagonal. The rows
+    themselves lose half as many digits as their squares.
     """
     variables, rows_of_priors, scales = layout.variables, layout.prior.design.tocsc(), layout.scales
     cliques, rows = _joined_by_priors(layout), list[Array]()
@@ -148,7 +147,7 @@ def _pass_by_pass(layout: Layout) -> SquareRoot:
 
 
 def _joined_by_priors(layout: Layout) -> list[list[int]]:
-    """Adjusted variables in groups that no prior joins: passes, profiles that cross, and any other by itself."""
+    """Adjusted variables grouped by the priors that connect them: passes, profiles that cross, single ones."""
     group, members = layout.prior.group, dict[int, list[int]]()
     for v in layout.variables.adjusted():
         members.setdefault(int(group[v]), []).append(v)
@@ -161,12 +160,12 @@ DRAWS = 32
 LINEAR = 1.1
 """Ratio up to which statements are made by the ellipsoid: normalised errors a tenth too large, sigmas a twentieth."""
 MOST_POINTS, MOST_UNKNOWNS = 5_000, 1_000
-"""Size up to which `adjust` looks for itself, in 0.05 s. Larger ones are looked at when asked."""
+"""Size up to which `adjust` tests it, in 0.05 s. Larger ones are tested on request."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linearity(Record):
-    """What draws from the ellipsoid say of it.
+    """Test of the ellipsoid by states drawn from it.
 
     Examples
     --------
@@ -321,8 +320,8 @@ class Linearised:
         return fit(self.layout, self.rows, self.orientation, self.points, misfit)
 
     def of_estimator(self) -> "Linearised":
-        """The same with the covariance that estimates had were considered unknowns without error, and this the only
-        minimum: what redundancy and tests of residuals are about. Itself where that is so.
+        """The same with the covariance of the estimates if considered unknowns had no error and this were the only
+        minimum: for redundancy and tests of residuals. Itself where that is so.
         """
         if not (self.layout.prior.considered or self.mixed):
             return self
@@ -358,7 +357,7 @@ class Linearised:
         return layout.blocks.filled(self.joint)
 
     def asked(self, places: Array, rays: ImageRays, held: bool) -> Layout:
-        """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
+        """Layout of unmeasured places (m, 3) in m, on the same shared unknowns.
 
         Rays of `held` places are rows without a point; those of others intersect in them.
         """
@@ -406,7 +405,7 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
 
 
 def _columns(rows: Rows, observations: Index, first_of_member: Index) -> list[Index]:
-    """Of each row's observation, where its numbers go among the columns of the group."""
+    """For each row's observation, the columns of its numbers in the group."""
     columns = []
     for i in observations.tolist():
         entry, terms = int(rows.observation_entry[i]), int(rows.observation_terms[i])

@@ -303,8 +303,8 @@ def datum_transformations(layout: Layout) -> Array:
             moves[columns] = _of_image(layout, variable, middle)
         elif variable < layout.network.first_shared:
             moves[columns] = _of_shift(layout, variable - layout.variables.images, middle)
-    for k, (strip, first) in enumerate(layout.network.numbered_passes):
-        columns = layout.variables.columns_from(first, len(strip.nodes))
+    for k, (pass_, first) in enumerate(layout.network.numbered_passes):
+        columns = layout.variables.columns_from(first, len(pass_.nodes))
         moves[columns] = _of_nodes(layout, k, middle)
     moves /= layout.scales[:, None]
     if np.any(layout.network.held):

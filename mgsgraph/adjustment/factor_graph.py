@@ -76,7 +76,7 @@ class FactorGraph(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selected:
-    """What takes part, and where it begins."""
+    """Measures that take part, and start values."""
 
     places: Array
     """(n, 3) m, of points."""
@@ -141,7 +141,7 @@ def _graph(network: Network, settings: SolverSettings, keys: Keys, selected: Sel
 def _begun(
     network: Network, settings: SolverSettings, keys: Keys, selected: Selected, values: gtsam.Values
 ) -> gtsam.Values:
-    """Where Tukey's loss begins: where Huber's has its optimum, reached by sigmas that become narrower."""
+    """Start of Tukey's loss: the optimum of Huber's, reached by sigmas that become narrower."""
     plain, convex = (replace(settings, loss=loss, loss_width=None) for loss in ("none", "huber"))
     graph = _graph(network, plain, keys, selected)
     largest = max((graph.at(i).error(values) for i in range(graph.size())), default=0.0)
@@ -218,7 +218,7 @@ def measurement_factors(
 
 
 def nominal_selection(network: Network) -> Selected:
-    """All that is determined, at the nominal orientation."""
+    """All determined points with their measures, at the nominal orientation."""
     rays, n = network.rays, len(network.points)
     origins, looks = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
     for j, image in enumerate(network.images):
@@ -258,7 +258,7 @@ def _adjusted(network: Network) -> list[int]:
 
 
 def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
-    """What is known of shared unknowns; considered ones are held."""
+    """Priors of shared unknowns; considered ones are held."""
     for j in np.flatnonzero(network.with_polynomial).tolist():
         yield orientation_prior(keys.variable(j), network.priors[j].sigmas.ravel())
     for name, terms in zip(network.shift_names, network.shift_terms, strict=True):
@@ -281,8 +281,8 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
-    """Of points what moves their a-priori positions: profiles' shifts, and what lasers share; `of_ranges` without what
-    acts on ranges itself.
+    """For points the unknowns that move their a-priori positions: shifts of profiles, and those shared by lasers;
+    `of_ranges`: without those that act on ranges themselves.
     """
     movers: dict[int, list[PolynomialEffect]] = {}
     for points, variables, motions, on_ranges in known_motions(network):
@@ -402,7 +402,7 @@ def _ranges(
             )  # fmt: skip
 
 
-# --- what moves an image
+# --- effects on an image
 
 
 class _Mounted(NamedTuple):
@@ -468,7 +468,7 @@ class _Vibration(NamedTuple):
 
 
 class _Moves:
-    """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
+    """Effects of unknowns on the rays and ranges of one image, in the axes of its pass."""
 
     def __init__(self, network: Network, keys: Keys, j: int, shared: SharedEffects) -> None:
         self._network, self._keys, self._j, self._image, self._shared = network, keys, j, network.images[j], shared

@@ -1,5 +1,5 @@
 """Residuals of all rows, their weighted squares and sigma0; orientations that an adjustment has moved by far more than
-is said to be known of them.
+their a-priori sigmas.
 """
 
 from collections.abc import Callable, Sequence
@@ -127,7 +127,7 @@ def squares_of(
 
 
 def _taking(mask: Mask) -> Index | slice:
-    """What to take where a mask (n,) is true: as a rule all, without a copy."""
+    """Index for a true mask (n,): usually all, without a copy."""
     return slice(None) if np.all(mask) else np.flatnonzero(mask)
 
 
@@ -168,7 +168,7 @@ def errors_with_footprints(layout: Layout, orientation: Array, points: Array) ->
 
 
 ABSURD = 10.0
-"""sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
+"""sigma0 from which on sigmas are not the cause: squares are a hundred times as large as stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +203,7 @@ class Fit(Record):
 
     @property
     def absurd(self) -> bool:
-        """Whether sigma0 can't come from sigmas that are merely too small."""
+        """Whether sigma0 is too large to come from sigmas that are merely too small."""
         return self.sigma0 > ABSURD
 
 
@@ -223,29 +223,29 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, residual:
 STRAINED = 5.0
 """A-priori sigmas; of 10,000 coefficients none is off by so many by chance."""
 IMPOSSIBLE = 100.0
-"""A-priori sigmas from which on an input is wrong, whatever sigma0 says: sigmas that are stated ten times too small
-are off by 50 at the most."""
+"""A-priori sigmas from which on an input is wrong, for any sigma0: with sigmas stated ten times too small, corrections
+reach 50 at most."""
 
 
 class Strained(NamedTuple):
     """An image whose orientation was moved too far."""
 
     image: int
-    """Which; for a pass stands its first image."""
+    """Number of the image; of a pass its first image."""
     most: float
     """Largest of its corrections, in a-priori sigmas."""
 
     @property
     def impossible(self) -> bool:
-        """Whether no stated sigma is to blame, but an input."""
+        """Whether an input is wrong, not a stated sigma."""
         return self.most > IMPOSSIBLE
 
 
 def strained_orientations(
     network: Network, coefficients: Sequence[Array], nodes: Sequence[Array]
 ) -> tuple[Strained, ...]:
-    """Images whose own corrections exceed their sigmas by so much that no noise explains it, worst first: sigma0 hides
-    it behind many rays.
+    """Images whose own corrections exceed their sigmas by more than noise explains, worst first: sigma0 hides them
+    behind many rays.
 
     Parameters
     ----------

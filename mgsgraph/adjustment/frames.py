@@ -26,7 +26,7 @@ FLIGHT = ("along-track position", "across-track position", "radial position", "r
 FLIGHT_NAMES = ("along", "across", "radial", "roll", "pitch", "yaw")
 """The same in a word each, for tables and figures."""
 BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
-"""The same of an image so long that its flight has no one direction."""
+"""The same of an image so long that its flight changes direction."""
 _LONG = 10.0 * DEG
 """Arc from mid-image to either end from which an image is that long."""
 _ORDERS = ("constant", "linear", "quadratic", "cubic")
@@ -40,7 +40,7 @@ _LEVEL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightFrame:
-    """How one image's six components of a coefficient become its six axes, at mid-image."""
+    """Conversion of the six components of an image's coefficient to its six axes, at mid-image."""
 
     axes: tuple[str, ...]
     """Names of the six axes."""
@@ -76,7 +76,7 @@ def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFram
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
     moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)
-    if not np.isfinite(distance):  # what looks past the body sees it about as far as the ground lies below
+    if not np.isfinite(distance):  # beyond the limb: about the distance of the ground below
         distance = float(np.linalg.norm(pose.position[0])) - image.body.polar
     end = image.sightlines(line, np.zeros(1))[1]
     width = distance * float(np.linalg.norm(end - look) / np.linalg.norm(look))
@@ -150,7 +150,7 @@ class Axis:
 
 
 class Frames:
-    """All columns of a layout in the terms of its images' flights; frames are made as they are asked for."""
+    """All columns of a layout in the terms of its images' flights; frames are made on demand."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
@@ -231,10 +231,10 @@ class Frames:
             if image < self.layout.variables.images:
                 for first in range(columns.start, columns.stop, 6):
                     yield image, slice(first, first + 6), scales[first : first + 6]
-        for strip, first in self.layout.network.numbered_passes:
-            for variable in range(first, first + len(strip.nodes)):
+        for pass_, first in self.layout.network.numbered_passes:
+            for variable in range(first, first + len(pass_.nodes)):
                 columns = self.layout.columns_of(variable)
-                yield int(strip.images[0]), columns, scales[columns]
+                yield int(pass_.images[0]), columns, scales[columns]
 
     def _axis(self, variable: int, inside: int) -> Axis:
         network, images = self.layout.network, self.layout.variables.images

@@ -21,7 +21,7 @@ from mgsgraph.workers import no_progress
 
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
 _HARDLY_DAMPED = 1e-6
-"""Up to which a step says how far the minimum is."""
+"""Length up to which a step is the distance to the minimum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Iteration(Record):
     decrease: float
     """Cost before minus cost after."""
     predicted: float
-    """Decrease that the linear model promised."""
+    """Decrease that the linear model predicted."""
     step: float
     """Length of the step in posterior sigmas: the square root of minus gradient times step."""
     damping: float
@@ -53,7 +53,7 @@ class Iteration(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimized(Record):
-    """What `optimize` found.
+    """The result of `optimize`.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class Optimized(Record):
     cost: float
     """Half the weighted sum of squares (or of the losses)."""
     converged: bool
-    """Whether it stopped because nothing more was to be gained."""
+    """Whether it converged."""
     message: str
     """Why it stopped."""
     history: tuple[Iteration, ...]
@@ -76,7 +76,7 @@ class Optimized(Record):
 
 class _Structure:
     """Columns of a graph's variables, and which of these are eliminated first: no factor has two of them, as of ground
-    points. What is left is small, and time linear in the number of factors.
+    points. The rest is small, and time linear in the number of factors.
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -221,7 +221,7 @@ class _Linearized:
         return factored
 
     def step_of(self, scaled: Array) -> gtsam.VectorValues:
-        """A step in units of the scales, as GTSAM has it."""
+        """A step in units of the scales, as a GTSAM record."""
         step, vectors = scaled * self.scales, gtsam.VectorValues()
         for key in self.structure.keys:
             vectors.insert(key, step[self.structure.columns_of(key)])
@@ -308,7 +308,7 @@ def optimize(
 
 class Marginals:
     """Covariances of a graph's variables at values, for sigma0 = 1: those of `gtsam.Marginals`, for units of any size.
-    Considered unknowns of a network are held in its graph: only a Solution carries what is not known of them.
+    Considered unknowns of a network are held in its graph: only a Solution includes their uncertainty.
 
     Parameters
     ----------

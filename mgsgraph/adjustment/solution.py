@@ -115,9 +115,9 @@ class Solution(Record):
     shared: tuple[Array, ...] = ()
     """(w,) of each of the network's shared unknowns, in the unit of its kind: one value, or three of a boresight."""
     nodes: tuple[Array, ...] = ()
-    """(k, 6) m and rad, corrections at the orientation images of each strip."""
+    """(k, 6) m and rad, corrections at the orientation images of each pass."""
     trends: tuple[Array, ...] = ()
-    """(w,) m and rad, of each strip: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
+    """(w,) m and rad, of each pass: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
     lift: Array | None = None
     """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
     (`Surface.terms` after the horizontal shift); None where none is."""
@@ -170,11 +170,11 @@ class Solution(Record):
     @cached_property
     def values(self) -> tuple[Array, ...]:
         """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
-        nodes and the trend of each strip, then the factors of errors in common.
+        nodes and the trend of each pass, then the factors of errors in common.
         """
-        strips = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
+        of_passes = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
         polynomials = [coefficients.ravel() for coefficients in self.coefficients]
-        passes = [unknown for strip in strips for unknown in strip if unknown.size]
+        passes = [unknown for unknowns in of_passes for unknown in unknowns if unknown.size]
         return (*polynomials, *self.shift_values, *self.shared, *passes, *self.common)
 
     # images, points, shifts and shared unknowns are asked for by their names or their numbers in the network

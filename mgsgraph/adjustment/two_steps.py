@@ -1,9 +1,9 @@
 """The two steps of Spiegel et al. (LPSC 2006): first the rays alone, then their points on the terrain model.
 
 Step 1 makes the block consistent in itself and finds the blunders of matching. Step 2 adds one row for each point over
-the terrain model, with what step 1 rejected kept out, and fits the whole block to the model. A point far off the model
-is judged there, too: a blunder that step 1 could not see (all its rays agree on a wrong place) or ground that is not as
-the model has it. Its rays stay, its height row goes.
+the terrain model, without the rows that step 1 rejected, and fits the whole block to the model. It also judges points
+far off the model: blunders that step 1 could not see (all rays agree on a wrong place), or ground that differs from the
+model. Their rays stay, their height rows are removed.
 """
 
 import time
@@ -48,7 +48,7 @@ class RaysAlone:
 
     @cached_property
     def joint(self) -> JointCovariance | None:
-        """A-priori covariance of the shared unknowns; None where of some nothing is known."""
+        """A-priori covariance of the shared unknowns; None where some have no prior."""
         return prior_covariance(self._layout)
 
     def nominal(self) -> tuple[Array, Array]:
@@ -86,7 +86,7 @@ class RaysAlone:
 
 
 Announce = Callable[[str], None]
-"""Called at the beginning of each step with what it is."""
+"""Called at the beginning of each step with its name."""
 
 _MOST_PASSES = 6
 
@@ -102,7 +102,7 @@ class TwoSteps(Record):
     fitted: Solution
     """Step 2: with it. Of its network the surface lacks the rows that were judged to be off."""
     off: Mask
-    """(n,) points whose height row was judged to be a blunder, or the ground another one than the model's."""
+    """(n,) points whose height row was judged to be a blunder, or whose ground differs from the model's."""
     at_rest: bool
     """Whether that judgement converged."""
     history: tuple[tuple[Iteration, ...], tuple[Iteration, ...]]

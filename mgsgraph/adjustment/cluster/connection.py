@@ -1,4 +1,4 @@
-"""A cluster for the length of some work: started or reached, looked over, given tasks, and left as it was found."""
+"""A cluster for the time of some work: started or reached, checked, given tasks, and left as it was."""
 
 import asyncio
 import logging
@@ -49,13 +49,13 @@ _GRACE = 2.0
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _alone = threading.Lock()
-"""Held by the task that runs in this process: SPICE's kernel pool and the partitions held here serve one at a time, and
-a sweep's own threads already take every core."""
+"""Lock of the task that runs in this process: SPICE's kernel pool and the partitions serve one task at a time, and a
+sweep's own threads already take every core."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """What is left of a task that gave no result."""
+    """A task without a result."""
 
     message: str
     """Why, in words."""
@@ -223,7 +223,7 @@ async def _aside(function: Callable[[_Item], _Result], item: _Item) -> _Result |
     """On a worker: in a thread, so that it goes on answering the scheduler."""
     try:
         return await asyncio.to_thread(_by_itself, function, item)
-    except Exception as error:  # whatever the function raises: told here, or it would look like a lost connection
+    except Exception as error:  # any error of the function: else it would look like a lost connection
         return _lost(error)
 
 
@@ -342,13 +342,13 @@ def _reach(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
 
 
 def _close(what: Any) -> None:
-    """Close a cluster or a client to the end, whatever signals come."""
+    """Close a cluster or a client completely, even if signals arrive."""
     with interrupts_deferred():
         what.close()
 
 
 def _client(address: str, where: str, timeout: float) -> Any:
-    """A client, asked for in a thread: where something else than a scheduler answers dask waits for ever."""
+    """A client, made in a thread: where another program than a scheduler answers, dask waits forever."""
     import distributed
 
     clients: list[Any] = []
@@ -376,7 +376,7 @@ def _client(address: str, where: str, timeout: float) -> Any:
 
 @contextmanager
 def _quiet_log() -> Iterator[None]:
-    """Without dask's log on standard error: what matters reaches the user as an error in our words."""
+    """Without dask's log on standard error: problems reach the user as errors of mgsgraph."""
     import distributed  # sets the log up
 
     handlers = logging.getLogger("distributed").handlers

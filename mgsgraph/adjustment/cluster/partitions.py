@@ -1,9 +1,9 @@
 """One adjustment over a cluster: its points lie in partitions on the workers, which do every sweep.
 
-A partition goes to its worker once; after that only what changes: which rows take part, and the constants of rows that
-are rebuilt. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
-found of the partition comes back. A worker that goes ends the adjustment, which takes minutes: it is begun again. Sums
-are made in the order of the partitions, so that a cost is repeatable.
+A partition goes to its worker once; after that only changes: the rows that take part, and the constants of rows that
+are rebuilt. For each sweep the worker receives the orientation and the start positions of inner solves, and returns the
+kernel's results. A lost worker ends the adjustment, which takes minutes: start it again. Sums are made in the order of
+the partitions, so that a cost is repeatable.
 """
 
 import math
@@ -28,7 +28,7 @@ from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
 
 _COPIES = 2.0
-"""Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
+"""Memory for a partition over its own size: its packed form, or scratch and results."""
 _LARGEST = 0.5 * GIGA
 """bytes of a partition; a worker with more to hold gets several, since dask's messages end at 2 GB."""
 _REMEDY = "take more workers on more machines, or give them more memory (--memory-limit)"
@@ -38,7 +38,7 @@ _REMEDY = "take more workers on more machines, or give them more memory (--memor
 
 
 class Source(NamedTuple):
-    """All that a worker needs of a partition, but for the measurement model."""
+    """All data of a partition that a worker needs, except the measurement model."""
 
     rows: Rows
     """Its rows."""
@@ -55,9 +55,9 @@ class Order:
     token: str
     """Of the partition, unlike any other."""
     function: Callable[..., Any] | None
-    """What to do with rows, groups, blocks and model; None: take the partition in."""
+    """Function of rows, groups, blocks and model; None: store the partition."""
     arguments: tuple[Any, ...]
-    """What the function takes after these."""
+    """Further arguments of the function."""
     model: Model
     """The measurement model."""
     source: Source | None = None
@@ -67,15 +67,15 @@ class Order:
 
 
 Answer = tuple[Any, ...]
-"""What the function returned, in a tuple; an empty one says that the worker doesn't hold the partition."""
+"""Result of the function, in a tuple; empty where the worker doesn't hold the partition."""
 _held: dict[str, tuple[float, Source]] = {}
 """Partitions that this process holds by their tokens, and when the last order came, s."""
 _KEPT = 600.0
-"""s without an order after which a partition makes room for new ones: whoever sent it has gone, or sends it again."""
+"""s without an order after which a partition may be dropped for new ones: its sender has gone, or sends it again."""
 
 
 def carry_out(order: Order) -> Answer:
-    """Do what an order says."""
+    """Carry out an order."""
     now, source = time.monotonic(), order.source
     if source is not None:
         forget([token for token, (used, _) in _held.items() if now - used > _KEPT])
@@ -91,7 +91,7 @@ def carry_out(order: Order) -> Answer:
 
 
 def forget(tokens: list[str]) -> None:
-    """Let partitions go."""
+    """Drop partitions."""
     for token in tokens:
         _held.pop(token, None)
 

@@ -1,8 +1,8 @@
-"""Where the work goes, as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and
-whether its workers are fit for it: Python, packages and their versions, memory, and files that all of them must see.
+"""The cluster as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and checks of
+its workers: Python, packages and their versions, memory, and files that all of them must see.
 
-What is asked of a worker before it is known to have this package must not need the package there: such functions are
-made inside others, so that dask sends them as code instead of by name.
+Functions that run on a worker before it is known to have this package must not need the package there: they are made
+inside others, so that dask sends them as code instead of by name.
 """
 
 import hashlib
@@ -20,32 +20,32 @@ from urllib.parse import urlsplit
 from mgsgraph.errors import InputError
 
 OPTION = "--cluster"
-"""How errors name what the user gave."""
+"""Name of the option in errors."""
 _EXPECTED = "local, local:N (N worker processes), tcp://host:port or tls://host:port"
 _MOST_WORKERS = 1024
-"""More processes than this on one machine are a slip of the finger."""
+"""More processes than this on one machine are a typing error."""
 PACKAGES = ("mgsgraph", "numpy", "numba", "gtsam", "distributed")
-"""What computes, and what carries it; each must be there in the version that is here."""
+"""Packages that a worker needs, in the versions of this machine."""
 GIGA = 1e9
 """bytes in a GB."""
 _LOOK = 0.5
-"""s between two looks at a file that isn't there yet."""
+"""s between two checks of a file that isn't there yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClusterAddress:
-    """Workers of our own on this machine, or the address of a scheduler."""
+    """Worker processes on this machine, or the address of a scheduler."""
 
     text: str
     """As the user wrote it."""
     workers: int = 0
-    """Worker processes to start here; 0 for a scheduler elsewhere."""
+    """Worker processes to start on this machine; 0 for a scheduler."""
     address: str = ""
-    """Address of the scheduler; empty for workers of our own."""
+    """Address of the scheduler; empty for worker processes on this machine."""
 
     @property
     def local(self) -> bool:
-        """Whether the workers are our own."""
+        """Whether the workers are processes on this machine."""
         return not self.address
 
 
@@ -96,7 +96,7 @@ def threads_of_each(workers: int) -> int:
     return max(1, cores() // workers)
 
 
-# --- whether workers are fit
+# --- checks of the workers
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
-"""Sweeps by a GPU: a layout's rows go there once, per iteration only the orientation.
+"""Sweeps by a GPU: a layout's rows are copied there once, the orientation for each iteration.
 
-What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
+A layout that is too large for its memory is swept in partitions, which are copied again for every sweep.
 """
 
 from importlib.util import find_spec
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.gpu.found import WHERE, Gpu
+from mgsgraph.adjustment.gpu.find import WHERE, Gpu
 from mgsgraph.adjustment.graph.forms import Solving, Sweeper, of_rows, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.patterns import within
@@ -26,7 +26,7 @@ from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 MOST_COLUMNS = 8000
 """A matrix of 0.5 GB."""
 _COPIES = 6
-"""Matrix, factor, what is gathered, and where its numbers come from, go to, and their units."""
+"""Arrays of the matrix's size: matrix, factor, gathered numbers, their sources, places and units."""
 
 
 def dense_libraries() -> tuple[ModuleType, ModuleType] | None:
@@ -121,16 +121,16 @@ def _places(layout: Layout) -> tuple[Index, Index, Index]:
 
 
 _SHARE = 0.8
-"""Of the free memory: the rest is the driver's, the libraries' and the reduced equations'."""
+"""Share of the free memory: the rest is for driver, libraries and reduced equations."""
 _PER_POINT = 4 * 25
-"""Bytes: places and states of as many reductions as live at a time."""
+"""Bytes: places and states of the reductions that exist at a time."""
 _MOST_WORK = 4e9
 """Bytes of scratch for one partition: more don't make a sweep faster."""
 _GIGA = 1e9
 
 
 class GpuReduction(Reduction):
-    """A reduction whose points and blocks stay on the device until they are asked for."""
+    """A reduction whose points and blocks stay on the device until needed."""
 
     def __init__(
         self, task: int, orientation: Array, costs: Array, gradient: Array, points: Any, states: Any, blocks: Any
@@ -213,7 +213,7 @@ class GpuSweeper(Sweeper):
         self._work = Workspace(max((part.work for part in self._parts), default=0))
 
     def _take(self, layout: Layout, rows: Rows) -> None:
-        """Go on with a layout made of the same network, and rows that differ in what takes part."""
+        """Continue with a layout made of the same network, and rows of which others take part."""
         now = self._layout
         if layout.patterns is not now.patterns or layout.model != now.model:
             self._divide(layout)
@@ -224,8 +224,8 @@ class GpuSweeper(Sweeper):
         self._layout, self._rows = layout, rows
 
     def _each(self) -> Any:
-        """Partitions and where their points and observations are among the whole's; of those that the memory can't hold
-        at once each goes when the next one comes.
+        """Partitions, and the places of their points and observations among all; where the memory can't hold all of
+        them, each is removed when the next one comes.
         """
         for part, ends in zip(self._parts, pairwise(self._points), strict=True):
             yield part, slice(*ends)
