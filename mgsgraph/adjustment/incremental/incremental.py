@@ -241,7 +241,7 @@ class IncrementalAdjustment(Record):
         self.store = store
         self._engine.resume(store)
 
-    def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
+    def replace_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
         """Replace points, with all of their rows, by those of a network.
 
         Parameters
@@ -288,13 +288,13 @@ class IncrementalAdjustment(Record):
             bundles = engine.adopted(shared_of(solution), solution, network)
             for image in known_images(network):
                 if image.image.name not in present or not _same_image(image, self.store.image(image.image.name)):
-                    self.store.put_image(image)
+                    self.store.add_image(image)
             self.store.replace(self.store.members(), bundles)
             for name in present - {image.name for image in network.images}:
                 self.store.drop_image(name)
-            self.store.put_definitions(engine.known)
+            self.store.set_definitions(engine.known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
-            self.store.put_shared(engine.shared)
+            self.store.set_shared(engine.shared)
 
     # --- how
 
@@ -376,7 +376,7 @@ class IncrementalAdjustment(Record):
             settled = engine.replaced(replaced, networks, unknowns_new, dropped, definitions)
             old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
             report = impact(verb, subjects, settled, old, before, engine.shared)
-            self.store.put_definitions(definitions)
+            self.store.set_definitions(definitions)
             self._keep(settled, replaced, networks, new, before)
             for name in subjects if removing else ():
                 self.store.drop_image(name)
@@ -393,11 +393,11 @@ class IncrementalAdjustment(Record):
         """Write the new state to the store."""
         shared = self._engine.shared
         for image in new:
-            self.store.put_image(image)
+            self.store.add_image(image)
         moved = {members: bundle for members, bundle in settled.bundles.items() if members not in networks}
         self.store.replace(replaced, {members: settled.bundles[members] for members in networks})
         self.store.renew(moved)
-        self.store.put_shared({unknown: state for unknown, state in shared.items() if state is not before.get(unknown)})
+        self.store.set_shared({unknown: state for unknown, state in shared.items() if state is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
 
 

@@ -1,4 +1,4 @@
-"""What an incremental adjustment keeps between two changes: bundles with their reduced systems, and shared unknowns.
+"""State of an incremental adjustment between two changes: bundles with their reduced systems, and shared unknowns.
 
 A bundle is all points that depend on the same shared unknowns (not the bundle of rays of one image). Its reduced system
 (points solved and eliminated at one orientation) is all that the tree of iSAM2 ever sees of it; its points are asked
@@ -38,7 +38,7 @@ from mgsgraph.network.shared import image_effect
 from mgsgraph.units import KM
 
 NOTICEABLE = 0.01
-"""Sigmas from which a move is stated."""
+"""Sigmas from which on a move is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class ReducedSystem:
     cost: float
     """Half the weighted sum of squares of the points' rows there."""
     slack: float
-    """Pixels by which image places may move before it has to be made anew (`sweep.slack`)."""
+    """Pixels by which image places may move before it is relinearized (`sweep.slack`)."""
 
     def __post_init__(self) -> None:
         d = np.size(self.at)
@@ -65,7 +65,7 @@ class ReducedSystem:
 
 
 def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> dict[Unknown, slice]:
-    """Where each of some unknowns lies in a joint vector of theirs, in this order; `vectors` has one (d,) of each."""
+    """Slices of some unknowns in their joint vector, in this order; `vectors` has one (d,) of each."""
     ends = accumulate((vectors[unknown].size for unknown in unknowns), initial=0)
     return {unknown: slice(*two) for unknown, two in zip(unknowns, pairwise(ends), strict=True)}
 
@@ -109,7 +109,7 @@ class Shared:
     value: Array
     """(d,) m and rad, adjusted."""
     covariance: Array
-    """(d, d) for sigma0 = 1, when it was looked at last."""
+    """(d, d) for sigma0 = 1, when it was last computed."""
     considered: bool = False
     """Whether it is held at zero, while its a-priori covariance is carried."""
 
@@ -135,7 +135,7 @@ class Settled:
     """Result of a change."""
 
     bundles: dict[Members, Bundle]
-    """Bundles changed, made anew or reached, with their points where they are now."""
+    """Bundles changed, relinearized or reached, with the present positions of their points."""
     reached: dict[Members, Array]
     """Joint covariance (d, d) of the unknowns of those that a noticeable change reached, as in their reduced system."""
     updates: int
@@ -162,7 +162,7 @@ class StateStore(Protocol):
         """The reduced systems of all bundles that have one, without any of their points."""
 
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
-        """For those of the points that are there: their bundle."""
+        """The bundle of each stored point of these."""
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
@@ -174,15 +174,15 @@ class StateStore(Protocol):
         """Members of all bundles."""
 
     def as_network(self) -> tuple[Network, Array]:
-        """All of it as one network, images in the order in which they came, and places (n, 3) in m of its points."""
+        """The whole state as one network, images in order of addition, and places (n, 3) in m of its points."""
 
-    def put_image(self, image: KnownImage) -> None:
+    def add_image(self, image: KnownImage) -> None:
         """Add an image."""
 
     def drop_image(self, name: str) -> None:
-        """Take an image out; its bundles have been replaced before."""
+        """Remove an image; its bundles have been replaced before."""
 
-    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+    def set_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
@@ -197,12 +197,12 @@ class StateStore(Protocol):
     def definitions(self) -> Definitions:
         """Passes and shared unknowns; those of the networks of bundles may be older ones."""
 
-    def put_definitions(self, definitions: Definitions) -> None:
-        """Take these in the place of all that there are."""
+    def set_definitions(self, definitions: Definitions) -> None:
+        """Replace all definitions."""
 
 
 class ImagesByName(Mapping[str, KnownImage]):
-    """New images, and those of a store, read when they are asked for."""
+    """New images, and those of a store, read on demand."""
 
     def __init__(self, store: StateStore, new: Sequence[KnownImage]) -> None:
         self._store, self._new = store, {image.image.name: image for image in new}
@@ -248,7 +248,7 @@ class InMemory:
         return {members: bundle.reduced for members, bundle in self._bundles.items() if bundle.reduced is not None}
 
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
-        """For those of the points that are there: their bundle."""
+        """The bundle of each stored point of these."""
         return {name: self._bundle_of[name] for name in ids if name in self._bundle_of}
 
     def seen_by(self, image: str) -> list[Members]:
@@ -270,7 +270,7 @@ class InMemory:
         network = with_images(joined(networks), list(self._images.values()))
         return with_definitions(network, definitions), np.concatenate([bundle.places for bundle in parts])
 
-    def put_image(self, image: KnownImage) -> None:
+    def add_image(self, image: KnownImage) -> None:
         """Add an image."""
         self._images[image.image.name] = image
 
@@ -278,7 +278,7 @@ class InMemory:
         """Remove an image."""
         del self._images[name]
 
-    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+    def set_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
         self._shared |= shared
 
@@ -309,7 +309,7 @@ class InMemory:
         """Passes and shared unknowns."""
         return self._definitions
 
-    def put_definitions(self, definitions: Definitions) -> None:
+    def set_definitions(self, definitions: Definitions) -> None:
         """Take these in the place of all that there are."""
         self._definitions = definitions
 
@@ -499,19 +499,18 @@ def shared_by_images(unknown: NamedShared, images: Mapping[str, KnownImage], ang
 
 def shared_of(solution: "Solution") -> dict[Unknown, Shared]:
     """The adjusted unknowns of a batch solution."""
-    network, adjusted = solution.network, dict[Unknown, Shared]()
+    network, angles, adjusted = solution.network, solution.settings.angles, dict[Unknown, Shared]()
     names, count = unknowns(network), len(network.images)
     for j, (image, prior) in enumerate(zip(network.images, network.priors, strict=True)):
         if network.with_polynomial[j]:
-            start = shared_image(KnownImage(image, prior), solution.settings.angles)
+            start = shared_image(KnownImage(image, prior), angles)
             value, covariance = solution.coefficients[j].ravel(), solution.image_covariance(j)
             adjusted[names[j]] = replace(start, value=value, covariance=covariance)
     motion = max((float(start.motion[0]) for start in adjusted.values()), default=1.0)
     for p, name in enumerate(network.shift_names):
         start = shared_shift(network, name, motion)
         adjusted[names[count + p]] = replace(start, value=solution.shifts[p], covariance=solution.shift_covariance(p))
-    defined, images = definitions(network), {start.image.name: start for start in known_images(network)}
-    angles = solution.settings.angles
+    defined, images = definitions(network), {image.image.name: image for image in known_images(network)}
     more = {Unknown("shared", n): shared_by_images(s, images, angles) for n, s in defined.shared.items()}
     for pass_ in defined.passes.values():
         more |= shared_pass(pass_, images, angles)
