@@ -369,7 +369,7 @@ def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> 
 
 def with_final_steps(
     problem: BundleProblem,
-    converged: Outcome,
+    outcome: Outcome,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome:
@@ -378,7 +378,7 @@ def with_final_steps(
     Parameters
     ----------
     problem : BundleProblem
-    converged : Outcome
+    outcome : Outcome
     settings : SolverSettings
     progress : callable
         Called after every step.
@@ -388,9 +388,9 @@ def with_final_steps(
     Outcome
         Not converged where steps don't become short enough; then the state is that found.
     """
-    if not converged.converged or not problem.adjusts:
-        return converged
-    state, cost, history = converged.state, converged.cost_final, list(converged.history)
+    if not outcome.converged or not problem.adjusts:
+        return outcome
+    state, cost, history = outcome.state, outcome.cost_final, list(outcome.history)
     matrix = linear = problem.linear(state)
     plain, pairs, farthest = linear.step(LEAST_DAMPING), list[_Pair](), math.inf
     for _ in range(_MOST):
@@ -405,10 +405,10 @@ def with_final_steps(
         history.append(now)
         progress(now)
         if length < settings.step_tolerance:
-            if cost > converged.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
+            if cost > outcome.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
                 break
             message = f"Converged: the last step was {length:.1e} posterior sigmas long."
-            return replace(converged, state=state, cost_final=cost, message=message, history=tuple(history))
+            return replace(outcome, state=state, cost_final=cost, message=message, history=tuple(history))
         state = state + step
         cost = problem.cost(state, GRADIENT)
         if not math.isfinite(cost):
@@ -419,7 +419,7 @@ def with_final_steps(
         if plain is not None:
             pairs = [*pairs, _Pair(step, linear.gradient - before, longer - plain)][-_DEPTH:]
     message = "Stopped: near the optimum steps do not become short enough; look for blunders (reject)."
-    return replace(converged, converged=False, message=message, history=tuple(history))
+    return replace(outcome, converged=False, message=message, history=tuple(history))
 
 
 def _corrected(gradient: Array, plain: Array, pairs: Sequence[_Pair]) -> Array:

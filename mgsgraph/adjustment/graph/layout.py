@@ -154,7 +154,7 @@ class Layout:
         assert linear is not None
         linear = linear._replace(steps=steps)
         if not np.array_equal(linear.sides, self.stereo.sides):
-            return replace(self, stereo=linear)._sorted_anew(self.lines, self.bent)
+            return replace(self, stereo=linear)._sorted_again(self.lines, self.bent)
         return self._with(stereo=linear, rows=with_stereo(self.network, self.patterns, self.rows, linear, self.storage))
 
     def with_loss(self, loss: Loss, width: float | None = None) -> "Layout":
@@ -181,12 +181,12 @@ class Layout:
         bending = self.bent if shared is None else shared
         terms = Terms(self.network, self.variables, lines)
         if self.model.line != PREDICTED or not self.rays.renewable(terms):
-            return self._sorted_anew(lines, bending)
+            return self._sorted_again(lines, bending)
         rows = self.rows if in_place else self.rows._replace(data=self.storage.copied(self.rows.data))
         self.rays.renew(rows.data, terms, bending)
         return self._with(rows=rows, lines=lines, bent=bending)
 
-    def _sorted_anew(self, lines: Array, bending: Array) -> "Layout":
+    def _sorted_again(self, lines: Array, bending: Array) -> "Layout":
         """The same about other lines, where rays come to depend on other nodes: they have other patterns."""
         like = self.network_order(self.rows.start), self.network_order(self.rows.kind)
         return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bending, self.storage)
