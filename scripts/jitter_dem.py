@@ -130,6 +130,7 @@ def ripple(lines: Array, errors: Array, period: float) -> float:
     its amplitude.
     """
     row = np.floor(lines / _BIN).astype(np.int64)
+    row -= row.min()  # ground at the edge may lie before the first line
     count = np.bincount(row)
     times, mean = np.flatnonzero(count) * _BIN * period, np.bincount(row, errors)[count > 0] / count[count > 0]
     once = 1.0 / np.ptp(times)

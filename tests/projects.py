@@ -76,7 +76,7 @@ def change(store: StateStore, seed: int) -> None:
     there = set(store.image_names())
     if len(there) < 4 or rng.random() < 0.1:
         for known in images():
-            store.put_image(known)
+            store.add_image(known)
     members = store.members()
     gone = [one for one in members if rng.random() < 0.6]
     free = set(range(len(net.points)))
@@ -88,7 +88,7 @@ def change(store: StateStore, seed: int) -> None:
     new = {one: bundle_of(rng, one, network) for one, network in found.items() if one not in members or one in gone}
     store.replace(gone, new)
     felt = {unknown for one in new for unknown in one}
-    store.put_shared({unknown: shared_of(rng, 18 if unknown.kind == "image" else 2) for unknown in sorted(felt)})
+    store.set_shared({unknown: shared_of(rng, 18 if unknown.kind == "image" else 2) for unknown in sorted(felt)})
     adjusted = sorted(store.shared())
     if adjusted and rng.random() < 0.3:
         store.drop_shared([adjusted[int(rng.integers(len(adjusted)))]])

@@ -1,6 +1,6 @@
-"""The main job: lay a network out, solve it (in passes, when blunders are sought), and read off the posterior.
+"""The main job: lay a network out, solve it (in passes, when blunders are sought), and compute the posterior.
 
-What the nominal orientation makes of a network, before anything is solved, stands here, too.
+The module also computes positions and residuals with the nominal orientation, before anything is solved.
 """
 
 import importlib.metadata
@@ -58,7 +58,7 @@ from mgsgraph.workers import no_progress
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nominal:
-    """What the nominal orientation makes of the network."""
+    """Positions and residuals with the nominal orientation."""
 
     places: Array
     """(n, 3) m, network order: a-priori places; for free points the intersection of their rays."""
@@ -69,9 +69,9 @@ class Nominal:
 def nominal_state(layout: Layout, before: Reduction, sweeper: Sweeper = IN_PROCESS) -> Nominal:
     """Places and residuals with the nominal orientation; `before` is the reduction there."""
     places = np.where((layout.rows.kind == PRIOR)[:, None], layout.rows.start, before.points)
-    kept, orientation = layout.network_order(places), np.zeros(layout.columns)
+    nominal, orientation = layout.network_order(places), np.zeros(layout.columns)
     layout, places = exactly(layout, orientation, places, sweeper)  # a-priori places are not where the rays alone meet
-    return Nominal(kept, residuals(layout, orientation, places, sweeper))
+    return Nominal(nominal, residuals(layout, orientation, places, sweeper))
 
 
 def nominal_reduction(
@@ -95,13 +95,13 @@ def nominal_reduction(
     if not np.array_equal(strong.out, selection.out):
         selection, before = strong, BundleGraph(layout, strong.rows(layout), sweeper).reduction(nominal)
     require_strength(layout, before)
-    layout, before = relinearized(layout, selection, before, own=True, sweeper=sweeper)
+    layout, before = relinearized(layout, selection, before, in_place=True, sweeper=sweeper)
     return layout, replace(selection, stereo=wanted.stereo), before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """What the geometry and the a-priori sigmas alone say, before anything is solved."""
+    """Predictions from the geometry and the a-priori sigmas, before anything is solved."""
 
     places: Array
     """(n, 3) m, where the nominal orientation puts the points; NaN for undetermined ones."""
@@ -140,7 +140,7 @@ class Clock:
     _since: float = field(default_factory=time.perf_counter)
 
     def stop(self, stage: str) -> None:
-        """Book the time since the last stop."""
+        """Record the time since the last stop."""
         now = time.perf_counter()
         self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._since
         self._since = now
@@ -161,7 +161,7 @@ def read_off(
     without_laser = (None, None) if mixture is not None else _sigmas_without_laser(layout, solved, sweeper)
     clock.stop("without laser")
     unknowns = _unknowns(solved)
-    left, judged, drivers = _misfit(solved, nominal, unknowns, sweeper, clock)
+    at_end, judged, drivers = _misfit(solved, nominal, unknowns, sweeper, clock)
     joint, covariances, straight = _covariances(solved, mixture, sweeper, clock)
     return Solution(
         name=name,
@@ -180,9 +180,9 @@ def read_off(
         determined=determined,
         rays_used=(rows.weight[0, layout.observation_rows.rays] > 0.0) & determined[network.rays.point],
         ranges_used=rows.weight[0, layout.observation_rows.ranges] > 0.0,
-        residuals=left.image,
+        residuals=at_end.image,
         residuals_before=nominal.residuals.image,
-        range_residuals=left.ranges,
+        range_residuals=at_end.ranges,
         range_residuals_before=nominal.residuals.ranges,
         sigmas_without_laser=without_laser[0],
         median_sigmas_without_laser=without_laser[1],
@@ -192,7 +192,7 @@ def read_off(
         ranges_rejected=~selection.ranges,
         stereo_rejected=~selection.stereo,
         test_dimensions=solved.dimensions,
-        stereo_heights=np.where(determined, left.stereo, np.nan),
+        stereo_heights=np.where(determined, at_end.stereo, np.nan),
         linearity=straight,
         drivers=drivers,
         **unknowns,
@@ -213,8 +213,8 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
     layout, orientation = solved.layout, solved.orientation
     network, variables = layout.network, layout.variables
     coefficients = tuple(
-        orientation[layout.columns_of(j)].reshape(-1, 6) if own else np.zeros_like(network.priors[j].sigmas)
-        for j, own in enumerate(network.with_polynomial.tolist())
+        orientation[layout.columns_of(j)].reshape(-1, 6) if adjusted else np.zeros_like(network.priors[j].sigmas)
+        for j, adjusted in enumerate(network.with_polynomial.tolist())
     )
     shifts, lift = shift_values(network, variables, orientation)
     nodes, trends = pass_values(network, variables, orientation)
@@ -230,30 +230,30 @@ def _unknowns(solved: Solved) -> dict[str, Any]:
 def _misfit(
     solved: Solved, nominal: Nominal, unknowns: Mapping[str, Any], sweeper: Sweeper, clock: Clock
 ) -> tuple[Residuals, Fit, Drivers | None]:
-    """How the observations fit at the end, sigma0 of those that take part, and what drives an adjustment that is not
-    valid; books its stages. Raises SolverError (`_require_covariance`).
+    """Residuals at the end, sigma0 of the rows that take part, and what drives an adjustment that is not valid; records
+    the time of its stages. Raises SolverError (`_require_covariance`).
     """
     layout, orientation = solved.layout, solved.orientation
-    found = residuals(layout, orientation, solved.points, sweeper)
-    judged, drivers = fit(layout, solved.rows, orientation, solved.points, found), None
+    at_end = residuals(layout, orientation, solved.points, sweeper)
+    judged, drivers = fit(layout, solved.rows, orientation, solved.points, at_end), None
     strained = strained_orientations(layout.network, unknowns["coefficients"], unknowns["nodes"])
-    if not solved.outcome.converged or judged.absurd or any(one.impossible for one in strained):
-        drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, found)
+    if not solved.outcome.converged or judged.absurd or any(image.impossible for image in strained):
+        drivers = drivers_of(BundleGraph(layout, solved.rows, sweeper), solved.reduction, at_end)
         clock.stop("drivers")
     places = solved.points
-    if not np.all(solved.selection.rays):  # points whose rays were rejected are shown where all their rays put them
+    if not np.all(solved.selection.rays):  # points with rejected rays are shown where all rays put them
         places = places_of_all(layout, solved, sweeper)
-        found = residuals(layout, orientation, places, sweeper)
-    found.ranges[:] += errors_with_footprints(layout, orientation, places)
+        at_end = residuals(layout, orientation, places, sweeper)
+    at_end.ranges[:] += errors_with_footprints(layout, orientation, places)
     rays = layout.network.common_rays
     if rays is not None:
-        found.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]
+        at_end.image[rays.members] += rays.errors(unknowns["common"]) * layout.network.rays.sigmas[rays.members]
     never = solved.selection.out[layout.network.rays.point]
-    found.image[never] = nominal.residuals.image[never] = np.nan
+    at_end.image[never] = nominal.residuals.image[never] = np.nan
     clock.stop("residuals")
     if drivers is not None:
         _require_covariance(solved, drivers)
-    return found, judged, drivers
+    return at_end, judged, drivers
 
 
 def _require_covariance(solved: Solved, drivers: Drivers) -> None:
@@ -312,19 +312,18 @@ def _sigmas_without_laser(
     laser = classes == PointClass.LASER
     if not (np.any(ties) and np.any(laser)):
         return None, None
-    left = solved.selection
-    rows = replace(left, ranges=np.zeros_like(left.ranges), out=left.out | laser).rows(layout)
+    selection = solved.selection
+    rows = replace(selection, ranges=np.zeros_like(selection.ranges), out=selection.out | laser).rows(layout)
     if np.any(np.isinf(layout.sigmas)):
         return None, None  # without the laser nothing may hold the datum
     graph = BundleGraph(layout, rows, sweeper)
-    reduction = graph.reduction(solved.orientation, points=solved.points)
-    joint = orientation_covariance(graph, reduction)
+    joint = orientation_covariance(graph, graph.reduction(solved.orientation, points=solved.points))
     covariances = point_covariances(layout, rows, solved.orientation, solved.points, joint, sweeper)
-    mine = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
-    if not np.any(mine):
+    chosen = ties[layout.point_order] & (rows.kind != FIXED) & determined_points(rows)
+    if not np.any(chosen):
         return None, None
-    sigmas = [np.sqrt(covariances[mine, axis, axis]) for axis in range(3)]
-    return np.array([one.mean() for one in sigmas]), np.array([np.median(one) for one in sigmas])
+    sigmas = [np.sqrt(covariances[chosen, axis, axis]) for axis in range(3)]
+    return np.array([of_axis.mean() for of_axis in sigmas]), np.array([np.median(of_axis) for of_axis in sigmas])
 
 
 def versions() -> dict[str, str]:
@@ -414,13 +413,13 @@ def adjust_network(
             clock.stop("starts")
         _require_ties(name, solved)
         del before, layout  # the posterior needs the memory
-        found = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
-        return replace(found, minima=minima, message=" ".join(filter(None, [found.message, sweeper.remark])))
+        solution = read_off(settings, name, solved, nominal, clock, sweeper, mixture)
+        return replace(solution, minima=minima, message=" ".join(filter(None, [solution.message, sweeper.remark])))
 
 
 def _require_redundancy(layout: Layout, selection: Selection) -> None:
-    """Raise InputError for a robust loss where each row is needed to place its point, or for what has no prior: its
-    residual is zero, whatever is wrong with it.
+    """Raise InputError for a robust loss where each row is needed for its point, or for an unknown without a prior: its
+    residual is always zero.
     """
     network, n = layout.network, len(layout.network.points)
     kinds, surface, stereo = network.points.kinds, network.surface, network.stereo
@@ -437,17 +436,17 @@ def _require_redundancy(layout: Layout, selection: Selection) -> None:
 
 
 def _require_ties(name: str, solved: Solved) -> None:
-    """Raise InputError where tie points that two rays or more have seen are all lost: what is left to converge on
-    says nothing of how the images fit together.
+    """Raise InputError where all tie points with two rays or more are lost: the remaining observations do not connect
+    the images.
     """
     network = solved.layout.network
     ties = (network.points.classes == PointClass.TIE) & (network.ray_counts > 1)
     taking = np.bincount(network.rays.point, solved.selection.rays, len(network.points))
-    left = solved.layout.network_order(determined_points(solved.rows)) & (taking > 0)
-    if np.any(ties) and not np.any(ties & left):
-        lost, weak = int(np.count_nonzero(ties)), int(np.count_nonzero(ties & (taking > 1)))
+    remaining = solved.layout.network_order(determined_points(solved.rows)) & (taking > 0)
+    if np.any(ties) and not np.any(ties & remaining):
+        total, weak = int(np.count_nonzero(ties)), int(np.count_nonzero(ties & (taking > 1)))
         raise InputError(
-            name, f"none of {lost} tie points is left ({lost - weak} rejected, {weak} not determined by their rays)",
+            name, f"none of {total} tie points is left ({total - weak} rejected, {weak} not determined by their rays)",
             "ties that agree with the orientations, heights and laser shots",
             "look at mgsgraph check: images, lines and samples, or columns interchanged, orientations far off; "
             "without rejection (reject = 0) the table of residuals shows by how much",

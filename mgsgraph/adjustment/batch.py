@@ -1,16 +1,16 @@
 """Levenberg-Marquardt over the reduced equations of the bundle form, and the last steps to a stationary point.
 
 The damping is Levenberg's in whitened units: a weak extra prior on the step, in the variables' own scales (a-priori
-sigmas), so that metres and radians are treated alike. A trial step costs one sweep of the kernel, which brings the
-next linear system with it; after a rejected step the cost alone. Near the optimum, where the normal matrix hardly
-changes, its factor is kept and only the gradient is renewed (simplified Newton method; Ortega & Rheinboldt 1970, ch. 7)
-as long as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel and in LAPACK.
+sigmas), so that meters and radians count the same. A trial step costs one sweep of the kernel, which also returns the
+next linear system; after a rejected step the cost alone. Near the optimum, where the normal matrix hardly changes, its
+factor is kept and only the gradient is recomputed (simplified Newton method; Ortega & Rheinboldt 1970, ch. 7) as long
+as steps become shorter by a factor of ten. The loop is Python, the work is in the kernel and in LAPACK.
 
-Relief on which points lie curves: near the optimum Gauss-Newton steps become shorter by about the same share each, or
-even longer, in the few directions that rest on the relief, and what they gain is less than the cost's rounding. Points
-whose rays are nearly parallel do the same: their distance has a curvature of which the linear model sees a part.
-What the last few steps have shown of the true curvature corrects the linear model's: the method of Broyden, Fletcher,
-Goldfarb and Shanno with a limited memory (Nocedal 1980), from the inverse of the normal matrix, whose factor is kept.
+Surfaces on which points lie are curved: near the optimum Gauss-Newton steps become shorter by about the same share
+each, or even longer, in the few directions that depend on the relief, and they gain less than the cost's rounding. The
+same holds for points with nearly parallel rays: the linear model has only a part of the curvature of their distance.
+The curvature seen in the last few steps corrects the linear model: the limited-memory method of Broyden, Fletcher,
+Goldfarb and Shanno (Nocedal 1980), from the inverse of the normal matrix, whose factor is kept.
 """
 
 import math
@@ -34,21 +34,21 @@ LEAST_DAMPING = 1e-12
 _MOST_DAMPING = 1e8
 _EASE, _TIGHTEN = 0.1, 10.0
 _ROUNDING = 1e-11
-"""Share of the cost by which it may seem to rise: body-fixed metres leave that much rounding in the residuals."""
+"""Share of the cost by which it may seem to rise: the rounding of body-fixed meters in the residuals."""
 _NEAR = 1e-8
-"""Share up to which a rise may come from where the inner solves began, and is looked at again."""
+"""Share up to which a rise may come from the starts of the inner solves, and is computed again."""
 _KEEP = 1e-5
-"""Share of the cost that a step promises to gain, up to which the matrix counts as the same after it: rows then change
-by less than some thousandths of their sigma on average."""
+"""Predicted gain of a step, as a share of the cost, up to which the matrix counts as the same after it: rows then
+change by less than some thousandths of their sigma on average."""
 _SHORTER = 0.1
-"""Of the step before, the most that a step may be long for its matrix to be kept: where convergence is slower, or steps
-are damped, keeping it would cost more sweeps than it saves."""
+"""Largest length of a step, in lengths of the step before, for which its matrix is kept: where convergence is slower,
+or steps are damped, keeping it would cost more sweeps than it saves."""
 _SLOWER = 0.5
-"""Of the step before, the least that a step is long where convergence counts as slow."""
+"""Least length of a step, in lengths of the step before, of slow convergence."""
 _SLOW_STEPS = 3
-"""So many of them, one after the other."""
+"""Number of such steps, one after the other."""
 EARLY = 1e-7
-"""Share of the cost: a step that gains less is some thousandths of a sigma long, near enough to settle."""
+"""Share of the cost: a step that gains less is some thousandths of a sigma long, near enough for the final steps."""
 _REMEDY = "look for blunders (reject), or try another loss"
 _SLOW = f"Converged to where a step promises to lower the cost by no more than {EARLY:.0e} of it, slowly."
 _STUCK = f"Stopped: no step lowers the cost although the linear model promises it; {_REMEDY}."
@@ -56,7 +56,7 @@ _STUCK = f"Stopped: no step lowers the cost although the linear model promises i
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How an optimisation ended."""
+    """End of an optimization."""
 
     state: Array
     """(columns,) m and rad, the optimum."""
@@ -65,9 +65,9 @@ class Outcome:
     cost_final: float
     """Cost of the optimum."""
     converged: bool
-    """Whether it stopped because nothing more was to be gained."""
+    """Whether it converged."""
     message: str
-    """Why it stopped, and what to do where that is not well."""
+    """Why it stopped, and what to do if it did not converge."""
     history: tuple[Iteration, ...]
     """Every step tried."""
     slow: bool = False
@@ -77,16 +77,16 @@ class Outcome:
 class ReducedEquations:
     """Normal equations of the shared unknowns, damped in units of their scales.
 
-    With the factor of `kept`, the matrix is that of another state; the gradient is that of the reduction.
+    With the factor of `factored`, the matrix is that of another state; the gradient is that of the reduction.
     """
 
-    def __init__(self, graph: BundleGraph, reduction: Reduction, kept: "ReducedEquations | None" = None) -> None:
+    def __init__(self, graph: BundleGraph, reduction: Reduction, factored: "ReducedEquations | None" = None) -> None:
         self._graph, self._reduction, self.gradient = graph, reduction, graph.gradient(reduction)
         self._damping, self._inverse_squares = 0.0, graph.layout.scales**-2.0
         self._factor: Solving | None = None
-        self.kept = kept is not None
-        if kept is not None:
-            self._factor, self._damping = kept._factor, kept._damping
+        self.kept = factored is not None
+        if factored is not None:
+            self._factor, self._damping = factored._factor, factored._damping
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
@@ -111,9 +111,9 @@ class ReducedEquations:
 class BundleProblem:
     """The bundle form; its state is the orientation vector (columns,). Each sweep begins where the last one ended."""
 
-    def __init__(self, graph: BundleGraph, known: Reduction | None = None) -> None:
+    def __init__(self, graph: BundleGraph, reduction: Reduction | None = None) -> None:
         self.graph, self.adjusts = graph, graph.layout.columns > 0
-        self._last = known
+        self._last = reduction
 
     def at(self, state: Array, task: int) -> Reduction:
         """All points solved (and eliminated) at a state."""
@@ -131,9 +131,9 @@ class BundleProblem:
         """Full cost, all points solved from their first places."""
         return self.graph.cost(self.graph.reduction(state, COSTS))
 
-    def linear(self, state: Array, kept: ReducedEquations | None = None) -> ReducedEquations:
-        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
-        return ReducedEquations(self.graph, self.at(state, SYSTEM if kept is None else GRADIENT), kept)
+    def linear(self, state: Array, factored: ReducedEquations | None = None) -> ReducedEquations:
+        """Normal equations at a state (columns,), with the factor of `factored` where it is given."""
+        return ReducedEquations(self.graph, self.at(state, SYSTEM if factored is None else GRADIENT), factored)
 
 
 class HeldEquations(ReducedEquations):
@@ -143,11 +143,11 @@ class HeldEquations(ReducedEquations):
     """
 
     def __init__(
-        self, graph: BundleGraph, reduction: Reduction, directions: Array, kept: "HeldEquations | None" = None
+        self, graph: BundleGraph, reduction: Reduction, directions: Array, factored: "HeldEquations | None" = None
     ) -> None:
-        super().__init__(graph, reduction, kept)
+        super().__init__(graph, reduction, factored)
         self._directions = directions
-        self._through: tuple[Solving, Array] | None = None if kept is None else kept._through
+        self._through: tuple[Solving, Array] | None = None if factored is None else factored._through
 
     def step(self, damping: float) -> Array | None:
         """Solution of the damped equations; None when they are not positive definite."""
@@ -156,7 +156,7 @@ class HeldEquations(ReducedEquations):
             return None
         assert self._factor is not None
         if self._through is None or self._through[0] is not self._factor:
-            self._through = self._factor, np.stack([self._factor.solve(one) for one in held.T], axis=1)
+            self._through = self._factor, np.stack([self._factor.solve(direction) for direction in held.T], axis=1)
         through = self._through[1]
         return np.asarray(free - through @ np.linalg.solve(held.T @ through, held.T @ free))
 
@@ -164,15 +164,15 @@ class HeldEquations(ReducedEquations):
 class HeldProblem(BundleProblem):
     """The bundle form with directions (columns, m) of its state held."""
 
-    def __init__(self, graph: BundleGraph, directions: Array, known: Reduction) -> None:
-        super().__init__(graph, known)
+    def __init__(self, graph: BundleGraph, directions: Array, reduction: Reduction) -> None:
+        super().__init__(graph, reduction)
         self._directions = directions
 
-    def linear(self, state: Array, kept: ReducedEquations | None = None) -> HeldEquations:
-        """Normal equations at a state (columns,), with the factor of `kept` where it is given."""
-        assert kept is None or isinstance(kept, HeldEquations)
-        reduction = self.at(state, SYSTEM if kept is None else GRADIENT)
-        return HeldEquations(self.graph, reduction, self._directions, kept)
+    def linear(self, state: Array, factored: ReducedEquations | None = None) -> HeldEquations:
+        """Normal equations at a state (columns,), with the factor of `factored` where it is given."""
+        assert factored is None or isinstance(factored, HeldEquations)
+        reduction = self.at(state, SYSTEM if factored is None else GRADIENT)
+        return HeldEquations(self.graph, reduction, self._directions, factored)
 
 
 def levenberg_marquardt(
@@ -204,8 +204,8 @@ def levenberg_marquardt(
     state, cost = start, problem.cost(start, SYSTEM)
     initial, history = cost, list[Iteration]()
     if not math.isfinite(cost):
-        said = "the starting values have no finite cost; check that all points lie before their cameras"
-        raise Unsolvable(said, start)
+        message = "the starting values have no finite cost; check that all points lie before their cameras"
+        raise Unsolvable(message, start)
     if not problem.adjusts:
         return Outcome(state, cost, cost, True, "Nothing to adjust: every image is held.", ())
     damping, rejected, before = _FIRST_DAMPING, 0, math.inf
@@ -250,7 +250,7 @@ def _solved(
 ) -> tuple[ReducedEquations, Array, float]:
     """A step, the linear system that it solves, and the least damping from `damping` on at which that can be solved.
 
-    A kept matrix is renewed where its step is longer than `longest` (posterior sigmas).
+    A kept matrix is recomputed where its step is longer than `longest` (posterior sigmas).
     """
     while (step := linear.step(damping)) is None or (linear.kept and step_length(linear, step) > longest):
         if step is not None:
@@ -266,7 +266,7 @@ def step_length(linear: ReducedEquations, step: Array) -> float:
 
 
 def _near(predicted: float, length: float, cost: float, settings: SolverSettings) -> bool:
-    """Whether a step will hardly change the matrix, and is not the last one: the posterior wants its own matrix."""
+    """Whether a step will hardly change the matrix, and is not the last one: the posterior needs its own matrix."""
     last = predicted <= settings.cost_tolerance * cost or length < settings.step_tolerance
     return predicted <= _KEEP * cost and not last
 
@@ -276,12 +276,12 @@ def _slow(history: list[Iteration]) -> bool:
     that the linear model overestimates.
     """
     last = history[-_SLOW_STEPS - 1 :]
-    near = all(one.accepted and one.predicted <= EARLY * one.cost and one.damping <= _FIRST_DAMPING for one in last)
+    near = all(s.accepted and s.predicted <= EARLY * s.cost and s.damping <= _FIRST_DAMPING for s in last)
     return len(last) > _SLOW_STEPS and near and all(b.step > _SLOWER * a.step for a, b in pairwise(last))
 
 
 def _lower(problem: BundleProblem, state: Array, trial: Array, cost: float, new: float, predicted: float) -> bool:
-    """Whether a trial's cost is no higher, or can't be told from it: a near miss is looked at again, exactly."""
+    """Whether a trial's cost is lower or equal up to rounding; a slightly higher one is computed again, exactly."""
     if not math.isfinite(new) or new > cost * (1.0 + _NEAR):
         return False
     if new <= cost * (1.0 + _ROUNDING) or predicted <= _ROUNDING * cost:
@@ -296,22 +296,22 @@ def _converged(last: Iteration, settings: SolverSettings) -> str:
 
 
 _DEPTH = 10
-"""Steps whose curvature is remembered."""
+"""Number of steps whose curvature is used."""
 _MOST = 60
-"""Steps after which it counts as not at rest."""
+"""Most final steps."""
 _GRADIENT_ROUNDING = 1e-14
 """Share of the cost below which gradients of many points are rounding."""
 _FARTHEST = 30.0
-"""Times the first step's length, or posterior sigmas where that is less than one, that a later one may be."""
+"""Largest length of a later step, in lengths of the first one, or in posterior sigmas where that is below one."""
 
 
 class _Pair(NamedTuple):
-    """What a step has shown of the curvature; all (columns,)."""
+    """The curvature along a step; all (columns,)."""
 
     step: Array
-    """That was taken."""
+    """The step."""
     slope: Array
-    """By which it changed the gradient."""
+    """Change of the gradient by it."""
     solved: Array
     """The same, the normal equations solved for it."""
 
@@ -322,16 +322,15 @@ def settled_minimum(
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome:
-    """Minimise a problem's cost, too rough near the optimum to tell one step from another, and take the final steps
-    (`with_final_steps`): from where it hardly falls any more, or should they not converge from there, from where it
-    doesn't.
+    """Minimize a cost whose rounding hides the last steps, and take the final steps (`with_final_steps`): from the
+    state where the cost hardly falls any more or, if they do not converge from there, from the one where it does not.
     """
     early = replace(settings, cost_tolerance=max(settings.cost_tolerance, EARLY))
-    found = levenberg_marquardt(problem, start, early, progress)
-    outcome = with_final_steps(problem, found, settings, progress)
-    if outcome.converged or not found.converged:
+    outcome_early = levenberg_marquardt(problem, start, early, progress)
+    outcome = with_final_steps(problem, outcome_early, settings, progress)
+    if outcome.converged or not outcome_early.converged:
         return outcome
-    return with_final_steps(problem, _further(problem, found, settings, progress), settings, progress)
+    return with_final_steps(problem, _further(problem, outcome_early, settings, progress), settings, progress)
 
 
 def minimum(
@@ -341,45 +340,45 @@ def minimum(
     progress: Callable[[Iteration], None],
     slow: bool,
 ) -> Outcome:
-    """Minimise a problem's cost; settle where steps become shorter by small shares alone, as (`slow`) they are known to
-    do. Where they don't settle, they are taken one by one.
+    """Minimize a problem's cost; take the final steps where steps become shorter by small shares only (`slow`: known to
+    be so). Where the final steps do not converge, continue without them.
     """
     if slow:
         return replace(settled_minimum(problem, start, _at_rest(problem, start, settings), progress), slow=True)
-    found = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
-    if not found.slow:
-        return found
-    outcome = with_final_steps(problem, found, _at_rest(problem, found.state, settings), progress)
-    return outcome if outcome.converged else replace(_further(problem, found, settings, progress), slow=True)
+    outcome_plain = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
+    if not outcome_plain.slow:
+        return outcome_plain
+    outcome = with_final_steps(problem, outcome_plain, _at_rest(problem, outcome_plain.state, settings), progress)
+    return outcome if outcome.converged else replace(_further(problem, outcome_plain, settings, progress), slow=True)
 
 
 def _further(
-    problem: BundleProblem, found: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
+    problem: BundleProblem, before: Outcome, settings: SolverSettings, progress: Callable[[Iteration], None]
 ) -> Outcome:
     """An outcome from where another one ended."""
-    tried = levenberg_marquardt(problem, found.state, settings, progress)
-    later = tuple(replace(one, number=one.number + len(found.history)) for one in tried.history)
-    return replace(tried, cost_initial=found.cost_initial, history=found.history + later)
+    tried = levenberg_marquardt(problem, before.state, settings, progress)
+    later = tuple(replace(step, number=step.number + len(before.history)) for step in tried.history)
+    return replace(tried, cost_initial=before.cost_initial, history=before.history + later)
 
 
 def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
-    """Settings with steps so long that what they gain can't be told from a cost's rounding, where those are longer."""
+    """Settings with a step tolerance whose gain is a cost's rounding, where that is longer."""
     rounding = math.sqrt(2.0 * _GRADIENT_ROUNDING * problem.cost(state, SYSTEM))
     return replace(settings, step_tolerance=max(settings.step_tolerance, min(rounding, 0.1)))
 
 
 def with_final_steps(
     problem: BundleProblem,
-    found: Outcome,
+    outcome: Outcome,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
 ) -> Outcome:
-    """An outcome that is converged by its cost, brought to where a step is shorter than the step tolerance.
+    """An outcome that has converged by its cost, continued until a step is shorter than the step tolerance.
 
     Parameters
     ----------
     problem : BundleProblem
-    found : Outcome
+    outcome : Outcome
     settings : SolverSettings
     progress : callable
         Called after every step.
@@ -389,9 +388,9 @@ def with_final_steps(
     Outcome
         Not converged where steps don't become short enough; then the state is that found.
     """
-    if not found.converged or not problem.adjusts:
-        return found
-    state, cost, history = found.state, found.cost_final, list(found.history)
+    if not outcome.converged or not problem.adjusts:
+        return outcome
+    state, cost, history = outcome.state, outcome.cost_final, list(outcome.history)
     matrix = linear = problem.linear(state)
     plain, pairs, farthest = linear.step(LEAST_DAMPING), list[_Pair](), math.inf
     for _ in range(_MOST):
@@ -406,10 +405,10 @@ def with_final_steps(
         history.append(now)
         progress(now)
         if length < settings.step_tolerance:
-            if cost > found.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
+            if cost > outcome.cost_final * (1.0 + EARLY):  # another stationary point than the minimum
                 break
             message = f"Converged: the last step was {length:.1e} posterior sigmas long."
-            return replace(found, state=state, cost_final=cost, message=message, history=tuple(history))
+            return replace(outcome, state=state, cost_final=cost, message=message, history=tuple(history))
         state = state + step
         cost = problem.cost(state, GRADIENT)
         if not math.isfinite(cost):
@@ -420,26 +419,26 @@ def with_final_steps(
         if plain is not None:
             pairs = [*pairs, _Pair(step, linear.gradient - before, longer - plain)][-_DEPTH:]
     message = "Stopped: near the optimum steps do not become short enough; look for blunders (reject)."
-    return replace(found, converged=False, message=message, history=tuple(history))
+    return replace(outcome, converged=False, message=message, history=tuple(history))
 
 
 def _corrected(gradient: Array, plain: Array, pairs: Sequence[_Pair]) -> Array:
-    """The step (columns,) that a linear model's step becomes by the curvature that steps before it have shown."""
-    useful = [one for one in pairs if one.step @ one.slope > 0.0]  # elsewhere the cost bends downward
-    left, shares = gradient, list[float]()
-    for one in reversed(useful):
-        shares.append(float(one.step @ left) / float(one.step @ one.slope))
-        left = left - shares[-1] * one.slope
-    found = plain + sum(share * one.solved for share, one in zip(shares, reversed(useful), strict=True))
-    for share, one in zip(reversed(shares), useful, strict=True):
-        found = found - (share + float(one.slope @ found) / float(one.step @ one.slope)) * one.step
-    return found
+    """A linear model's step (columns,), corrected by the curvature along earlier steps."""
+    useful = [pair for pair in pairs if pair.step @ pair.slope > 0.0]  # elsewhere the cost bends downward
+    remainder, shares = gradient, list[float]()
+    for pair in reversed(useful):
+        shares.append(float(pair.step @ remainder) / float(pair.step @ pair.slope))
+        remainder = remainder - shares[-1] * pair.slope
+    corrected = plain + sum(share * pair.solved for share, pair in zip(shares, reversed(useful), strict=True))
+    for share, pair in zip(reversed(shares), useful, strict=True):
+        corrected = corrected - (share + float(pair.slope @ corrected) / float(pair.step @ pair.slope)) * pair.step
+    return corrected
 
 
 def solve_bundle(
     graph: BundleGraph,
     start: Array,
-    known: Reduction | None,
+    reduction: Reduction | None,
     settings: SolverSettings,
     progress: Callable[[Iteration], None],
     slow: bool = False,
@@ -447,7 +446,7 @@ def solve_bundle(
     """Solve from an orientation vector (columns,); the reduction at the optimum comes with it. `slow` says that an
     earlier pass converged slowly.
     """
-    problem = BundleProblem(graph, known)
+    problem = BundleProblem(graph, reduction)
     if graph.layout.network.on_relief:
         outcome = settled_minimum(problem, start, settings, progress)
     else:

@@ -1,11 +1,11 @@
-"""Blunders among rays, ranges and heights above stereo surfaces, sought by tests that know each one's redundancy.
+"""Search for blunders among rays, ranges and heights above stereo surfaces, by tests that use their redundancy.
 
 An observation's residuals v have the covariance M = 1 - A Q A' (in sigmas), and T = v' M^+ v is chi-square with as many
-degrees of freedom as M has rank: a ray of a tie that two images see has one, for nothing checks it along the epipolar
+degrees of freedom as M has rank: a ray of a tie that two images see has one, since nothing checks it along the epipolar
 line (Baarda 1968; Pope 1976; Foerstner & Wrobel 2016, section 4.6). A limit of so many standard deviations is the
-two-sided probability of a normal error beyond it, for any number of degrees of freedom. The worst goes first, with what
-is inseparable from it; several go at a time where none could have brought the other about; in the end what is
-out is judged by what the others predict for it, and returns where it agrees. What has no redundancy is not judged.
+two-sided probability of a normal error beyond it, for any number of degrees of freedom. The search rejects the worst
+observation first, with those inseparable from it; several at a time where none could have caused the other. At the end
+it readmits rejected observations that agree with the prediction of the others. It judges none without redundancy.
 
 Of whole observations both rows are tested together; H is the covariance of the adjusted measures and M = 1 - H that of
 the residuals, both in sigmas.
@@ -27,11 +27,11 @@ from mgsgraph.kernel.rows import OUT, Small
 from mgsgraph.network import PointClass
 
 UNCONTROLLED = 1e-6
-"""Redundancy number from which down nothing controls a measure: its minimal detectable blunder is over 4000 sigmas."""
+"""Redundancy number up to which a measure is uncontrolled: its minimal detectable blunder is over 4000 sigmas."""
 _SINGULAR = 1e-12
 """Share of its largest eigenvalue below which one of a point's normal matrix is rounding."""
 _PARALLEL = 0.005
-"""Half the convergence of two rays in rad below which they hardly place a point: 0.6 deg."""
+"""rad, half the convergence of two rays below which they hardly determine a point: 0.6 deg."""
 INSEPARABLE = 0.99
 """Correlation of two tests from which on they can't be separated."""
 
@@ -56,27 +56,26 @@ def pair_tests(misfit: Array, share: Array, between: Array, root: Array | None) 
         Roots of the robust weights.
 
     With M = 1 - H = sum l q q': sum (q'v)^2 / l, or, of an error of prediction, / (l (l p + 1 - l)) for the weighted v;
-    eigenvalues that are none leave out what nothing controls.
+    eigenvalues of zero are left out: these rows are uncontrolled.
     """
     (z0, z1), (h0, h1) = misfit.T, share.T
     a, b = 1.0 - h0, 1.0 - h1
     trace = a + b
     determinant = a * b - between * between
     # the smaller eigenvalue is between one and two times determinant / trace; where it is none, v lies along the other
-    two, one = determinant > UNCONTROLLED * trace, trace > UNCONTROLLED
-    dimensions = one.astype(np.int8) + two
+    two, some = determinant > UNCONTROLLED * trace, trace > UNCONTROLLED
+    dimensions = some.astype(np.int8) + two
     if root is None:
         with np.errstate(divide="ignore", invalid="ignore"):
             test = (b * z0 * z0 + (2.0 * between * z0 + a * z1) * z1) / determinant
         rest = np.flatnonzero(~two)
-        squares = z0[rest] ** 2 + z1[rest] ** 2
-        test[rest] = squares / np.where(one[rest], trace[rest], np.inf)
+        test[rest] = (z0[rest] ** 2 + z1[rest] ** 2) / np.where(some[rest], trace[rest], np.inf)
         return test, dimensions
     angle, half = 0.5 * np.arctan2(-between, 0.5 * (a - b)), np.hypot(0.5 * (a - b), between)
     along, across = z0 * np.cos(angle) + z1 * np.sin(angle), z1 * np.cos(angle) - z0 * np.sin(angle)
     test = np.zeros(z0.size)
-    for part, size, there in ((along, 0.5 * trace + half, one), (across, 0.5 * trace - half, two)):
-        test += np.where(there, part**2 / np.where(there, size * (size * root**2 + 1.0 - size), 1.0), 0.0)
+    for part, size, present in ((along, 0.5 * trace + half, some), (across, 0.5 * trace - half, two)):
+        test += np.where(present, part**2 / np.where(present, size * (size * root**2 + 1.0 - size), 1.0), 0.0)
     return test, dimensions
 
 
@@ -84,10 +83,10 @@ def residual_covariance(at: Linearised, rows: PointRows) -> tuple[Array, Array]:
     """Covariance (m, r, r) of the whitened residuals of m points' rows, 1 - A Q A'; and how the shared unknowns enter
     the residuals once the points follow them: (m, r, columns).
     """
-    own, through = rows.following()
+    by_point, through = rows.following()
     turned = np.swapaxes(through, 1, 2)
-    left = np.eye(rows.row.size) - own @ np.swapaxes(own, 1, 2) - through @ at.joint.of(rows.variables) @ turned
-    return left, through
+    shared = through @ at.joint.of(rows.variables) @ turned
+    return np.eye(rows.row.size) - by_point @ np.swapaxes(by_point, 1, 2) - shared, through
 
 
 def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, Array, Index]:
@@ -107,27 +106,28 @@ def direction(covariance: Array, residuals: Array, rows: Mask) -> tuple[Array, A
     tests, dimensions : (m,)
         That value, chi-square with these degrees of freedom.
     """
-    mine = np.flatnonzero(rows)
-    values, vectors = np.linalg.eigh(covariance[:, mine[:, None], mine])
-    seen = values > UNCONTROLLED
-    turned = np.einsum("mrd,mr->md", vectors, residuals[:, mine])
-    scaled = np.where(seen, turned / np.where(seen, values, 1.0), 0.0)
+    tested = np.flatnonzero(rows)
+    values, vectors = np.linalg.eigh(covariance[:, tested[:, None], tested])
+    checked = values > UNCONTROLLED
+    turned = np.einsum("mrd,mr->md", vectors, residuals[:, tested])
+    scaled = np.where(checked, turned / np.where(checked, values, 1.0), 0.0)
     combinations = np.zeros(residuals.shape)
-    combinations[:, mine] = np.einsum("mrd,md->mr", vectors, scaled)
-    return combinations, np.einsum("md,md->m", turned, scaled), np.count_nonzero(seen, axis=1)
+    combinations[:, tested] = np.einsum("mrd,md->mr", vectors, scaled)
+    return combinations, np.einsum("md,md->m", turned, scaled), np.count_nonzero(checked, axis=1)
 
 
 def prediction(rows: PointRows, back: Mask, used: Mask, shared: Array) -> Array:
     """Tests (m,) of rows (r,) of m points by what others that are used (m, r) predict for them; each is chi-square with
     as many degrees of freedom as there are rows. `shared` (columns, columns) is their unknowns' covariance.
     """
-    own, through = np.zeros_like(rows.by_point[:, back]), rows.by_shared[:, back]
+    by_point, through = np.zeros_like(rows.by_point[:, back]), rows.by_shared[:, back]
     if not rows.known:
         carried, noise = replace(
             rows, by_point=rows.by_point * used[:, :, None], by_shared=rows.by_shared * used[:, :, None]
         ).eliminated()
-        own, through = rows.by_point[:, back] @ noise, through + rows.by_point[:, back] @ carried
-    covariance = np.eye(own.shape[1]) + own @ np.swapaxes(own, 1, 2) + through @ shared @ np.swapaxes(through, 1, 2)
+        by_point, through = rows.by_point[:, back] @ noise, through + rows.by_point[:, back] @ carried
+    covariance = np.eye(by_point.shape[1]) + by_point @ np.swapaxes(by_point, 1, 2)
+    covariance += through @ shared @ np.swapaxes(through, 1, 2)
     error = rows.residuals[:, back, None]
     return np.asarray((np.swapaxes(error, 1, 2) @ np.linalg.solve(covariance, error))[:, 0, 0])
 
@@ -141,8 +141,8 @@ def closure(rows: PointRows, chosen: Mask, shared: Array) -> tuple[Array, Index]
     covariance = np.eye(rows.row.size) + through @ shared @ np.swapaxes(through, 1, 2)
     turned = np.swapaxes(np.linalg.solve(covariance, by_point), 1, 2)
     normal = turned @ by_point  # of rays that hardly converge, or do so behind a camera, singular
-    left = error - by_point @ (np.linalg.pinv(normal, _SINGULAR, hermitian=True) @ (turned @ error))
-    test = np.swapaxes(left, 1, 2) @ np.linalg.solve(covariance, left)
+    misclosure = error - by_point @ (np.linalg.pinv(normal, _SINGULAR, hermitian=True) @ (turned @ error))
+    test = np.swapaxes(misclosure, 1, 2) @ np.linalg.solve(covariance, misclosure)
     rank = np.linalg.matrix_rank(normal, rtol=_SINGULAR, hermitian=True)
     return test[:, 0, 0], chosen.sum(axis=1) - rank
 
@@ -156,7 +156,7 @@ def hardly_converging(rows: PointRows, chosen: Mask) -> Mask:
 
 
 _INDEPENDENT = 0.1
-"""Correlation of the tests of different points up to which both may go at a time."""
+"""Correlation of the tests of different points up to which both may be rejected at a time."""
 _MOST_COLUMNS = 4000
 """Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
 _MOST_CANDIDATES = 2000
@@ -168,11 +168,11 @@ _MEDIANS = MEDIAN, 1.3862944
 _DECISIVE = 2.0 * math.log(100.0)
 """Difference of two tests that makes one of two observations of a point the blunder with odds of 100 to 1."""
 _FEW = 0.005
-"""Share of the tests up to which those beyond the limit are taken one by one from the beginning."""
+"""Share of the tests up to which those beyond the limit are rejected one by one, without a robust adjustment."""
 _FLOOR = 0.1
-"""A-priori sigmas below which a class's spread is not taken at its word."""
+"""A-priori sigmas, lower bound of a class's spread."""
 _CONTRADICTED = 3.0
-"""Standard errors of a class's spread from which on it holds in place of the a-priori sigmas."""
+"""Standard errors of a class's spread from which on it replaces the a-priori sigmas."""
 _SPREAD_ERROR = 1.17
 """Standard error of the logarithm of a spread that is estimated from a median, times the root of the sample's size."""
 
@@ -224,11 +224,11 @@ class Search:
     limit: float
     """Standard deviations of a normal error that is as rare as a good observation beyond the limit."""
     sweeper: Sweeper = IN_PROCESS
-    """Who goes over the points."""
+    """Computes the kernel's sums over the points."""
     dimensions: Small | None = field(default=None, init=False)
     """(k + r + n,) degrees of freedom of each one's last test while it took part; 0 where nothing checked it."""
     _returned: Mask | None = field(default=None, init=False)
-    """(k + r + n,) what was out, and came back: it does so once."""
+    """(k + r + n,) readmitted observations: each once."""
 
     @property
     def memory(self) -> bytes:
@@ -236,107 +236,107 @@ class Search:
         return b"" if self._returned is None else self._returned.tobytes()
 
     def many_beyond(self, at: Linearised) -> bool:
-        """Whether more than a few tests are beyond the limit, which they may have brought one another to: by the
-        a-priori sigmas, or those that residuals show where smaller.
+        """Whether more than a few tests are beyond the limit, perhaps because of one another: by the a-priori sigmas,
+        or by those of the residuals where smaller.
         """
         tests, dimensions, units = self._tests(at, judged(at.layout))
         over = np.count_nonzero(tests > np.minimum(units, 1.0) * self._critical(dimensions))
         return bool(over > _FEW * np.count_nonzero(dimensions))
 
     def without_gross(self, at: Linearised, taken: Mask) -> Mask:
-        """What is left without the worst of each point that is beyond the limit, where `at` is hardly disturbed."""
-        mine = judged(at.layout)
-        found = self._candidates(at, mine, *self._tests(at, mine), most=taken.size)
-        return _without(at, mine, taken, found)
+        """Observations without the worst of each point beyond the limit, where blunders hardly disturb `at`."""
+        tested = judged(at.layout)
+        return _without(at, tested, taken, self._candidates(at, tested, *self._tests(at, tested), most=taken.size))
 
-    def next(self, at: Linearised, whole: Linearised, taken: Mask) -> Mask:
-        """What is to take part in the next adjustment; what took part in this one, when the search has ended.
+    def next(self, at: Linearised, with_all: Linearised, taken: Mask) -> Mask:
+        """Observations of the next adjustment; those of this one when the search has ended.
 
         Parameters
         ----------
         at : Linearised
             The adjustment of the observations `taken` (k + r + n,).
-        whole : Linearised
-            The same with the rows of all, points that are lost where all their rays put them.
+        with_all : Linearised
+            The same with the rows of all; points without a place are where all their rays put them.
         """
-        mine = judged(at.layout)
-        tests, dimensions, units = self._tests(at, mine)
+        tested = judged(at.layout)
+        tests, dimensions, units = self._tests(at, tested)
         self._returned = np.zeros(taken.size, dtype=bool) if self._returned is None else self._returned
-        if found := self._candidates(at, mine, tests, dimensions, units):
-            sizes, limits = np.array([(one.size, one.limit) for one in found]).T
-            pulls = [(one.variables, one.pull) for one in found]
-            return _without(at, mine, taken, [found[k] for k in independent(pulls, sizes, limits, at)])
-        back = self._agreeing(at, whole, mine, taken, units)
+        if candidates := self._candidates(at, tested, tests, dimensions, units):
+            sizes, limits = np.array([(candidate.size, candidate.limit) for candidate in candidates]).T
+            pulls = [(candidate.variables, candidate.pull) for candidate in candidates]
+            return _without(at, tested, taken, [candidates[k] for k in independent(pulls, sizes, limits, at)])
+        back = self._agreeing(at, with_all, tested, taken, units)
         self._returned |= back
         return taken | back
 
-    def _tests(self, at: Linearised, mine: Judged) -> tuple[Array, Small, Array]:
+    def _tests(self, at: Linearised, tested: Judged) -> tuple[Array, Small, Array]:
         """Tests, NaN where there is none, their degrees of freedom, and the square of the unit in which each counts."""
-        tests, dimensions = observed_tests(at, mine, self.sweeper)
+        tests, dimensions = observed_tests(at, tested, self.sweeper)
         before = dimensions if self.dimensions is None else self.dimensions
-        self.dimensions = np.where(_present(at, mine), dimensions, before)
-        return tests, dimensions, squared_units(tests, dimensions, mine)
+        self.dimensions = np.where(_present(at, tested), dimensions, before)
+        return tests, dimensions, squared_units(tests, dimensions, tested)
 
     def _critical(self, dimensions: Small) -> Array:
         return np.array([critical_value(self.limit, d) for d in range(3)])[dimensions]
 
     def _candidates(
-        self, at: Linearised, mine: Judged, tests: Array, dimensions: Small, units: Array, most: int = _MOST_CANDIDATES
-    ) -> "list[_Candidate]":
+        self, at: Linearised, tested: Judged, tests: Array, dimensions: Small, units: Array,
+        most: int = _MOST_CANDIDATES,
+    ) -> "list[_Candidate]":  # fmt: skip
         """The worst of each point that has one beyond the limit, and what is inseparable from it; worst first."""
         severity = np.nan_to_num(tests / (units * self._critical(dimensions)))
         over = np.flatnonzero(severity > 1.0)
         worst = over[np.argsort(-severity[over], kind="stable")]
-        points, first = np.unique(mine.point[worst], return_index=True)
-        found = list[_Candidate]()
-        for rows, table in _pieces(at, mine, points[np.argsort(first)[:most]]):
-            found += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0), units[table])
-        return sorted(found, key=lambda one: -one.size / one.limit)
+        points, first = np.unique(tested.point[worst], return_index=True)
+        candidates = list[_Candidate]()
+        for rows, table in _pieces(at, tested, points[np.argsort(first)[:most]]):
+            candidates += _worst(at, rows, table, np.where(table >= 0, severity[table], 0.0), units[table])
+        return sorted(candidates, key=lambda candidate: -candidate.size / candidate.limit)
 
-    def _agreeing(self, at: Linearised, whole: Linearised, mine: Judged, taken: Mask, units: Array) -> Mask:
-        """Which of those that are out, and never came back, the others bear out."""
+    def _agreeing(self, at: Linearised, with_all: Linearised, tested: Judged, taken: Mask, units: Array) -> Mask:
+        """Rejected observations, never readmitted before, that agree with the others."""
         assert self._returned is not None
-        out, back = ~taken & ~self._returned & (mine.place >= 0), np.zeros(taken.size, dtype=bool)
-        lost = at.layout.network_order(at.rows.kind) == OUT
-        points = np.unique(mine.point[out])
-        for rows, table in _pieces(whole, mine, points[~lost[points]]):
+        out, back = ~taken & ~self._returned & (tested.place >= 0), np.zeros(taken.size, dtype=bool)
+        without_place = at.layout.network_order(at.rows.kind) == OUT
+        points = np.unique(tested.point[out])
+        for rows, table in _pieces(with_all, tested, points[~without_place[points]]):
             shared, used = at.joint.of(rows.variables), np.where(table >= 0, taken[table], True)[:, rows.observation]
             wanted = (table >= 0) & out[table]
             tests = np.full(table.shape, np.inf)
             for slot in np.flatnonzero(np.any(wanted, axis=0)).tolist():
-                row, own = rows.observation == slot, wanted[:, slot]
+                row, chosen = rows.observation == slot, wanted[:, slot]
                 test = prediction(rows, row, used, shared) / units[table[:, slot]]
-                fits = own & (test <= critical_value(self.limit, int(row.sum())))
+                fits = chosen & (test <= critical_value(self.limit, int(row.sum())))
                 tests[fits, slot] = test[fits]
             for k in np.flatnonzero(np.any(np.isfinite(tests), axis=1)).tolist():
                 some = np.flatnonzero(np.isfinite(tests[k]))
                 row = np.isin(rows.observation, some)
-                together = prediction(rows.of(k), row, used[[k]], shared)[0] / units[table[k, some]].max()
-                if some.size > 1 and together > critical_value(self.limit, int(row.sum())):
+                joint = prediction(rows.of(k), row, used[[k]], shared)[0] / units[table[k, some]].max()
+                if some.size > 1 and joint > critical_value(self.limit, int(row.sum())):
                     second = np.sort(tests[k, some])[1]
                     some = some[tests[k, some] < second - _DECISIVE]
                 back[table[k, some]] = True
-        for rows, table in _pieces(whole, mine, points[lost[points]]):
-            there = table >= 0
-            returns = self._reinstated(rows, np.where(there, taken[table] | out[table], True), there, units[table], at)
+        for rows, table in _pieces(with_all, tested, points[without_place[points]]):
+            present = table >= 0
+            chosen = np.where(present, taken[table] | out[table], True)
+            returns = self._reinstated(rows, chosen, present, units[table], at)
             back[table[returns & out[table]]] = True
         return back
 
-    def _reinstated(self, rows: PointRows, chosen: Mask, there: Mask, units: Array, at: Linearised) -> Mask:
-        """Which observations (m, slots) of lost points place them again: all, or all but one that is the blunder."""
-        shared, unit = at.joint.of(rows.variables), np.where(there, units, 0.0).max(axis=1)
-        omitted, tests = [-1, *np.flatnonzero(np.any(there, axis=0)).tolist()], list[Array]()
+    def _reinstated(self, rows: PointRows, chosen: Mask, present: Mask, units: Array, at: Linearised) -> Mask:
+        """Observations (m, slots) that place lost points again: all of a point, or all but the blunder."""
+        shared, unit = at.joint.of(rows.variables), np.where(present, units, 0.0).max(axis=1)
+        omitted, tests = [-1, *np.flatnonzero(np.any(present, axis=0)).tolist()], list[Array]()
         for slot in omitted:
             used = chosen[:, rows.observation] & (rows.observation != slot)
             test, dimensions = closure(rows, used, shared)
             limits = np.array([critical_value(self.limit, d) if d > 0 else -1.0 for d in dimensions.tolist()])
-            fits = (test <= unit * limits) & ~hardly_converging(rows, used)
-            tests.append(np.where(fits, test / unit, np.inf))
-        every, *without = tests
+            tests.append(np.where((test <= unit * limits) & ~hardly_converging(rows, used), test / unit, np.inf))
+        with_each, *without = tests
         best, second = np.partition(without, 1, axis=0)[:2] if len(without) > 1 else (without[0], np.inf)
-        one = ~np.isfinite(every) & np.isfinite(best) & (second > best + _DECISIVE)
-        returns = there & chosen & (np.isfinite(every) | one)[:, None]
-        returns[one, np.array(omitted[1:])[np.argmin(without, axis=0)][one]] = False
+        but_one = ~np.isfinite(with_each) & np.isfinite(best) & (second > best + _DECISIVE)
+        returns = present & chosen & (np.isfinite(with_each) | but_one)[:, None]
+        returns[but_one, np.array(omitted[1:])[np.argmin(without, axis=0)][but_one]] = False
         return returns
 
 
@@ -351,44 +351,44 @@ class _Candidate(NamedTuple):
     size: float
     """Root of its test."""
     limit: float
-    """What that is to stay below."""
+    """Limit of the root."""
 
 
-def observed_tests(at: Linearised, mine: Judged, sweeper: Sweeper = IN_PROCESS) -> tuple[Array, Small]:
+def observed_tests(at: Linearised, tested: Judged, sweeper: Sweeper = IN_PROCESS) -> tuple[Array, Small]:
     """Tests (k + r + n,) of whole observations and their degrees of freedom; NaN and 0 for those that take no part, and
     those that nothing checks.
     """
     joint = at.pair_blocks(at.layout)
-    numbers = sweeper.leverage(at.layout, at.rows, at.orientation, joint, at.points)[mine.place]
+    numbers = sweeper.leverage(at.layout, at.rows, at.orientation, joint, at.points)[tested.place]
     share = numbers[:, SHARE]
-    share[mine.single, 1] = 1.0  # there is no second row
+    share[tested.single, 1] = 1.0  # there is no second row
     tests, dimensions = pair_tests(numbers[:, MISFIT], share, numbers[:, BETWEEN], None)
-    none = ~_present(at, mine) | (dimensions == 0)
+    none = ~_present(at, tested) | (dimensions == 0)
     tests[none], dimensions[none] = np.nan, 0
     return tests, dimensions
 
 
-def _present(at: Linearised, mine: Judged) -> Mask:
+def _present(at: Linearised, tested: Judged) -> Mask:
     """Which take part (k + r + n,)."""
-    kind = at.layout.network_order(at.rows.kind)[mine.point]
-    return np.asarray((mine.place >= 0) & (at.rows.weight[0, mine.place] > 0.0) & (kind != OUT))
+    kind = at.layout.network_order(at.rows.kind)[tested.point]
+    return np.asarray((tested.place >= 0) & (at.rows.weight[0, tested.place] > 0.0) & (kind != OUT))
 
 
-def squared_units(tests: Array, dimensions: Small, mine: Judged) -> Array:
-    """Square of the unit (k + r + n,) in which each test counts: a-priori sigmas, or what its class shows instead.
+def squared_units(tests: Array, dimensions: Small, tested: Judged) -> Array:
+    """Squared unit (k + r + n,) of each test: of the a-priori sigmas, or of the spread of its class.
 
     The median of the tests over that of chi-square (0.455 for one degree of freedom, 1.386 for two) estimates it from
     the middle of the class, which blunders hardly move. It holds in place of 1 where it differs by three of its
-    standard errors: of few tests it is a poorer judge than the a-priori sigmas. Points count: the rays of a tie share
+    standard errors: of few tests it is less reliable than the a-priori sigmas. Points count: the rays of a tie share
     theirs.
     """
     units = np.ones(tests.size)
-    for group in np.unique(mine.group):
-        own = np.flatnonzero((mine.group == group) & (dimensions > 0))
-        if not own.size:
+    for group in np.unique(tested.group):
+        members = np.flatnonzero((tested.group == group) & (dimensions > 0))
+        if not members.size:
             continue
-        median = np.array([np.nan, *_MEDIANS])[dimensions[own]]
-        units[mine.group == group] = squared_unit(tests[own] / median, np.unique(mine.point[own]).size)
+        median = np.array([np.nan, *_MEDIANS])[dimensions[members]]
+        units[tested.group == group] = squared_unit(tests[members] / median, np.unique(tested.point[members]).size)
     return units
 
 
@@ -401,8 +401,8 @@ def squared_unit(ratios: Array, count: int) -> float:
 def independent(
     pulls: Sequence[tuple[tuple[int, ...], Array]], sizes: Array, limits: Array, at: Linearised
 ) -> list[int]:
-    """Which of c tests on different points, worst first, to act on at a time: the first, and those after it that exceed
-    their limits whatever the ones before do to them.
+    """Which of c tests on different points, worst first, to act on at a time: the first, and later ones that exceed
+    their limits even without the largest effect of the ones before.
 
     Parameters
     ----------
@@ -421,13 +421,13 @@ def independent(
             columns[v] = total
             total += int(width[v])
         compared.append(k)
-    every = np.zeros((len(compared), total))
-    for row, k in zip(every, compared, strict=True):
+    pulls_of_all = np.zeros((len(compared), total))
+    for row, k in zip(pulls_of_all, compared, strict=True):
         variables, pull = pulls[k]
         places = [np.arange(columns[v], columns[v] + width[v]) for v in variables]
         row[np.concatenate([np.zeros(0, dtype=np.int64), *places])] = pull
     size, limit = sizes[compared], limits[compared]
-    correlation = np.abs(every @ at.joint.of(columns) @ every.T) / size[:, None] / size
+    correlation = np.abs(pulls_of_all @ at.joint.of(columns) @ pulls_of_all.T) / size[:, None] / size
     disturbed, nearest, taken = np.zeros(size.size), np.zeros(size.size), list[int]()
     for j, k in enumerate(compared):
         if taken and (nearest[j] > _INDEPENDENT or size[j] - disturbed[j] <= limit[j]):
@@ -438,41 +438,41 @@ def independent(
     return taken
 
 
-def _without(at: Linearised, mine: Judged, taken: Mask, found: Sequence[_Candidate]) -> Mask:
-    """What takes part when some have gone, and with them what is left of points whose other rays hardly converge."""
-    left = taken.copy()
-    for one in found:
-        left[one.observations] = False
-    for rows, table in _pieces(at, mine, np.unique(mine.point[taken & ~left])):
+def _without(at: Linearised, tested: Judged, taken: Mask, candidates: Sequence[_Candidate]) -> Mask:
+    """Observations left after rejecting some, without those of points whose other rays hardly converge."""
+    remaining = taken.copy()
+    for candidate in candidates:
+        remaining[candidate.observations] = False
+    for rows, table in _pieces(at, tested, np.unique(tested.point[taken & ~remaining])):
         if rows.known:
             continue
-        there = table >= 0
-        hardly = hardly_converging(rows, np.where(there, left[table], True)[:, rows.observation])
-        left[table[hardly][there[hardly]]] = False
-    return left
+        present = table >= 0
+        hardly = hardly_converging(rows, np.where(present, remaining[table], True)[:, rows.observation])
+        remaining[table[hardly][present[hardly]]] = False
+    return remaining
 
 
-def _pieces(at: Linearised, mine: Judged, points: Index) -> Iterator[tuple[PointRows, Index]]:
+def _pieces(at: Linearised, tested: Judged, points: Index) -> Iterator[tuple[PointRows, Index]]:
     """Rows of some network points, piece by piece, and which of the judged each observation of them is: (m, slots), -1
     for none.
     """
     rows, patterns = at.rows, at.layout.patterns
     wanted = np.zeros(rows.kind.size, dtype=bool)
     wanted[points] = True
-    own = np.flatnonzero(wanted[mine.point] & (mine.place >= 0))
-    number = patterns.point_index[mine.point[own]]
-    order = np.lexsort((mine.place[own], patterns.piece_of(number)))
-    own, number = own[order], number[order]
+    wanted_rows = np.flatnonzero(wanted[tested.point] & (tested.place >= 0))
+    number = patterns.point_index[tested.point[wanted_rows]]
+    order = np.lexsort((tested.place[wanted_rows], patterns.piece_of(number)))
+    wanted_rows, number = wanted_rows[order], number[order]
     pieces, begins = np.unique(patterns.piece_of(number), return_index=True)
-    for piece, (a, b) in zip(pieces.tolist(), pairwise([*begins.tolist(), own.size]), strict=True):
+    for piece, (a, b) in zip(pieces.tolist(), pairwise([*begins.tolist(), wanted_rows.size]), strict=True):
         _, first, count, _, observation = rows.piece[piece].tolist()
         inside = number[a:b] - first
-        slot = (mine.place[own[a:b]] - observation - inside) // count
+        slot = (tested.place[wanted_rows[a:b]] - observation - inside) // count
         several, row = np.unique(inside, return_inverse=True)
-        found = at.rows_inside(piece, several)
-        table = np.full((several.size, int(found.observation.max()) + 1), -1)
-        table[row, slot] = own[a:b]
-        yield found, table
+        piece_rows = at.rows_inside(piece, several)
+        table = np.full((several.size, int(piece_rows.observation.max()) + 1), -1)
+        table[row, slot] = wanted_rows[a:b]
+        yield piece_rows, table
 
 
 def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array, units: Array) -> Iterator[_Candidate]:
@@ -482,15 +482,15 @@ def _worst(at: Linearised, rows: PointRows, table: Index, severity: Array, units
     covariance, through = residual_covariance(at, rows)
     slots = np.flatnonzero(np.any(table >= 0, axis=0))
     each = [direction(covariance, rows.residuals, rows.observation == slot) for slot in slots.tolist()]
-    combinations, tests = np.stack([one[0] for one in each]), np.stack([one[1] for one in each], axis=1)
-    here, severity = table[:, slots], severity[:, slots]
+    combinations, tests = np.stack([part[0] for part in each]), np.stack([part[1] for part in each], axis=1)
+    numbers, severity = table[:, slots], severity[:, slots]
     for k, worst in enumerate(severity.argmax(axis=1).tolist()):
         test = tests[k, worst]
         if severity[k, worst] <= 1.0 or test <= 0.0:
             continue
         combination = combinations[worst, k]
-        alike = (here[k] >= 0) & (tests[k] > max(test - _DECISIVE * units[k, slots[worst]], 0.0))
-        alike[worst] = True
+        inseparable = (numbers[k] >= 0) & (tests[k] > max(test - _DECISIVE * units[k, slots[worst]], 0.0))
+        inseparable[worst] = True
         size = math.sqrt(test)
         pull = through[k].T @ combination
-        yield _Candidate(here[k, alike], rows.variables, pull, size, size / math.sqrt(severity[k, worst]))
+        yield _Candidate(numbers[k, inseparable], rows.variables, pull, size, size / math.sqrt(severity[k, worst]))

@@ -1,15 +1,14 @@
-"""Covariances of the adjustment; a network linearised where it stands; whether the joint ellipsoid may be used.
+"""Covariances of the adjustment; a network linearized at its solution; whether the joint ellipsoid may be used.
 
 Covariances are stated for sigma0 = 1, as the a-priori sigmas imply; multiply by sigma0 squared to scale them.
 
-Their covariance S = N^-1 is that of a cost that is a paraboloid about the optimum x. It is none where a-priori sigmas
-are so wide that rows bend within them. So states x + e are drawn from the ellipsoid, e of covariance S, the points meet
-anew at each, and twice the rise of the cost, L, is held against q = e' S^-1 e. L is the square of a likelihood ratio,
-chi-square with as many degrees of freedom as unknowns whatever coordinates these are counted in; q is what the
-ellipsoid makes of it. Where L is larger on the average, the ellipsoid holds states that the measures exclude: it lies
-across a valley that bends, and the truth, down in the valley, lies farther out in it than chi-square says. Single
-unknowns may be well behaved all the same. (Bates & Watts, 1980, take second derivatives at x; draws see the whole
-region, at the price of one sweep each.)
+Their covariance S = N^-1 assumes a cost that is a paraboloid about the optimum x. It is none where a-priori sigmas are
+so wide that rows are nonlinear within them. So states x + e are drawn from the ellipsoid, e of covariance S, with the
+points solved at each, and twice the rise of the cost, L, is compared with q = e' S^-1 e. L is the square of a
+likelihood ratio, chi-square with as many degrees of freedom as unknowns in any parametrization; q is its value by the
+ellipsoid. Where L is larger on average, the ellipsoid holds states that the measures exclude: it lies across a curved
+valley, and the truth, down in the valley, lies farther from x than chi-square says. Single unknowns may still be
+reliable. (Bates & Watts, 1980, take second derivatives at x; draws test the whole region, for one sweep each.)
 """
 
 import math
@@ -119,7 +118,7 @@ def point_covariances(
 
 
 def prior_covariance(layout: Layout) -> JointCovariance | None:
-    """Joint covariance of the shared unknowns as their priors alone have it; None where of some nothing is known."""
+    """Joint covariance of the shared unknowns by their priors alone; None where some have no prior."""
     if np.any(np.isinf(layout.sigmas)):
         return None
     try:
@@ -128,31 +127,31 @@ def prior_covariance(layout: Layout) -> JointCovariance | None:
             return joint_covariance(factor.square_root())
     except NotDefinite:
         pass
-    return joint_covariance(_strip_by_strip(layout))
+    return joint_covariance(_pass_by_pass(layout))
 
 
-def _strip_by_strip(layout: Layout) -> SquareRoot:
-    """Square root of the priors' information by a dense QR decomposition of each strip's rows.
+def _pass_by_pass(layout: Layout) -> SquareRoot:
+    """Square root of the priors' information by a dense QR decomposition of each pass's rows.
 
-    Nodes that may hardly leave a trend of which little is known make pivots fall below 2^-24 of the diagonal that they
-    began with. The rows themselves lose half as many digits as their squares.
+    Nodes tightly bound to a weakly known trend make pivots fall below 2^-24 of the original diagonal. The rows
+    themselves lose half as many digits as their squares.
     """
-    variables, every, scales = layout.variables, layout.prior.every.tocsc(), layout.scales
-    cliques, rows = _known_together(layout), list[Array]()
+    variables, rows_of_priors, scales = layout.variables, layout.prior.design.tocsc(), layout.scales
+    cliques, rows = _joined_by_priors(layout), list[Array]()
     for members in cliques:
         columns = np.concatenate([np.arange(variables.first[v], variables.columns_of(v).stop) for v in members])
-        part = every[:, columns]
-        own = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
-        rows.append(np.linalg.qr(own, mode="r") / scales[columns])
+        part = rows_of_priors[:, columns]
+        of_pass = part[np.unique(part.nonzero()[0])].toarray() * scales[columns]
+        rows.append(np.linalg.qr(of_pass, mode="r") / scales[columns])
     return in_cliques(variables.first, variables.width, cliques, rows)
 
 
-def _known_together(layout: Layout) -> list[list[int]]:
-    """Adjusted variables in groups that no prior joins: strips, profiles that cross, and any other by itself."""
-    group, together = layout.prior.group, dict[int, list[int]]()
+def _joined_by_priors(layout: Layout) -> list[list[int]]:
+    """Adjusted variables grouped by the priors that connect them: passes, profiles that cross, single ones."""
+    group, members = layout.prior.group, dict[int, list[int]]()
     for v in layout.variables.adjusted():
-        together.setdefault(int(group[v]), []).append(v)
-    return list(together.values())
+        members.setdefault(int(group[v]), []).append(v)
+    return list(members.values())
 
 
 
@@ -161,12 +160,12 @@ DRAWS = 32
 LINEAR = 1.1
 """Ratio up to which statements are made by the ellipsoid: normalised errors a tenth too large, sigmas a twentieth."""
 MOST_POINTS, MOST_UNKNOWNS = 5_000, 1_000
-"""Size up to which `adjust` looks for itself, in 0.05 s. Larger ones are looked at when asked."""
+"""Size up to which `adjust` tests it, in 0.05 s. Larger ones are tested on request."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linearity(Record):
-    """What draws from the ellipsoid say of it.
+    """Test of the ellipsoid by states drawn from it.
 
     Examples
     --------
@@ -247,9 +246,9 @@ class PointRows:
 
     def of(self, point: int) -> "PointRows":
         """Rows of one of the points."""
-        one = slice(point, point + 1)
+        chosen = slice(point, point + 1)
         return replace(
-            self, residuals=self.residuals[one], by_point=self.by_point[one], by_shared=self.by_shared[one]
+            self, residuals=self.residuals[chosen], by_point=self.by_point[chosen], by_shared=self.by_shared[chosen]
         )
 
     def following(self) -> tuple[Array, Array]:
@@ -307,23 +306,22 @@ class Linearised:
     @property
     def places(self) -> Array:
         """(n, 3) m, of the network's points; NaN for those that nothing determines."""
-        out = self.rows.kind == OUT
-        return self.layout.network_order(np.where(out[:, None], np.nan, self.points))
+        return self.layout.network_order(np.where((self.rows.kind == OUT)[:, None], np.nan, self.points))
 
     def point_covariances(self) -> Array:
         """(n, 3, 3) m^2, of these, for sigma0 = 1; NaN for those that nothing determines."""
-        found = point_covariances(self.layout, self.rows, self.orientation, self.points, self.joint)
+        covariances = point_covariances(self.layout, self.rows, self.orientation, self.points, self.joint)
         out = self.rows.kind == OUT
-        return self.layout.network_order(np.where(out[:, None, None], np.nan, found))
+        return self.layout.network_order(np.where(out[:, None, None], np.nan, covariances))
 
     def fit(self) -> Fit:
         """Weighted squares, observations and unknowns of the rows that take part."""
-        found = residuals(self.layout, self.orientation, self.points)
-        return fit(self.layout, self.rows, self.orientation, self.points, found)
+        misfit = residuals(self.layout, self.orientation, self.points)
+        return fit(self.layout, self.rows, self.orientation, self.points, misfit)
 
     def of_estimator(self) -> "Linearised":
-        """The same with the covariance that estimates had were considered unknowns without error, and this the only
-        minimum: what redundancy and tests of residuals are about. Itself where that is so.
+        """The same with the covariance of the estimates if considered unknowns had no error and this were the only
+        minimum: for redundancy and tests of residuals. Itself where that is so.
         """
         if not (self.layout.prior.considered or self.mixed):
             return self
@@ -358,13 +356,13 @@ class Linearised:
         """Covariance of the shared unknowns in the blocks of a layout, this one's or that of `asked`."""
         return layout.blocks.filled(self.joint)
 
-    def asked(self, places: Array, rays: ImageRays, known: bool) -> Layout:
-        """Layout of places (m, 3) in m that nobody has measured, on the same shared unknowns.
+    def asked(self, places: Array, rays: ImageRays, held: bool) -> Layout:
+        """Layout of unmeasured places (m, 3) in m, on the same shared unknowns.
 
-        Rays of known positions are rows without a point; those of unknown ones intersect in them.
+        Rays of `held` places are rows without a point; those of others intersect in them.
         """
         network, m = self.network, places.shape[0]
-        kinds, ids = np.full(m, PointKind.FIXED if known else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
+        kinds, ids = np.full(m, PointKind.FIXED if held else PointKind.FREE), Names.of(f"place {k}" for k in range(m))
         points = GroundPoints(ids, np.full(m, PointClass.TIE), kinds, places, np.zeros((m, 3, 3)))
         none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
         shifts, surface = network.shifts, network.surface
@@ -383,7 +381,7 @@ class Linearised:
             common_heights=of_heights,
         )
         # the papers' form has no derivatives of a place, only of a misfit at a measured line
-        return lay_out(bare, replace(self.settings, line="predicted") if known else self.settings, places)
+        return lay_out(bare, replace(self.settings, line="predicted") if held else self.settings, places)
 
 
 def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) -> PointRows:
@@ -395,24 +393,23 @@ def point_rows(layout: Layout, rows: Rows, orientation: Array, points: Array) ->
     counts = map(row_count.py_func, rows.observation_kind[observations].tolist())
     of_row = [(i, row) for i, count_of in enumerate(counts) for row in range(count_of)]
     observation, row = np.array(of_row, dtype=np.int64).reshape(-1, 2).T
-    mine = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
-    members = slice(*layout.groups.member_first[group : group + 2])
-    width = layout.groups.member_width[members]
+    of_points = numbers.reshape(-1, count, *numbers.shape[1:])[observation, :, row].transpose(1, 0, 2)
+    width = layout.groups.member_width[slice(*layout.groups.member_first[group : group + 2])]
     by_shared = np.zeros((count, observation.size, int(width.sum())))
     for k, places in enumerate(_columns(rows, first + observation, np.cumsum(width) - width)):
         for n, column in enumerate(places.tolist()):
-            by_shared[:, k, column] += mine[:, k, ROW_NUMBERS + n]
+            by_shared[:, k, column] += of_points[:, k, ROW_NUMBERS + n]
     known = bool(rows.pattern_fixed[pattern])
-    by_point = mine[:, :, 1:ROW_NUMBERS]
-    return PointRows(layout.group_variables[group], mine[:, :, 0], by_point, by_shared, observation, row, known)
+    by_point = of_points[:, :, 1:ROW_NUMBERS]
+    return PointRows(layout.group_variables[group], of_points[:, :, 0], by_point, by_shared, observation, row, known)
 
 
 def _columns(rows: Rows, observations: Index, first_of_member: Index) -> list[Index]:
-    """Of each row's observation, where its numbers go among the columns of the group."""
-    found = []
+    """For each row's observation, the columns of its numbers in the group."""
+    columns = []
     for i in observations.tolist():
         entry, terms = int(rows.observation_entry[i]), int(rows.observation_terms[i])
-        mine = slice(entry, entry + terms + int(rows.observation_shared[i]))
-        begin = first_of_member[rows.entry_member[mine]] + rows.entry_inside[mine]
-        found.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
-    return found
+        own_columns = slice(entry, entry + terms + int(rows.observation_shared[i]))
+        begin = first_of_member[rows.entry_member[own_columns]] + rows.entry_inside[own_columns]
+        columns.append(np.concatenate([(begin[:terms, None] + np.arange(6)).ravel(), begin[terms:]]))
+    return columns

@@ -43,9 +43,8 @@ def simple_basis(vectors: Array) -> Array:
     turn = _start(vectors)
     before = 0.0
     for _ in range(_STEPS):
-        turned = vectors @ turn
-        left, sums, right = np.linalg.svd(vectors.T @ turned**3)
-        turn = left @ right
+        first, sums, second = np.linalg.svd(vectors.T @ (vectors @ turn)**3)
+        turn = first @ second
         if sums.sum() < before * (1.0 + _TOLERANCE):
             break
         before = float(sums.sum())
@@ -57,8 +56,8 @@ def _start(vectors: Array) -> Array:
     from scipy.linalg import qr  # slow to import
 
     _, _, pivots = qr(vectors.T, mode="economic", pivoting=True)
-    left, _, right = np.linalg.svd(vectors[pivots[: vectors.shape[1]]].T)
-    return np.asarray(left @ right)
+    first, _, second = np.linalg.svd(vectors[pivots[: vectors.shape[1]]].T)
+    return np.asarray(first @ second)
 
 
 _LEAST = 0.01
@@ -103,8 +102,8 @@ def parts_of(frames: Frames, direction: Array) -> tuple[Part, ...]:
     amount = frames.amounts(direction[:, None])[:, 0]
     # rounded, lest the last digit decide the order of equals
     order = np.lexsort((np.arange(share.size), -np.round(share, 6)))
-    kept = [int(c) for c in order if share[c] >= _LEAST]
-    return tuple(Part(frames.axes[c], float(share[c]), float(amount[c])) for c in kept)
+    conditional = [int(c) for c in order if share[c] >= _LEAST]
+    return tuple(Part(frames.axes[c], float(share[c]), float(amount[c])) for c in conditional)
 
 
 def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) -> str:
@@ -113,23 +112,23 @@ def in_words(frames: Frames, parts: Sequence[Part], sigma: float | None = None) 
     terms = sorted(_terms(frames, parts), key=lambda term: -round(term.share, 6))
     for term in terms:
         groups.setdefault(term.what, []).append(term)
-    whole = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
+    ordered = sorted(groups.values(), key=lambda group: -round(sum(term.share for term in group), 6))
     named: list[list[_Term]] = []
     explained = 0.0
-    for group in whole[:_MOST]:
+    for group in ordered[:_MOST]:
         share = sum(term.share for term in group)
         if named and (share < _NAMED_SHARE or explained >= _ENOUGH):
             break
         explained += share
         named.append(group)
     text = ", with ".join(_group(group) for group in named)
-    together = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * explained:.0f} %)"
+    shares = f" ({'together ' if len(named) > 1 or len(named[0]) > 1 else ''}{100.0 * explained:.0f} %)"
     if sigma is None:
         return text
     main = named[0][0]
     amounts = " against ".join(quantity(abs(part.amount) * sigma, part.axis.unit) for part in main.parts)
     whose = f" of {main.owner}" if len(terms) > 1 and len(named[0]) > 1 else ""
-    return f"{text}{together}: one sigma is {amounts}{whose}"
+    return f"{text}{shares}: one sigma is {amounts}{whose}"
 
 
 def quantity(value: float, unit: str) -> str:
@@ -142,10 +141,10 @@ def quantity(value: float, unit: str) -> str:
 def _group(terms: Sequence[_Term]) -> str:
     """The same of several owners."""
     main = max(terms, key=lambda term: round(term.share, 6))
-    alike = [term.owner for term in terms if term.sign == main.sign]
-    other = [term.owner for term in terms if term.sign != main.sign]
-    text = f"{main.what} of {_owners(alike)}" + (" jointly" if len(alike) > 1 else "")
-    return f"{text} and, with opposite sign, of {_owners(other)}" if other else text
+    same_sign = [term.owner for term in terms if term.sign == main.sign]
+    opposite = [term.owner for term in terms if term.sign != main.sign]
+    text = f"{main.what} of {_owners(same_sign)}" + (" jointly" if len(same_sign) > 1 else "")
+    return f"{text} and, with opposite sign, of {_owners(opposite)}" if opposite else text
 
 
 def _owners(owners: Sequence[str]) -> str:
@@ -159,7 +158,7 @@ def _owners(owners: Sequence[str]) -> str:
 
 
 def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
-    """Parts, those of position and pointing that counter each other put together."""
+    """Parts; those of position and pointing that cancel each other are one term."""
     of_image: dict[tuple[int, int], list[Part]] = {}
     terms: list[_Term] = []
     for part in parts:
@@ -167,8 +166,8 @@ def _terms(frames: Frames, parts: Sequence[Part]) -> list[_Term]:
             of_image.setdefault((part.axis.variable, part.axis.order), []).append(part)
         else:
             terms.append(_alone(part))
-    for (image, _), mine in of_image.items():
-        terms += _against(frames.of(image), mine)
+    for (image, _), of_order in of_image.items():
+        terms += _against(frames.of(image), of_order)
     return terms
 
 
@@ -181,8 +180,8 @@ def _against(frame: FlightFrame, parts: Sequence[Part]) -> list[_Term]:
         mainly = [part for part, k in column.items() if abs(way[k]) > _MAINLY * frame.reach[k]]
         position = [part for part in mainly if part.axis.unit == "m"]
         pointing = [part for part in mainly if part.axis.unit == "rad"]
-        one, other = (sum(moved[part] for part in group) for group in (position, pointing))
-        if not (position and pointing and abs(one + other) < _CANCEL * max(abs(one), abs(other))):
+        first, second = (sum(moved[part] for part in group) for group in (position, pointing))
+        if not (position and pointing and abs(first + second) < _CANCEL * max(abs(first), abs(second))):
             continue
         main = tuple(max(group, key=lambda part: abs(moved[part])) for group in (position, pointing))
         share = sum(part.share for part in main)
@@ -235,14 +234,14 @@ class Defects(NamedTuple):
 
 
 def require_strength(layout: Layout, reduction: Reduction) -> None:
-    """Raise WeakNetwork, naming the directions that nothing determines, before anything is solved.
+    """Raise WeakNetwork, naming the undetermined directions, before anything is solved.
 
     Only needed where some coefficient has no prior: a prior on each determines all of them.
     """
     if np.any(np.isinf(layout.sigmas)):
-        found = defects(layout, scaled_normal(layout, reduction), UNDETERMINED)
-        if found.number:
-            raise found.error()
+        weak = defects(layout, scaled_normal(layout, reduction), UNDETERMINED)
+        if weak.number:
+            raise weak.error()
 
 
 def scaled_normal(layout: Layout, reduction: Reduction) -> Array:
@@ -268,24 +267,24 @@ def defects(layout: Layout, normal: Array, limit: float) -> Defects:
     moves = datum_transformations(layout)
     free = _free(moves, normal, least)
     of_datum = free.shape[1]
-    left, _, _ = np.linalg.svd(null.T @ np.linalg.qr(moves @ free)[0])
-    others = null @ left[:, of_datum:]
+    undetermined, _, _ = np.linalg.svd(null.T @ np.linalg.qr(moves @ free)[0])
+    remaining = null @ undetermined[:, of_datum:]
     frames = Frames(layout)
-    if others.shape[1]:
-        others = others @ simple_basis(frames.turned(others))
-    named = tuple(in_words(frames, parts_of(frames, others[:, k])) for k in range(min(others.shape[1], _NAMED)))
+    if remaining.shape[1]:
+        remaining = remaining @ simple_basis(frames.turned(remaining))
+    named = tuple(in_words(frames, parts_of(frames, remaining[:, k])) for k in range(min(remaining.shape[1], _NAMED)))
     return Defects(_transformations(free), named, null.shape[1], of_datum)
 
 
 def _free(moves: Array, normal: Array, least: float) -> Array:
     """(7, d) combinations of `moves` (columns, 7) that the normal matrix leaves free.
 
-    Asked of the transformations themselves: a narrow network has other free directions, some within a thousandth of a
-    transformation that it does determine.
+    The test takes the transformations themselves: a narrow network has other free directions, some within a thousandth
+    of a transformation that it does determine.
     """
     basis, sizes, right = np.linalg.svd(moves, full_matrices=False)
-    there = sizes > _THERE * max(sizes[0], _THERE)
-    basis, back = basis[:, there], right[there].T / sizes[there]
+    present = sizes > _THERE * max(sizes[0], _THERE)
+    basis, back = basis[:, present], right[present].T / sizes[present]
     values, combined = np.linalg.eigh(basis.T @ normal @ basis)
     return np.asarray(back @ combined[:, values < least])
 
@@ -304,8 +303,8 @@ def datum_transformations(layout: Layout) -> Array:
             moves[columns] = _of_image(layout, variable, middle)
         elif variable < layout.network.first_shared:
             moves[columns] = _of_shift(layout, variable - layout.variables.images, middle)
-    for k, (strip, first) in enumerate(layout.network.numbered_passes):
-        columns = layout.variables.columns_from(first, len(strip.nodes))
+    for k, (pass_, first) in enumerate(layout.network.numbered_passes):
+        columns = layout.variables.columns_from(first, len(pass_.nodes))
         moves[columns] = _of_nodes(layout, k, middle)
     moves /= layout.scales[:, None]
     if np.any(layout.network.held):
@@ -321,12 +320,12 @@ def _of_image(layout: Layout, image: int, middle: Array) -> Array:
     return _fitted(polynomial(moments.u, degree)[0], _changes(layout, pose, moments, middle))
 
 
-def _of_nodes(layout: Layout, strip: int, middle: Array) -> Array:
-    """(6 k, 7) m and rad, the nodes of a strip for the seven transformations."""
-    one = layout.network.passes[strip]
-    nodes = one.nodes
+def _of_nodes(layout: Layout, number: int, middle: Array) -> Array:
+    """(6 k, 7) m and rad, the nodes of a pass for the seven transformations."""
+    pass_ = layout.network.passes[number]
+    nodes = pass_.nodes
     times = np.linspace(*nodes.coverage, 2 * _PLACES + 2 * len(nodes))
-    pose = nominal_poses(layout.network.pictures(strip), times + nodes.epoch, one.axes)
+    pose = nominal_poses(layout.network.pictures(number), times + nodes.epoch, pass_.axes)
     changes = _changes(layout, pose, Moments.of_times(times, nodes.epoch), middle)
     return _fitted(nodes.dense(times, nodes.epoch)[0], changes)
 
@@ -354,11 +353,11 @@ def _displacement(arms: Array) -> Array:
 
 def _middle(layout: Layout) -> Array:
     """(3,) m, of what the images see: about it rotations and scale leave translations alone as far as can be."""
-    seen = []
+    grounds = []
     for image in layout.network.images:
         pose = image.pose(image.middle[0])
-        seen.append(pose.position[0] / np.linalg.norm(pose.position[0]) * image.body.equatorial)
-    return np.asarray(np.mean(seen, axis=0))
+        grounds.append(pose.position[0] / np.linalg.norm(pose.position[0]) * image.body.equatorial)
+    return np.asarray(np.mean(grounds, axis=0))
 
 
 def _of_shift(layout: Layout, shift: int, middle: Array) -> Array:
@@ -379,8 +378,8 @@ def _shifted_place(layout: Layout, shift: int, middle: Array) -> Array:
     network = layout.network
     profiles = 0 if network.shifts is None else len(network.shifts.names)
     if network.shifts is None or shift >= profiles:
-        own = None if network.surface is None else network.surface.middle
-        return middle if own is None else own
+        terrain = None if network.surface is None else network.surface.middle
+        return middle if terrain is None else terrain
     places = network.points.places[np.flatnonzero(network.shifts.profile == shift)[:_ROWS]]
     places = places[np.all(np.isfinite(places), axis=1)]
     return np.asarray(places.mean(axis=0)) if places.size else middle
@@ -389,18 +388,18 @@ def _shifted_place(layout: Layout, shift: int, middle: Array) -> Array:
 def _transformations(free: Array) -> str:
     """Words for the transformations (7, d), combinations of the seven, that are free.
 
-    A rotation about any other place is one about the middle and a translation: what is rotated and scaled is told
-    first, what is left is translation alone.
+    A rotation about any other place is one about the middle and a translation: rotations and scale are named first, and
+    the rest is translation alone.
     """
     words, rest = list[str](), free
     for kind, rows in zip(_KINDS, (slice(3, 6), slice(6, 7), slice(0, 3)), strict=True):
         if rest.shape[1] == 0:
             break
-        left, sizes, right = np.linalg.svd((rest / np.linalg.norm(rest, axis=0))[rows])
+        first, sizes, second = np.linalg.svd((rest / np.linalg.norm(rest, axis=0))[rows])
         rank = int(np.count_nonzero(sizes > _PART))
         if rank:
-            words.append(kind if kind == "scale" else f"{kind} {_axes(left[:, :rank])}")
-        rest = rest / np.linalg.norm(rest, axis=0) @ right[rank:].T
+            words.append(kind if kind == "scale" else f"{kind} {_axes(first[:, :rank])}")
+        rest = rest / np.linalg.norm(rest, axis=0) @ second[rank:].T
     words = sorted(words, key=lambda word: ("translation", "rotation", "scale").index(word.split()[0]))
     return ", and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 

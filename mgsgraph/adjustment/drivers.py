@@ -35,7 +35,7 @@ LISTED = 100
 
 
 class Quantity(StrEnum):
-    """What images and points have a part in."""
+    """A quantity divided among images and points."""
 
     COST = "cost"
     """The cost at the state that was reached."""
@@ -44,7 +44,7 @@ class Quantity(StrEnum):
 
 
 class Kind(StrEnum):
-    """What has a part in it."""
+    """What it is divided among."""
 
     IMAGE = "image"
     POINT = "point"
@@ -55,9 +55,9 @@ class Contributions(Record):
     """Parts of images, or of points, in one quantity."""
 
     quantity: Quantity
-    """In what."""
+    """The quantity."""
     kind: Kind
-    """Of what."""
+    """Images or points."""
     of: int
     """How many images, or points, there are."""
     members: Index
@@ -93,48 +93,48 @@ class Drivers(Record):
     @property
     def outstanding(self) -> tuple[Contributions, ...]:
         """Contributions of images and points that stand out, in the order in which they say the most."""
-        return tuple(one for one in self.contributions if one.outstanding)
+        return tuple(part for part in self.contributions if part.outstanding)
 
 
-def driver_sentences(found: Drivers, network: Network) -> list[str]:
-    """Which images and points stand out, by name; or that none does."""
-    if found.outstanding:
-        sentences = [_sentence(one, network) for one in _without_repeated(found.outstanding)]
+def driver_sentences(drivers: Drivers, network: Network) -> list[str]:
+    """Sentences: which images and points stand out, by name; or that none does."""
+    if drivers.outstanding:
+        sentences = [_sentence(part, network) for part in _without_repeated(drivers.outstanding)]
         return [f"What drives it: {sentences[0]}", *sentences[1:]]
-    largest = [one for one in found.contributions if one.quantity == Quantity.COST and one.members.size]
-    shares = " and ".join(f"{_names(one, network, 1)} with {_percent(one.shares[0])}" for one in largest)
+    largest = [part for part in drivers.contributions if part.quantity == Quantity.COST and part.members.size]
+    shares = " and ".join(f"{_names(part, network, 1)} with {_percent(part.shares[0])}" for part in largest)
     most = f" The largest shares of the cost have {shares}." if shares else ""
     return [f"No image and no point stands out: nothing in particular drives it.{most}"]
 
 
-def _without_repeated(told: Sequence[Contributions]) -> list[Contributions]:
-    """Of the points without a place, the images where these say it, else the points."""
-    seen, left = set[Quantity](), list[Contributions]()
-    for one in told:
-        if one.quantity == Quantity.COST or one.quantity not in seen:
-            left.append(one)
-        seen.add(one.quantity)
-    return left
+def _without_repeated(parts: Sequence[Contributions]) -> list[Contributions]:
+    """Contributions; of the points without a place only the images where these stand out, else only the points."""
+    quantities, selected = set[Quantity](), list[Contributions]()
+    for part in parts:
+        if part.quantity == Quantity.COST or part.quantity not in quantities:
+            selected.append(part)
+        quantities.add(part.quantity)
+    return selected
 
 
-def _sentence(one: Contributions, network: Network) -> str:
-    """How much of a quantity those have that stand out, and their names."""
-    count, kind = one.outstanding, str(one.kind)
-    who, names = f"{count} of {many(one.of, kind)}", _names(one, network)
-    share, plural = _percent(one.share), count != 1
-    if one.quantity == Quantity.COST:
+def _sentence(part: Contributions, network: Network) -> str:
+    """The share of a quantity of those that stand out, and their names."""
+    count, kind = part.outstanding, str(part.kind)
+    who, names = f"{count} of {many(part.of, kind)}", _names(part, network)
+    share, plural = _percent(part.share), count != 1
+    if part.quantity == Quantity.COST:
         return f"{who} {'carry' if plural else 'carries'} {share} of the cost: {names}."
     what = "no place where it stopped (behind a camera, on rays that part, or not determined by them)"
-    if one.kind == Kind.POINT:
+    if part.kind == Kind.POINT:
         return f"{who} {'have' if plural else 'has'} {what}: {names}."
     return f"{who} {'see' if plural else 'sees'} most of the points that have {what}: {names}."
 
 
-def _names(one: Contributions, network: Network, most: int = 3) -> str:
+def _names(part: Contributions, network: Network, most: int = 3) -> str:
     """Names of images, or ids of points, that stand out; of the first where none does."""
-    index = one.members[: min(most, one.outstanding or most)].tolist()
-    names = [network.images[i].name if one.kind == Kind.IMAGE else network.points.ids[i] for i in index]
-    more = one.outstanding - len(names)
+    index = part.members[: min(most, part.outstanding or most)].tolist()
+    names = [network.images[i].name if part.kind == Kind.IMAGE else network.points.ids[i] for i in index]
+    more = part.outstanding - len(names)
     return ", ".join(names) + (f" and {more} more" if more > 0 else "")
 
 
@@ -144,19 +144,19 @@ def _percent(share: float) -> str:
 
 
 _FEW = 20.0
-"""Times more that is asked of an image with one measure; of one with n measures the n-th part of it."""
+"""Added to the factor of an image with one measure; of one with n measures the n-th part of it."""
 LEAST = 1.0
 """Mean square that stands out at least."""
 _SHARE = 0.1
-"""Share of a quantity that those who stand out have together at least."""
+"""Least total share of a quantity of those that stand out."""
 FEWEST = 5
 """Points that an image must have seen to be named for them."""
 _COVERED, _RATIO = 0.8, 3.0
-"""Share of the points that stand out which images must have seen to explain them, and times the share of all points."""
+"""Share of the outstanding points that images must see to explain them; its least ratio to the share of all points."""
 
 
 def outstanding(
-    values: Array, measures: Array, factor: float, whole: float | None = None, pulled: float = 0.0
+    values: Array, measures: Array, factor: float, total: float | None = None, pulled: float = 0.0
 ) -> Mask:
     """(n,) whose mean square per measure is many times the median, and a share `pulled` of the largest, if together
     they have a share of the whole.
@@ -165,27 +165,26 @@ def outstanding(
         level = np.where(measures > 0.0, values / measures, 0.0)
         few = np.where(measures > 0.0, _FEW / measures, 0.0)
     typical = float(np.median(level[measures > 0.0])) if np.any(measures > 0.0) else 0.0
-    found = (level >= LEAST) & (level > typical * (factor + few))
-    found &= level >= pulled * np.max(level, initial=0.0, where=found)
-    enough = values[found].sum() >= _SHARE * (values.sum() if whole is None else whole)
-    return np.asarray(found & enough)
+    flagged = (level >= LEAST) & (level > typical * (factor + few))
+    flagged &= level >= pulled * np.max(level, initial=0.0, where=flagged)
+    return np.asarray(flagged & (values[flagged].sum() >= _SHARE * (values.sum() if total is None else total)))
 
 
 def contributions(
     quantity: Quantity, kind: Kind, values: Array, outstanding: Mask, then: Array | None = None,
-    whole: float | None = None,
+    all_of_it: float | None = None,
 ) -> Contributions:  # fmt: skip
     """The record; ties in `values` (n,) go by `then` (n,)."""
-    total = float(values.sum() if whole is None else whole)
+    total = float(values.sum() if all_of_it is None else all_of_it)
     if not total > 0.0:
         return Contributions(quantity, kind, values.size, np.zeros(0, dtype=np.int64), np.zeros(0), 0, 0.0)
     parts = []
-    for mine in (outstanding, ~outstanding & (values > 0.0)):
-        index = np.flatnonzero(mine)
+    for chosen in (outstanding, ~outstanding & (values > 0.0)):
+        index = np.flatnonzero(chosen)
         keys = (-values[index],) if then is None else (-then[index], -values[index])
         parts.append(index[np.lexsort(keys)][:LISTED])
     members = np.concatenate(parts)[:LISTED]
-    share = 1.0 if whole is not None and np.any(outstanding) else float(values[outstanding].sum()) / total
+    share = 1.0 if all_of_it is not None and np.any(outstanding) else float(values[outstanding].sum()) / total
     return Contributions(
         quantity, kind, values.size, members, values[members] / total, int(np.count_nonzero(outstanding)), share
     )
@@ -201,10 +200,10 @@ def covered(network: Network, values: Array, images: Mask, points: Mask) -> bool
     first = np.zeros_like(images)
     first[np.argmax(np.where(images, values, -1.0))] = True
     for some in (images, first):
-        seen = np.zeros_like(points)
-        seen[network.rays.point[some[network.rays.image]]] = True
-        share = np.count_nonzero(seen & points) / number
-        if share >= _COVERED and share >= _RATIO * np.mean(seen):
+        measured = np.zeros_like(points)
+        measured[network.rays.point[some[network.rays.image]]] = True
+        share = np.count_nonzero(measured & points) / number
+        if share >= _COVERED and share >= _RATIO * np.mean(measured):
             return True
     return False
 
@@ -215,9 +214,9 @@ rays, whose squares have one degree of freedom, the largest is 64 times the medi
 _UNADJUSTED = 25.0
 """The same of images where nothing has been adjusted yet: there each has the cost of its own orientation's error."""
 _PULLED = 0.1
-"""Share of the largest mean square of an image up to which others owe theirs to that image."""
+"""Share of the largest mean square of an image up to which that image causes those of others."""
 _MOST = 0.1
-"""Share of all points beyond which those that stand out, or have no place, are rather the images' doing."""
+"""Share of all points that stand out or have no place, beyond which images are the more likely cause."""
 
 
 class _Costs(NamedTuple):
@@ -238,10 +237,10 @@ class _Costs(NamedTuple):
 
     def of_images(self) -> tuple[Array, Array]:
         """(images,) part of each image, and the number of its measures."""
-        mine, size = self.image >= 0, self.own.size
-        image = self.image[mine]
+        in_images, size = self.image >= 0, self.own.size
+        image = self.image[in_images]
         measures = np.bincount(image, minlength=size) + self.rows
-        return np.asarray(np.bincount(image, self.values[mine], size) + self.own), np.asarray(measures)
+        return np.asarray(np.bincount(image, self.values[in_images], size) + self.own), np.asarray(measures)
 
     def of_points(self) -> tuple[Array, Array]:
         """(n,) part of each point, and the number of its measures."""
@@ -250,12 +249,12 @@ class _Costs(NamedTuple):
 
     def without(self, points: Mask) -> "_Costs":
         """The same without the measures of some points (n,)."""
-        left = ~points[self.point]
-        return self._replace(point=self.point[left], image=self.image[left], values=self.values[left])
+        remaining = ~points[self.point]
+        return self._replace(point=self.point[remaining], image=self.image[remaining], values=self.values[remaining])
 
 
 def drivers_of(
-    graph: BundleGraph, reduction: Reduction, found: Residuals | None = None
+    graph: BundleGraph, reduction: Reduction, known_residuals: Residuals | None = None
 ) -> Drivers:
     """Images and points that drive an adjustment.
 
@@ -265,33 +264,33 @@ def drivers_of(
         With the rows that take part.
     reduction : Reduction
         Of these rows, at the state that was reached.
-    found : Residuals, optional
+    known_residuals : Residuals, optional
         At that state; they cost a sweep when absent.
     """
     layout, network = graph.layout, graph.layout.network
     taking, states = layout.network_order(graph.rows.kind) != OUT, layout.network_order(reduction.states)
-    known = found or residuals(layout, reduction.orientation, reduction.points, graph.sweeper)
-    lost = taking & (states != GOOD)
-    here = _costs(graph, reduction, known, lost)
+    residuals_ = known_residuals or residuals(layout, reduction.orientation, reduction.points, graph.sweeper)
+    unplaced = taking & (states != GOOD)
+    costs = _costs(graph, reduction, residuals_, unplaced)
     factor = _IMAGES if np.any(reduction.orientation) else _UNADJUSTED
-    every = _of_cost(network, here, factor) + _of_lost(network, lost, here)
+    parts = _of_cost(network, costs, factor) + _of_unplaced(network, unplaced, costs)
     behind = np.flatnonzero(taking & (states == BEHIND))
     return Drivers(
-        contributions=tuple(every),
-        cost=float(here.values.sum() + here.own.sum()),
+        contributions=tuple(parts),
+        cost=float(costs.values.sum() + costs.own.sum()),
         behind=behind.size,
         parting=int(np.count_nonzero(nearly_parallel(network, behind))),
         weak=int(np.count_nonzero(taking & (states == WEAK))),
     )
 
 
-def _costs(graph: BundleGraph, reduction: Reduction, found: Residuals, lost: Mask) -> _Costs:
+def _costs(graph: BundleGraph, reduction: Reduction, residuals_: Residuals, unplaced: Mask) -> _Costs:
     """Parts of the cost at a reduction, none of measures of lost points (n,)."""
     layout = graph.layout
-    every = squares_of(layout, graph.rows, reduction.orientation, reduction.points, found).values()
-    point, image = np.concatenate([one.point for one in every]), np.concatenate([one.image for one in every])
-    values = np.concatenate([one.costs(layout.model) for one in every])
-    values[lost[point] | ~np.isfinite(values)] = 0.0
+    squares_by_kind = squares_of(layout, graph.rows, reduction.orientation, reduction.points, residuals_).values()
+    point, image = (np.concatenate([getattr(kind, name) for kind in squares_by_kind]) for name in ("point", "image"))
+    values = np.concatenate([kind.costs(layout.model) for kind in squares_by_kind])
+    values[unplaced[point] | ~np.isfinite(values)] = 0.0
     rows = layout.prior.residuals(reduction.orientation)
     rows = np.concatenate([rows[: layout.columns][layout.prior.weights > 0.0], rows[layout.columns :]])
     squares = np.asarray(np.bincount(layout.prior.about, 0.5 * rows**2, layout.columns), dtype=np.float64)
@@ -305,13 +304,13 @@ def _by_image(layout: Layout, values: Array) -> Array:
     """(images,) sum of values (columns,) of the unknowns of each image's orientation; those of a pass go to its images
     in equal parts.
     """
-    network, own = layout.network, layout.variables.adjusted()
+    network, adjusted = layout.network, layout.variables.adjusted()
     sums = np.zeros(layout.variables.first.size)
-    np.add.at(sums, np.repeat(own, layout.variables.width[own]), values)
-    found = sums[: len(network.images)].copy()
-    for one, first in network.numbered_passes:
-        found[one.images] += sums[first : first + one.widths.size].sum() / one.images.size
-    return found
+    np.add.at(sums, np.repeat(adjusted, layout.variables.width[adjusted]), values)
+    by_image = sums[: len(network.images)].copy()
+    for pass_, first in network.numbered_passes:
+        by_image[pass_.images] += sums[first : first + pass_.widths.size].sum() / pass_.images.size
+    return by_image
 
 
 # --- who has how much of each quantity
@@ -328,28 +327,28 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     if points_first:
         of_images &= outstanding(*costs.without(of_points).of_images(), factor, images[0].sum())
         points_first = not np.any(of_images) or images[0][of_images].sum() < points[0][of_points].sum()
-    elif np.any(of_images):  # what they do to neighbouring images, they do to the points of these
+    elif np.any(of_images):  # they disturb neighboring images and the points of these
         of_points = np.zeros_like(of_points)
-    found = [
+    parts = [
         contributions(Quantity.COST, Kind.IMAGE, images[0], of_images),
         contributions(Quantity.COST, Kind.POINT, points[0], of_points),
     ]
-    return [one for one in (found[::-1] if points_first else found) if one.members.size]
+    return [part for part in (parts[::-1] if points_first else parts) if part.members.size]
 
 
-def _of_lost(network: Network, lost: Mask, costs: _Costs) -> list[Contributions]:
-    """Of points (n,) without a place: all of them stand out where they are few; images by how many of them they saw."""
-    count = int(np.count_nonzero(lost))
+def _of_unplaced(network: Network, unplaced: Mask, costs: _Costs) -> list[Contributions]:
+    """Of points (n,) without a place: all of them stand out where they are few; images by how many of them they see."""
+    count = int(np.count_nonzero(unplaced))
     if not count:
         return []
-    seen = network.rays.image[lost[network.rays.point]]
-    number = np.bincount(seen, minlength=len(network.images)).astype(np.float64)
-    whole = np.bincount(network.rays.image, minlength=number.size) / lost.size
-    few, (level, measures) = count <= _MOST * lost.size, costs.of_images()
-    far = (number >= 0.5 * count) & (number / count >= _IMAGES * whole) & (count >= FEWEST) & few
+    images_of_unplaced = network.rays.image[unplaced[network.rays.point]]
+    number = np.bincount(images_of_unplaced, minlength=len(network.images)).astype(np.float64)
+    shares = np.bincount(network.rays.image, minlength=number.size) / unplaced.size
+    few, (level, measures) = count <= _MOST * unplaced.size, costs.of_images()
+    far = (number >= 0.5 * count) & (number / count >= _IMAGES * shares) & (count >= FEWEST) & few
     level = level / np.maximum(measures, 1.0)
-    found = [
-        contributions(Quantity.LOST, Kind.POINT, lost.astype(np.float64), lost & few),
+    parts = [
+        contributions(Quantity.LOST, Kind.POINT, unplaced.astype(np.float64), unplaced & few),
         contributions(Quantity.LOST, Kind.IMAGE, number, far, level, count),
     ]
-    return found[::-1] if np.any(far) else found
+    return parts[::-1] if np.any(far) else parts

@@ -76,7 +76,7 @@ class FactorGraph(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selected:
-    """What takes part, and where it begins."""
+    """Measures that take part, and start values."""
 
     places: Array
     """(n, 3) m, of points."""
@@ -141,7 +141,7 @@ def _graph(network: Network, settings: SolverSettings, keys: Keys, selected: Sel
 def _begun(
     network: Network, settings: SolverSettings, keys: Keys, selected: Selected, values: gtsam.Values
 ) -> gtsam.Values:
-    """Where Tukey's loss begins: where Huber's has its optimum, reached by sigmas that become narrower."""
+    """Start of Tukey's loss: the optimum of Huber's, reached by sigmas that become narrower."""
     plain, convex = (replace(settings, loss=loss, loss_width=None) for loss in ("none", "huber"))
     graph = _graph(network, plain, keys, selected)
     largest = max((graph.at(i).error(values) for i in range(graph.size())), default=0.0)
@@ -218,15 +218,15 @@ def measurement_factors(
 
 
 def nominal_selection(network: Network) -> Selected:
-    """All that is determined, at the nominal orientation."""
+    """All determined points with their measures, at the nominal orientation."""
     rays, n = network.rays, len(network.points)
     origins, looks = np.empty((rays.point.size, 3)), np.empty((rays.point.size, 3))
     for j, image in enumerate(network.images):
-        mine = rays.image == j
-        origins[mine], looks[mine] = image.sightlines(*rays.places[mine].T)
+        in_image = rays.image == j
+        origins[in_image], looks[in_image] = image.sightlines(*rays.places[in_image].T)
     crossing, _, angles = intersect_rays(origins, looks, rays.point, n)
-    known = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
-    places = np.where(known[:, None], network.points.places, crossing)
+    given = np.all(np.isfinite(network.points.places), axis=1) & (network.points.kinds != PointKind.FREE)
+    places = np.where(given[:, None], network.points.places, crossing)
     used = ~(network.undetermined | parallel(network, np.nan_to_num(angles)))
     for i in np.flatnonzero(used & ~np.all(np.isfinite(places), axis=1)).tolist():
         k = int(np.flatnonzero(rays.point == i)[0])
@@ -258,16 +258,17 @@ def _adjusted(network: Network) -> list[int]:
 
 
 def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFactor]:
-    """What is known of shared unknowns; considered ones are held."""
+    """Priors of shared unknowns; considered ones are held."""
     for j in np.flatnonzero(network.with_polynomial).tolist():
         yield orientation_prior(keys.variable(j), network.priors[j].sigmas.ravel())
     for name, terms in zip(network.shift_names, network.shift_terms, strict=True):
-        held = [HELD if one.horizontal and name in network.considered else 1.0 for one in terms]
-        yield orientation_prior(keys.profile(name), np.array([one.sigma for one in terms]) * held)
-    for one in network.shared:
-        yield orientation_prior(keys.shared(one.name), one.sigmas * (HELD if one.name in network.considered else 1.0))
-    for of_pass, first in network.numbered_passes:
-        for factor in of_pass.prior.factors(of_pass.nodes):
+        held = [HELD if term.horizontal and name in network.considered else 1.0 for term in terms]
+        yield orientation_prior(keys.profile(name), np.array([term.sigma for term in terms]) * held)
+    for shared in network.shared:
+        considered = shared.name in network.considered
+        yield orientation_prior(keys.shared(shared.name), shared.sigmas * (HELD if considered else 1.0))
+    for pass_, first in network.numbered_passes:
+        for factor in pass_.prior.factors(pass_.nodes):
             members = [keys.variable(first + k) for k in factor.unknowns]
             yield linear_prior(members, factor.blocks, np.zeros(factor.blocks[0].shape[0]))
     links = list(network.common_links)
@@ -280,13 +281,15 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
-    """What moves a-priori positions of points: profiles' shifts and what lasers share, or what of it no range has."""
-    found: dict[int, list[PolynomialEffect]] = {}
+    """For points the unknowns that move their a-priori positions: shifts of profiles, and those shared by lasers;
+    `of_ranges`: without those that act on ranges themselves.
+    """
+    movers: dict[int, list[PolynomialEffect]] = {}
     for points, variables, motions, on_ranges in known_motions(network):
         if not (of_ranges and on_ranges):
             for i, variable, motion in zip(points.tolist(), variables.tolist(), motions, strict=True):
-                found.setdefault(i, []).append(constant(keys.variable(variable), POSITION, motion.T))
-    return found
+                movers.setdefault(i, []).append(constant(keys.variable(variable), POSITION, motion.T))
+    return movers
 
 
 def _grounds(network: Network, keys: Keys, selected: Selected) -> Iterator[gtsam.NonlinearFactor]:
@@ -324,8 +327,8 @@ def _stereo_heights(
             pixels = [network.images[j].ground_to_image(selected.nominal[[i]])[0][0] for j in numbers]
             near = [(float(line), float(sample)) for line, sample in pixels]
             if not np.all(np.isfinite(near)):
-                found, expected = "on a stereo surface whose images don't see it", "points that both images show"
-                raise InputError(f"ground point {network.points.ids[i]}", found, expected)
+                problem, expected = "on a stereo surface whose images don't see it", "points that both images show"
+                raise InputError(f"ground point {network.points.ids[i]}", problem, expected)
             flat = control.level is not None and control.level[i]
             yield stereo_height(
                 _point(network, keys, i),
@@ -358,9 +361,9 @@ def _rays(
     rays, common = network.rays, network.common_variables[0].tolist()
     looks = {int(k): look for each in common_looks(network) for k, look in zip(*each, strict=True)}
     for j in range(len(network.images)):
-        mine = np.flatnonzero(selected.rays & (rays.image == j))
+        in_image = np.flatnonzero(selected.rays & (rays.image == j))
         image = _Mounted.of(network, j)
-        for k in mine.tolist():
+        for k in in_image.tolist():
             i = int(rays.point[k])
             place = (float(rays.places[k, 0]), float(rays.places[k, 1]))
             label = f"point {network.points.ids[i]}, image {network.images[j].name}"
@@ -381,11 +384,11 @@ def _ranges(
     movers = {} if ranges.shares is None else _movers(network, keys, of_ranges=True)
     for j in np.unique(ranges.image).tolist():
         image = network.images[j]
-        mine = np.flatnonzero(selected.ranges & (ranges.image == j))
-        lines = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
-        for k, line in zip(mine.tolist(), lines.tolist(), strict=True):
+        in_image = np.flatnonzero(selected.ranges & (ranges.image == j))
+        lines = image.timing.lines(ranges.times[in_image] - image.trajectory.epoch)
+        for k, line in zip(in_image.tolist(), lines.tolist(), strict=True):
             i, shares = int(ranges.point[k]), np.zeros(3) if ranges.shares is None else ranges.shares[k]
-            longer = [constant(one.keys[0], RANGE, shares[None] @ one.coefficients[0, :3]) for one in movers.get(i, ())]
+            longer = [constant(m.keys[0], RANGE, shares[None] @ m.coefficients[0, :3]) for m in movers.get(i, ())]
             yield laser_range(
                 None, _point(network, keys, i), image, line, float(ranges.values[k]), float(ranges.sigmas[k]),
                 shared=[*moves[j].of_range(line, shares), *longer], robust=_robust(settings),
@@ -394,7 +397,7 @@ def _ranges(
             )  # fmt: skip
 
 
-# --- what moves an image
+# --- effects on an image
 
 
 class _Mounted(NamedTuple):
@@ -448,9 +451,9 @@ class _Weights(NamedTuple):
         begin = int(self.nodes.first_of_four(times, self.image.trajectory.epoch)[0]) - self.first
         begin = min(max(begin, 0), self.size - SUPPORT)
         values, rates = self.nodes.around(np.array([self.first + begin]), times, self.image.trajectory.epoch)
-        found = np.zeros((2, self.size))
-        found[:, begin : begin + SUPPORT] = values[0], rates[0] * periods[0]
-        return found[0], found[1]
+        weights = np.zeros((2, self.size))
+        weights[:, begin : begin + SUPPORT] = values[0], rates[0] * periods[0]
+        return weights[0], weights[1]
 
 
 class _Vibration(NamedTuple):
@@ -460,7 +463,7 @@ class _Vibration(NamedTuple):
 
 
 class _Moves:
-    """What unknowns do to the rays and ranges of one image, in the axes of its pass."""
+    """Effects of unknowns on the rays and ranges of one image, in the axes of its pass."""
 
     def __init__(self, network: Network, keys: Keys, j: int, shared: SharedEffects) -> None:
         self._network, self._keys, self._j, self._image, self._shared = network, keys, j, network.images[j], shared
@@ -468,45 +471,45 @@ class _Moves:
         if network.with_polynomial[j]:
             lines = float(self._image.lines)
             self._own.append(orientation_polynomial(keys.image(j), network.priors[j].degree, lines))
-        mine = [k for k, one in enumerate(network.shared) if one.of(j) and one.kind.moves_instrument]
-        self._pose = {k: self._of_pose(k) for k in mine}
+        moving = [k for k, unknown in enumerate(network.shared) if unknown.of(j) and unknown.kind.moves_instrument]
+        self._pose = {k: self._of_pose(k) for k in moving}
 
     def _of_pose(self, k: int) -> Effect:
-        one = self._network.shared[k]
-        if one.sine is not None:
+        unknown = self._network.shared[k]
+        if unknown.sine is not None:
 
             def at(line: float) -> tuple[Array, Array]:
-                value, rate = one.waves(self._image.moments(np.array([line])))
+                value, rate = unknown.waves(self._image.moments(np.array([line])))
                 return np.eye(STATE, 6) @ value[0].T, np.eye(STATE, 6) @ rate[0].T
 
-            return _Vibration((self._keys.shared(k),), (one.kind.width,), at)
-        effect = self._shared.of_instrument[self._j, one.kind]
-        found = np.zeros((effect.shape[1], STATE, effect.shape[0]))
-        found[:, :6] = effect.transpose(1, 2, 0)
-        return PolynomialEffect((self._keys.shared(k),), found, float(self._image.lines))
+            return _Vibration((self._keys.shared(k),), (unknown.kind.width,), at)
+        effect = self._shared.of_instrument[self._j, unknown.kind]
+        coefficients = np.zeros((effect.shape[1], STATE, effect.shape[0]))
+        coefficients[:, :6] = effect.transpose(1, 2, 0)
+        return PolynomialEffect((self._keys.shared(k),), coefficients, float(self._image.lines))
 
     def of_ray(self, line: float, sample: float) -> list[Effect]:
-        found = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
+        effects = [*self._own, *self._nodes(line - MARGIN, line + MARGIN)]
         for k in self._shared.acting["rays"][self._j]:
-            found.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
-        return found
+            effects.append(self._pose[k] if k in self._pose else self._of_interior(k, sample))
+        return effects
 
     def of_range(self, line: float, shares: Array) -> list[Effect]:
-        found = [*self._own, *self._nodes(line, line)]
+        effects = [*self._own, *self._nodes(line, line)]
         for k in self._shared.acting["ranges"][self._j]:
             kind, key = self._network.shared[k].kind, self._keys.shared(k)
-            found.append(range_bias(key) if kind is SharedKind.RANGE_BIAS else self._pose[k])
+            effects.append(range_bias(key) if kind is SharedKind.RANGE_BIAS else self._pose[k])
             if kind.moves_footprints:
                 lengths = (self._shared.of_instrument[self._j, kind][:, :, POSITION] @ shares).T
                 coefficients = np.eye(STATE)[RANGE].T * lengths[:, None]
-                found.append(PolynomialEffect((key,), coefficients, float(self._image.lines)))
-        return found
+                effects.append(PolynomialEffect((key,), coefficients, float(self._image.lines)))
+        return effects
 
     def _of_interior(self, k: int, sample: float) -> PolynomialEffect:
         directions, slopes = self._shared.of_interior(self._j, k, np.array([sample]))
-        found = np.zeros((1, STATE, len(directions)))
-        found[0, LOOK], found[0, SLOPE] = directions[:, 0].T, slopes[:, 0].T
-        return PolynomialEffect((self._keys.shared(k),), found)
+        coefficients = np.zeros((1, STATE, len(directions)))
+        coefficients[0, LOOK], coefficients[0, SLOPE] = directions[:, 0].T, slopes[:, 0].T
+        return PolynomialEffect((self._keys.shared(k),), coefficients)
 
     def _nodes(self, first_line: float, last_line: float) -> list[Effect]:
         owner = int(self._network.pass_of[self._j])
@@ -516,5 +519,4 @@ class _Moves:
         times, _ = self._image.timing.at(np.array([first_line, last_line]))
         first, last = nodes.first_of_four(times, self._image.trajectory.epoch).tolist()
         members = tuple(self._keys.variable(begin + k) for k in range(first, last + SUPPORT))
-        weights = _Weights(len(members), nodes, first, self._image)
-        return [OrientationImagesEffect(members, weights.at)]
+        return [OrientationImagesEffect(members, _Weights(len(members), nodes, first, self._image).at)]

@@ -1,5 +1,5 @@
 """Residuals of all rows, their weighted squares and sigma0; orientations that an adjustment has moved by far more than
-is said to be known of them.
+their a-priori sigmas.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,13 +37,13 @@ def residuals(layout: Layout, orientation: Array, points: Array, sweeper: Sweepe
     """Residuals with the shared unknowns (columns,) and points (n, 3), layout order."""
     places = layout.observation_rows
     values = sweeper.residuals(layout, layout.rows, orientation, points)
-    nothing = np.broadcast_to(np.nan, points.shape[0])  # it takes no memory
-    heights, stereo = nothing, nothing
+    undefined = np.broadcast_to(np.nan, points.shape[0])  # it takes no memory
+    heights, stereo = undefined, undefined
     if places.on_terrain.size:
-        heights = nothing.copy()
+        heights = undefined.copy()
         heights[places.on_terrain] = values[places.heights, 0]
     if layout.stereo is not None:
-        stereo = nothing.copy()
+        stereo = undefined.copy()
         stereo[layout.stereo.points] = values[places.stereo, 0]
     return Residuals(values[places.rays], values[places.ranges, 0], heights, stereo)
 
@@ -77,12 +77,12 @@ class Squares(NamedTuple):
         """Costs and weights."""
         if not self.robust or model.loss == NO_LOSS:
             return 0.5 * self.values, 1.0
-        found: tuple[Any, Any] = _LOSSES[model.loss](self.values, model.width)
-        return found
+        result: tuple[Any, Any] = _LOSSES[model.loss](self.values, model.width)
+        return result
 
 
 def squares_of(
-    layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals
+    layout: Layout, rows: Rows, orientation: Array, points: Array, residual: Residuals
 ) -> dict[str, Squares]:
     """Squares of each kind of measures: image rays, ranges, a-priori places, heights above the terrain model and above
     stereo surfaces.
@@ -96,20 +96,21 @@ def squares_of(
         Shared unknowns, m and rad.
     points : (n, 3) array
         m, layout order.
-    found : Residuals
-        There.
+    residual : Residuals
+        At these.
     """
     network, places, kind = layout.network, layout.observation_rows, layout.network_order(rows.kind)
     rays = _taking((rows.weight[0, places.rays] > 0.0) & (kind[network.rays.point] != OUT))
-    whitened = found.image[rays] / network.rays.sigmas[rays]
+    whitened = residual.image[rays] / network.rays.sigmas[rays]
     ranges = _taking((rows.weight[0, places.ranges] > 0.0) & (kind[network.ranges.point] != OUT))
-    known = np.flatnonzero(kind == PRIOR)
-    offset = layout.network_order(points)[known] - network.points.places[known] - _shifts(layout, orientation, known)
-    ground = np.linalg.solve(network.points.covariances[known], offset[:, :, None])[:, :, 0]
-    low = np.flatnonzero(np.isfinite(found.heights) & (kind != OUT))
+    with_prior = np.flatnonzero(kind == PRIOR)
+    offset = (layout.network_order(points) - network.points.places)[with_prior]
+    offset -= _shifts(layout, orientation, with_prior)
+    ground = np.linalg.solve(network.points.covariances[with_prior], offset[:, :, None])[:, :, 0]
+    low = np.flatnonzero(np.isfinite(residual.heights) & (kind != OUT))
     sigmas = network.surface.sigmas[low] if network.surface is not None else np.zeros(0)
-    range_squares = (found.ranges[ranges] / network.ranges.sigmas[ranges]) ** 2
-    on_stereo, stereo_squares = _of_stereo(layout, rows, found)
+    range_squares = (residual.ranges[ranges] / network.ranges.sigmas[ranges]) ** 2
+    on_stereo, stereo_squares = _of_stereo(layout, rows, residual)
 
     def nowhere(of: Index) -> Index:
         return np.full(of.size, -1)
@@ -119,25 +120,25 @@ def squares_of(
             network.rays.point[rays], network.rays.image[rays], np.einsum("ki,ki->k", whitened, whitened), 2, True
         ),
         "ranges": Squares(network.ranges.point[ranges], network.ranges.image[ranges], range_squares, 1, True),
-        "places": Squares(known, nowhere(known), np.einsum("ki,ki->k", offset, ground), 3, False),
-        "heights": Squares(low, nowhere(low), (found.heights[low] / sigmas) ** 2, 1, False),
+        "places": Squares(with_prior, nowhere(with_prior), np.einsum("ki,ki->k", offset, ground), 3, False),
+        "heights": Squares(low, nowhere(low), (residual.heights[low] / sigmas) ** 2, 1, False),
         "stereo heights": Squares(on_stereo, nowhere(on_stereo), stereo_squares, 1, True),
     }
 
 
 def _taking(mask: Mask) -> Index | slice:
-    """What to take where a mask (n,) is true: as a rule all, without a copy."""
+    """Index for a true mask (n,): usually all, without a copy."""
     return slice(None) if np.all(mask) else np.flatnonzero(mask)
 
 
-def _of_stereo(layout: Layout, rows: Rows, found: Residuals) -> tuple[Index, Array]:
+def _of_stereo(layout: Layout, rows: Rows, residual: Residuals) -> tuple[Index, Array]:
     """(m,) points whose heights above stereo surfaces take part, and their squares in sigmas."""
     control, stereo = layout.network.stereo, layout.stereo
     if control is None or stereo is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0)
     kind = layout.network_order(rows.kind)[stereo.points]
     points = stereo.points[(rows.weight[0, layout.observation_rows.stereo] > 0.0) & (kind != OUT)]
-    return points, (found.stereo[points] / control.sigmas[points]) ** 2
+    return points, (residual.stereo[points] / control.sigmas[points]) ** 2
 
 
 def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
@@ -149,8 +150,8 @@ def _shifts(layout: Layout, orientation: Array, points: Index) -> Array:
     profile = network.shifts.profile[points]
     moved = profile >= 0
     first = layout.variables.first[len(network.images) + profile[moved]]
-    both = orientation[np.stack([first, first + 1], axis=1)]
-    shift[moved] += np.einsum("pk,pkj->pj", both, east_north(network.points.places[points[moved]]))
+    east_and_north = orientation[np.stack([first, first + 1], axis=1)]
+    shift[moved] += np.einsum("pk,pkj->pj", east_and_north, east_north(network.points.places[points[moved]]))
     return shift
 
 
@@ -167,7 +168,7 @@ def errors_with_footprints(layout: Layout, orientation: Array, points: Array) ->
 
 
 ABSURD = 10.0
-"""sigma0 from which on it is no matter of sigmas: squares are a hundred times what was stated."""
+"""sigma0 from which on sigmas are not the cause: squares are a hundred times as large as stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,19 +203,19 @@ class Fit(Record):
 
     @property
     def absurd(self) -> bool:
-        """Whether sigma0 can't come from sigmas that are merely too small."""
+        """Whether sigma0 is too large to come from sigmas that are merely too small."""
         return self.sigma0 > ABSURD
 
 
-def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Residuals) -> Fit:
+def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, residual: Residuals) -> Fit:
     """Weighted squares (robust weights included), observations and unknowns of the rows that take part."""
     kind = layout.network_order(rows.kind)
-    every = squares_of(layout, rows, orientation, points, found).values()
+    kinds = squares_of(layout, rows, orientation, points, residual).values()
     corrections = layout.prior.residuals(orientation)
     free = int(np.count_nonzero((kind != OUT) & (kind != FIXED)))
     return Fit(
-        squares=float(sum(one.weighted(layout.model).sum() for one in every) + corrections @ corrections),
-        observations=sum(one.rows * one.values.size for one in every) + layout.prior.rows,
+        squares=float(sum(squares.weighted(layout.model).sum() for squares in kinds) + corrections @ corrections),
+        observations=sum(squares.rows * squares.values.size for squares in kinds) + layout.prior.rows,
         unknowns=layout.columns + 3 * free,
     )
 
@@ -222,29 +223,29 @@ def fit(layout: Layout, rows: Rows, orientation: Array, points: Array, found: Re
 STRAINED = 5.0
 """A-priori sigmas; of 10,000 coefficients none is off by so many by chance."""
 IMPOSSIBLE = 100.0
-"""A-priori sigmas from which on an input is wrong, whatever sigma0 says: sigmas that are stated ten times too small
-are off by 50 at the most."""
+"""A-priori sigmas from which on an input is wrong, for any sigma0: with sigmas stated ten times too small, corrections
+reach 50 at most."""
 
 
 class Strained(NamedTuple):
     """An image whose orientation was moved too far."""
 
     image: int
-    """Which; for a pass stands its first image."""
+    """Number of the image; of a pass its first image."""
     most: float
     """Largest of its corrections, in a-priori sigmas."""
 
     @property
     def impossible(self) -> bool:
-        """Whether no stated sigma is to blame, but an input."""
+        """Whether an input is wrong, not a stated sigma."""
         return self.most > IMPOSSIBLE
 
 
 def strained_orientations(
     network: Network, coefficients: Sequence[Array], nodes: Sequence[Array]
 ) -> tuple[Strained, ...]:
-    """Images whose own corrections exceed their sigmas by so much that no noise explains it, worst first: sigma0 hides
-    it behind many rays.
+    """Images whose own corrections exceed their sigmas by more than noise explains, worst first: sigma0 hides them
+    behind many rays.
 
     Parameters
     ----------
@@ -254,12 +255,12 @@ def strained_orientations(
     nodes : sequence of array
         Of each pass, m and rad, as `Solution.nodes`: against their a-priori sigmas, trend and all.
     """
-    found = list[Strained]()
-    for one, moved in zip(network.passes, nodes, strict=True):
-        found.append(Strained(int(one.images[0]), _most(moved, one.prior.own_sigmas(one.nodes))))
+    candidates = list[Strained]()
+    for pass_, moved in zip(network.passes, nodes, strict=True):
+        candidates.append(Strained(int(pass_.images[0]), _most(moved, pass_.prior.own_sigmas(pass_.nodes))))
     for j in np.flatnonzero(network.with_polynomial).tolist():
-        found.append(Strained(j, _most(coefficients[j], network.priors[j].sigmas)))
-    return tuple(sorted((one for one in found if one.most > STRAINED), key=lambda one: -one.most))
+        candidates.append(Strained(j, _most(coefficients[j], network.priors[j].sigmas)))
+    return tuple(sorted((image for image in candidates if image.most > STRAINED), key=lambda image: -image.most))
 
 
 def _most(corrections: Array, sigmas: Array) -> float:

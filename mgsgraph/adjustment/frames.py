@@ -26,7 +26,7 @@ FLIGHT = ("along-track position", "across-track position", "radial position", "r
 FLIGHT_NAMES = ("along", "across", "radial", "roll", "pitch", "yaw")
 """The same in a word each, for tables and figures."""
 BODY = ("position X", "position Y", "position Z", *FLIGHT[3:])
-"""The same of an image so long that its flight has no one direction."""
+"""The same of an image so long that its flight changes direction."""
 _LONG = 10.0 * DEG
 """Arc from mid-image to either end from which an image is that long."""
 _ORDERS = ("constant", "linear", "quadratic", "cubic")
@@ -40,7 +40,7 @@ _LEVEL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightFrame:
-    """How one image's six components of a coefficient become its six axes, at mid-image."""
+    """Conversion of the six components of an image's coefficient to its six axes, at mid-image."""
 
     axes: tuple[str, ...]
     """Names of the six axes."""
@@ -60,8 +60,8 @@ class FlightFrame:
         the turn in those units, so that shares still sum up to one.
         """
         scaled = self.turn * sigmas
-        left, _, right = np.linalg.svd(unit_vectors(scaled))
-        return np.asarray(left @ right)
+        first, _, second = np.linalg.svd(unit_vectors(scaled))
+        return np.asarray(first @ second)
 
 
 def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFrame:
@@ -76,7 +76,7 @@ def flight_frame(image: PushbroomImage, angles: Angles = "camera") -> FlightFram
     place, by_origin, by_look = (part[0] for part in intersect_ellipsoid(origin, look, image.body))
     distance = float(np.linalg.norm(place - origin[0]))
     moved = np.concatenate([by_origin @ turn[:3, :3].T, by_look @ -skew(look[0]) @ matrix.T @ about.T], axis=1)
-    if not np.isfinite(distance):  # what looks past the body sees it about as far as the ground lies below
+    if not np.isfinite(distance):  # beyond the limb: about the distance of the ground below
         distance = float(np.linalg.norm(pose.position[0])) - image.body.polar
     end = image.sightlines(line, np.zeros(1))[1]
     width = distance * float(np.linalg.norm(end - look) / np.linalg.norm(look))
@@ -121,8 +121,7 @@ def camera_axes(forward: Array) -> Array:
 
 
 def _is_long(image: PushbroomImage) -> bool:
-    lines = np.linspace(0.0, float(image.lines), 9)
-    positions = image.pose(lines).position
+    positions = image.pose(np.linspace(0.0, float(image.lines), 9)).position
     units = unit_vectors(positions)
     return bool(np.min(units @ units[4]) < np.cos(_LONG))
 
@@ -151,7 +150,7 @@ class Axis:
 
 
 class Frames:
-    """All columns of a layout in the terms of its images' flights; frames are made as they are asked for."""
+    """All columns of a layout in the terms of its images' flights; frames are made on demand."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
@@ -194,16 +193,16 @@ class Frames:
         result = directions * self.layout.scales[columns][:, None]
         for image, rows, _ in self._blocks():
             if columns.start <= rows.start < columns.stop:
-                mine = slice(rows.start - columns.start, rows.stop - columns.start)
-                result[mine] = self.of(image).reach[:, None] * (self.of(image).turn @ result[mine])
+                inside = slice(rows.start - columns.start, rows.stop - columns.start)
+                result[inside] = self.of(image).reach[:, None] * (self.of(image).turn @ result[inside])
         network = self.layout.network
         for p, terms in enumerate(network.shift_terms):
             rows = self.layout.columns_of(len(network.images) + p)
             if columns.start <= rows.start < columns.stop:  # a tilt counts where the ground is as far as from a camera
                 reach = np.array([1.0 if term.unit == "m" else self.of(0).reach[4] for term in terms])
                 result[rows.start - columns.start : rows.stop - columns.start] *= reach[:, None]
-        for strip, after in zip(network.passes, network.first_of_passes[1:].tolist(), strict=True):
-            if strip.prior.trend_sigmas.size:  # by itself a trend moves nothing: its nodes do
+        for pass_, after in zip(network.passes, network.first_of_passes[1:].tolist(), strict=True):
+            if pass_.prior.trend_sigmas.size:  # by itself a trend moves nothing: its nodes do
                 rows = self.layout.columns_of(after - 1)
                 if columns.start <= rows.start < columns.stop:
                     result[rows.start - columns.start : rows.stop - columns.start] = 0.0
@@ -232,10 +231,10 @@ class Frames:
             if image < self.layout.variables.images:
                 for first in range(columns.start, columns.stop, 6):
                     yield image, slice(first, first + 6), scales[first : first + 6]
-        for strip, first in self.layout.network.numbered_passes:
-            for variable in range(first, first + len(strip.nodes)):
+        for pass_, first in self.layout.network.numbered_passes:
+            for variable in range(first, first + len(pass_.nodes)):
                 columns = self.layout.columns_of(variable)
-                yield int(strip.images[0]), columns, scales[columns]
+                yield int(pass_.images[0]), columns, scales[columns]
 
     def _axis(self, variable: int, inside: int) -> Axis:
         network, images = self.layout.network, self.layout.variables.images
@@ -257,9 +256,9 @@ class Frames:
 
     def _of_pass(self, variable: int, inside: int) -> Axis:
         """Axis of a column of a pass's node, whose axes are those of its first image, or of its trend."""
-        one, unknown = self.layout.network.of_passes(variable)
-        what, component = one.part(unknown, inside)
-        own = unknown < len(one.nodes)
-        name = self.of(int(one.images[0])).axes[component] if own else f"{what} of {COMPONENTS[component]}"
-        owner = f"{what} of pass {one.name}" if own else f"pass {one.name}"
+        pass_, unknown = self.layout.network.of_passes(variable)
+        what, component = pass_.part(unknown, inside)
+        is_node = unknown < len(pass_.nodes)
+        name = self.of(int(pass_.images[0])).axes[component] if is_node else f"{what} of {COMPONENTS[component]}"
+        owner = f"{what} of pass {pass_.name}" if is_node else f"pass {pass_.name}"
         return Axis(variable, owner, name, 0, "m" if component < 3 else "rad", False)

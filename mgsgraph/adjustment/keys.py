@@ -41,8 +41,8 @@ class Keys:
         number = self._network.image_number(image)
         if not self._network.with_polynomial[number]:
             name, owner = self._network.images[number].name, int(self._network.pass_of[number])
-            found = "held, it has no unknowns" if owner < 0 else f"of pass {self._network.passes[owner].name!r}"
-            raise InputError(f"image {name}", found, "an image with a polynomial of its own", "ask for `keys.node`")
+            problem = "held, it has no unknowns" if owner < 0 else f"of pass {self._network.passes[owner].name!r}"
+            raise InputError(f"image {name}", problem, "an image with a polynomial of its own", "ask for `keys.node`")
         return self.variable(number)
 
     def point(self, point: str | int) -> int:
@@ -101,8 +101,8 @@ class Keys:
         symbol, kind = gtsam.Symbol(key), _KINDS.find(chr(gtsam.Symbol(key).chr()))
         number = self._firsts[kind] + symbol.index() if kind >= 0 else -1
         if not 0 <= number < len(self._network.widths) or self.variable(number) != key:
-            found = f"key {gtsam.DefaultKeyFormatter(key)}"
-            raise InputError("factor graph", found, "a key of the network, and of no point")
+            problem = f"key {gtsam.DefaultKeyFormatter(key)}"
+            raise InputError("factor graph", problem, "a key of the network, and of no point")
         return number
 
     def name(self, key: int) -> str:
@@ -113,8 +113,9 @@ class Keys:
             return f"point {network.points.ids[k]}"
         self._number(key)
         if kind == "n":
-            one, node = network.of_passes(int(network.first_of_passes[0]) + k)
-            return f"orientation image {node} of pass {one.name}" if node < len(one.nodes) else f"trend of {one.name}"
+            pass_, node = network.of_passes(int(network.first_of_passes[0]) + k)
+            what = f"orientation image {node} of pass" if node < len(pass_.nodes) else "trend of"
+            return f"{what} {pass_.name}"
         if kind == "c":
             return f"errors in common of group {k}"
         if kind == "o":
@@ -168,6 +169,6 @@ Source = Case | Network
 def network_and_settings(source: Any) -> tuple[Network, SolverSettings]:
     """Network and settings; the defaults of a network alone."""
     if not isinstance(source, Network | Case):
-        found = f"a {type(source).__name__}"
-        raise InputError("factor graph", found, "a Case, Network or Solution", "read a file by `mgsgraph.read_case`")
+        problem = f"a {type(source).__name__}"
+        raise InputError("factor graph", problem, "a Case, Network or Solution", "read a file by `mgsgraph.read_case`")
     return (source, SolverSettings()) if isinstance(source, Network) else (source.network, source.settings)

@@ -81,9 +81,9 @@ class SquareRoot:
     def __post_init__(self) -> None:
         for name in ("first", "width", "members", "sizes", "frontals", "rows"):
             getattr(self, name).flags.writeable = False
-        if not self._holds_together():
-            found = "cliques, variables and rows that contradict each other"
-            raise InputError("square root", found, "each adjusted variable frontal in one clique, after its parents")
+        if not self._is_consistent():
+            problem = "cliques, variables and rows that contradict each other"
+            raise InputError("square root", problem, "each adjusted variable frontal in one clique, after its parents")
 
     def __repr__(self) -> str:
         return f"SquareRoot({self.columns} columns, {self.sizes.size} cliques, {self.rows.size} numbers)"
@@ -155,18 +155,18 @@ class SquareRoot:
         """Rows (f, f + s) of a clique."""
         return self.rows[self.offset[clique] : self.offset[clique + 1]].reshape(self.shapes[0][clique], -1)
 
-    def cross(self, ones: Index, others: Index) -> Array:
+    def cross(self, first: Index, second: Index) -> Array:
         """Covariance (d, e) of any adjusted variables (d columns together) with any others (e columns together).
 
-        The inverse times the unit columns of `ones`: forward where their ways to the root lead, and back where those of
-        the others come from.
+        The inverse times the unit columns of `first`: forward along their paths to the root, and back along those of
+        `second`.
         """
-        columns = self._columns(ones)
+        columns = self._columns(first)
         work = np.zeros((self.columns, columns.size))
         work[columns, np.arange(columns.size)] = 1.0
-        self._forward(work, self._ancestry(ones)[::-1])
-        self._back(work, self._ancestry(others))
-        return np.asarray(work[self._columns(others)].T)
+        self._forward(work, self._ancestry(first)[::-1])
+        self._back(work, self._ancestry(second))
+        return np.asarray(work[self._columns(second)].T)
 
     def forward(self, right: Array) -> Array:
         """R'^-1 times a vector (columns,) or vectors (columns, k): from the leaves of the cliques' tree to its root."""
@@ -188,22 +188,22 @@ class SquareRoot:
     def _forward(self, work: Array, cliques: Sequence[int]) -> None:
         """R'^-1 times `work` (columns, k), in place, through some cliques, children first."""
         for clique in cliques:
-            own, others, upper, across = self._parts(clique)
-            work[own] = lapack.dtrtrs(upper, work[own], trans=1)[0]
-            work[others] -= across.T @ work[own]
+            frontal, separator, upper, across = self._parts(clique)
+            work[frontal] = lapack.dtrtrs(upper, work[frontal], trans=1)[0]
+            work[separator] -= across.T @ work[frontal]
 
     @one_thread()
     def _back(self, work: Array, cliques: Sequence[int]) -> None:
         """R^-1 times `work` (columns, k), in place, through some cliques, parents first."""
         for clique in cliques:
-            own, others, upper, across = self._parts(clique)
-            work[own] = lapack.dtrtrs(upper, work[own] - across @ work[others])[0]
+            frontal, separator, upper, across = self._parts(clique)
+            work[frontal] = lapack.dtrtrs(upper, work[frontal] - across @ work[separator])[0]
 
     def _parts(self, clique: int) -> tuple[Index, Index, Array, Array]:
         """Frontal and other columns of a clique, its R and its T."""
         rows, columns = self.rows_of(clique), self.columns_of[clique]
-        own = rows.shape[0]
-        return columns[:own], columns[own:], rows[:, :own], rows[:, own:]
+        frontal = rows.shape[0]
+        return columns[:frontal], columns[frontal:], rows[:, :frontal], rows[:, frontal:]
 
     def _columns(self, variables: Index) -> Index:
         """Columns of adjusted variables, one after another."""
@@ -220,9 +220,9 @@ class SquareRoot:
                 clique = int(self.parent[clique])
         return sorted(met)
 
-    def _holds_together(self) -> bool:
-        alike = self.first.shape == self.width.shape and self.sizes.shape == self.frontals.shape
-        if not alike or np.any(self.width < 1) or np.any((self.frontals < 1) | (self.frontals > self.sizes)):
+    def _is_consistent(self) -> bool:
+        same_shapes = self.first.shape == self.width.shape and self.sizes.shape == self.frontals.shape
+        if not same_shapes or np.any(self.width < 1) or np.any((self.frontals < 1) | (self.frontals > self.sizes)):
             return False
         if self.members.size != self.sizes.sum() or np.any((self.members < 0) | (self.members >= self.width.size)):
             return False
@@ -282,9 +282,8 @@ def carried(covariance: Array, columns: Index, sigmas: Array) -> Array:
     sigmas : (c,)
         m and rad, their a-priori sigmas.
     """
-    own = covariance[columns]
-    root = np.linalg.cholesky(np.diag(sigmas**2) - own)
-    return np.asarray(np.linalg.solve(own, covariance.T).T @ root)
+    considered = covariance[columns]
+    return np.asarray(np.linalg.solve(considered, covariance.T).T @ np.linalg.cholesky(np.diag(sigmas**2) - considered))
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,10 +330,10 @@ class JointCovariance(Record):
         inner = np.arange(self.columns) - np.repeat(begins(width)[:-1], width)
         return np.asarray(np.sqrt(self.blocks[np.repeat(start, width) + inner * np.repeat(stride + 1, width)]))
 
-    def block(self, one: int, other: int) -> Array:
-        """Covariance of two variables, m and rad, (width of one, width of other); zero when either is held."""
-        flat = self.pairs(np.array([one]), np.array([other]), np.zeros(1, dtype=np.int64))
-        return flat.reshape(self.square_root.width[one], self.square_root.width[other])
+    def block(self, first: int, second: int) -> Array:
+        """Covariance of two variables, m and rad, (width of first, width of second); zero when either is held."""
+        flat = self.pairs(np.array([first]), np.array([second]), np.zeros(1, dtype=np.int64))
+        return flat.reshape(self.square_root.width[first], self.square_root.width[second])
 
     def of(self, variables: Iterable[int]) -> Array:
         """Joint covariance (d, d) of any variables, one after another in the order given; zero for held ones."""
@@ -356,11 +355,12 @@ class JointCovariance(Record):
         inner = before[:-1] - before[first_of_set[owner]]
         begin = begins(size * size)
         # all pairs within a set: each member as often as its set has members, with each of these in turn
-        one = np.repeat(np.arange(flat.size), number[owner])
-        other = np.arange(one.size) - np.repeat(begins(number[owner])[:-1] - first_of_set[owner], number[owner])
-        stride = size[owner[one]]
+        first = np.repeat(np.arange(flat.size), number[owner])
+        second = np.arange(first.size) - np.repeat(begins(number[owner])[:-1] - first_of_set[owner], number[owner])
+        stride = size[owner[first]]
         result = np.zeros(begin[-1])
-        self._fill(flat[one], flat[other], begin[owner[one]] + inner[one] * stride + inner[other], stride, result)
+        at = begin[owner[first]] + inner[first] * stride + inner[second]
+        self._fill(flat[first], flat[second], at, stride, result)
         return result
 
     def pairs(self, first: Index, second: Index, offset: Index) -> Array:
@@ -400,33 +400,32 @@ class JointCovariance(Record):
         """(m,) place of each pair among those in store; -1 for one that isn't there in this order."""
         code, wanted = self._stored[0], first * self.square_root.width.size + second
         place = np.searchsorted(code, wanted)
-        known = np.append(code, -1)[place] == wanted
-        return np.where(known, place, -1)
+        return np.where(np.append(code, -1)[place] == wanted, place, -1)
 
     def _fill(self, first: Index, second: Index, at: Index, across: Index, result: Array) -> None:
         """Put blocks of pairs (m,) of variables at places `at` of a flat array, `across` numbers from row to row."""
         width, wanted = self.square_root.width, np.stack([first, second, at, across])
         wanted = wanted[:, np.all(self.square_root.first[wanted[:2]] >= 0, axis=0)]
         straight, back = self._find(*wanted[:2]), self._find(*wanted[1::-1])
-        place, known = np.where(straight >= 0, straight, back), (straight >= 0) | (back >= 0)
-        _, start, stride = (part[place[known]] for part in self._stored)
-        _copy(self.blocks, start, stride, straight[known] < 0, width[wanted[:2, known]], wanted[2:, known], result)
-        self._solve(wanted[:, ~known], result)
+        place, stored = np.where(straight >= 0, straight, back), (straight >= 0) | (back >= 0)
+        _, start, stride = (part[place[stored]] for part in self._stored)
+        _copy(self.blocks, start, stride, straight[stored] < 0, width[wanted[:2, stored]], wanted[2:, stored], result)
+        self._solve(wanted[:, ~stored], result)
 
     def _solve(self, wanted: Index, result: Array) -> None:
         """Put blocks that no clique holds where they go; each pair is solved for once, whichever way round."""
         width = self.square_root.width
         low, high = wanted[:2].min(axis=0), wanted[:2].max(axis=0)
-        every = np.unique(low)
-        for k in range(0, every.size, _TOGETHER):
-            ones = every[k : k + _TOGETHER]
-            mine = np.flatnonzero(np.isin(low, ones))
-            others = np.unique(high[mine])
-            cross = self.square_root.cross(ones, others)
-            row = begins(width[ones])[np.searchsorted(ones, low[mine])]
-            start = row * cross.shape[1] + begins(width[others])[np.searchsorted(others, high[mine])]
-            stride, turned = np.full(mine.size, cross.shape[1]), wanted[0, mine] != low[mine]
-            _copy(cross.ravel(), start, stride, turned, width[wanted[:2, mine]], wanted[2:, mine], result)
+        firsts = np.unique(low)
+        for k in range(0, firsts.size, _TOGETHER):
+            batch = firsts[k : k + _TOGETHER]
+            chosen = np.flatnonzero(np.isin(low, batch))
+            seconds = np.unique(high[chosen])
+            cross = self.square_root.cross(batch, seconds)
+            row = begins(width[batch])[np.searchsorted(batch, low[chosen])]
+            start = row * cross.shape[1] + begins(width[seconds])[np.searchsorted(seconds, high[chosen])]
+            stride, turned = np.full(chosen.size, cross.shape[1]), wanted[0, chosen] != low[chosen]
+            _copy(cross.ravel(), start, stride, turned, width[wanted[:2, chosen]], wanted[2:, chosen], result)
 
 
 def _copy(
@@ -477,7 +476,7 @@ def _clique_blocks(root: SquareRoot) -> Array:
     """Rows [S_FF S_FS] of all cliques, flat, by the recursion from the root down."""
     blocks = np.empty_like(root.rows)
     waiting = np.bincount(root.parent[root.parent >= 0], minlength=root.sizes.size)
-    whole = dict[int, Array]()
+    full = dict[int, Array]()
     """Covariance of all variables of a clique, kept while children wait for it."""
     place = np.zeros(root.columns, dtype=np.int64)
     with one_thread():
@@ -486,15 +485,15 @@ def _clique_blocks(root: SquareRoot) -> Array:
             covariance, frontal = np.empty((columns.size, columns.size)), rows.shape[0]
             if parent >= 0:
                 place[root.columns_of[parent]] = np.arange(root.columns_of[parent].size)
-                _copy_square(whole[parent], place[columns[frontal:]], covariance[frontal:, frontal:])
+                _copy_square(full[parent], place[columns[frontal:]], covariance[frontal:, frontal:])
                 waiting[parent] -= 1
                 if waiting[parent] == 0:
-                    del whole[parent]
+                    del full[parent]
             with many_threads(float(frontal) * columns.size**2):
                 _fill_frontal(rows, covariance)
             blocks[root.offset[clique] : root.offset[clique + 1]] = covariance[:frontal].ravel()
             if waiting[clique]:
-                whole[clique] = covariance
+                full[clique] = covariance
     return blocks
 
 
@@ -503,10 +502,10 @@ def _fill_frontal(rows: Array, covariance: Array) -> None:
     frontal = rows.shape[0]
     inverse = lapack.dtrtri(np.triu(rows[:, :frontal]).T, lower=1)[0].T
     across = inverse @ rows[:, frontal:]
-    beside = -(covariance[frontal:, frontal:] @ across.T)
-    own = inverse @ inverse.T - across @ beside
-    covariance[:frontal, :frontal] = 0.5 * (own + own.T)
-    covariance[frontal:, :frontal], covariance[:frontal, frontal:] = beside, beside.T
+    separator = -(covariance[frontal:, frontal:] @ across.T)
+    block = inverse @ inverse.T - across @ separator
+    covariance[:frontal, :frontal] = 0.5 * (block + block.T)
+    covariance[frontal:, :frontal], covariance[:frontal, frontal:] = separator, separator.T
 
 
 @cached_kernel

@@ -21,7 +21,7 @@ from mgsgraph.workers import no_progress
 
 _FIRST_DAMPING, _LEAST, _MOST = 1e-8, 1e-12, 1e8
 _HARDLY_DAMPED = 1e-6
-"""Up to which a step says how far the minimum is."""
+"""Length up to which a step is the distance to the minimum."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Iteration(Record):
     decrease: float
     """Cost before minus cost after."""
     predicted: float
-    """Decrease that the linear model promised."""
+    """Decrease that the linear model predicted."""
     step: float
     """Length of the step in posterior sigmas: the square root of minus gradient times step."""
     damping: float
@@ -53,7 +53,7 @@ class Iteration(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Optimized(Record):
-    """What `optimize` found.
+    """The result of `optimize`.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class Optimized(Record):
     cost: float
     """Half the weighted sum of squares (or of the losses)."""
     converged: bool
-    """Whether it stopped because nothing more was to be gained."""
+    """Whether it converged."""
     message: str
     """Why it stopped."""
     history: tuple[Iteration, ...]
@@ -76,7 +76,7 @@ class Optimized(Record):
 
 class _Structure:
     """Columns of a graph's variables, and which of these are eliminated first: no factor has two of them, as of ground
-    points. What is left is small, and time linear in the number of factors.
+    points. The rest is small, and time linear in the number of factors.
     """
 
     def __init__(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -85,8 +85,8 @@ class _Structure:
             raise InputError("graph", "no factors", "at least one")
         for key in self.keys:
             if not values.exists(key):
-                found = f"none of variable {gtsam.DefaultKeyFormatter(key)}"
-                raise InputError("values", found, "one of each variable of the graph")
+                problem = f"none of variable {gtsam.DefaultKeyFormatter(key)}"
+                raise InputError("values", problem, "one of each variable of the graph")
         self.cost = float(graph.error(values))
         """Of the graph where it began."""
         if not np.isfinite(self.cost):
@@ -101,7 +101,7 @@ class _Structure:
             for key in members:
                 joined[key].update(members)
         eliminated = set[int]()
-        for key in sorted(self.keys, key=lambda one: len(joined[one])):
+        for key in sorted(self.keys, key=lambda variable: len(joined[variable])):
             if eliminated.isdisjoint(joined[key]):
                 eliminated.add(key)
         self.inner = np.concatenate([np.full(self.sizes[key], key in eliminated) for key in self.keys])
@@ -145,26 +145,26 @@ class _Factored:
 
     def solve(self, right: Array) -> Array:
         """N x = right (columns, ...)."""
-        found, inner = np.empty_like(right), self._inverse @ right[self._inner]
-        found[self._outer] = self._solved_outer(right[self._outer] - self._across @ inner)
-        found[self._inner] = inner - self._inverse @ (self._across.T @ found[self._outer])
-        return found
+        solution, inner = np.empty_like(right), self._inverse @ right[self._inner]
+        solution[self._outer] = self._solved_outer(right[self._outer] - self._across @ inner)
+        solution[self._inner] = inner - self._inverse @ (self._across.T @ solution[self._outer])
+        return solution
 
     def _solved_outer(self, right: Array) -> Array:
         return right if self._reduced is None else np.asarray(self._reduced.solve(right))
 
     def covariance(self, columns: NDArray[np.int64], structure: _Structure) -> Array:
         """(k, k) of N^-1 at some columns: B^-1 + G S^-1 G', where G is how these depend on the outer ones."""
-        own = np.cumsum(structure.inner) - 1
+        number = np.cumsum(structure.inner) - 1
         inner = np.flatnonzero(structure.inner[columns])
-        at = own[columns[inner]]
+        at = number[columns[inner]]
         by_outer = np.zeros((columns.size, self._outer.size))
         by_outer[inner] = -(self._inverse[at] @ self._across.T).toarray()
         outer = np.flatnonzero(~structure.inner[columns])
         by_outer[outer, (np.cumsum(~structure.inner) - 1)[columns[outer]]] = 1.0
-        found = by_outer @ self._solved_outer(by_outer.T)
-        found[np.ix_(inner, inner)] += self._inverse[at][:, at].toarray()
-        return np.asarray(0.5 * (found + found.T))
+        inverse = by_outer @ self._solved_outer(by_outer.T)
+        inverse[np.ix_(inner, inner)] += self._inverse[at][:, at].toarray()
+        return np.asarray(0.5 * (inverse + inverse.T))
 
 
 def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]]) -> Any:
@@ -180,8 +180,7 @@ def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]])
         rows.append(places[0].ravel())
         columns.append(places[1].ravel())
         entries.append(np.linalg.inv(dense).ravel())
-    every = np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))
-    return csr_array(every, shape=diagonal.shape)
+    return csr_array(np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns)), shape=diagonal.shape)
 
 
 class _Linearized:
@@ -193,8 +192,8 @@ class _Linearized:
         self.structure, count = structure, structure.columns
         rows, columns, entries = graph.linearize(values).sparseJacobian_()
         row, column = rows.astype(np.int64) - 1, columns.astype(np.int64) - 1
-        whole = csc_array((entries, (row, column)), shape=(int(row.max()) + 1, count + 1))
-        jacobian, right = whole[:, :count], np.asarray(whole[:, [count]].todense())[:, 0]
+        bordered = csc_array((entries, (row, column)), shape=(int(row.max()) + 1, count + 1))
+        jacobian, right = bordered[:, :count], np.asarray(bordered[:, [count]].todense())[:, 0]
         lengths = np.sqrt(np.asarray(jacobian.multiply(jacobian).sum(axis=0)).ravel())
         for key in structure.keys:
             if np.any(lengths[structure.columns_of(key)] == 0.0):
@@ -216,17 +215,17 @@ class _Linearized:
     @cached_property
     def undamped(self) -> _Factored:
         """The normal matrix; WeakNetwork where it is singular."""
-        found = self.factored()
-        if found is None:
+        factored = self.factored()
+        if factored is None:
             raise WeakNetwork(["some direction of the variables"], 1)
-        return found
+        return factored
 
     def step_of(self, scaled: Array) -> gtsam.VectorValues:
-        """A step in units of the scales, as GTSAM has it."""
-        step, found = scaled * self.scales, gtsam.VectorValues()
+        """A step in units of the scales, as a GTSAM record."""
+        step, vectors = scaled * self.scales, gtsam.VectorValues()
         for key in self.structure.keys:
-            found.insert(key, step[self.structure.columns_of(key)])
-        return found
+            vectors.insert(key, step[self.structure.columns_of(key)])
+        return vectors
 
 
 def optimize(
@@ -309,7 +308,7 @@ def optimize(
 
 class Marginals:
     """Covariances of a graph's variables at values, for sigma0 = 1: those of `gtsam.Marginals`, for units of any size.
-    Considered unknowns of a network are held in its graph: only a Solution carries what is not known of them.
+    Considered unknowns of a network are held in its graph: only a Solution includes their uncertainty.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _FOREIGN = 1e-6
 def solution_of(
     source: Source, values: gtsam.Values, graph: gtsam.NonlinearFactorGraph | None = None, name: str | None = None
 ) -> Solution:
-    """What another optimizer found of `factor_graph`, as a solution to be reported, analyzed and exported.
+    """The result of another optimizer for `factor_graph`, as a solution to be reported, analyzed and exported.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def solution_of(
     network, settings = network_and_settings(source)
     clock, keys, left_in = Clock(), Keys(network), None
     of_network = factor_graph(source).graph
-    whole = of_network if graph is None else graph
-    _require_all(of_network, whole, values, keys)
+    optimized = of_network if graph is None else graph
+    _require_all(of_network, optimized, values, keys)
     if graph is not None and network.considered:
         raise InputError("graph", "considered unknowns, which it holds", "a network without them", "leave `graph` out")
     if isinstance(source, Solution):
@@ -75,10 +75,10 @@ def solution_of(
         left_in = replace(all_rows(network), **{rows: ~mark for rows, mark in marks.items() if mark is not None})
     layout, selection, before = nominal_reduction(lay_out(network, settings), left_in=left_in)
     nominal, first = nominal_state(layout, before), layout.variables.first.tolist()
-    known = [values.atVector(keys.variable(v)) if at >= 0 else np.zeros(0) for v, at in enumerate(first)]
-    orientation = layout.variables.joined(known)
+    unknowns = [values.atVector(keys.variable(v)) if at >= 0 else np.zeros(0) for v, at in enumerate(first)]
+    orientation = layout.variables.joined(unknowns)
     reduction = BundleGraph(layout, selection.rows(layout)).reduction(orientation)
-    layout, reduction = relinearized(layout, selection, reduction, own=True)
+    layout, reduction = relinearized(layout, selection, reduction, in_place=True)
     points, begin = reduction.points.copy(), gtsam.Values(values)
     for k, i in enumerate(layout.point_order.tolist()):
         if values.exists(keys.point(i)):
@@ -86,20 +86,20 @@ def solution_of(
             begin.update(keys.point(i), nominal.places[i])
     for v in layout.variables.adjusted():
         begin.update(keys.variable(int(v)), np.zeros(int(layout.variables.width[v])))
-    marginals = Marginals(whole, values)
-    initial, cost, far = whole.error(begin), whole.error(values), marginals.steps_left()
+    marginals = Marginals(optimized, values)
+    initial, cost, far = optimized.error(begin), optimized.error(values), marginals.steps_left()
     foreign = cost < (1.0 - _FOREIGN) * of_network.error(values)
     message = _message(far, None if graph is None else graph.size(), of_network.size(), foreign)
     outcome = Outcome(orientation, initial, cost, far < _CONVERGED and not foreign, message, ())
     rows = selection.rows(layout)
     solved = Solved(layout, outcome, (), initial, orientation, points, rows, selection, reduction, 1)
     clock.stop("solve")
-    own = getattr(source, "name", "adjustment") if name is None else name
-    found = read_off(settings, str(own), solved, nominal, clock, IN_PROCESS, None)
+    title = getattr(source, "name", "adjustment") if name is None else name
+    solution = read_off(settings, str(title), solved, nominal, clock, IN_PROCESS, None)
     if graph is None:
-        return found
+        return solution
     count = max(_on_points(graph) - _on_points(of_network), 0)
-    return replace(_with_marginals(found, layout, marginals, keys), own_factors=count)
+    return replace(_with_marginals(solution, layout, marginals, keys), own_factors=count)
 
 
 def _on_points(graph: gtsam.NonlinearFactorGraph) -> int:
@@ -112,31 +112,31 @@ def _require_all(
     of_network: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Keys
 ) -> None:
     """Raise InputError where values or graph lack an unknown of the network, or one has another length."""
-    there, widths = set(graph.keyVector()), _of_lengths(values)
+    keys_of_graph, widths = set(graph.keyVector()), _of_lengths(values)
     for key in of_network.keyVector():
         if key not in widths:
             raise InputError("values", f"none of {keys.name(key)}", "one of each unknown of the network")
-        if key not in there:
+        if key not in keys_of_graph:
             raise InputError("graph", f"no factor on {keys.name(key)}", "the network's graph, with factors added")
         if widths[key] != (wanted := keys.width(key)):
             raise InputError("values", f"{widths[key]} numbers of {keys.name(key)}", str(wanted))
 
 
 def _of_lengths(values: gtsam.Values) -> dict[int, int]:
-    zeros, every = values.zeroVectors(), list(values.keys())
-    return {key: int(zeros.at(key).size) for key in every}
+    zeros, keys = values.zeroVectors(), list(values.keys())
+    return {key: int(zeros.at(key).size) for key in keys}
 
 
 def _message(far: float, given: int | None, size: int, foreign: bool) -> str:
-    """How far from the minimum, and what the costs count where another graph than the network's was given."""
-    found = [f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."]
+    """Distance from the minimum, and the meaning of the costs where another graph than the network's was given."""
+    sentences = [f"Optimized elsewhere, {far:.2g} posterior sigmas from the minimum."]
     if foreign:
-        found.append("The graph is of another network: its cost is below that of this network's measurements.")
+        sentences.append("The graph is of another network: its cost is below that of this network's measurements.")
     elif given is not None:
-        found.append(f"The costs are those of the given graph of {given} factors, sigma0 of the network's {size}.")
+        sentences.append(f"The costs are those of the given graph of {given} factors, sigma0 of the network's {size}.")
     if given is None and far >= _CONVERGED:
-        found.append("Are the values of this network? With factors of your own pass their graph, too.")
-    return " ".join(found)
+        sentences.append("Are the values of this network? With factors of your own pass their graph, too.")
+    return " ".join(sentences)
 
 
 def _with_marginals(solution: Solution, layout: Layout, marginals: Marginals, keys: Keys) -> Solution:

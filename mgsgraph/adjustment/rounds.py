@@ -47,27 +47,25 @@ rates jump."""
 _BEYOND = 0.5
 """Share of an image's lines by which a predicted line may lie before it or after it."""
 _UNBENT = 1e-9
-"""m, of unknowns of the interior orientation: what they change the slope of a detector line by is then a ten-millionth
-of it."""
+"""m, change of unknowns of the interior orientation that changes the slope of a detector line by a ten-millionth."""
 
 
 def about_predicted_lines(
-    layout: Layout, orientation: Array, points: Array, near: float = NEAR, own: bool = False,
+    layout: Layout, orientation: Array, points: Array, near: float = NEAR, in_place: bool = False,
     sweeper: Sweeper = IN_PROCESS,
 ) -> Layout:  # fmt: skip
     """The layout itself where its rays are laid out about the lines predicted by shared unknowns (columns,) and points
     (n, 3), layout order, to `near` lines, and its stereo rows are linear about these; else one where they are. In the
-    measured-line form lines are what they are. A layout that is the caller's `own` is renewed in place: nobody uses it
-    afterwards.
+    measured-line form lines do not change. `in_place`: the layout may be overwritten, the caller does not use it again.
     """
     now = layout
     if layout.model.line == PREDICTED:
-        now = _about_followed_lines(layout, orientation, points, near, own, sweeper)
+        now = _about_followed_lines(layout, orientation, points, near, in_place, sweeper)
     return now.about_stereo(layout.network_order(points), orientation)
 
 
 def _about_followed_lines(
-    layout: Layout, orientation: Array, points: Array, near: float, own: bool, sweeper: Sweeper
+    layout: Layout, orientation: Array, points: Array, near: float, in_place: bool, sweeper: Sweeper
 ) -> Layout:
     """The same of rays alone, in the strict form."""
     network, now, rays = layout.network, layout, layout.network.rays
@@ -77,22 +75,22 @@ def _about_followed_lines(
         values = sweeper.residuals(now, now.rows, orientation, points)
         ways = now.observation_rows.rays, now.rows.kind, rays.point, now.patterns.point_index, rays.image
         moved = followed(now.lines, rays.places, values, *ways, size, _BEYOND, OUT, lines)
-        bent = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
-        if moved <= near and bent <= _UNBENT:
+        bending = np.abs(orientation - now.bent)[now.bending].max(initial=0.0)
+        if moved <= near and bending <= _UNBENT:
             break
-        anew = now.about(lines, orientation, own or now is not layout)
-        if anew.patterns is not now.patterns:
-            points = now.network_order(points)[anew.point_order]
-        lines, now = np.empty(lines.size) if now is layout else now.lines, anew
+        renewed = now.about(lines, orientation, in_place or now is not layout)
+        if renewed.patterns is not now.patterns:
+            points = now.network_order(points)[renewed.point_order]
+        lines, now = np.empty(lines.size) if now is layout else now.lines, renewed
     return now
 
 
 def exactly(
     layout: Layout, orientation: Array, points: Array, sweeper: Sweeper = IN_PROCESS
 ) -> tuple[Layout, Array]:
-    """The same, and the points in its order: for a network that is linearised where it was adjusted."""
-    anew = about_predicted_lines(layout, orientation, points, sweeper=sweeper)
-    return anew, points if anew is layout else layout.network_order(points)[anew.point_order]
+    """The same, and the points in its order: for a network that is linearized where it was adjusted."""
+    renewed = about_predicted_lines(layout, orientation, points, sweeper=sweeper)
+    return renewed, points if renewed is layout else layout.network_order(points)[renewed.point_order]
 
 
 Progress = Callable[[Iteration], None]
@@ -116,14 +114,14 @@ class Selection:
     ranges: Mask
     """(r,)"""
     out: Mask
-    """(n,) points that nothing determines, whatever is rejected."""
+    """(n,) undetermined points, even with all rows."""
     stereo: Mask
     """(n,) points whose height above a stereo surface takes part, if they lie on one."""
 
-    def same(self, other: "Selection") -> bool:
+    def same(self, selection: "Selection") -> bool:
         """Whether the same rays, ranges and heights take part."""
         return all(
-            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("rays", "ranges", "stereo")
+            np.array_equal(getattr(self, name), getattr(selection, name)) for name in ("rays", "ranges", "stereo")
         )
 
     @property
@@ -138,29 +136,30 @@ class Selection:
     def rows(self, layout: Layout) -> Rows:
         """The layout's rows that take part; free points that rejection has left with fewer than two rays go too."""
         network = layout.network
-        left = np.bincount(network.rays.point, self.rays, len(network.points))
-        out = self.out | ((network.points.kinds == PointKind.FREE) & (left < 2))
+        remaining = np.bincount(network.rays.point, self.rays, len(network.points))
+        out = self.out | ((network.points.kinds == PointKind.FREE) & (remaining < 2))
         return layout.active(self.rays, self.ranges, out, self.stereo)
 
 
 def relinearized(
-    layout: Layout, selection: Selection, reduction: Reduction, task: int = SYSTEM, own: bool = False,
+    layout: Layout, selection: Selection, reduction: Reduction, task: int = SYSTEM, in_place: bool = False,
     sweeper: Sweeper = IN_PROCESS,
 ) -> tuple[Layout, Reduction]:  # fmt: skip
     """Layout and reduction of selected points that follow their lines, and lines their points, the shared unknowns
-    held; `own` as of `about_predicted_lines`.
+    held; `in_place` as of `about_predicted_lines`.
     """
     for _ in range(_MOST):
-        anew = about_predicted_lines(layout, reduction.orientation, reduction.points, own=own, sweeper=sweeper)
-        if anew is layout:
+        at = reduction.orientation, reduction.points
+        renewed = about_predicted_lines(layout, *at, in_place=in_place, sweeper=sweeper)
+        if renewed is layout:
             break
-        layout, own = anew, True
-        reduction = BundleGraph(anew, selection.rows(anew), sweeper).reduction(reduction.orientation, task)
+        layout, in_place = renewed, True
+        reduction = BundleGraph(renewed, selection.rows(renewed), sweeper).reduction(reduction.orientation, task)
     return layout, reduction
 
 
 def all_rows(network: Network) -> Selection:
-    """All rows; points that nothing determines stay out."""
+    """All rows, without undetermined points."""
     sizes = network.rays.point.size, network.ranges.point.size, len(network.points)
     rays, ranges, stereo = (np.ones(size, dtype=bool) for size in sizes)
     return Selection(rays, ranges, network.undetermined.copy(), stereo)
@@ -168,18 +167,18 @@ def all_rows(network: Network) -> Selection:
 
 def unmarked(network: Network) -> Selection:
     """All rows but known blunders, as the network marks them."""
-    whole, rays, ranges = all_rows(network), network.rays.rejected, network.ranges.rejected
+    selected, rays, ranges = all_rows(network), network.rays.rejected, network.ranges.rejected
     assert rays is not None  # a network fills them in
     assert ranges is not None
-    found = replace(whole, rays=~rays, ranges=~ranges)
+    selection = replace(selected, rays=~rays, ranges=~ranges)
     if network.stereo is None or network.stereo.rejected is None:
-        return found
-    return replace(found, stereo=~network.stereo.rejected)
+        return selection
+    return replace(selection, stereo=~network.stereo.rejected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """What the passes leave."""
+    """The result of the passes."""
 
     layout: Layout
     """All rows, laid out as in the last pass."""
@@ -217,26 +216,26 @@ def solve_in_rounds(
     begin: Array | None = None,
 ) -> Solved:
     """Solve; when blunders are sought, reject and re-admit rows and solve again until none changes. Where the passes
-    run in a circle, the best of it counts. `before` is the reduction of these rows at the nominal orientation, where
-    all begins, or at the shared unknowns `begin` (columns,). Without these stereo surfaces wait until the images agree
-    with one another: what they show before is no ground.
+    run in a circle, the best of it counts. `before` is the reduction of these rows at the nominal orientation, the
+    start, or at the shared unknowns `begin` (columns,). Without `begin` stereo surfaces are added after the images have
+    been adjusted: before that they do not show the ground.
     """
     history, initial = tuple[Iteration, ...](), float("nan")
-    seen: dict[bytes, Solved] = {}
+    solved_before: dict[bytes, Solved] = {}
     orientation = np.zeros(layout.columns) if begin is None else begin
-    known: Reduction | None = before if begin is None else None
+    reduction: Reduction | None = before if begin is None else None
     if layout.network.stereo is not None:
         bare = selection.without_stereo()
         if begin is None:
-            first = _solve_exactly(layout, bare, orientation, known, settings, progress, sweeper)
+            first = _solve_exactly(layout, bare, orientation, reduction, settings, progress, sweeper)
             layout, orientation, points = first.layout, first.orientation, first.points
             history, initial = first.history, first.cost_initial
         else:
             points = BundleGraph(layout, bare.rows(layout), sweeper).reduction(orientation, COSTS).points
-        layout, known = _on_surfaces(layout.convex, orientation, points), None
+        layout, reduction = _on_surfaces(layout.convex, orientation, points), None
     search, returned = Search(settings.reject, sweeper) if settings.reject > 0.0 else None, b""
     for number in range(1, _MOST_PASSES + 1):
-        solved = _solve_exactly(layout, selection, orientation, known, settings, progress, sweeper)
+        solved = _solve_exactly(layout, selection, orientation, reduction, settings, progress, sweeper)
         layout, selection, history = solved.layout, solved.selection, history + solved.history
         initial = solved.cost_initial if np.isnan(initial) else initial
         solved = replace(solved, history=history, cost_initial=initial, rounds=number)
@@ -247,13 +246,13 @@ def solve_in_rounds(
         solved = replace(solved, dimensions=search.dimensions)
         if chosen.same(selection):
             return solved
-        seen[selection.key + returned] = solved
-        selection, orientation, known, returned = chosen, onward, None, search.memory
-        if selection.key + returned in seen:
+        solved_before[selection.key + returned] = solved
+        selection, orientation, reduction, returned = chosen, onward, None, search.memory
+        if selection.key + returned in solved_before:
             break
-    last = tuple(seen.values())[-1].selection  # costs compare where the same rows take part
-    best = min((one for one in seen.values() if one.selection.same(last)), key=lambda one: one.outcome.cost_final)
-    return replace(best, history=history, circling=True)
+    last = tuple(solved_before.values())[-1].selection  # costs compare where the same rows take part
+    same_rows = (earlier for earlier in solved_before.values() if earlier.selection.same(last))
+    return replace(min(same_rows, key=lambda earlier: earlier.outcome.cost_final), history=history, circling=True)
 
 
 def _on_surfaces(layout: Layout, orientation: Array, points: Array) -> Layout:
@@ -273,7 +272,7 @@ def _solve_exactly(
     layout: Layout,
     selection: Selection,
     orientation: Array,
-    known: Reduction | None,
+    reduction: Reduction | None,
     settings: SolverSettings,
     progress: Progress,
     sweeper: Sweeper,
@@ -282,33 +281,34 @@ def _solve_exactly(
     layout, begun = layout.without_steps, None
     if settings.loss == "tukey" and layout.model.loss != TUKEY:
         begun = _graduated(layout, selection, orientation, settings, progress, sweeper)
-        layout, selection, orientation, known = begun.layout, begun.selection, begun.orientation, None
+        layout, selection, orientation, reduction = begun.layout, begun.selection, begun.orientation, None
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
-    if known is None:
-        selection, graph, known = _start(graph, selection, orientation, None, settings)
-    solved = _solve(graph, selection, orientation, known, settings, progress)
+    if reduction is None:
+        selection, graph, reduction = _start(graph, selection, orientation, None, settings)
+    solved = _solve(graph, selection, orientation, reduction, settings, progress)
     initial, history = solved.cost_initial, solved.history
     if begun is not None:
         initial, history = begun.cost_initial, begun.history + history
     for _ in range(_MOST_LAYOUTS):
-        own = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
-        anew = about_predicted_lines(solved.layout, solved.orientation, solved.points, own=own, sweeper=sweeper)
-        if anew is solved.layout or not solved.outcome.converged:
+        in_place = solved.layout is not layout or settings.reject == 0.0  # a search looks at earlier passes again
+        at = solved.orientation, solved.points
+        renewed = about_predicted_lines(solved.layout, *at, in_place=in_place, sweeper=sweeper)
+        if renewed is solved.layout or not solved.outcome.converged:
             break
-        graph = BundleGraph(anew, selection.rows(anew), sweeper)
-        points = solved.layout.network_order(solved.points)[anew.point_order]
-        selection, graph, known = _start(graph, selection, solved.orientation, points, settings)
-        solved = _solve(graph, selection, solved.orientation, known, settings, progress, solved.outcome.slow)
+        graph = BundleGraph(renewed, selection.rows(renewed), sweeper)
+        points = solved.layout.network_order(solved.points)[renewed.point_order]
+        selection, graph, reduction = _start(graph, selection, solved.orientation, points, settings)
+        solved = _solve(graph, selection, solved.orientation, reduction, settings, progress, solved.outcome.slow)
         history += solved.history
-        if solved.outcome.slow and solved.history[0].step < _RESTING:  # their lines go on moving by as little
+        if solved.outcome.slow and solved.history[0].step < _RESTING:  # their lines continue to move by as little
             break
     else:
         if solved.layout.stereo is not None:
             message = f"Heights above stereo surfaces have not converged in {_MOST_LAYOUTS} rounds."
             solved = replace(solved, outcome=replace(solved.outcome, converged=False, message=message))
-    if settings.loss == "tukey" and (kept := _with_weight(solved, sweeper)) is not selection:
-        graph = BundleGraph(solved.layout, kept.rows(solved.layout), sweeper)
-        solved = _solve(graph, kept, solved.orientation, None, settings, progress, solved.outcome.slow)
+    if settings.loss == "tukey" and (weighted := _with_weight(solved, sweeper)) is not selection:
+        graph = BundleGraph(solved.layout, weighted.rows(solved.layout), sweeper)
+        solved = _solve(graph, weighted, solved.orientation, None, settings, progress, solved.outcome.slow)
         history += solved.history
     return replace(solved, cost_initial=initial, history=history)
 
@@ -317,13 +317,14 @@ def _graduated(
     layout: Layout, selection: Selection, orientation: Array, settings: SolverSettings, progress: Progress,
     sweeper: Sweeper,
 ) -> Solved:  # fmt: skip
-    """Where a redescending loss begins: with a convex one and sigmas that become narrower (`SolverSettings.narrowing`).
-    A-priori orientations keep theirs, so that first they bound what blunders do. What has no weight at the end is left
-    out: with it points have several minima, and the cost jumps from one to another.
+    """Start of a redescending loss: a convex one, with sigmas that become narrower (`SolverSettings.narrowing`). Priors
+    of orientations keep theirs, so that they bound the effect of blunders first. Rows without weight at the end are
+    left out: with them points have several minima, and the cost jumps from one to another.
     """
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
     begin, places = graph.reduction(orientation, COSTS), layout.observation_rows
-    largest = max(float(np.nanmax(one, initial=0.0)) for one in _squares(layout, selection, begin, sweeper).values())
+    squares = _squares(layout, selection, begin, sweeper).values()
+    largest = max(float(np.nanmax(values, initial=0.0)) for values in squares)
     early, history = replace(settings, cost_tolerance=max(settings.cost_tolerance, _STAGE)), tuple[Iteration, ...]()
     for factor in settings.narrowing(math.sqrt(largest)):
         wide = graph.rows._replace(weight=graph.rows.weight.copy())
@@ -336,12 +337,12 @@ def _graduated(
 
 def _squares(layout: Layout, selection: Selection, at: Reduction, sweeper: Sweeper) -> dict[str, Array]:
     """Squares in sigmas of selected rays (k,), ranges (r,), and heights above stereo surfaces (n,); else NaN."""
-    found, network = residuals(layout, at.orientation, at.points, sweeper), layout.network
-    stereo = found.stereo if network.stereo is None else found.stereo / network.stereo.sigmas
-    rays = np.sum((found.image / network.rays.sigmas) ** 2, axis=1)
+    residuals_, network = residuals(layout, at.orientation, at.points, sweeper), layout.network
+    stereo = residuals_.stereo if network.stereo is None else residuals_.stereo / network.stereo.sigmas
+    rays = np.sum((residuals_.image / network.rays.sigmas) ** 2, axis=1)
     rays[selection.out[network.rays.point]] = np.nan
-    every = {"rays": rays, "ranges": (found.ranges / network.ranges.sigmas) ** 2, "stereo": stereo**2}
-    return {name: np.where(getattr(selection, name), one, np.nan) for name, one in every.items()}
+    by_kind = {"rays": rays, "ranges": (residuals_.ranges / network.ranges.sigmas) ** 2, "stereo": stereo**2}
+    return {name: np.where(getattr(selection, name), squares, np.nan) for name, squares in by_kind.items()}
 
 
 def _with_weight(solved: Solved, sweeper: Sweeper) -> Selection:
@@ -350,18 +351,19 @@ def _with_weight(solved: Solved, sweeper: Sweeper) -> Selection:
     """
     layout, selection, limit = solved.layout, solved.selection, solved.layout.model.width**2
     squares = _squares(layout, selection, solved.reduction, sweeper)
-    left = replace(selection, **{name: getattr(selection, name) & ~(one >= limit) for name, one in squares.items()})
-    return _without_lost(layout, selection if left.same(selection) else left, solved.reduction)
+    weighted = {name: getattr(selection, name) & ~(values >= limit) for name, values in squares.items()}
+    remaining = replace(selection, **weighted)
+    return _without_undetermined(layout, selection if remaining.same(selection) else remaining, solved.reduction)
 
 
 def _start(
     graph: BundleGraph, selection: Selection, orientation: Array, points: Array | None, settings: SolverSettings
 ) -> tuple[Selection, BundleGraph, Reduction]:
-    """Where an optimisation begins; when blunders are sought, without points that are lost there."""
-    known = graph.reduction(orientation, points=points)
-    strong = _without_lost(graph.layout, selection, known) if settings.reject > 0.0 else selection
+    """The start of an optimization; when blunders are sought, without points that have no place there."""
+    reduction = graph.reduction(orientation, points=points)
+    strong = _without_undetermined(graph.layout, selection, reduction) if settings.reject > 0.0 else selection
     if strong is selection:
-        return selection, graph, known
+        return selection, graph, reduction
     graph = BundleGraph(graph.layout, strong.rows(graph.layout), graph.sweeper)
     return strong, graph, graph.reduction(orientation, points=points)
 
@@ -370,20 +372,20 @@ def _solve(
     graph: BundleGraph,
     selection: Selection,
     orientation: Array,
-    known: Reduction | None,
+    start: Reduction | None,
     settings: SolverSettings,
     progress: Progress,
     slow: bool = False,
 ) -> Solved:
-    """One optimisation; `known` is a reduction at its start, `slow` whether the one before converged slowly.
+    """One optimization; `start` is a reduction at its start, `slow` whether the one before converged slowly.
 
     Raises SolverError that names images and points.
     """
     try:
-        outcome, reduction = solve_bundle(graph, orientation, known, settings, progress, slow)
+        outcome, reduction = solve_bundle(graph, orientation, start, settings, progress, slow)
     except Unsolvable as error:
         reached = error.state if isinstance(error.state, np.ndarray) else orientation
-        at = known if known is not None and known.serves(reached, COSTS) else graph.reduction(reached, COSTS)
+        at = start if start is not None and start.serves(reached, COSTS) else graph.reduction(reached, COSTS)
         words = " ".join(driver_sentences(drivers_of(graph, at), graph.layout.network))
         raise SolverError(f"{error}. {words}") from None
     return Solved(
@@ -395,41 +397,41 @@ def _solve(
 def _next(
     search: Search, layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper
 ) -> tuple[Selection, Array, tuple[Iteration, ...]]:
-    """What takes part in the next pass, where its shared unknowns begin, and the steps tried on the way to it.
+    """Rows of the next pass, start values of its shared unknowns, and the steps tried before.
 
-    Tests are those of least squares, about the adjustment's unknowns. Where the first finds something, it begins again
-    with a robust loss, whose unknowns gross blunders hardly move: there the worst of each point goes at once.
+    Tests are those of least squares, about the adjustment's unknowns. Where the first finds something, a robust loss
+    follows, whose unknowns gross blunders hardly move: there the worst of each point is rejected at once.
     """
     selection, network, first = solved.selection, layout.network, search.dimensions is None
     taken = np.concatenate([selection.rays, selection.ranges, selection.stereo])
     at, reduction = _least_squares(layout, solved, settings, sweeper)
-    strong = _without_lost(layout, selection, reduction)
+    strong = _without_undetermined(layout, selection, reduction)
     if strong is not selection:
         return strong, solved.orientation, ()
     wanted = first and settings.loss == "none" and search.many_beyond(at)
     robust = _robust(layout, solved, settings, sweeper) if wanted else None
     if robust is not None:
-        left = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper)[0], taken)
+        next_taken = search.without_gross(_least_squares(robust.layout, robust, settings, sweeper)[0], taken)
     else:
         places = places_of_all(layout, solved, sweeper)
-        left = search.next(at, replace(at, rows=at.layout.rows, points=places), taken)
-    rays, ranges, stereo = np.split(left, np.cumsum([network.rays.point.size, network.ranges.point.size]))
+        next_taken = search.next(at, replace(at, rows=at.layout.rows, points=places), taken)
+    rays, ranges, stereo = np.split(next_taken, np.cumsum([network.rays.point.size, network.ranges.point.size]))
     begin, history = (solved.orientation, ()) if robust is None else (robust.orientation, robust.history)
     return Selection(rays, ranges, selection.out, stereo), begin, history
 
 
-def _without_lost(layout: Layout, selection: Selection, found: Reduction) -> Selection:
-    """The selection without rays of points that those left to them put behind a camera, or don't determine; itself when
-    there are none.
+def _without_undetermined(layout: Layout, selection: Selection, reduction: Reduction) -> Selection:
+    """The selection without rays of points that their remaining rays put behind a camera, or don't determine; itself
+    when there are none.
     """
-    lost = layout.point_order[(found.states != GOOD) & determined_points(selection.rows(layout))]
-    if not lost.size:
+    undetermined = layout.point_order[(reduction.states != GOOD) & determined_points(selection.rows(layout))]
+    if not undetermined.size:
         return selection
-    return replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, lost))
+    return replace(selection, rays=selection.rays & ~np.isin(layout.network.rays.point, undetermined))
 
 
 def _robust(layout: Layout, solved: Solved, settings: SolverSettings, sweeper: Sweeper) -> Solved | None:
-    """The same adjustment with a loss that bounds what a blunder does to it; None where that leads nowhere."""
+    """The same adjustment with a loss that bounds the effect of a blunder; None where it fails."""
     selection, layout = solved.selection, layout.with_loss("cauchy")
     graph = BundleGraph(layout, selection.rows(layout), sweeper)
     begin = graph.reduction(solved.orientation, points=solved.points)
@@ -454,9 +456,8 @@ def _least_squares(
 
 def places_of_all(layout: Layout, solved: Solved, sweeper: Sweeper = IN_PROCESS) -> Array:
     """(n, 3) m, layout order: solved places; for points whose rays were rejected, the place that all its rays give."""
-    selection = solved.selection
-    whole = replace(all_rows(layout.network), out=selection.out)
-    by_all = BundleGraph(layout, whole.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
+    with_all = replace(all_rows(layout.network), out=solved.selection.out)
+    by_all = BundleGraph(layout, with_all.rows(layout), sweeper).reduction(solved.orientation, COSTS).points
     return np.where(determined_points(solved.rows)[:, None], solved.points, by_all)
 
 
@@ -490,10 +491,10 @@ def behind_camera(layout: Layout, behind: Index, point: Array) -> PointBehindCam
             break
     more = ""
     if behind.size > 1:
-        seen = network.rays.image[np.isin(network.rays.point, layout.point_order[behind])]
-        number = np.bincount(seen, minlength=len(network.images))
-        most, whole = int(number.argmax()), np.bincount(network.rays.image, minlength=number.size)
-        most = max(np.flatnonzero(number == number[most]).tolist(), key=lambda j: number[j] / whole[j])
+        images_behind = network.rays.image[np.isin(network.rays.point, layout.point_order[behind])]
+        number = np.bincount(images_behind, minlength=len(network.images))
+        most, totals = int(number.argmax()), np.bincount(network.rays.image, minlength=number.size)
+        most = max(np.flatnonzero(number == number[most]).tolist(), key=lambda j: number[j] / totals[j])
         more = f", as do {behind.size - 1} others; image {network.images[most].name} sees {number[most]} of them all"
     return PointBehindCamera(
         f"point {network.points.ids[i]}, image {image.name}",

@@ -115,9 +115,9 @@ class Solution(Record):
     shared: tuple[Array, ...] = ()
     """(w,) of each of the network's shared unknowns, in the unit of its kind: one value, or three of a boresight."""
     nodes: tuple[Array, ...] = ()
-    """(k, 6) m and rad, corrections at the orientation images of each strip."""
+    """(k, 6) m and rad, corrections at the orientation images of each pass."""
     trends: tuple[Array, ...] = ()
-    """(w,) m and rad, of each strip: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
+    """(w,) m and rad, of each pass: bias and drift of its observed trajectory (`NodePrior.trend_components`)."""
     lift: Array | None = None
     """(w,) m and rad, of the terrain model's upward shift and of its tilts about east and north those that are unknown
     (`Surface.terms` after the horizontal shift); None where none is."""
@@ -170,12 +170,12 @@ class Solution(Record):
     @cached_property
     def values(self) -> tuple[Array, ...]:
         """Value (width,) of each variable of the joint covariance: images, then shifts, then shared unknowns, then the
-        nodes and the trend of each strip, then the factors of errors in common.
+        nodes and the trend of each pass, then the factors of errors in common.
         """
-        strips = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
-        own = [one.ravel() for one in self.coefficients]
-        passes = [one for strip in strips for one in strip if one.size]
-        return (*own, *self.shift_values, *self.shared, *passes, *self.common)
+        of_passes = [[*nodes, trend] for nodes, trend in zip(self.nodes, self.trends, strict=True)]
+        polynomials = [coefficients.ravel() for coefficients in self.coefficients]
+        passes = [unknown for unknowns in of_passes for unknown in unknowns if unknown.size]
+        return (*polynomials, *self.shift_values, *self.shared, *passes, *self.common)
 
     # images, points, shifts and shared unknowns are asked for by their names or their numbers in the network
 
@@ -241,10 +241,10 @@ class Solution(Record):
         """For notebooks."""
         rows = [("points", "number", "mean sigma X, Y, Z"), ("", "", "m")]
         for point_class in PointClass:
-            mine = self.members(point_class)
-            if mine.size:
-                means = ", ".join(f"{value:.3g}" for value in self.sigmas[mine].mean(axis=0))
-                rows.append((point_class.name.lower(), str(mine.size), means))
+            members = self.members(point_class)
+            if members.size:
+                means = ", ".join(f"{value:.3g}" for value in self.sigmas[members].mean(axis=0))
+                rows.append((point_class.name.lower(), str(members.size), means))
         return card(repr(self), [self.message], rows, head=2)
 
     def __repr__(self) -> str:
@@ -341,7 +341,7 @@ def orientation_profiles(
     blocks = [_profiles(solution, chosen[k : k + _TOGETHER], places) for k in range(0, len(chosen), _TOGETHER)]
     if len(blocks) == 1:
         return blocks[0]
-    names = [one.name for one in fields(OrientationProfile)]
+    names = [field.name for field in fields(OrientationProfile)]
     return OrientationProfile(*(np.concatenate([getattr(block, name) for block in blocks]) for name in names))
 
 
@@ -349,15 +349,15 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
     """The same of so many images that their matrices find room."""
     network, angles = solution.network, solution.settings.angles
     pictures = [network.images[image] for image in images]
-    lines = [np.linspace(0.0, float(one.lines), places) for one in pictures]
-    moments = [one.moments(at) for one, at in zip(pictures, lines, strict=True)]
-    poses = [one.trajectory.pose(at.times) for one, at in zip(pictures, moments, strict=True)]
+    lines = [np.linspace(0.0, float(picture.lines), places) for picture in pictures]
+    moments = [picture.moments(at) for picture, at in zip(pictures, lines, strict=True)]
+    poses = [picture.trajectory.pose(at.times) for picture, at in zip(pictures, moments, strict=True)]
     before = Pose(*(
         np.concatenate([getattr(pose, name) for pose in poses])
         for name in ("position", "velocity", "matrix", "angular_rate")
     ))  # fmt: skip
-    every = [design(network, image, angles, at) for image, at in zip(images, moments, strict=True)]
-    correction, covariance = _corrections(solution, every, places)
+    designs = [design(network, image, angles, at) for image, at in zip(images, moments, strict=True)]
+    correction, covariance = _corrections(solution, designs, places)
     after = corrected(before, correction, np.zeros_like(correction), angles)
     turn = correction_axes(before, correction, angles)
     about_camera = turn @ covariance[:, 3:, 3:] @ np.swapaxes(turn, 1, 2)
@@ -378,12 +378,12 @@ def _profiles(solution: Solution, images: Sequence[int], places: int) -> Orienta
     )
 
 
-def _corrections(solution: Solution, every: Sequence[Sequence[Design]], places: int) -> tuple[Array, Array]:
+def _corrections(solution: Solution, images: Sequence[Sequence[Design]], places: int) -> tuple[Array, Array]:
     """Whole corrections (n, 6) of images, m and rad, and their covariances (n, 6, 6); `places` lines of each image."""
-    values, runs = solution.values, [run for designs in every for run in designs]
-    begin = np.repeat(np.arange(len(every)) * places, [len(designs) for designs in every]).tolist()
+    values, runs = solution.values, [run for designs in images for run in designs]
+    begin = np.repeat(np.arange(len(images)) * places, [len(designs) for designs in images]).tolist()
     flat, start = solution.joint_covariance.of_each([run.variables for run in runs]), 0
-    correction, covariance = np.zeros((len(every) * places, 6)), np.zeros((len(every) * places, 6, 6))
+    correction, covariance = np.zeros((len(images) * places, 6)), np.zeros((len(images) * places, 6, 6))
     for run, first in zip(runs, begin, strict=True):
         matrix, at = run.matrix, slice(first + run.lines.start, first + run.lines.stop)
         width = matrix.shape[2]

@@ -79,8 +79,8 @@ class SparseCholesky:
 
     def __init__(self, first: Index, width: Index, pairs: Index, offset: Index) -> None:
         self.first, self.width = first, width
-        kept = np.all(first[pairs] >= 0, axis=1)
-        self._pairs, self._offset = pairs[kept], offset[kept]
+        adjusted = np.all(first[pairs] >= 0, axis=1)
+        self._pairs, self._offset = pairs[adjusted], offset[adjusted]
         self._fronts = _make_fronts(first, width, self._pairs, self._offset, _best_cliques(self._pairs, width))
         self.columns = int(width[first >= 0].sum())
 
@@ -100,25 +100,25 @@ class SparseCholesky:
     def _factor(self, flat: Array, diagonal: Array, scales: Array) -> "Factor":
         _scale(flat, self._offset, self.width[self._pairs], self.first[self._pairs], scales)
         extra = diagonal * scales**2
-        rows, left, determined = list[tuple[Array, Array]](), dict[int, Array](), True
+        rows, updates, determined = list[tuple[Array, Array]](), dict[int, Array](), True
         for k, front in enumerate(self._fronts):
             w, rest = front.width, front.columns.size - front.width
-            own, across, beyond = (np.zeros(shape, order="F") for shape in ((w, w), (w, rest), (rest, rest)))
-            _assemble(own, across, flat, front.source, front.shape, front.place, front.turned)
+            frontal, across, beyond = (np.zeros(shape, order="F") for shape in ((w, w), (w, rest), (rest, rest)))
+            _assemble(frontal, across, flat, front.source, front.shape, front.place, front.turned)
             for child in front.children:
-                _add_at(own, across, beyond, left.pop(child), self._fronts[child].index)
-            every = np.arange(w)
-            own[every, every] += extra[front.columns[:w]]
-            before = np.diagonal(own).copy()
+                _add_at(frontal, across, beyond, updates.pop(child), self._fronts[child].index)
+            numbers = np.arange(w)
+            frontal[numbers, numbers] += extra[front.columns[:w]]
+            before = np.diagonal(frontal).copy()
             with many_threads(front.operations):
-                own, failed = lapack.dpotrf(own, lower=0, clean=0, overwrite_a=1)
+                frontal, failed = lapack.dpotrf(frontal, lower=0, clean=0, overwrite_a=1)
                 if failed:
                     raise NotDefinite
                 if rest:
-                    across = blas.dtrsm(1.0, own, across, lower=0, trans_a=1, overwrite_b=1)
-                    left[k] = blas.dsyrk(-1.0, across, 1.0, beyond, trans=1, lower=0, overwrite_c=1)
-            determined &= bool(np.all(np.diagonal(own) ** 2 > _POORLY * before))
-            rows.append((own, across))
+                    across = blas.dtrsm(1.0, frontal, across, lower=0, trans_a=1, overwrite_b=1)
+                    updates[k] = blas.dsyrk(-1.0, across, 1.0, beyond, trans=1, lower=0, overwrite_c=1)
+            determined &= bool(np.all(np.diagonal(frontal) ** 2 > _POORLY * before))
+            rows.append((frontal, across))
         return Factor(self, rows, scales, determined)
 
     def solve(self, rows: list[tuple[Array, Array]], right: Array) -> Array:
@@ -128,11 +128,11 @@ class SparseCholesky:
 
     def _solve(self, rows: list[tuple[Array, Array]], work: Array) -> Array:
         ends = [np.split(front.columns, [front.width]) for front in self._fronts]
-        for (own, rest), (upper, across) in zip(ends, rows, strict=True):
-            work[own] = blas.dtrsv(upper, work[own], trans=1)
-            work[rest] -= across.T @ work[own]
-        for (own, rest), (upper, across) in zip(ends[::-1], rows[::-1], strict=True):
-            work[own] = blas.dtrsv(upper, work[own] - across @ work[rest])
+        for (frontal, rest), (upper, across) in zip(ends, rows, strict=True):
+            work[frontal] = blas.dtrsv(upper, work[frontal], trans=1)
+            work[rest] -= across.T @ work[frontal]
+        for (frontal, rest), (upper, across) in zip(ends[::-1], rows[::-1], strict=True):
+            work[frontal] = blas.dtrsv(upper, work[frontal] - across @ work[rest])
         return work
 
     def square_root(self, rows: list[tuple[Array, Array]], scales: Array) -> SquareRoot:
@@ -197,31 +197,31 @@ def _best_cliques(pairs: Index, width: Index) -> _Cliques:
     best = _cliques(gtsam.Ordering.ColamdSymbolicFactorGraph(graph), pairs, width)
     if best.operations < _MANY:
         return best
-    other = _cliques(gtsam.Ordering.MetisSymbolicFactorGraph(graph), pairs, width)
-    return min(best, other, key=lambda one: one.operations)
+    by_metis = _cliques(gtsam.Ordering.MetisSymbolicFactorGraph(graph), pairs, width)
+    return min(best, by_metis, key=lambda cliques: cliques.operations)
 
 
-def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index, found: _Cliques) -> list[_Front]:
-    order, cliques, parent, _ = found
+def _make_fronts(first: Index, width: Index, pairs: Index, offset: Index, best: _Cliques) -> list[_Front]:
+    order, cliques, parent, _ = best
     turn = np.full(first.size, -1)
     turn[order] = np.arange(order.size)
     home = np.full(first.size, -1)
     for k, (frontal, _) in enumerate(cliques):
         home[frontal] = k
-    earlier = np.where(turn[pairs[:, 0]] <= turn[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
-    blocks = np.argsort(home[earlier], kind="stable")
-    edges = np.searchsorted(home[earlier][blocks], np.arange(len(cliques) + 1))
+    first_eliminated = np.where(turn[pairs[:, 0]] <= turn[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
+    blocks = np.argsort(home[first_eliminated], kind="stable")
+    edges = np.searchsorted(home[first_eliminated][blocks], np.arange(len(cliques) + 1))
     fronts, place, children = list[_Front](), np.full(first.size, -1), [list[int]() for _ in cliques]
     for k, (frontal, separator) in enumerate(cliques):
         variables = np.array(frontal + separator, dtype=np.int64)
         start = begins(width[variables])
         place[variables] = start[:-1]
         columns = np.repeat(first[variables] - start[:-1], width[variables]) + np.arange(start[-1])
-        mine = blocks[edges[k] : edges[k + 1]]
-        at = place[pairs[mine]]
+        of_front = blocks[edges[k] : edges[k + 1]]
+        at = place[pairs[of_front]]
         turned = at[:, 0] > at[:, 1]
         fronts.append(_Front(
-            variables, len(frontal), columns, int(start[len(frontal)]), offset[mine], width[pairs[mine]],
+            variables, len(frontal), columns, int(start[len(frontal)]), offset[of_front], width[pairs[of_front]],
             np.where(turned[:, None], at[:, ::-1], at), turned.astype(np.int64), tuple(children[k]), columns[:0],
         ))  # fmt: skip
         if parent[k] >= 0:
@@ -244,27 +244,27 @@ def _cliques(ordering: gtsam.Ordering, pairs: Index, width: Index) -> _Cliques:
         low, high = sorted((turn[v], turn[w]))
         later[low].add(high)
     parent, children = [-1] * len(later), [list[int]() for _ in later]
-    for k, mine in enumerate(later):
-        mine.discard(k)
+    for k, neighbors in enumerate(later):
+        neighbors.discard(k)
         for child in children[k]:
-            mine |= later[child]
-        mine.discard(k)
-        if mine:
-            parent[k] = min(mine)
+            neighbors |= later[child]
+        neighbors.discard(k)
+        if neighbors:
+            parent[k] = min(neighbors)
             children[parent[k]].append(k)
     frontals: dict[int, list[int]] = {}  # by the last of them
     size = width[order].tolist()
-    separator = [sum(size[j] for j in mine) for mine in later]
+    separator = [sum(size[j] for j in neighbors) for neighbors in later]
     wide, zeros = list(size), [0] * len(size)  # frontal columns of each clique, and the zeros in their rows
     for k in range(len(later)):
         frontals[k] = [k]
         for child in children[k]:  # a child that hardly differs from its parent joins it
-            both = wide[child] + wide[k]
+            merged = wide[child] + wide[k]
             # zeros that a clique took in before count on: else a band would become one dense front, step by step
             more = zeros[child] + zeros[k] + wide[child] * (wide[k] + separator[k] - separator[child])
-            if more <= _RELAXED * both * (0.5 * both + separator[k]):
+            if more <= _RELAXED * merged * (0.5 * merged + separator[k]):
                 frontals[k] = frontals.pop(child) + frontals[k]
-                wide[k], zeros[k] = both, more
+                wide[k], zeros[k] = merged, more
     _join_twins(frontals, wide, later, children)
     last = sorted(frontals)
     number = {k: c for c, k in enumerate(last)}
@@ -284,8 +284,8 @@ def _join_twins(
     """
     twins = dict[frozenset[int], list[int]]()
     for end in sorted(frontals):
-        own = frontals[end]
-        if wide[end] < _BROAD and all(child in own for k in own for child in children[k]):
+        members = frontals[end]
+        if wide[end] < _BROAD and all(child in members for k in members for child in children[k]):
             twins.setdefault(frozenset(later[end]), []).append(end)
     for several in twins.values():
         into = several[0]
@@ -317,17 +317,17 @@ def _store_rows(upper, across, scales, target):
     """
     width, columns = target.shape
     for top in range(0, width, 32):
-        for left in range(0, columns, 32):
-            for j in range(left, min(left + 32, columns)):
+        for begin in range(0, columns, 32):
+            for j in range(begin, min(begin + 32, columns)):
                 source = upper[:, j] if j < width else across[:, j - width]
                 for i in range(top, min(top + 32, width)):
                     target[i, j] = source[i] / scales[j] if i <= j else 0.0
 
 
 @cached_kernel
-def _assemble(own, across, flat, source, shape, place, turned):
+def _assemble(frontal, across, flat, source, shape, place, turned):
     """Put original blocks into the rows of a front's frontal variables, upper triangle."""
-    width = own.shape[0]
+    width = frontal.shape[0]
     for b in range(source.size):
         rows, columns = shape[b]
         down, right = place[b]
@@ -336,20 +336,20 @@ def _assemble(own, across, flat, source, shape, place, turned):
                 value = flat[source[b] + i * columns + j]
                 row, column = (down + j, right + i) if turned[b] else (down + i, right + j)
                 if column < width:
-                    own[row, column] += value
+                    frontal[row, column] += value
                 else:
                     across[row, column - width] += value
 
 
 @cached_kernel
-def _add_at(own, across, beyond, part, index):
+def _add_at(frontal_block, across, beyond, part, index):
     """Add the upper triangle of a child's left-over to its parent's front, at rows and columns `index`, ascending."""
-    width = own.shape[0]
+    width = frontal_block.shape[0]
     frontal = np.searchsorted(index, width)
     for j in range(index.size):
         column, source = index[j], part[:, j]
         if column < width:
-            target = own[:, column]
+            target = frontal_block[:, column]
             for i in range(j + 1):
                 target[index[i]] += source[i]
         else:

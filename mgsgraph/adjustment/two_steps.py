@@ -1,9 +1,9 @@
 """The two steps of Spiegel et al. (LPSC 2006): first the rays alone, then their points on the terrain model.
 
 Step 1 makes the block consistent in itself and finds the blunders of matching. Step 2 adds one row for each point over
-the terrain model, with what step 1 rejected kept out, and fits the whole block to the model. A point far off the model
-is judged there, too: a blunder that step 1 could not see (all its rays agree on a wrong place) or ground that is not as
-the model has it. Its rays stay, its height row goes.
+the terrain model, without the rows that step 1 rejected, and fits the whole block to the model. It also judges points
+far off the model: blunders that step 1 could not see (all rays agree on a wrong place), or ground that differs from the
+model. Their rays stay, their height rows are removed.
 """
 
 import time
@@ -48,7 +48,7 @@ class RaysAlone:
 
     @cached_property
     def joint(self) -> JointCovariance | None:
-        """A-priori covariance of the shared unknowns; None where of some nothing is known."""
+        """A-priori covariance of the shared unknowns; None where some have no prior."""
         return prior_covariance(self._layout)
 
     def nominal(self) -> tuple[Array, Array]:
@@ -69,15 +69,15 @@ class RaysAlone:
         """
         orientation = self._layout.variables.joined(values)
         layout, points = self._placed(orientation)
-        known, rows = np.zeros(layout.blocks.target.size), self._selection.rows(layout)
-        covariances = IN_PROCESS.covariances(layout, rows, orientation, known, points)
+        zero, rows = np.zeros(layout.blocks.target.size), self._selection.rows(layout)
+        covariances = IN_PROCESS.covariances(layout, rows, orientation, zero, points)
         return self._whole(layout, points), self._whole(layout, covariances)
 
     def _placed(self, orientation: Array) -> tuple[Layout, Array]:
         """Points (n, 3) where the unknowns put them, and the layout in whose order they are."""
         begin = BundleGraph(self._layout, self._selection.rows(self._layout)).reduction(orientation, COSTS)
-        layout, found = relinearized(self._layout, self._selection, begin, COSTS)
-        return layout, found.points
+        layout, reduction = relinearized(self._layout, self._selection, begin, COSTS)
+        return layout, reduction.points
 
     def _whole(self, layout: Layout, values: Array) -> Array:
         """Values (n, ...) in the network's order, NaN for points that nothing determines."""
@@ -86,7 +86,7 @@ class RaysAlone:
 
 
 Announce = Callable[[str], None]
-"""Called at the beginning of each step with what it is."""
+"""Called at the beginning of each step with its name."""
 
 _MOST_PASSES = 6
 
@@ -102,7 +102,7 @@ class TwoSteps(Record):
     fitted: Solution
     """Step 2: with it. Of its network the surface lacks the rows that were judged to be off."""
     off: Mask
-    """(n,) points whose height row was judged to be a blunder, or the ground another one than the model's."""
+    """(n,) points whose height row was judged to be a blunder, or whose ground differs from the model's."""
     at_rest: bool
     """Whether that judgement converged."""
     history: tuple[tuple[Iteration, ...], tuple[Iteration, ...]]
@@ -165,14 +165,14 @@ def adjust_in_two_steps(
     announce("step 2 of 2, with terrain")
     selection, quiet = selection_of(network, free), replace(settings, reject=0.0)
     rays_alone = RaysAlone(without_terrain(network), quiet, selection)
-    off, seen, history = np.zeros(len(network.points), dtype=np.bool_), set[bytes](), tuple[Iteration, ...]()
+    off, tried, history = np.zeros(len(network.points), dtype=np.bool_), set[bytes](), tuple[Iteration, ...]()
     while True:
         fitted = adjust_network(without_heights(network, off), quiet, name, progress, cluster, selection)
         history += fitted.history
-        seen.add(off.tobytes())
+        tried.add(off.tobytes())
         judged = heights_off(network, fitted, rays_alone, settings.reject)
         at_rest = np.array_equal(judged, off)
-        if at_rest or judged.tobytes() in seen or len(seen) == _MOST_PASSES:
+        if at_rest or judged.tobytes() in tried or len(tried) == _MOST_PASSES:
             break
         off = judged
     off.flags.writeable = False
@@ -203,11 +203,11 @@ def without_heights(network: Network, off: Mask) -> Network:
 
 def selection_of(network: Network, free: Solution) -> Selection:
     """Rays and ranges that an adjustment without blunders (step 1) has left in."""
-    whole = all_rows(network)
-    rays = whole.rays if free.rays_rejected is None else ~free.rays_rejected
-    ranges = whole.ranges if free.ranges_rejected is None else ~free.ranges_rejected
-    stereo = whole.stereo if free.stereo_rejected is None else ~free.stereo_rejected
-    return Selection(rays, ranges, whole.out, stereo)
+    complete = all_rows(network)
+    rays = complete.rays if free.rays_rejected is None else ~free.rays_rejected
+    ranges = complete.ranges if free.ranges_rejected is None else ~free.ranges_rejected
+    stereo = complete.stereo if free.stereo_rejected is None else ~free.stereo_rejected
+    return Selection(rays, ranges, complete.out, stereo)
 
 
 def heights_above(network: Network, places: Array, solution: Solution | None = None) -> tuple[Array, Array]:
@@ -233,8 +233,8 @@ def heights_above(network: Network, places: Array, solution: Solution | None = N
     if solution is not None and solution.network.terrain_moves:
         places = places - network.surface.moved(places, solution.shift_values[-1])
     heights, normals = np.full(len(places), np.nan), np.full(places.shape, np.nan)
-    known = np.all(np.isfinite(places), axis=1)
-    heights[known], normals[known] = network.surface.grid.height_above(places[known])
+    finite = np.all(np.isfinite(places), axis=1)
+    heights[finite], normals[finite] = network.surface.grid.height_above(places[finite])
     return heights, normals
 
 
@@ -254,11 +254,11 @@ def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit
         return result
     places, covariances = rays_alone.at(orientation_values(network, fitted))
     heights, normals = heights_above(network, places, fitted)
-    own = np.einsum("ni,nij,nj->n", normals, covariances, normals)
-    known = np.flatnonzero(np.isfinite(surface.sigmas) & np.isfinite(heights))
-    tests = heights[known] ** 2 / (surface.sigmas[known] ** 2 + own[known])
+    variances = np.einsum("ni,nij,nj->n", normals, covariances, normals)
+    judged = np.flatnonzero(np.isfinite(surface.sigmas) & np.isfinite(heights))
+    tests = heights[judged] ** 2 / (surface.sigmas[judged] ** 2 + variances[judged])
     if tests.size:
-        result[known[tests > limit**2 * squared_unit(tests / MEDIAN, tests.size)]] = True
+        result[judged[tests > limit**2 * squared_unit(tests / MEDIAN, tests.size)]] = True
     return result
 
 

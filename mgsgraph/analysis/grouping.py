@@ -339,7 +339,7 @@ class _Sums:
         links.append((np.zeros(0, dtype=np.int64),) * 3)
         row, column, place = (np.concatenate(part) for part in zip(*links, strict=True))
         for g, flat in enumerate(self._flat):
-            values, prior = flat[place], layout.prior.every[np.flatnonzero(of_row == g)]
+            values, prior = flat[place], layout.prior.design[np.flatnonzero(of_row == g)]
             taken = values != 0.0
             made = coo_array((values[taken], (row[taken], column[taken])), shape=(layout.columns, layout.columns))
             found.append(made.tocsr() + (prior.T @ prior).tocsr())

@@ -120,7 +120,7 @@ def prior_rows(at: Linearised) -> PriorRows:
         chief = rows[np.arange(about.size), np.argmax(columns == about[:, None], axis=1)]
         with np.errstate(divide="ignore"):  # of a polynomial's rows, see below
             sigma.append(1.0 / np.abs(chief))
-    misfit = -(prior.every @ at.orientation)
+    misfit = -(prior.design @ at.orientation)
     misfit[misfit.size - prior.target.size :] += prior.target
     sigmas = np.concatenate(sigma)
     for one, first in at.network.numbered_passes:

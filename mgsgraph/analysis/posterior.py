@@ -186,7 +186,7 @@ class Posterior(Record):
         line, sample = place[0].tolist()
         self._require_inside(j, line, sample, f"point {point}")
         lone = ImageRays(np.zeros(1, dtype=np.int64), np.array([j]), place, np.ones((1, 2)))
-        layout = self.linearised.asked(ground.values[None], lone, known=True)
+        layout = self.linearised.asked(ground.values[None], lone, held=True)
         rows = point_rows(layout, layout.rows, self.linearised.orientation, ground.values[None])
         names = (f"line of point {point} in image {image}", f"sample of point {point} in image {image}")
         moved = ground.through(names, ("px", "px"), place[0], -rows.by_point[0])
@@ -208,7 +208,7 @@ class Posterior(Record):
             Measures of points 0 .. m - 1, with the sigmas they would have.
         """
         count = int(rays.point.max(initial=-1)) + 1
-        layout = self.linearised.asked(np.full((count, 3), np.nan), rays, known=False)
+        layout = self.linearised.asked(np.full((count, 3), np.nan), rays, held=False)
         places, good = self._meet(layout)
         groups, target, orientation = layout.groups, layout.blocks.target, self.linearised.orientation
         pairs = self.linearised.pair_blocks(layout)
@@ -256,7 +256,7 @@ class Posterior(Record):
                 raise InputError(f"{name}, image {pixel.image}", f"sigma {pixel.sigma} px", "a positive number")
         sigmas = np.array([[pixel.sigma] * 2 for pixel in pixels])
         rays = ImageRays(np.zeros(images.size, dtype=np.int64), images, places, sigmas)
-        layout = self.linearised.asked(np.full((1, 3), np.nan), rays, known=False)
+        layout = self.linearised.asked(np.full((1, 3), np.nan), rays, held=False)
         place, good = self._meet(layout)
         if not good[0]:
             raise InputError(name, "rays that don't meet before their cameras", "measures of the same place")

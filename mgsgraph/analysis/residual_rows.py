@@ -160,7 +160,7 @@ def residual_rows(at: Linearised, points: Index) -> ResidualRows:
     column, value = (np.concatenate([getattr(part, name) for part in parts]) for name in ("column", "value"))
     through = coo_array((value, (row, column)), (r, at.layout.columns)).tocsr()
     misfits, point, observation = joined("residuals"), joined("point"), joined("observation")[:r]
-    misfits[r:] = prior.every @ at.orientation
+    misfits[r:] = prior.design @ at.orientation
     misfits[misfits.size - prior.target.size :] -= prior.target
     number = np.unique(point[:r], return_inverse=True)[1]
     place = np.repeat(np.arange(r), 3), (3 * number[:, None] + np.arange(3)).ravel()
@@ -168,7 +168,7 @@ def residual_rows(at: Linearised, points: Index) -> ResidualRows:
     kind, measure = (np.append(one, np.full(prior.rows, -1)) for one in _what(at, observation))
     return ResidualRows(
         at, misfits, joined("redundancy"), joined("by_point", (3,)), point, kind, joined("component"), measure,
-        own.tocsr(), csr_array(vstack([through, prior.every])),
+        own.tocsr(), csr_array(vstack([through, prior.design])),
     )  # fmt: skip
 
 

@@ -146,7 +146,7 @@ def _undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
 def _errors(rows: ResidualRows) -> Iterator[_Error]:
     """All errors that are looked at."""
     network, layout = rows.at.network, rows.at.layout
-    every = layout.prior.every
+    every = layout.prior.design
     priors = rows.begin_of_priors + np.arange(every.shape[0])
     adjusted = [j for j in range(len(network.images)) if not network.held[j]]
     owners = [[j] for j in adjusted] if len(adjusted) <= _MOST_IMAGES else []

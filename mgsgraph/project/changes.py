@@ -184,12 +184,12 @@ def put_in(store: ProjectStore, addition: Addition) -> None:
     """Images and measures without an adjustment: their bundles wait for one."""
     require_one_body(store, [one.known for one in addition.images])
     for one in addition.images:
-        store.put_image(one.known)
+        store.add_image(one.known)
     network = None if addition.network is None else store.with_known_grids(addition.network)
     before = store.definitions()
     after = extended(store, before, addition.definitions, [one.known for one in addition.images])
     turned = turned_bundles(store, before, after)
-    store.put_definitions(after)
+    store.set_definitions(after)
     put_waiting(store, *with_addition(store, network, after, turned))
 
 
@@ -197,7 +197,7 @@ def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
     before = store.definitions()
     after = shortened(store, before, images)
     changed = without(store, images, after, turned_bundles(store, before, after))
-    store.put_definitions(after)
+    store.set_definitions(after)
     put_waiting(store, *changed)
     for name in images:
         store.drop_image(name)

@@ -289,7 +289,7 @@ def _put(
     impact: Impact | None = None
     with errors_from(str(project.folder)):
         if is_solved(project):
-            impact = incremental(project).put_points([point], network, kind)
+            impact = incremental(project).replace_points([point], network, kind)
         else:
             put_waiting(project.store, *with_points(project.store, [point], network, project.store.definitions()))
     number = note(project, "edit", f"point {point}: {words}", {"point": point, "kind": kind}, impact)

@@ -69,7 +69,7 @@ class ProjectStore:
             self._images[name] = known
         return self._images[name]
 
-    def put_image(self, known: KnownImage) -> None:
+    def add_image(self, known: KnownImage) -> None:
         """Add an image."""
         name = known.image.name
         self._connection.execute(
@@ -92,7 +92,7 @@ class ProjectStore:
         rows = self._ask(f"SELECT kind, name, considered, {', '.join(_SHARED)} FROM shared ORDER BY id")
         return {Unknown(kind, name): _shared(bool(held), *blobs) for kind, name, held, *blobs in rows}
 
-    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+    def set_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
         columns = "considered", *_SHARED
         renewed = ", ".join(f"{name} = excluded.{name}" for name in columns)
@@ -122,7 +122,7 @@ class ProjectStore:
             self._definitions = Definitions(**found)
         return self._definitions
 
-    def put_definitions(self, known: Definitions) -> None:
+    def set_definitions(self, known: Definitions) -> None:
         """Take these in the place of all that there are."""
         rows = [(kind, name, pack(one)) for kind in _COMMON for name, one in getattr(known, kind).items()]
         self._connection.execute("DELETE FROM common")

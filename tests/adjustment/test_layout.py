@@ -252,7 +252,7 @@ def test_renewed_as_laid_out_anew(net: Network) -> None:
     apart = made.about(lines)
     np.testing.assert_array_equal(made.rows.data, before)
     np.testing.assert_array_equal(apart.rows.data, anew.rows.data)
-    own = made.about(lines, own=True)
+    own = made.about(lines, in_place=True)
     assert own.rows.data is made.rows.data
     np.testing.assert_array_equal(own.rows.data, anew.rows.data)
 

@@ -93,7 +93,7 @@ def test_what_is_missing_is_said_in_one_line(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(InputError, match="no GPU") as error:
         adjust_network(net, cuda)
     assert len(str(error.value).splitlines()) == 1
-    monkeypatch.setattr("mgsgraph.adjustment.gpu.found.find_spec", lambda name: None)
+    monkeypatch.setattr("mgsgraph.adjustment.gpu.find.find_spec", lambda name: None)
     with pytest.raises(InputError, match="numba-cuda"):
         adjust_network(net, cuda)
     with pytest.raises(InputError, match="device"):

@@ -156,7 +156,7 @@ def test_a_full_disk_loses_nothing(folder: Path) -> None:
         pages = project._connection.execute("PRAGMA page_count").fetchone()[0]
         project._connection.execute(f"PRAGMA max_page_count = {pages + 2}")
         for known in images():
-            project.store.put_image(known)
+            project.store.add_image(known)
         for seed in range(20):
             change(project.store, seed)
     assert state(folder) == before

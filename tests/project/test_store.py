@@ -93,7 +93,7 @@ def test_it_is_the_same_when_it_is_opened_again(tmp_path: Path) -> None:
 def test_every_number_comes_back(store: ProjectStore, number: float) -> None:
     """A-priori place, adjusted place, height sigma, measure: each through its own column."""
     for known in images():
-        store.put_image(known)
+        store.add_image(known)
     members, net = max(bundles(four_images()).items(), key=lambda item: len(item[1].points))
     bundle = bundle_of(np.random.default_rng(1), members, net)
     places = bundle.places.copy()
@@ -110,7 +110,7 @@ def test_every_number_comes_back(store: ProjectStore, number: float) -> None:
 
 def test_all_of_it_as_one_network(store: ProjectStore) -> None:
     for known in images():
-        store.put_image(known)
+        store.add_image(known)
     store.replace([], everything(np.random.default_rng(0)))
     kept = store.network()
     whole = with_images(joined([store.bundle(members).network for members in store.members()]), images())
@@ -147,7 +147,7 @@ def described(net: Network) -> list[tuple[object, ...]]:
 
 def test_an_unconnected_image_is_in_the_network(store: ProjectStore) -> None:
     for known in images():
-        store.put_image(known)
+        store.add_image(known)
     assert len(store.network().images) == 4
     assert store.network().surface is None
 
@@ -155,7 +155,7 @@ def test_an_unconnected_image_is_in_the_network(store: ProjectStore) -> None:
 def test_equal_grids_are_one(store: ProjectStore) -> None:
     """Parts of a network know their terrain model by identity; files and case files bring copies of it."""
     for known in images():
-        store.put_image(known)
+        store.add_image(known)
     found = everything(np.random.default_rng(0))
     store.replace([], found)
     net = four_images()

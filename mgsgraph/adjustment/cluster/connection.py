@@ -1,4 +1,4 @@
-"""A cluster for the length of some work: started or reached, looked over, given tasks, and left as it was found."""
+"""A cluster for the time of some work: started or reached, checked, given tasks, and left as it was."""
 
 import asyncio
 import logging
@@ -26,8 +26,8 @@ from mgsgraph.adjustment.cluster.workers import (
     Worker,
     known_workers,
     parse_cluster,
-    require_alike,
     require_memory,
+    require_same_versions,
     require_visible_file,
     threads_of_each,
 )
@@ -49,13 +49,13 @@ _GRACE = 2.0
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _alone = threading.Lock()
-"""Held by the task that runs in this process: SPICE's kernel pool and the partitions held here serve one at a time, and
-a sweep's own threads already take every core."""
+"""Lock of the task that runs in this process: SPICE's kernel pool and the partitions serve one task at a time, and a
+sweep's own threads already take every core."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """What is left of a task that gave no result."""
+    """A task without a result."""
 
     message: str
     """Why, in words."""
@@ -211,8 +211,8 @@ class Connection(Record):
             raise self._no_scheduler()
         error = future.exception()
         if isinstance(error, distributed.KilledWorker):
-            known = f" (memory limit {self._limit / GIGA:.2f} GB)" if self._limit else ""
-            return Lost(f"each of the {error.allowed_failures + 1} workers that tried it died{known}")
+            limit = f" (memory limit {self._limit / GIGA:.2f} GB)" if self._limit else ""
+            return Lost(f"each of the {error.allowed_failures + 1} workers that tried it died{limit}")
         return _lost(error)
 
     def _no_scheduler(self) -> SolverError:
@@ -223,7 +223,7 @@ async def _aside(function: Callable[[_Item], _Result], item: _Item) -> _Result |
     """On a worker: in a thread, so that it goes on answering the scheduler."""
     try:
         return await asyncio.to_thread(_by_itself, function, item)
-    except Exception as error:  # whatever the function raises: told here, or it would look like a lost connection
+    except Exception as error:  # any error of the function: else it would look like a lost connection
         return _lost(error)
 
 
@@ -276,7 +276,7 @@ def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -
         stack.enter_context(_quiet_log())
         reach = _start if place.local else _reach
         client = stack.enter_context(reach(place, where, timeout))
-        require_alike(client, where)
+        require_same_versions(client, where)
         connection = Connection(client, where, timeout)
         connection.require_memory(LEAST_MEMORY, "the program alone", "give the workers more memory (--memory-limit)")
         yield connection
@@ -284,7 +284,7 @@ def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -
 
 @contextmanager
 def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
-    """Worker processes of our own, which go when we go."""
+    """Worker processes of this one, which end with it."""
     import distributed
 
     memory = int(distributed.system.MEMORY_LIMIT // place.workers)
@@ -315,8 +315,8 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
                 stack.callback(_close, cluster)
                 changed |= {name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)}
         except (OSError, RuntimeError) as error:
-            said = " ".join(str(error).split())
-            raise InputError(where, f"the workers can't be started ({said})", remedy="ask for fewer") from None
+            message = " ".join(str(error).split())
+            raise InputError(where, f"the workers can't be started ({message})", remedy="ask for fewer") from None
         client = distributed.Client(cluster, set_as_default=False)
         stack.callback(_close, client)
         yield client
@@ -342,41 +342,41 @@ def _reach(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
 
 
 def _close(what: Any) -> None:
-    """Close a cluster or a client to the end, whatever signals come."""
+    """Close a cluster or a client completely, even if signals arrive."""
     with interrupts_deferred():
         what.close()
 
 
 def _client(address: str, where: str, timeout: float) -> Any:
-    """A client, asked for in a thread: where something else than a scheduler answers dask waits for ever."""
+    """A client, made in a thread: where another program than a scheduler answers, dask waits forever."""
     import distributed
 
-    made: list[Any] = []
+    clients: list[Any] = []
     failures: list[Exception] = []
 
     def ask() -> None:
         try:
-            made.append(distributed.Client(address, timeout=timeout, set_as_default=False))
-        except Exception as error:  # told below; here nobody would hear it
+            clients.append(distributed.Client(address, timeout=timeout, set_as_default=False))
+        except Exception as error:  # raised below, in the caller's thread
             failures.append(error)
 
     asking = threading.Thread(target=ask, daemon=True)
     asking.start()
     asking.join(timeout + _GRACE)
-    if made:
-        return made[0]
+    if clients:
+        return clients[0]
     for error in failures:
         if not isinstance(error, OSError):  # which dask's time-out is, too
-            said = " ".join(str(error).split())
-            remedy = "compare the versions of dask here and there"
-            raise InputError(where, f"the scheduler can't be talked to ({said})", remedy=remedy)
-    remedy = "start one (dask scheduler), or mend the address"
+            message = " ".join(str(error).split())
+            remedy = "compare the versions of dask on both machines"
+            raise InputError(where, f"the scheduler can't be talked to ({message})", remedy=remedy)
+    remedy = "start one (dask scheduler), or correct the address"
     raise InputError(where, f"no scheduler answers there within {timeout:g} s", remedy=remedy)
 
 
 @contextmanager
 def _quiet_log() -> Iterator[None]:
-    """Without dask's log on standard error: what matters reaches the user as an error in our words."""
+    """Without dask's log on standard error: problems reach the user as errors of mgsgraph."""
     import distributed  # sets the log up
 
     handlers = logging.getLogger("distributed").handlers

@@ -1,9 +1,9 @@
 """One adjustment over a cluster: its points lie in partitions on the workers, which do every sweep.
 
-A partition goes to its worker once; after that only what changes: which rows take part, and the constants of rows that
-are rebuilt. Per sweep the orientation goes out with the places at which inner solves begin; what the kernel has
-found of the partition comes back. A worker that goes ends the adjustment, which takes minutes: it is begun again. Sums
-are made in the order of the partitions, so that a cost is repeatable.
+A partition goes to its worker once; after that only changes: the rows that take part, and the constants of rows that
+are rebuilt. For each sweep the worker receives the orientation and the start positions of inner solves, and returns the
+kernel's results. A lost worker ends the adjustment, which takes minutes: start it again. Sums are made in the order of
+the partitions, so that a cost is repeatable.
 """
 
 import math
@@ -28,7 +28,7 @@ from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
 
 _COPIES = 2.0
-"""Memory for a partition over its own size: what it is unpacked from, or scratch and results."""
+"""Memory for a partition over its own size: its packed form, or scratch and results."""
 _LARGEST = 0.5 * GIGA
 """bytes of a partition; a worker with more to hold gets several, since dask's messages end at 2 GB."""
 _REMEDY = "take more workers on more machines, or give them more memory (--memory-limit)"
@@ -38,7 +38,7 @@ _REMEDY = "take more workers on more machines, or give them more memory (--memor
 
 
 class Source(NamedTuple):
-    """All that a worker needs of a partition, but for the measurement model."""
+    """All data of a partition that a worker needs, except the measurement model."""
 
     rows: Rows
     """Its rows."""
@@ -55,9 +55,9 @@ class Order:
     token: str
     """Of the partition, unlike any other."""
     function: Callable[..., Any] | None
-    """What to do with rows, groups, blocks and model; None: take the partition in."""
+    """Function of rows, groups, blocks and model; None: store the partition."""
     arguments: tuple[Any, ...]
-    """What the function takes after these."""
+    """Further arguments of the function."""
     model: Model
     """The measurement model."""
     source: Source | None = None
@@ -67,15 +67,15 @@ class Order:
 
 
 Answer = tuple[Any, ...]
-"""What the function returned, in a tuple; an empty one says that the worker doesn't hold the partition."""
+"""Result of the function, in a tuple; empty where the worker doesn't hold the partition."""
 _held: dict[str, tuple[float, Source]] = {}
 """Partitions that this process holds by their tokens, and when the last order came, s."""
 _KEPT = 600.0
-"""s without an order after which a partition makes room for new ones: whoever sent it has gone, or sends it again."""
+"""s without an order after which a partition may be dropped for new ones: its sender has gone, or sends it again."""
 
 
 def carry_out(order: Order) -> Answer:
-    """Do what an order says."""
+    """Carry out an order."""
     now, source = time.monotonic(), order.source
     if source is not None:
         forget([token for token, (used, _) in _held.items() if now - used > _KEPT])
@@ -91,7 +91,7 @@ def carry_out(order: Order) -> Answer:
 
 
 def forget(tokens: list[str]) -> None:
-    """Let partitions go."""
+    """Drop partitions."""
     for token in tokens:
         _held.pop(token, None)
 
@@ -193,10 +193,10 @@ class Partitions(Sweeper):
         target, costs = layout.blocks.target, np.concatenate([part.piece_cost for part in parts])
         blocks = None if parts[0].blocks is None else np.zeros(target.size)
         gradient = np.zeros(target.columns if parts[0].gradient.size else 0)
-        for part, found in zip(self._parts, parts, strict=True):
-            gradient += found.gradient
+        for part, answer in zip(self._parts, parts, strict=True):
+            gradient += answer.gradient
             if blocks is not None:
-                blocks[part.blocks] += found.blocks
+                blocks[part.blocks] += answer.blocks
         ends, states = (np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "states"))
         return Reduction(task, orientation.copy(), float(costs.sum()), costs, blocks, gradient, ends, states)
 
@@ -214,10 +214,10 @@ class Partitions(Sweeper):
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
-        found = self._sweep(
+        answers = self._sweep(
             layout, rows, numbers, lambda part: (orientation, joint[part.blocks], points[part.points])
         )
-        return np.concatenate([values for values, _ in found])
+        return np.concatenate([values for values, _ in answers])
 
     # --- who does it
 
@@ -225,7 +225,7 @@ class Partitions(Sweeper):
         self, layout: Layout, rows: Rows, function: Callable[..., Any] | None,
         arguments: Callable[[_Part], tuple[Any, ...]],
     ) -> list[Any]:  # fmt: skip
-        """What a function of the kernel finds of each partition, in their order."""
+        """Results of a function of the kernel for each partition, in their order."""
         if layout.patterns is not self._layout.patterns:
             self._cluster.call_all(forget, [part.token for part in self._parts])
             self._divide(layout)
@@ -239,8 +239,8 @@ class Partitions(Sweeper):
             if isinstance(answer, Lost):
                 raise SolverError(f"{self._cluster.where}: {part} failed on {part.owner}: {answer.message}")
             if not answer:
-                lost = f"{part} was lost with worker {part.owner} (killed, restarted, or out of memory)"
-                raise SolverError(f"{self._cluster.where}: {lost}; run this again, or {_REMEDY}")
+                problem = f"{part} was lost with worker {part.owner} (killed, restarted, or out of memory)"
+                raise SolverError(f"{self._cluster.where}: {problem}; run this again, or {_REMEDY}")
             part.sent, answers[k] = marks, answer[0]
         return [answers[k] for k in range(len(self._parts))]
 
@@ -251,11 +251,10 @@ class Partitions(Sweeper):
         """The owner of a partition, and an order with what it lacks."""
         source, changes = None, dict[str, NDArray[Any]]()
         if part.sent is None:
-            mine = partition(rows, part.pieces.start, part.pieces.stop)
-            source = Source(mine, self._layout.groups, part.target)
+            source = Source(partition(rows, part.pieces.start, part.pieces.stop), self._layout.groups, part.target)
         else:
             for name, now in marks.items():
-                if any(one is not other for one, other in zip(now, part.sent[name], strict=True)):
+                if any(array is not sent for array, sent in zip(now, part.sent[name], strict=True)):
                     changes[name] = getattr(rows, name)[part.own[name]]
         return part.owner, Order(part.token, function, arguments, self._layout.model, source, changes)
 
@@ -268,16 +267,17 @@ def _marks(layout: Layout, rows: Rows) -> dict[str, list[object]]:
 def _part(layout: Layout, first: int, last: int, common: int, owner: str) -> _Part:
     """The partition of pieces first .. last - 1 for a worker; `common` bytes are the whole's tables."""
     rows = layout.rows
-    mine = partition(rows, first, last)
+    of_part = partition(rows, first, last)
     _, point, _, number, observation = rows.piece[first].tolist()
-    used = np.unique(rows.pattern_group[mine.piece[:, 0]])
-    own = {
-        "kind": slice(point, point + mine.kind.size),
-        "data": slice(number, number + mine.data.size),
-        "weight": (slice(None), slice(observation, observation + mine.weight.shape[1])),
+    used = np.unique(rows.pattern_group[of_part.piece[:, 0]])
+    selections = {
+        "kind": slice(point, point + of_part.kind.size),
+        "data": slice(number, number + of_part.data.size),
+        "weight": (slice(None), slice(observation, observation + of_part.weight.shape[1])),
     }
-    size = size_of((mine.kind, mine.start, mine.data, mine.weight)) + common
-    return _Part(slice(first, last), own, *blocks_of_partition(layout.groups, layout.blocks.target, used), size, owner)
+    size = size_of((of_part.kind, of_part.start, of_part.data, of_part.weight)) + common
+    blocks = blocks_of_partition(layout.groups, layout.blocks.target, used)
+    return _Part(slice(first, last), selections, *blocks, size, owner)
 
 
 def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tuple[Index, NormalBlocks]:
@@ -287,14 +287,13 @@ def blocks_of_partition(groups: Groups, target: NormalBlocks, used: Index) -> tu
         width = groups.member_width[groups.member_first[group] : groups.member_first[group + 1]]
         places.append(target.pair[groups.pair_first[group] : groups.pair_first[group + 1]])
         sizes.append(np.multiply.outer(width, width).ravel())
-    table = np.concatenate(places)
-    first, example = np.unique(table, return_index=True)
+    first, example = np.unique(np.concatenate(places), return_index=True)
     size = np.concatenate(sizes)[example]
     begin = np.cumsum(size) - size
     inside = np.arange(size.sum()) - np.repeat(begin, size)
     pair = np.zeros_like(target.pair)
-    for group, found in zip(used, places[1:], strict=True):
-        pair[groups.pair_first[group] : groups.pair_first[group + 1]] = begin[np.searchsorted(first, found)]
+    for group, pairs in zip(used, places[1:], strict=True):
+        pair[groups.pair_first[group] : groups.pair_first[group + 1]] = begin[np.searchsorted(first, pairs)]
     return np.repeat(first, size) + inside, target._replace(pair=pair, size=int(size.sum()))
 
 

@@ -1,8 +1,8 @@
-"""Where the work goes, as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and
-whether its workers are fit for it: Python, packages and their versions, memory, and files that all of them must see.
+"""The cluster as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and checks of
+its workers: Python, packages and their versions, memory, and files that all of them must see.
 
-What is asked of a worker before it is known to have this package must not need the package there: such functions are
-made inside others, so that dask sends them as code instead of by name.
+Functions that run on a worker before it is known to have this package must not need the package there: they are made
+inside others, so that dask sends them as code instead of by name.
 """
 
 import hashlib
@@ -20,37 +20,37 @@ from urllib.parse import urlsplit
 from mgsgraph.errors import InputError
 
 OPTION = "--cluster"
-"""How errors name what the user gave."""
+"""Name of the option in errors."""
 _EXPECTED = "local, local:N (N worker processes), tcp://host:port or tls://host:port"
 _MOST_WORKERS = 1024
-"""More processes than this on one machine are a slip of the finger."""
+"""More processes than this on one machine are a typing error."""
 PACKAGES = ("mgsgraph", "numpy", "numba", "gtsam", "distributed")
-"""What computes, and what carries it; each must be there in the version that is here."""
+"""Packages that a worker needs, in the versions of this machine."""
 GIGA = 1e9
 """bytes in a GB."""
 _LOOK = 0.5
-"""s between two looks at a file that isn't there yet."""
+"""s between two checks of a file that isn't there yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClusterAddress:
-    """Workers of our own on this machine, or the address of a scheduler."""
+    """Worker processes on this machine, or the address of a scheduler."""
 
     text: str
     """As the user wrote it."""
     workers: int = 0
-    """Worker processes to start here; 0 for a scheduler elsewhere."""
+    """Worker processes to start on this machine; 0 for a scheduler."""
     address: str = ""
-    """Address of the scheduler; empty for workers of our own."""
+    """Address of the scheduler; empty for worker processes on this machine."""
 
     @property
     def local(self) -> bool:
-        """Whether the workers are our own."""
+        """Whether the workers are processes on this machine."""
         return not self.address
 
 
 def parse_cluster(text: str) -> ClusterAddress:
-    """Understand what the user wrote after ``--cluster``.
+    """The meaning of the text after ``--cluster``.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ def parse_cluster(text: str) -> ClusterAddress:
     InputError
         Anything else.
     """
-    own = re.fullmatch(r"local(?::(\d{1,9}))?", text)
-    if own:
-        workers = int(own[1]) if own[1] else cores()
+    local = re.fullmatch(r"local(?::(\d{1,9}))?", text)
+    if local:
+        workers = int(local[1]) if local[1] else cores()
         if not 1 <= workers <= _MOST_WORKERS:
             raise InputError(f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
         return ClusterAddress(text, workers=workers)
@@ -96,7 +96,7 @@ def threads_of_each(workers: int) -> int:
     return max(1, cores() // workers)
 
 
-# --- whether workers are fit
+# --- checks of the workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class Worker:
         return f"worker {self.address} ({self.host}, process {self.process})"
 
 
-def require_alike(client: Any, where: str) -> None:
+def require_same_versions(client: Any, where: str) -> None:
     """Raise InputError unless every worker has this Python and these packages in these versions, and can import them.
 
     Parameters
@@ -127,25 +127,25 @@ def require_alike(client: Any, where: str) -> None:
     where : str
         How to name the cluster.
     """
-    here = sys.version_info[:2]
+    python = sys.version_info[:2]
     for address, answer in sorted(client.get_versions()["workers"].items()):
-        there = tuple(int(part) for part in answer["packages"]["python"].split(".")[:2])
-        if there != here:  # no code can be sent from one to the other
-            raise _unlike(where, address, "Python", _dotted(there), _dotted(here))
+        python_there = tuple(int(part) for part in answer["packages"]["python"].split(".")[:2])
+        if python_there != python:  # no code can be sent from one to the other
+            raise _unlike(where, address, "Python", _dotted(python_there), _dotted(python))
     for address, (versions, problem) in sorted(client.run(_looking_for(PACKAGES), on_error="ignore").items()):
-        for name, found in versions.items():
-            if found is None:
-                remedy = 'install "mgsgraph[cluster]" there as it is here'
+        for name, installed in versions.items():
+            if installed is None:
+                remedy = 'install "mgsgraph[cluster]" on that worker'
                 raise InputError(f"{where}, worker {address}", f"no package {name}", f"{name} {version(name)}", remedy)
-            if found != version(name):
-                raise _unlike(where, address, name, found, version(name))
+            if installed != version(name):
+                raise _unlike(where, address, name, installed, version(name))
         if problem:
-            raise InputError(f"{where}, worker {address}", problem, remedy="mend the installation there")
+            raise InputError(f"{where}, worker {address}", problem, remedy="repair the installation of that worker")
 
 
-def _unlike(where: str, address: str, name: str, found: str, expected: str) -> InputError:
+def _unlike(where: str, address: str, name: str, installed: str, expected: str) -> InputError:
     remedy = "install the same version on all workers"
-    return InputError(f"{where}, worker {address}", f"{name} {found}", f"{name} {expected}, as here", remedy)
+    return InputError(f"{where}, worker {address}", f"{name} {installed}", f"{name} {expected}, as here", remedy)
 
 
 def _dotted(numbers: tuple[int, ...]) -> str:
@@ -153,7 +153,7 @@ def _dotted(numbers: tuple[int, ...]) -> str:
 
 
 def _looking_for(names: tuple[str, ...]) -> Callable[[], tuple[dict[str, str | None], str]]:
-    """A function that tells the packages' versions (None for what isn't there), and why one can't be imported."""
+    """A function that returns the packages' versions (None for a missing one), and why one can't be imported."""
 
     def look() -> tuple[dict[str, str | None], str]:
         import importlib
@@ -168,8 +168,8 @@ def _looking_for(names: tuple[str, ...]) -> Callable[[], tuple[dict[str, str | N
             except importlib.metadata.PackageNotFoundError:
                 pass
             except Exception as error:  # whatever a package does when it is imported
-                said = " ".join(str(error).split())[:200]
-                problems.append(f"{name} can't be imported ({type(error).__name__}: {said})")
+                message = " ".join(str(error).split())[:200]
+                problems.append(f"{name} can't be imported ({type(error).__name__}: {message})")
         return versions, "; ".join(problems)
 
     return look
@@ -205,17 +205,17 @@ def require_memory(workers: tuple[Worker, ...], needed: float, what: str, where:
     """
     for worker in sorted(workers, key=lambda worker: worker.memory_limit):
         if 0 < worker.memory_limit < needed:
-            found = f"a memory limit of {worker.memory_limit / GIGA:.2f} GB"
-            raise InputError(f"{where}, {worker}", found, f"at least {needed / GIGA:.2f} GB for {what}", remedy)
+            problem = f"a memory limit of {worker.memory_limit / GIGA:.2f} GB"
+            raise InputError(f"{where}, {worker}", problem, f"at least {needed / GIGA:.2f} GB for {what}", remedy)
 
 
 def require_visible_file(client: Any, path: Path, where: str, timeout: float) -> None:
-    """Raise InputError, naming the worker, where a file is not seen with the content that it has here.
+    """Raise InputError, naming the worker, where a file does not have the content that it has on this machine.
 
     Network file systems show a new file late: for `timeout` s the workers are asked again.
     """
 
-    def seen(name: str) -> str:
+    def content(name: str) -> str:
         import hashlib
 
         try:
@@ -224,21 +224,21 @@ def require_visible_file(client: Any, path: Path, where: str, timeout: float) ->
         except OSError as error:
             return error.strerror or str(error)
 
-    here = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     deadline = time.monotonic() + timeout
     while True:
-        answers = sorted(client.run(seen, str(path.resolve()), on_error="ignore").items())
-        other = [(address, there) for address, there in answers if there != here]
-        if not other:
+        answers = sorted(client.run(content, str(path.resolve()), on_error="ignore").items())
+        different = [(address, answer) for address, answer in answers if answer != digest]
+        if not different:
             return
         if time.monotonic() > deadline:
             break
         time.sleep(_LOOK)
-    address, there = other[0]
-    found = "another content" if len(there) == len(here) else there
+    address, answer = different[0]
+    problem = "another content" if len(answer) == len(digest) else answer
     raise InputError(
         f"{where}, worker {address}",
-        f"it does not see {path.resolve()} as it is here ({found})",
+        f"it does not see {path.resolve()} as it is here ({problem})",
         "files that all workers share, under the same paths",
         "work in a folder that is mounted everywhere",
     )

@@ -2,7 +2,7 @@
 and who goes over the points; what it holds: `sweeper`. numba-cuda is not imported before one is asked for.
 """
 
-from mgsgraph.adjustment.gpu.found import Gpu, find_gpu
+from mgsgraph.adjustment.gpu.find import Gpu, find_gpu
 from mgsgraph.adjustment.graph.forms import IN_PROCESS, Sweeper
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.settings import SolverSettings

@@ -1,6 +1,6 @@
-"""Sweeps by a GPU: a layout's rows go there once, per iteration only the orientation.
+"""Sweeps by a GPU: a layout's rows are copied there once, the orientation for each iteration.
 
-What its memory doesn't hold at once is swept in partitions, which go there anew at every sweep.
+A layout that is too large for its memory is swept in partitions, which are copied again for every sweep.
 """
 
 from importlib.util import find_spec
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mgsgraph.adjustment.gpu.found import WHERE, Gpu
+from mgsgraph.adjustment.gpu.find import WHERE, Gpu
 from mgsgraph.adjustment.graph.forms import Solving, Sweeper, of_rows, sparse_factor
 from mgsgraph.adjustment.graph.layout import Layout
 from mgsgraph.adjustment.graph.patterns import within
@@ -26,7 +26,7 @@ from mgsgraph.kernel.sweep import COSTS, SYSTEM, Reduction
 MOST_COLUMNS = 8000
 """A matrix of 0.5 GB."""
 _COPIES = 6
-"""Matrix, factor, what is gathered, and where its numbers come from, go to, and their units."""
+"""Arrays of the matrix's size: matrix, factor, gathered numbers, their sources, places and units."""
 
 
 def dense_libraries() -> tuple[ModuleType, ModuleType] | None:
@@ -79,8 +79,8 @@ class DenseCholesky:
         flat = flat + self._more if self._more.size else flat
         matrix = arrays.zeros(columns * columns)
         matrix[self._to] = flat[self._from] * self._units
-        every = arrays.arange(columns) * (columns + 1)
-        matrix[every] += self._weights * self._scales**2 + damping
+        diagonal = arrays.arange(columns) * (columns + 1)
+        matrix[diagonal] += self._weights * self._scales**2 + damping
         try:
             lower = arrays.linalg.cholesky(matrix.reshape(columns, columns))
         except np.linalg.LinAlgError as error:
@@ -101,8 +101,8 @@ class DenseFactor:
         """Solution (columns,), m and rad, for a right side per m and rad: arrays of the host."""
         solve = self._algebra.solve_triangular
         half = solve(self._lower, self._arrays.asarray(right) * self._scales, lower=True)
-        found = solve(self._lower, half, trans=1, lower=True) * self._scales
-        return np.asarray(found if self._arrays is np else self._arrays.asnumpy(found))
+        solution = solve(self._lower, half, trans=1, lower=True) * self._scales
+        return np.asarray(solution if self._arrays is np else self._arrays.asnumpy(solution))
 
 
 def _places(layout: Layout) -> tuple[Index, Index, Index]:
@@ -110,34 +110,35 @@ def _places(layout: Layout) -> tuple[Index, Index, Index]:
     their places in the flat array.
     """
     blocks, first, width = layout.blocks, layout.variables.first, layout.variables.width
-    mine = np.flatnonzero((first[blocks.first] >= 0) & (first[blocks.second] >= 0))
-    one, other = blocks.first[mine], blocks.second[mine]
-    sizes = width[one] * width[other]
-    block = np.repeat(np.arange(mine.size), sizes)
+    adjusted = np.flatnonzero((first[blocks.first] >= 0) & (first[blocks.second] >= 0))
+    first_variable, second_variable = blocks.first[adjusted], blocks.second[adjusted]
+    sizes = width[first_variable] * width[second_variable]
+    block = np.repeat(np.arange(adjusted.size), sizes)
     inside = within(sizes)
-    across = width[other][block]
-    row, column = first[one][block] + inside // across, first[other][block] + inside % across
-    return row, column, blocks.offset[mine][block] + inside
+    across = width[second_variable][block]
+    row, column = first[first_variable][block] + inside // across, first[second_variable][block] + inside % across
+    return row, column, blocks.offset[adjusted][block] + inside
 
 
 _SHARE = 0.8
-"""Of the free memory: the rest is the driver's, the libraries' and the reduced equations'."""
+"""Share of the free memory: the rest is for driver, libraries and reduced equations."""
 _PER_POINT = 4 * 25
-"""Bytes: places and states of as many reductions as live at a time."""
+"""Bytes: places and states of the reductions that exist at a time."""
 _MOST_WORK = 4e9
 """Bytes of scratch for one partition: more don't make a sweep faster."""
 _GIGA = 1e9
 
 
 class GpuReduction(Reduction):
-    """A reduction whose points and blocks stay on the device until they are asked for."""
+    """A reduction whose points and blocks stay on the device until needed."""
 
     def __init__(
         self, task: int, orientation: Array, costs: Array, gradient: Array, points: Any, states: Any, blocks: Any
     ) -> None:
-        whole = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
-        own = {"gradient": gradient, "on_device": points, "blocks_on_device": blocks, "_states": states, "_here": {}}
-        for name, value in (whole | own).items():
+        of_parent = {"task": task, "orientation": orientation.copy(), "cost": float(costs.sum()), "piece_cost": costs}
+        of_device = {"gradient": gradient, "on_device": points, "blocks_on_device": blocks}
+        of_device |= {"_states": states, "_here": {}}
+        for name, value in (of_parent | of_device).items():
             object.__setattr__(self, name, value)  # frozen, like its parent
 
     on_device: Any
@@ -193,11 +194,11 @@ class GpuSweeper(Sweeper):
 
     @property
     def remark(self) -> str:  # type: ignore[override]
-        """What a user should know of how the device was used."""
-        said = f"Swept by the GPU ({self._gpu.name})"
+        """Use of the device, for the user."""
+        text = f"Swept by the GPU ({self._gpu.name})"
         if not self._held:
-            said += f", in {len(self._parts)} partitions that take turns in its {self._gpu.memory / _GIGA:.2f} GB"
-        return " ".join(part for part in (f"{said}.", self._gpu.remark) if part)
+            text += f", in {len(self._parts)} partitions that take turns in its {self._gpu.memory / _GIGA:.2f} GB"
+        return " ".join(part for part in (f"{text}.", self._gpu.remark) if part)
 
     def _divide(self, layout: Layout) -> None:
         """Make partitions of a layout's points, and room for their sweeps."""
@@ -212,7 +213,7 @@ class GpuSweeper(Sweeper):
         self._work = Workspace(max((part.work for part in self._parts), default=0))
 
     def _take(self, layout: Layout, rows: Rows) -> None:
-        """Go on with a layout made of the same network, and rows that differ in what takes part."""
+        """Continue with a layout made of the same network, and rows of which others take part."""
         now = self._layout
         if layout.patterns is not now.patterns or layout.model != now.model:
             self._divide(layout)
@@ -223,8 +224,8 @@ class GpuSweeper(Sweeper):
         self._layout, self._rows = layout, rows
 
     def _each(self) -> Any:
-        """Partitions and where their points and observations are among the whole's; of those that the memory can't hold
-        at once each goes when the next one comes.
+        """Partitions, and the places of their points and observations among all; where the memory can't hold all of
+        them, each is removed when the next one comes.
         """
         for part, ends in zip(self._parts, pairwise(self._points), strict=True):
             yield part, slice(*ends)
@@ -240,44 +241,44 @@ class GpuSweeper(Sweeper):
         self._take(layout, rows)
         begin = points.on_device if isinstance(points, GpuReduction) else None
         if begin is None:
-            known = points.points if isinstance(points, Reduction) else points
-            begin = to_device(rows.start if known is None else known)
+            places = points.points if isinstance(points, Reduction) else points
+            begin = to_device(rows.start if places is None else places)
         target, costs, x = layout.blocks.target, list[Array](), to_device(orientation)
         ends, states = room((rows.kind.size, 3)), room(rows.kind.size, np.int8)
         gradient, blocks = zeros(0 if task == COSTS else target.columns), zeros(target.size if task == SYSTEM else 0)
-        for part, mine in self._each():
-            own = begin[mine], ends[mine], states[mine], gradient, blocks
-            costs.append(part.reduce(self._work, x, task, *own))
-        every = np.concatenate(costs) if costs else np.zeros(0)
-        whole = blocks if task == SYSTEM else None
-        return GpuReduction(task, orientation, every, to_host(gradient), ends, states, whole)
+        for part, inside in self._each():
+            arrays = begin[inside], ends[inside], states[inside], gradient, blocks
+            costs.append(part.reduce(self._work, x, task, *arrays))
+        piece_costs = np.concatenate(costs) if costs else np.zeros(0)
+        all_blocks = blocks if task == SYSTEM else None
+        return GpuReduction(task, orientation, piece_costs, to_host(gradient), ends, states, all_blocks)
 
     def covariances(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Covariances (n, 3, 3) of the points in m^2, zero for known ones."""
         self._take(layout, rows)
         x, shared, places = to_device(orientation), to_device(joint), to_device(points)
-        found = np.empty((points.shape[0], 3, 3))
-        for part, mine in self._each():
-            found[mine] = part.covariances(self._work, x, shared, places[mine])
-        return found
+        blocks = np.empty((points.shape[0], 3, 3))
+        for part, inside in self._each():
+            blocks[inside] = part.covariances(self._work, x, shared, places[inside])
+        return blocks
 
     def residuals(self, layout: Layout, rows: Rows, orientation: Array, points: Array) -> Array:
         """Residuals (t, 2) of all observations: image rays in pixels, ranges and heights in m."""
         self._take(layout, rows)
         x, places = to_device(orientation), to_device(points)
-        found = [part.residuals(self._work, x, places[mine]) for part, mine in self._each()]
-        return np.concatenate([np.zeros((0, 2)), *found])
+        parts = [part.residuals(self._work, x, places[inside]) for part, inside in self._each()]
+        return np.concatenate([np.zeros((0, 2)), *parts])
 
     def leverage(self, layout: Layout, rows: Rows, orientation: Array, joint: Array, points: Array) -> Array:
         """Residuals (t, 8) of all observations beside their leverage."""
         self._take(layout, rows)
         x, shared, places = to_device(orientation), to_device(joint), to_device(points)
-        found, begin = np.empty((rows.weight.shape[1], 8)), 0
-        for part, mine in self._each():
+        numbers, begin = np.empty((rows.weight.shape[1], 8)), 0
+        for part, inside in self._each():
             end = begin + part.observations
-            of_rows(part.reliability(self._work, x, shared, places[mine]), found[begin:end])
+            of_rows(part.reliability(self._work, x, shared, places[inside]), numbers[begin:end])
             begin = end
-        return found
+        return numbers
 
     def factor(self, layout: Layout, reduction: Reduction, damping: float) -> Solving:
         """Factor of the damped equations: dense on the device, where these are few, else sparse on the host.
@@ -302,17 +303,17 @@ def divided(rows: Rows, memory: float) -> tuple[list[int], bool]:
         Where it can't sweep a single piece.
     """
     held, work = bytes_of_pieces(rows)
-    left = memory - _PER_POINT * rows.kind.size
-    room_for_work = min(left - held.sum(), _MOST_WORK)
-    together = bool(room_for_work >= work.max(initial=0))
-    each = work if together else held + work
-    limit = room_for_work if together else left
+    available = memory - _PER_POINT * rows.kind.size
+    room_for_work = min(available - held.sum(), _MOST_WORK)
+    at_once = bool(room_for_work >= work.max(initial=0))
+    each = work if at_once else held + work
+    limit = room_for_work if at_once else available
     if each.max(initial=0) > limit:
-        found = f"a GPU with {memory / _GIGA:.3f} GB to use"
-        needed = f"{(each.max() + memory - left) / _GIGA:.3f} GB for {rows.kind.size} points"
-        raise InputError(WHERE, found, needed, "take device = 'cpu', or a GPU with more memory")
+        problem = f"a GPU with {memory / _GIGA:.3f} GB to use"
+        needed = f"{(each.max() + memory - available) / _GIGA:.3f} GB for {rows.kind.size} points"
+        raise InputError(WHERE, problem, needed, "take device = 'cpu', or a GPU with more memory")
     ends, edges = np.cumsum(each), [0]
     while edges[-1] < each.size:
         before = ends[edges[-1] - 1] if edges[-1] else 0
         edges.append(int(np.searchsorted(ends, before + limit, side="right")))
-    return edges, together
+    return edges, at_once

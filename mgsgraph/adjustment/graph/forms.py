@@ -52,21 +52,21 @@ def numbers(
     """
     ground = np.zeros(0, dtype=np.int64) if ground is None else ground
     begins = np.append(rows.piece[:, 4], rows.weight.shape[1])
-    found, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
+    of_all, chosen = np.empty((begins[-1], 8)), np.empty((ground.size, 3, NUMBERS))
     order = np.argsort(ground)
 
     def share(ends: tuple[int, int]) -> None:
         first, last = ends
-        mine, point = partition(rows, first, last), int(rows.piece[first, 1])
-        places = points[point : point + mine.kind.size]
-        values = sweep.reliability(mine, groups, target, model, orientation, joint, places)
-        of_rows(values, found[begins[first] : begins[last]])
-        own = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
-        chosen[own] = values[ground[own] - begins[first]]
+        part, point = partition(rows, first, last), int(rows.piece[first, 1])
+        places = points[point : point + part.kind.size]
+        values = sweep.reliability(part, groups, target, model, orientation, joint, places)
+        of_rows(values, of_all[begins[first] : begins[last]])
+        of_part = order[slice(*np.searchsorted(ground, [begins[first], begins[last]], sorter=order))]
+        chosen[of_part] = values[ground[of_part] - begins[first]]
 
     edges = np.unique(np.searchsorted(begins, [*range(0, begins[-1], _AT_A_TIME), begins[-1]])).tolist()
     in_threads(share, pairwise(edges))
-    return found, chosen
+    return of_all, chosen
 
 
 class Solving(Protocol):

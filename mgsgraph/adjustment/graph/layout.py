@@ -1,4 +1,4 @@
-"""The network laid out for the kernel: points sorted by pattern, their rows, and the way back."""
+"""The network laid out for the kernel: points sorted by pattern, their rows, and the inverse order."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -46,10 +46,10 @@ _LOSSES = {"none": NO_LOSS, "huber": HUBER, "cauchy": CAUCHY, "tukey": TUKEY}
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Rows of a network in the kernel's order, and the way back."""
+    """Rows of a network in the kernel's order, and the inverse order."""
 
     network: Network
-    """What is adjusted."""
+    """The network that is adjusted."""
     model: Model
     """Forms of the measurement model."""
     rows: Rows
@@ -61,9 +61,9 @@ class Layout:
     variables: Variables
     """Shared unknowns."""
     prior: Prior
-    """What is known of them."""
+    """Their priors."""
     prior_information: Array
-    """Its normal matrix on strips' unknowns, flat in `blocks`; empty without strips."""
+    """Its normal matrix on the unknowns of passes, flat in `blocks`; empty without passes."""
     patterns: Patterns
     """Points by pattern."""
     observation_rows: ObservationRows
@@ -76,9 +76,9 @@ class Layout:
     """(columns,) shared unknowns with which the slopes of detector lines are those of adjusted interior orientations;
     of the others it says nothing."""
     rays: RayConstants
-    """What renews the constants of image rays."""
+    """Constants of image rays, which can be renewed."""
     storage: Storage
-    """Where these constants go."""
+    """Storage of these constants."""
 
     @cached_property
     def cholesky(self) -> SparseCholesky:
@@ -90,13 +90,13 @@ class Layout:
     def bending(self) -> Index:
         """Columns of unknowns that change the slopes of detector lines, or the rates of attitudes as vibrations do."""
         network = self.network
-        mine = [
+        variables = [
             network.first_shared + k
-            for k, one in enumerate(network.shared)
-            if one.sine is not None or any(bends(network, k, j) for j in one.images.tolist())
+            for k, unknown in enumerate(network.shared)
+            if unknown.sine is not None or any(bends(network, k, j) for j in unknown.images.tolist())
         ]
-        every = np.arange(self.columns)
-        return np.concatenate([every[:0], *(every[self.columns_of(v)] for v in mine)])
+        columns = np.arange(self.columns)
+        return np.concatenate([columns[:0], *(columns[self.columns_of(v)] for v in variables)])
 
     @property
     def angles(self) -> Angles:
@@ -139,24 +139,23 @@ class Layout:
 
     def about_stereo(self, points: Array, shared: Array) -> "Layout":
         """The same with heights above stereo surfaces that are linear about points (n, 3), network order, and shared
-        unknowns (columns,); itself when they say the same.
+        unknowns (columns,); itself when they are the same.
         """
-        anew = linear_rows(self.network, self.model, self.variables, shared, points, self.stereo)
-        if self.stereo is None or anew is None:
+        linear = linear_rows(self.network, self.model, self.variables, shared, points, self.stereo)
+        if self.stereo is None or linear is None:
             return self
-        if at_rest(self.stereo, anew, self.network, self.variables, shared):
+        if at_rest(self.stereo, linear, self.network, self.variables, shared):
             return self
         places = points.copy()
-        about, places[anew.points], steps = accelerated(
-            self.stereo, self.network, self.variables, shared, points[anew.points]
+        about, places[linear.points], steps = accelerated(
+            self.stereo, self.network, self.variables, shared, points[linear.points]
         )
-        anew = linear_rows(self.network, self.model, self.variables, about, places, self.stereo)
-        assert anew is not None
-        anew = anew._replace(steps=steps)
-        if not np.array_equal(anew.sides, self.stereo.sides):
-            return replace(self, stereo=anew)._sorted_anew(self.lines, self.bent)
-        rows = with_stereo(self.network, self.patterns, self.rows, anew, self.storage)
-        return self._with(stereo=anew, rows=rows)
+        linear = linear_rows(self.network, self.model, self.variables, about, places, self.stereo)
+        assert linear is not None
+        linear = linear._replace(steps=steps)
+        if not np.array_equal(linear.sides, self.stereo.sides):
+            return replace(self, stereo=linear)._sorted_again(self.lines, self.bent)
+        return self._with(stereo=linear, rows=with_stereo(self.network, self.patterns, self.rows, linear, self.storage))
 
     def with_loss(self, loss: Loss, width: float | None = None) -> "Layout":
         """The same with another loss, at its customary width where none is given."""
@@ -169,35 +168,35 @@ class Layout:
 
     @property
     def without_steps(self) -> "Layout":
-        """The same, its stereo rows as they are where an optimisation begins: no step has led there."""
+        """The same, its stereo rows as at the start of an optimization: without earlier steps."""
         if self.stereo is None or not self.stereo.steps:
             return self
         return self._with(stereo=self.stereo._replace(steps=()))
 
-    def about(self, lines: Array, shared: Array | None = None, own: bool = False) -> "Layout":
-        """The same network, points in and out, starting positions and stereo rows, its rays laid out about other lines
-        (k,), and slopes of detector lines about other shared unknowns (columns,). Where this layout is the caller's
-        `own`, its rows are renewed in place: nobody uses it afterwards.
+    def about(self, lines: Array, shared: Array | None = None, in_place: bool = False) -> "Layout":
+        """The same network, points in and out, start positions and stereo rows, with rays laid out about other lines
+        (k,), and slopes of detector lines about other shared unknowns (columns,). `in_place`: overwrite the rows of
+        this layout, which the caller does not use again.
         """
-        bent = self.bent if shared is None else shared
+        bending = self.bent if shared is None else shared
         terms = Terms(self.network, self.variables, lines)
         if self.model.line != PREDICTED or not self.rays.renewable(terms):
-            return self._sorted_anew(lines, bent)
-        rows = self.rows if own else self.rows._replace(data=self.storage.copied(self.rows.data))
-        self.rays.renew(rows.data, terms, bent)
-        return self._with(rows=rows, lines=lines, bent=bent)
+            return self._sorted_again(lines, bending)
+        rows = self.rows if in_place else self.rows._replace(data=self.storage.copied(self.rows.data))
+        self.rays.renew(rows.data, terms, bending)
+        return self._with(rows=rows, lines=lines, bent=bending)
 
-    def _sorted_anew(self, lines: Array, bent: Array) -> "Layout":
+    def _sorted_again(self, lines: Array, bending: Array) -> "Layout":
         """The same about other lines, where rays come to depend on other nodes: they have other patterns."""
         like = self.network_order(self.rows.start), self.network_order(self.rows.kind)
-        return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bent, self.storage)
+        return _lay_out(self.network, self.model, self.variables, None, lines, like, self.stereo, bending, self.storage)
 
     def _with(self, **changes: Any) -> "Layout":
         """The same with other rows of the same observations; the order of elimination stays."""
-        other = replace(self, **changes)
+        layout = replace(self, **changes)
         if "cholesky" in self.__dict__:
-            other.__dict__["cholesky"] = self.cholesky
-        return other
+            layout.__dict__["cholesky"] = self.cholesky
+        return layout
 
     def active(self, rays: Mask, ranges: Mask, out: Mask, stereo: Mask | None = None) -> Rows:
         """Rows with some left out: rays (k,), ranges (r,) that take part, points (n,) that don't, points (n,) whose
@@ -235,29 +234,29 @@ def lay_out(network: Network, settings: SolverSettings, places: Array | None = N
         When a point that nothing else places lies on a ray that misses the body; for cameras mounted against the axes
         of their pass where angles are not about the camera's axes.
     """
-    if settings.angles != "camera" and any(one.axes is not None for one in network.passes):
+    if settings.angles != "camera" and any(pass_.axes is not None for pass_ in network.passes):
         raise InputError("solver, angles", f"{settings.angles!r} for cameras mounted against each other", "'camera'")
     model = Model(_LINES[settings.line], ANGLE_CODES[settings.angles], _LOSSES[settings.loss], settings.width)
     variables, points = make_variables(network), network.points.places
-    for known in (network.stereo.starts if network.stereo else None, places):
-        points = points if known is None else np.where(np.isfinite(known), known, points)
+    for given in (network.stereo.starts if network.stereo else None, places):
+        points = points if given is None else np.where(np.isfinite(given), given, points)
     stereo = linear_rows(network, model, variables, np.zeros(variables.sigmas.size), points)
-    known = None if model.line == MEASURED else places
-    bent = np.zeros(variables.sigmas.size)
+    given = None if model.line == MEASURED else places
+    bending = np.zeros(variables.sigmas.size)
     storage = Storage.within(settings.memory_gb)
     measured = np.array(network.rays.places[:, 0])
-    return _lay_out(network, model, variables, known, measured, None, stereo, bent, storage)
+    return _lay_out(network, model, variables, given, measured, None, stereo, bending, storage)
 
 
 def _lay_out(
     network: Network,
     model: Model,
     variables: Variables,
-    known: Array | None,
+    places: Array | None,
     lines: Array,
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
-    bent: Array,
+    bending: Array,
     storage: Storage,
 ) -> Layout:
     """The same with rays laid out about lines (k,), slopes of detector lines about shared unknowns (columns,); `like`
@@ -265,7 +264,7 @@ def _lay_out(
     """
     terms = Terms(network, variables, lines)
     patterns, slot = sort_points(network, terms, stereo)
-    laid = lay_out_rows(network, model, variables, patterns, slot, terms, known, like, stereo, bent, storage)
+    laid = lay_out_rows(network, model, variables, patterns, slot, terms, places, like, stereo, bending, storage)
     observations, rows, rays = laid
     groups = make_groups(variables, patterns.group_first, patterns.group_member)
     prior = make_prior(network, variables)
@@ -273,7 +272,7 @@ def _lay_out(
     information = _information(prior, blocks)
     return Layout(
         network, model, rows, groups, blocks, variables, prior, information, patterns, observations, lines, stereo,
-        bent, rays, storage,
+        bending, rays, storage,
     )  # fmt: skip
 
 
@@ -283,9 +282,9 @@ def _information(prior: Prior, blocks: PairBlocks) -> Array:
         return np.zeros(0)
     pairs = zip(blocks.first.tolist(), blocks.second.tolist(), strict=True)
     place, flat = dict(zip(pairs, blocks.offset.tolist(), strict=True)), np.zeros(blocks.target.size)
-    for variables, own, _, _ in prior.factors:
+    for variables, factors, _, _ in prior.factors:
         for k, v in enumerate(variables):
-            for w, other in zip(variables[k:], own[k:], strict=True):
-                product = own[k].T @ other
+            for w, factor in zip(variables[k:], factors[k:], strict=True):
+                product = factors[k].T @ factor
                 flat[place[v, w] : place[v, w] + product.size] += product.ravel()
     return flat

@@ -1,5 +1,5 @@
 """Points sorted by pattern: which observations they have, by which basis terms the orientation acts on these, in pieces
-that the kernel takes one after the other. The loops are compiled: no Python per point or per image set.
+that the kernel takes one after the other. The loops are compiled: no Python for each point or image set.
 """
 
 from collections.abc import Iterator, Sequence
@@ -48,7 +48,7 @@ class Patterns:
     image: Index
     """(s,) image that carries it; -1 for none."""
     node: Index
-    """(s,) first of the four nodes that it depends on; -1 for an image without a strip, and for none."""
+    """(s,) first of the four nodes that it depends on; -1 for an image without a pass, and for none."""
     width: Index
     """(s,) components of its state."""
     terms: Index
@@ -66,7 +66,7 @@ class Patterns:
     point_order: Index
     """(n,) network point at each index of the layout."""
     point_index: Index
-    """(n,) the way back: index in the layout of each network point."""
+    """(n,) the inverse: index in the layout of each network point."""
     piece_pattern: Index
     """(m,) pattern of each piece."""
     piece_first: Index
@@ -86,51 +86,51 @@ class Patterns:
 
 class Terms:
     """Terms of each ray and each range of a network: of its image's own polynomial, or of the four orientation images
-    of its strip around it. A term is six columns, one of each component.
+    of its pass around it. A term is six columns, one of each component.
 
     `lines` (k,) are those about which rays are laid out.
     """
 
     def __init__(self, network: Network, variables: Variables, lines: Array) -> None:
-        self._network, self._strip = network, network.pass_of
-        own = [prior.degree + 1 for prior in network.priors]
-        self.counts = np.where(self._strip >= 0, SUPPORT, np.where(variables.first[: len(own)] < 0, 0, own))
+        self._network, self._pass = network, network.pass_of
+        terms = [prior.degree + 1 for prior in network.priors]
+        self.counts = np.where(self._pass >= 0, SUPPORT, np.where(variables.first[: len(terms)] < 0, 0, terms))
         """(images,) number of terms of each image's rays and ranges; none for one that is held."""
-        self._first_of_strips = network.first_of_passes
+        self._first_of_passes = network.first_of_passes
         rays, ranges = network.rays, network.ranges
         self.lines = lines
         """(k,) line about which each ray is laid out."""
         self.of_rays = np.full(rays.point.size, -1, dtype=np.int32)
-        """(k,) of each ray the first of its four nodes, counted in its strip; -1 for an image without a strip. A small
-        number, for there are many."""
+        """(k,) of each ray the first of its four nodes, counted in its pass; -1 for an image without a pass. int32,
+        since there are many."""
         self.of_ranges = np.full(ranges.point.size, -1, dtype=np.int32)
         """(r,) the same of each range."""
         if not network.passes:
             return
         order, _, sizes = counted(rays.image, len(network.images))
         ends = np.cumsum(sizes)
-        for strip in network.passes:
-            for j in strip.images.tolist():
-                image, mine = network.images[j], order[ends[j] - sizes[j] : ends[j]]
-                times, _ = image.timing.at(self.lines[mine])
-                self.of_rays[mine] = strip.nodes.first_of_four(times, image.trajectory.epoch)
-                mine = np.flatnonzero(ranges.image == j)
-                self.of_ranges[mine] = strip.nodes.first_of_four(ranges.times[mine], 0.0)
+        for pass_ in network.passes:
+            for j in pass_.images.tolist():
+                image, in_image = network.images[j], order[ends[j] - sizes[j] : ends[j]]
+                times, _ = image.timing.at(self.lines[in_image])
+                self.of_rays[in_image] = pass_.nodes.first_of_four(times, image.trajectory.epoch)
+                in_image = np.flatnonzero(ranges.image == j)
+                self.of_ranges[in_image] = pass_.nodes.first_of_four(ranges.times[in_image], 0.0)
 
     def first_node(self, images: Index) -> Index:
-        """(n,) variable of the first node of each image's strip; of no meaning for one without."""
-        return self._first_of_strips[self._strip[images]]
+        """(n,) variable of the first node of each image's pass; without meaning for one without a pass."""
+        return self._first_of_passes[self._pass[images]]
 
     def basis(self, image: int, lines: Array, node: NDArray[np.int32], rates: bool) -> tuple[Array, Array]:
-        """What is stored of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
+        """Stored values of the basis at lines (n,): u (n, 1) of a polynomial, or values (n, terms) of nodes and, if
         `rates`, their derivatives per line; the other one has no columns. `node` (n,) is `of_rays` or `of_ranges`.
         """
-        nothing, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
-        if self._strip[image] < 0:
-            return (moments.u[:, None] if self.counts[image] else nothing), nothing
-        nodes = self._network.passes[self._strip[image]].nodes
+        empty, moments = np.empty((lines.size, 0)), self._network.images[image].moments(lines)
+        if self._pass[image] < 0:
+            return (moments.u[:, None] if self.counts[image] else empty), empty
+        nodes = self._network.passes[self._pass[image]].nodes
         values, slopes = nodes.around(node.astype(np.int64), moments.times, moments.epoch)
-        return nothing, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
+        return empty, np.hstack([values, slopes * moments.periods[:, None]]) if rates else values
 
 
 @cached_kernel
@@ -162,10 +162,10 @@ def by_point(point, image, node, points):
         i = point[k]
         at, first = begin[i] + filled[i], begin[i]
         while at > first:
-            other = order[at - 1]
-            if image[other] < image[k] or (image[other] == image[k] and node[other] <= node[k]):
+            before = order[at - 1]
+            if image[before] < image[k] or (image[before] == image[k] and node[before] <= node[k]):
                 break
-            order[at] = other
+            order[at] = before
             at -= 1
         order[at] = k
         filled[i] += 1
@@ -187,13 +187,13 @@ def mixed(signature, value):
 
 @cached_kernel
 def mix_rows(signature, begin, order, image, node, mark):
-    """Let the signatures (n,) of points know their rows."""
+    """Mix the rows of points into their signatures (n,)."""
     for i in range(signature.size):
-        one = mixed(signature[i], np.uint64(mark))
+        mixture = mixed(signature[i], np.uint64(mark))
         for at in range(begin[i], begin[i + 1]):
             k = order[at]
-            one = mixed(mixed(one, np.uint64(image[k] + 1)), np.uint64(node[k] + 2))
-        signature[i] = one
+            mixture = mixed(mixed(mixture, np.uint64(image[k] + 1)), np.uint64(node[k] + 2))
+        signature[i] = mixture
 
 
 @cached_kernel
@@ -230,7 +230,7 @@ def distinct(signature):
 
 @cached_kernel
 def counted(number, count):
-    """Points in the order of their numbers (n,), each below `count`: that order, the way back, and how many of each."""
+    """Points in the order of their numbers (n,), each below `count`: that order, its inverse, and how many of each."""
     sizes = np.zeros(count, dtype=np.int64)
     for i in range(number.size):
         sizes[number[i]] += 1
@@ -273,8 +273,8 @@ def sort_points(
     member, group_first, group_member, group = _groups(of_example.pattern_of_entry, of_example.variable, example.size)
     fixed = network.points.kinds[example] == PointKind.FIXED
     polynomial = (of_example.image >= 0) & (of_example.node < 0)
-    alike = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial.astype(np.int64)
-    shape = shapes(of_example.first, fixed.astype(np.int64), *alike)
+    properties = of_example.kind, of_example.width, of_example.terms, of_example.shared, polynomial.astype(np.int64)
+    shape = shapes(of_example.first, fixed.astype(np.int64), *properties)
     order = np.lexsort([np.arange(example.size), group, shape])
     rank = np.empty_like(order)
     rank[order] = np.arange(order.size)
@@ -303,11 +303,11 @@ def _runs(first: Index, order: Index) -> tuple[Index, Index]:
 
 def _on_stereo(n: int, stereo: StereoRows | None) -> tuple[Index, Index]:
     """(n,) which of the combinations of images and nodes (c, 4) the stereo row of each point has; -1 for none."""
-    found = np.full(n, -1, dtype=np.int64)
+    combination = np.full(n, -1, dtype=np.int64)
     if stereo is None:
-        return found, np.zeros((0, 4), dtype=np.int64)
-    sides, found[stereo.points] = combinations(stereo.sides)
-    return found, sides
+        return combination, np.zeros((0, 4), dtype=np.int64)
+    sides, combination[stereo.points] = combinations(stereo.sides)
+    return combination, sides
 
 
 def _moved(network: Network) -> Index:
@@ -319,16 +319,16 @@ def _moved(network: Network) -> Index:
 
 
 def _footprints(network: Network) -> list[tuple[Index, int, bool]]:
-    """Of each shared unknown that moves footprints (n,) its variable (-1: not this point's), the number of its columns,
-    and whether it acts on ranges, too.
+    """For each shared unknown that moves footprints: (n,) its variable where it moves a point's a-priori position, -1
+    elsewhere; the number of its columns; and whether it acts on ranges, too.
     """
-    found = []
+    footprints = []
     for k, shared in enumerate(network.shared):
         if shared.kind.moves_footprints:
             affected = np.full(len(network.points), -1, dtype=np.int64)
             affected[network.footprints_moved(shared)] = network.first_shared + k
-            found.append((affected, shared.kind.width, shared.kind.acts_on_ranges))
-    return found
+            footprints.append((affected, shared.kind.width, shared.kind.acts_on_ranges))
+    return footprints
 
 
 class _PatternObservations:
@@ -339,9 +339,10 @@ class _PatternObservations:
         on_surface: Index, on_stereo: tuple[Index, Index], footprints: list[tuple[Index, int, bool]],
         common: tuple[Index, Index],
     ) -> None:  # fmt: skip
-        known = network.points.kinds[example] == PointKind.CONSTRAINED
+        with_prior = network.points.kinds[example] == PointKind.CONSTRAINED
         surfaces, of_stereo = on_surface[example] > 0, on_stereo[0][example]
-        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)] + [known, surfaces, of_stereo >= 0]
+        counts = [np.diff(begin)[example] for begin, _, _ in (of_rays, of_ranges)]
+        counts += [with_prior, surfaces, of_stereo >= 0]
         each = np.stack([np.asarray(count, dtype=np.int64) for count in counts], axis=1)
         self.first = np.concatenate([[0], np.cumsum(each.sum(axis=1))])
         begin = (np.cumsum(each.ravel()) - each.ravel()).reshape(each.shape)
@@ -359,16 +360,17 @@ class _PatternObservations:
             self.kind[at], self.image[at], self.node[at] = kind, table[rows[1][source]], node[rows[1][source]]
             if kind == IMAGE:
                 self._common[at] = common[0][rows[1][source]]
-        ground, surface = begin[known, 2], begin[surfaces, 3]
+        ground, surface = begin[with_prior, 2], begin[surfaces, 3]
         stereo = begin[of_stereo >= 0, 4]
         self.kind[ground], self.kind[surface], self.kind[stereo] = GROUND, SURFACE, STEREO
         self._common[surface] = common[1][example[surfaces]]
-        self._on_stereo = [columns(network, tuple(one)) for one in on_stereo[1].tolist()]
+        self._on_stereo = [columns(network, tuple(side)) for side in on_stereo[1].tolist()]
         self._stereo, self._combination = stereo, of_stereo[of_stereo >= 0]
-        mine = np.flatnonzero((self.kind == RANGE) & (network.ranges.shares is not None))
-        point, moving = example[np.searchsorted(self.first, mine, side="right") - 1], ((moved, 2, False), *footprints)
-        moves = [(ground, variable[example[known]], width) for variable, width, _ in moving]
-        moves += [(mine, variable[point], width) for variable, width, on_ranges in moving if not on_ranges]
+        ranges = np.flatnonzero((self.kind == RANGE) & (network.ranges.shares is not None))
+        point = example[np.searchsorted(self.first, ranges, side="right") - 1]
+        moving = ((moved, 2, False), *footprints)
+        moves = [(ground, variable[example[with_prior]], width) for variable, width, _ in moving]
+        moves += [(ranges, variable[point], width) for variable, width, on_ranges in moving if not on_ranges]
         if network.terrain_moves and network.surface is not None:
             moves.append((surface, np.full(surface.size, network.first_shared - 1), len(network.surface.terms)))
         self._add_unknowns(network, terms, moves)
@@ -381,29 +383,29 @@ class _PatternObservations:
         self.width = np.array([6, of_range, 3, 3, 1])[self.kind]
         size = self.kind.size
         observation, variable, inside = [], [], []
-        mine = np.repeat(np.flatnonzero(carried), self.terms[carried])
-        step, node = within(self.terms[carried]), self.node[mine]
-        strip = terms.first_node(self.image[mine])
-        observation.append(mine)
-        variable.append(np.where(node >= 0, strip + node + step, self.image[mine]))
+        rows = np.repeat(np.flatnonzero(carried), self.terms[carried])
+        step, node = within(self.terms[carried]), self.node[rows]
+        first_node = terms.first_node(self.image[rows])
+        observation.append(rows)
+        variable.append(np.where(node >= 0, first_node + node + step, self.image[rows]))
         inside.append(np.where(node >= 0, 0, 6 * step))
         for k, shared in enumerate(network.shared):
             of_image = np.zeros(len(network.images) + 1, dtype=bool)  # the last one is that of no image
             of_image[shared.images] = True
             kinds = [IMAGE] * shared.kind.acts_on_rays + [RANGE] * shared.kind.acts_on_ranges
-            mine = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
-            number = np.full(mine.size, network.first_shared + k)
-            _add_singles(observation, variable, inside, mine, number, shared.kind.width)
+            rows = np.flatnonzero(of_image[self.image] & np.isin(self.kind, kinds))
+            number = np.full(rows.size, network.first_shared + k)
+            _add_singles(observation, variable, inside, rows, number, shared.kind.width)
             if not shared.kind.moves_instrument:
-                self.width[mine] = np.where(self.kind[mine] == IMAGE, 9, 4)
+                self.width[rows] = np.where(self.kind[rows] == IMAGE, 9, 4)
         for at, affected, width in moved:
             _add_singles(observation, variable, inside, at[affected >= 0], affected[affected >= 0], width)
-        mine = np.flatnonzero(self._common >= 0)
-        widths = np.array(network.widths)[self._common[mine]]
-        observation.append(np.repeat(mine, widths))
-        variable.append(np.repeat(self._common[mine], widths))
+        rows = np.flatnonzero(self._common >= 0)
+        widths = np.array(network.widths)[self._common[rows]]
+        observation.append(np.repeat(rows, widths))
+        variable.append(np.repeat(self._common[rows], widths))
         inside.append(within(widths))
-        self.width[mine[self.kind[mine] == IMAGE]] = 9
+        self.width[rows[self.kind[rows] == IMAGE]] = 9
         for at, k in zip(self._stereo.tolist(), self._combination.tolist(), strict=True):
             observation.append(np.full(self._on_stereo[k][0].size, at))
             variable.append(self._on_stereo[k][0])
@@ -415,8 +417,7 @@ class _PatternObservations:
         self.shared = counts - self.terms
         self.variable = np.concatenate(variable)[order].astype(np.int64)
         self.inside = np.concatenate(inside)[order].astype(np.int64)
-        pattern = np.repeat(np.arange(self.first.size - 1), np.diff(self.first))
-        self.pattern_of_entry = pattern[observations[order]]
+        self.pattern_of_entry = np.repeat(np.arange(self.first.size - 1), np.diff(self.first))[observations[order]]
 
 
 def within(counts: Index) -> Index:
@@ -425,16 +426,16 @@ def within(counts: Index) -> Index:
 
 
 def _add_singles(
-    observation: list[Index], variable: list[Index], inside: list[Index], mine: Index, affected: Index, columns: int
+    observation: list[Index], variable: list[Index], inside: list[Index], rows: Index, affected: Index, columns: int
 ) -> None:
     """Entries of observations that depend on all columns of a variable."""
-    observation.append(np.repeat(mine, columns))
+    observation.append(np.repeat(rows, columns))
     variable.append(np.repeat(affected, columns))
-    inside.append(np.tile(np.arange(columns), mine.size))
+    inside.append(np.tile(np.arange(columns), rows.size))
 
 
 def _groups(pattern: Index, variable: Index, patterns: int) -> tuple[Index, Index, Index, Index]:
-    """Sets of variables that patterns depend on: of each entry its index among those of its group; first member of each
+    """Sets of variables that patterns depend on: index of each entry among those of its group; first member of each
     group, and members; group of each pattern. Groups are in the order of their members.
     """
     many = int(variable.max(initial=0)) + 1
@@ -445,9 +446,9 @@ def _groups(pattern: Index, variable: Index, patterns: int) -> tuple[Index, Inde
     table = np.full((patterns, int(count.max(initial=0)) + 1), -1, dtype=np.int64)
     table[owner, np.arange(unique.size) - begin[owner]] = affected
     sets, group = np.unique(table, axis=0, return_inverse=True)
-    there = sets >= 0
-    first = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
-    return (np.arange(unique.size) - begin[owner])[back.reshape(-1)], first, sets[there], group.reshape(-1)
+    present = sets >= 0
+    first = np.concatenate([[0], np.cumsum(present.sum(axis=1))])
+    return (np.arange(unique.size) - begin[owner])[back.reshape(-1)], first, sets[present], group.reshape(-1)
 
 
 def make_groups(variables: Variables, first: Index, member: Index) -> Groups:
@@ -469,10 +470,10 @@ class PairBlocks:
     offset: Index
     """(p,) where its block begins, first variable's columns down, second's across."""
     target: NormalBlocks
-    """The same, as the kernel wants it."""
+    """The same, in the kernel's form."""
 
     def filled(self, joint: JointCovariance) -> Array:
-        """A covariance of all variables in these blocks, flat, as the kernel wants it."""
+        """A covariance of all variables in these blocks, flat, in the kernel's form."""
         flat = joint.pairs(self.first, self.second, self.offset)
         return np.pad(flat, (0, self.target.size - flat.size))
 
@@ -490,8 +491,8 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
     count = variables.first.size
     member = groups.member_variable
     pairs = [v * count + v for v in variables.adjusted()] + [v * count + w for v, w in more]
-    one, other = _member_pairs(groups)
-    table = np.minimum(member[one], member[other]) * count + np.maximum(member[one], member[other])
+    ends = member[np.stack(_member_pairs(groups))]
+    table = ends.min(axis=0) * count + ends.max(axis=0)
     unique = np.unique(np.concatenate([table, np.array(pairs, dtype=np.int64)]))
     first, second = unique // count, unique % count
     sizes = variables.width[first] * variables.width[second]
@@ -503,9 +504,9 @@ def pair_blocks(variables: Variables, groups: Groups, more: Sequence[tuple[int, 
 
 
 def group_blocks(groups: Groups) -> NormalBlocks:
-    """Blocks of each group by itself, not shared with others: what a reduced system of its own needs."""
-    one, other = _member_pairs(groups)
-    sizes = groups.member_width[one] * groups.member_width[other]
+    """Blocks of each group by itself, not shared with others: for a reduced system of its own."""
+    first, second = _member_pairs(groups)
+    sizes = groups.member_width[first] * groups.member_width[second]
     pair, at = np.cumsum(sizes) - sizes, int(sizes.sum())
     right = np.cumsum(groups.member_width) - groups.member_width
     return NormalBlocks(pair, right.astype(np.int64), at, int(groups.member_width.sum()))
@@ -514,7 +515,7 @@ def group_blocks(groups: Groups) -> NormalBlocks:
 def _member_pairs(groups: Groups) -> tuple[Index, Index]:
     """Of all pairs of the groups' members, group by group and row by row, the first and the second."""
     size = np.diff(groups.member_first)
-    one = np.repeat(np.arange(groups.member_variable.size), np.repeat(size, size))
+    first = np.repeat(np.arange(groups.member_variable.size), np.repeat(size, size))
     group = np.repeat(np.arange(size.size), size**2)
-    other = groups.member_first[group] + (np.arange(group.size) - groups.pair_first[group]) % np.maximum(size[group], 1)
-    return one, other
+    inside = (np.arange(group.size) - groups.pair_first[group]) % np.maximum(size[group], 1)
+    return first, groups.member_first[group] + inside

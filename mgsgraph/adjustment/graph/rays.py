@@ -1,5 +1,5 @@
 """Constants of the image rays, share by share of neighboring pieces: laid out once, and renewed in place where the
-lines about which they are laid out change. Where points' nominal rays cross.
+lines about which they are laid out change. Intersections of points' nominal rays.
 
 Loops over rays take those of some neighboring pieces, observation by observation as they lie in the data: of each of
 these r rays there is its number in the network, where its constants begin, the step to the next one, and its place
@@ -34,7 +34,7 @@ from mgsgraph.network.effects import SharedEffects, common_looks
 _SHARE = 1 << 16
 """Observations that a thread takes at a time."""
 _NO_UNITS = np.empty((0, 3))
-"""No room for directions: they are not asked for."""
+"""Empty array where no directions are needed."""
 
 
 class Share(NamedTuple):
@@ -95,9 +95,9 @@ class RayConstants:
     ) -> None:  # fmt: skip
         self._network, self._model, self._patterns, self._variables = network, model, patterns, variables
         self.effects, looks = SharedEffects(network, angles_of(model)), common_looks(network)
-        self._looks = [np.empty((1, 2, 0)), *(one for _, one in looks)]
+        self._looks = [np.empty((1, 2, 0)), *(look for _, look in looks)]
         self._of_look = np.zeros((2, network.rays.point.size), dtype=np.int64)
-        """(2, k) where each ray's looks by errors in common stand."""
+        """(2, k) table and row of each ray's looks by errors in common."""
         for number, (members, _) in enumerate(looks, 1):
             self._of_look[:, members] = np.full(members.size, number), np.arange(members.size)
         rays = np.concatenate([[0], np.cumsum(patterns.kind == IMAGE)])
@@ -109,11 +109,11 @@ class RayConstants:
         counts = np.diff(rays[patterns.first])
         self._piece, self._before, self._begins, self._rays, self._ray = piece, before, begins, counts, ray
 
-    def fill(self, data: Array, weight: Array, terms: Terms, bent: Array, crossing: Crossing | None) -> None:
+    def fill(self, data: Array, weight: Array, terms: Terms, bending: Array, crossing: Crossing | None) -> None:
         """Constants (but for the scale of the measured-line form, `fill_scales`) and weights of all rays, and where
-        they cross; slopes of detector lines with shared unknowns `bent` (columns,).
+        they cross; slopes of detector lines with shared unknowns `bending` (columns,).
         """
-        values, self._nodes = self._variables.split(bent), terms.of_rays if self._network.passes else None
+        values, self._nodes = self._variables.split(bending), terms.of_rays if self._network.passes else None
 
         def fill(share: Share) -> None:
             self._fill_detectors(share, data, weight)
@@ -126,7 +126,7 @@ class RayConstants:
         self._each(fill)
 
     def _each(self, work: Callable[[Share], None]) -> None:
-        """Do some work on all rays, shared by threads."""
+        """Call a function for all rays, in threads."""
         total = int(self._begins[-1])
         edges = np.unique(np.searchsorted(self._begins, [*range(0, total, _SHARE), total])).tolist()
         in_threads(lambda ends: work(self._share(*ends)), list(pairwise(edges)))
@@ -145,9 +145,9 @@ class RayConstants:
         """Whether rays about other lines depend on the same nodes as those that were laid out."""
         return self._nodes is None or np.array_equal(self._nodes, terms.of_rays)
 
-    def renew(self, data: Array, terms: Terms, bent: Array) -> None:
+    def renew(self, data: Array, terms: Terms, bending: Array) -> None:
         """The same constants about other lines, in place; they depend on the same nodes as before. Strict form."""
-        values = self._variables.split(bent)
+        values = self._variables.split(bending)
         self._each(lambda share: self._fill_poses(share, data, terms, values, _NO_UNITS, False))
 
     def fill_scales(self, data: Array, starts: Array) -> None:
@@ -155,25 +155,25 @@ class RayConstants:
         rays, first = self._network.rays, 5 + (4 if self._model.angles == CAMERA else 3)
 
         def rescale(share: Share) -> None:
-            for j, mine in share.by(share.image):
-                image, axes, k = self._network.images[j], self._axes[j], share.ray[mine]
+            for j, chosen in share.by(share.image):
+                image, axes, k = self._network.images[j], self._axes[j], share.ray[chosen]
                 focal_length = image.interior.focal_length
                 pose = image.pose(rays.places[k, 0]).in_axes(axes)
                 detector = Detector(*image.interior.focal_plane(rays.places[k, 1])).in_axes(axes, focal_length)
                 scale = frozen_scale(pose, focal_length, starts[rays.point[k]], detector.slope)
-                put_scale(mine, share.at, share.stride, first, scale.reshape(-1, 4), data)
+                store_scale(chosen, share.at, share.stride, first, scale.reshape(-1, 4), data)
 
         self._each(rescale)
 
     @cached_property
     def _axes(self) -> list[Array | None]:
         """Of each image the axes of its pass (`Network.axes_of`)."""
-        strips = self._network.passes
-        found: list[Array | None] = [None] * len(self._network.images)
-        for strip in strips:
-            for j in strip.images.tolist():
-                found[j] = strip.axes_of(j)
-        return found
+        passes = self._network.passes
+        axes: list[Array | None] = [None] * len(self._network.images)
+        for pass_ in passes:
+            for j in pass_.images.tolist():
+                axes[j] = pass_.axes_of(j)
+        return axes
 
     @cached_property
     def _optics(self) -> Index:
@@ -187,45 +187,46 @@ class RayConstants:
     def _fill_detectors(self, share: Share, data: Array, weight: Array) -> None:
         rays, strict = self._network.rays, self._model.line == PREDICTED
         first = 3 + (4 if self._model.angles == CAMERA else 3)
-        for _, mine in share.by(self._optics[share.image]):
-            j = int(share.image[mine[0]])
+        for _, chosen in share.by(self._optics[share.image]):
+            j = int(share.image[chosen[0]])
             interior = self._network.images[j].interior
-            found = Detector(*interior.focal_plane(rays.places[share.ray[mine], 1]))
-            found = found.in_axes(self._axes[j], interior.focal_length)
-            put_detectors(
-                mine, share.ray, share.at, share.stride, share.place, rays.sigmas, first, strict, *found, data, weight
+            detector = Detector(*interior.focal_plane(rays.places[share.ray[chosen], 1]))
+            detector = detector.in_axes(self._axes[j], interior.focal_length)
+            store_detectors(
+                chosen, share.ray, share.at, share.stride, share.place, rays.sigmas, first, strict, *detector, data,
+                weight,
             )
 
     def _fill_poses(
-        self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, whole: bool
+        self, share: Share, data: Array, terms: Terms, values: Sequence[Array], units: Array, with_scale: bool
     ) -> None:
         several = len(self._looks)
-        for number, mine in share.by(share.image * several + self._of_look[0, share.ray]):
-            self._fill_image(*divmod(number, several), mine, share, data, terms, values, units, whole)
+        for number, chosen in share.by(share.image * several + self._of_look[0, share.ray]):
+            self._fill_image(*divmod(number, several), chosen, share, data, terms, values, units, with_scale)
 
     def _fill_image(
-        self, j: int, look: int, mine: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array],
-        units: Array, whole: bool,
+        self, j: int, look: int, chosen: Index, share: Share, data: Array, terms: Terms, values: Sequence[Array],
+        units: Array, with_scale: bool,
     ) -> None:  # fmt: skip
-        """Poses of the rays `mine` of an image, which have errors in common by as many factors."""
+        """Poses of the `chosen` rays of an image, which have errors in common by as many factors."""
         rays, model, axes, image = self._network.rays, self._model, self._axes[j], self._network.images[j]
-        k, predicted, focal_length = share.ray[mine], model.line == PREDICTED, image.interior.focal_length
+        k, predicted, focal_length = share.ray[chosen], model.line == PREDICTED, image.interior.focal_length
         lines, samples = terms.lines[k], rays.places[k, 1]
-        pose, nothing = image.pose(lines).in_axes(axes), np.empty((mine.size, 0))
+        pose, empty = image.pose(lines).in_axes(axes), np.empty((chosen.size, 0))
         angular_rate = angle_rates(pose, model.angles) if predicted and model.angles != CAMERA else pose.angular_rate
         if predicted:
             angular_rate = angular_rate + self.effects.turning(j, image.normalised(lines), values)
-        slope, scale = nothing, nothing
+        slope, scale = empty, empty
         if self.effects.bends(j):
             slope = self.effects.slopes(j, samples, values)
-        if whole and model.angles == OPK_PEER and not predicted:
+        if with_scale and model.angles == OPK_PEER and not predicted:
             detector = Detector(*image.interior.focal_plane(samples)).in_axes(axes, focal_length)
             scale = peer_scale(slope if slope.size else detector.slope)
         common = self._looks[look][self._of_look[1, k]]
         effects = self.effects.of_rays(j, image.normalised(lines), samples, common)
-        tail = [*terms.basis(j, lines, terms.of_rays[k], predicted), effects.reshape(mine.size, -1)]
-        put_poses(
-            mine, share.at, share.stride, model.angles, predicted,
+        tail = [*terms.basis(j, lines, terms.of_rays[k], predicted), effects.reshape(chosen.size, -1)]
+        store_poses(
+            chosen, share.at, share.stride, model.angles, predicted,
             (pose.position, pose.matrix, pose.velocity, angular_rate), focal_length, scale, slope,
             lines - rays.places[k, 0], np.hstack(tail), data, units,
         )  # fmt: skip
@@ -234,8 +235,8 @@ class RayConstants:
 def angle_rates(pose: Pose, angles: int) -> Array:
     """(k, 3) rates per line of omega, phi, kappa in the product M' = R3 R2 R1 (papers) or M = R3 R2 R1."""
     paper = angles == OPK_PAPER
-    found = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
-    chain = rotation.angle_axes(found, camera_to_body=paper)
+    turned = rotation.omega_phi_kappa(pose.matrix if paper else np.swapaxes(pose.matrix, 1, 2))
+    chain = rotation.angle_axes(turned, camera_to_body=paper)
     return np.asarray(np.linalg.solve(chain, pose.angular_rate[:, :, None])[:, :, 0])
 
 
@@ -251,8 +252,7 @@ def frozen_scale(pose: Pose, focal_length: float, points: Array, slope: Array) -
     """
     attitude, angular_rate = tuple(np.moveaxis(pose.matrix, 0, -1)), tuple(pose.angular_rate.T)
     ray = transform(attitude, tuple((points - pose.position).T))
-    of_ray = ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate)
-    motion = image_motion(ray, of_ray, focal_length)
+    motion = image_motion(ray, ray_motion(attitude, ray, tuple(pose.velocity.T), angular_rate), focal_length)
     return np.stack([np.stack(row, axis=1) for row in to_lines_and_samples(motion, tuple(slope.T))], axis=1)
 
 
@@ -262,10 +262,10 @@ make_equations_compilable()
 
 
 @cached_kernel
-def followed(lines, measured, residuals, among, kind, point, point_index, image, size, beyond, out, found):
+def followed(lines, measured, residuals, among, kind, point, point_index, image, size, beyond, out, predicted):
     """Predicted lines (k,) of rays, as residuals (t, 2) about `lines` (k,) have them, but for points that are `out` and
-    those that lie nowhere; at most a share `beyond` of an image's lines (`size` (m,)) before it or after it. How far
-    the farthest moves.
+    those without a place; at most a share `beyond` of an image's lines (`size` (m,)) before it or after it. Returned is
+    the largest change.
     """
     farthest = 0.0
     for k in range(lines.size):
@@ -273,14 +273,14 @@ def followed(lines, measured, residuals, among, kind, point, point_index, image,
         if kind[point_index[point[k]]] == out or not np.isfinite(line):
             line = lines[k]
         most = size[image[k]]
-        found[k] = min(max(line, -beyond * most), (1.0 + beyond) * most)
-        farthest = max(farthest, abs(found[k] - lines[k]))
+        predicted[k] = min(max(line, -beyond * most), (1.0 + beyond) * most)
+        farthest = max(farthest, abs(predicted[k] - lines[k]))
     return farthest
 
 
 @cached_kernel
 def places_of_rays(point, slot, point_index, piece_of, piece, among, ray):
-    """Place (k,) of each network ray among all t observations, and the way back: `ray` (t,), -1 for other ones."""
+    """Place (k,) of each network ray among all t observations, and the inverse: `ray` (t,), -1 for other ones."""
     ray[:] = -1
     for k in range(point.size):
         index = point_index[point[k]]
@@ -290,7 +290,7 @@ def places_of_rays(point, slot, point_index, piece_of, piece, among, ray):
 
 
 @cached_kernel
-def rays_inside(first, last, piece, before, observation, rays, image, ray, found, at, stride, place, of_image):
+def rays_inside(first, last, piece, before, observation, rays, image, ray, network_ray, at, stride, place, of_image):
     """The rays of the pieces first .. last - 1, their number returned.
 
     `observation` (q + 1,) is each pattern's first one, `rays` (q,) how many of them, the first ones, are image rays,
@@ -303,7 +303,7 @@ def rays_inside(first, last, piece, before, observation, rays, image, ray, found
         for s in range(rays[pattern]):
             for inside in range(size):
                 index = piece[p, 4] + s * size + inside
-                found[count], place[count] = ray[index], index
+                network_ray[count], place[count] = ray[index], index
                 at[count], stride[count] = piece[p, 3] + size * before[pattern, s] + inside, size
                 of_image[count] = image[observation[pattern] + s]
                 count += 1
@@ -312,7 +312,7 @@ def rays_inside(first, last, piece, before, observation, rays, image, ray, found
 
 @compiled
 def put(data, at, stride, values):
-    """Store the components of a tuple; where the next one goes."""
+    """Store the components of a tuple; return the index of the next one."""
     for value in values:
         data[at] = value
         at += stride
@@ -330,72 +330,72 @@ def rows_of(matrix):
 
 
 @compiled
-def put_look(attitude, data, at, stride, focal, units, c):
+def store_look(attitude, data, at, stride, focal, units, c):
     """The unit direction of a ray whose detector pixel is at `at` in the data."""
     look = transform(transpose(attitude), (data[at], data[at + stride], focal))
     units[c, 0], units[c, 1], units[c, 2] = scale(1.0 / np.sqrt(dot(look, look)), look)
 
 
 @cached_kernel
-def put_detectors(mine, ray, at, stride, place, sigmas, first, predicted, detector, slope, data, weight):
-    """Detector pixels (m, 2) of the rays `mine` (m,), component `first` of each, their slopes in the strict form, and
+def store_detectors(chosen, ray, at, stride, place, sigmas, first, predicted, detector, slope, data, weight):
+    """Detector pixels (m, 2) of the `chosen` rays (m,), component `first` of each, their slopes in the strict form, and
     the weights.
     """
-    for r in range(mine.size):
-        c = mine[r]
+    for r in range(chosen.size):
+        c = chosen[r]
         k, index = ray[c], place[c]
         weight[0, index], weight[1, index] = 1.0 / sigmas[k, 0], 1.0 / sigmas[k, 1]
-        there = at[c] + first * stride[c]
-        there = put(data, there, stride[c], (detector[r, 0], detector[r, 1]))
+        begin = at[c] + first * stride[c]
+        begin = put(data, begin, stride[c], (detector[r, 0], detector[r, 1]))
         if predicted:
-            put(data, there + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
+            put(data, begin + 6 * stride[c], stride[c], (slope[r, 0], slope[r, 1]))
 
 
 @cached_kernel
-def put_poses(mine, at, stride, angles, predicted, pose, focal, scales, slope, offset, tail, data, units):
-    """Constants of one image's rays `mine` (m,) that follow from their lines, in the order in which
+def store_poses(chosen, at, stride, angles, predicted, pose, focal, scales, slope, offset, tail, data, units):
+    """Constants of one image's `chosen` rays (m,) that follow from their lines, in the order in which
     `kernel.tile.load_observation` takes them.
 
     `pose` is (positions, matrices, velocities, angular rates or rates of the angles), `scales` (m, 4 or 0) S of the
-    measured-line form where it is known already, `slope` (m, 2 or 0) that of the detector line where it isn't there
-    yet, `offset` (m,) lines from the measured line, `tail` (m, c) what comes last: the line u of a polynomial, or
-    values and rates of nodes, then directions. `units` (r, 3) are filled with unit directions where there is room.
+    measured-line form where it is known already, `slope` (m, 2 or 0) that of the detector line where it isn't stored
+    yet, `offset` (m,) lines from the measured line, `tail` (m, c) the last values: the line u of a polynomial, or
+    values and rates of nodes, then directions. `units` (r, 3) are filled with unit directions unless empty.
     """
     position, matrix, velocity, angular_rate = pose
-    for r in range(mine.size):
-        c = mine[r]
+    for r in range(chosen.size):
+        c = chosen[r]
         step = stride[c]
-        there = put(data, at[c], step, vector(position, r))
+        begin = put(data, at[c], step, vector(position, r))
         attitude = rows_of(matrix[r])
         if angles == CAMERA:
-            there = put(data, there, step, matrix_quaternion(attitude))
+            begin = put(data, begin, step, matrix_quaternion(attitude))
         else:
-            there = put(data, there, step, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
+            begin = put(data, begin, step, opk_angles(transpose(attitude) if angles == OPK_PAPER else attitude))
         if units.shape[0] > 0:
-            put_look(attitude, data, there, step, focal, units, c)
-        there += 2 * step
+            store_look(attitude, data, begin, step, focal, units, c)
+        begin += 2 * step
         if predicted:
-            there = put(data, there, step, vector(velocity, r))
-            there = put(data, there, step, vector(angular_rate, r))
+            begin = put(data, begin, step, vector(velocity, r))
+            begin = put(data, begin, step, vector(angular_rate, r))
             for a in range(slope.shape[1]):
-                data[there + a * step] = slope[r, a]
-            data[there + 2 * step] = offset[r]
-            there += 3 * step
+                data[begin + a * step] = slope[r, a]
+            data[begin + 2 * step] = offset[r]
+            begin += 3 * step
         else:
             for a in range(scales.shape[1]):
-                data[there + a * step] = scales[r, a]
-            there += 4 * step
+                data[begin + a * step] = scales[r, a]
+            begin += 4 * step
         for a in range(tail.shape[1]):
-            data[there] = tail[r, a]
-            there += step
+            data[begin] = tail[r, a]
+            begin += step
 
 
 @cached_kernel
-def put_scale(mine, at, stride, first, values, data):
-    """The scale (m, 4) of the measured-line form, component `first` of each of the rays `mine` (m,)."""
-    for r in range(mine.size):
+def store_scale(chosen, at, stride, first, values, data):
+    """The scale (m, 4) of the measured-line form, component `first` of each of the `chosen` rays (m,)."""
+    for r in range(chosen.size):
         for a in range(4):
-            data[at[mine[r]] + (first + a) * stride[mine[r]]] = values[r, a]
+            data[at[chosen[r]] + (first + a) * stride[chosen[r]]] = values[r, a]
 
 
 @compiled
@@ -405,8 +405,8 @@ def origin_of(data, at, stride):
 
 
 @cached_kernel
-def crossings(first, last, piece, before, rays, point_order, data, units, wanted, positions, apart):
-    """Where the nominal rays of points cross, and how far apart they point.
+def crossings(first, last, piece, before, rays, point_order, data, units, wanted, positions, angles):
+    """Intersections of the nominal rays of points, and the angles between the rays.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ def crossings(first, last, piece, before, rays, point_order, data, units, wanted
         Points whose position is asked for.
     positions : (n, 3)
         m: filled for these, unless the rays are closer to parallel than 2e-7 rad or meet behind a camera.
-    apart : (n,)
+    angles : (n,)
         rad between the outermost rays, about: filled for all; zero for fewer than two.
     """
     begin = 0
@@ -440,13 +440,13 @@ def crossings(first, last, piece, before, rays, point_order, data, units, wanted
                 look = vector(units, begin + s * size + inside)
                 normal, right = add_ray(normal, right, subtract(centre, origin), look)
             weakest = least_eigenvalue(normal) / count if count >= 2 else 0.0
-            apart[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
+            angles[i] = 2.0 * np.arcsin(np.sqrt(min(max(weakest, 0.0), 1.0)))
             if wanted[i]:
-                found = solve_symmetric(normal, right)
+                point = solve_symmetric(normal, right)
                 usable = weakest > 1e-14
                 for s in range(count if usable else 0):  # rays that part meet behind their cameras
-                    ahead = subtract(add(found, origin), origin_of(data, start + size * before[pattern, s], size))
+                    ahead = subtract(add(point, origin), origin_of(data, start + size * before[pattern, s], size))
                     usable &= dot(ahead, vector(units, begin + s * size + inside)) > 0.0
                 for a in range(3):
-                    positions[i, a] = found[a] + origin[a] if usable else positions[i, a]
+                    positions[i, a] = point[a] + origin[a] if usable else positions[i, a]
         begin += count * size

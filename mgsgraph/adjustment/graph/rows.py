@@ -1,4 +1,4 @@
-"""What of an observation doesn't change during an adjustment, worked out once.
+"""Constants of the observations, computed once in an adjustment.
 
 Nominal pose at the measured line and its rates, basis values, the undistorted focal-plane coordinates, the a-priori
 positions and the axes along which shifts move them: the constants that the kernel reads, in the order in which it loads
@@ -41,32 +41,32 @@ from mgsgraph.network.effects import SharedEffects, common_lifts, known_motions
 from mgsgraph.network.parallel import parallel
 
 _SHARE = 0.25
-"""Of the memory, above which an array goes to a file: the rest of an adjustment takes about as much again."""
+"""Share of the memory above which an array goes to a file: the rest of an adjustment takes about as much again."""
 _GIGA = 1e9
 _LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
-"""Where Linux says how much memory a container may take: control groups of version 2 and 1."""
+"""Files in which Linux states a container's memory limit: control groups of version 2 and 1."""
 
 
 def memory() -> float:
     """Bytes that this machine has, or its container may take; infinite where the system doesn't say."""
     try:
-        found = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+        limit = float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):
-        found = float("inf")
+        limit = float("inf")
     for path in _LIMITS:
         try:
-            found = min(found, float(path.read_text(encoding="ascii")))  # "max" where there is no limit
+            limit = min(limit, float(path.read_text(encoding="ascii")))  # "max" where there is no limit
         except (OSError, ValueError):
             continue
-    return found
+    return limit
 
 
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """Where the long arrays of an adjustment go: memory, or a mapped file of its own where they would take much of it.
+    """Storage of the long arrays of an adjustment: memory, or a mapped file where they would take much of the memory.
 
-    Of mapped pages the system keeps in memory what there is room for, and reads the others when their turn comes: a
-    sweep takes the constants from the first to the last. The kernel sees an array like any other.
+    The system keeps mapped pages in memory as far as there is room, and reads the others when needed: a sweep takes the
+    constants from the first to the last. The kernel sees an array like any other.
     """
 
     most: float
@@ -74,7 +74,7 @@ class Storage:
 
     @classmethod
     def within(cls, memory_gb: float | None) -> "Storage":
-        """Storage of an adjustment that may take so much memory; all that there is when None."""
+        """Storage of an adjustment that may take so much memory; all of the machine's when None."""
         return cls(_SHARE * (memory() if memory_gb is None else _GIGA * memory_gb))
 
     def room(self, size: int) -> Array:
@@ -90,13 +90,13 @@ class Storage:
 
     def copied(self, values: Array) -> Array:
         """A copy of values (n,), in room of its own."""
-        found = self.room(values.size)
-        found[:] = values
-        return found
+        copy = self.room(values.size)
+        copy[:] = values
+        return copy
 
 
 def _in_file(needed: int) -> Array:
-    """An array of so many bytes in a file that nobody else sees, gone with the array."""
+    """An array of so many bytes in a private file that is deleted with the array."""
     try:
         with tempfile.TemporaryFile(prefix="mgsgraph-rows-") as file:
             if hasattr(os, "posix_fallocate"):  # a mapped page for which the disk has no room would end the process
@@ -105,9 +105,10 @@ def _in_file(needed: int) -> Array:
                 file.truncate(needed)
             return np.frombuffer(mmap.mmap(file.fileno(), needed), dtype=np.float64)
     except OSError as error:
-        found = f"no room for a file ({error.strerror or error})"
+        problem = f"no room for a file ({error.strerror or error})"
         expected = f"{needed / _GIGA:.1f} GB for the rows of the adjustment"
-        raise InputError(f"folder {tempfile.gettempdir()}", found, expected, "set TMPDIR to another folder") from error
+        where = f"folder {tempfile.gettempdir()}"
+        raise InputError(where, problem, expected, "set TMPDIR to another folder") from error
 
 
 _Component = TypeVar("_Component", int, Index)
@@ -115,7 +116,7 @@ _Component = TypeVar("_Component", int, Index)
 
 @dataclass(frozen=True, eq=False)
 class _Store:
-    """Where the constants of each point's observations go; n points in network order."""
+    """Place of the constants of each point's observations; n points in network order."""
 
     patterns: Patterns
     """Points by pattern."""
@@ -124,7 +125,7 @@ class _Store:
     piece: Index
     """(m, 5) as in Rows."""
     data: Array
-    """What is being filled."""
+    """The array that is filled."""
 
     def place(self, points: Index, slots: NDArray[np.integer[Any]]) -> tuple[Index, Index, Index]:
         """For the `slots`-th observations of network `points`: first index in `data`, step to the next component, and
@@ -145,10 +146,10 @@ class _Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservationRows:
-    """Where a network's rows are among all t observations."""
+    """Places of a network's rows among all t observations."""
 
     rays: NDArray[np.int32]
-    """(k,) of each network ray; a small number, for there are many."""
+    """(k,) of each network ray; int32, since there are many."""
     ranges: Index
     """(r,) of each network range."""
     heights: Index
@@ -166,25 +167,24 @@ def lay_out_rows(
     patterns: Patterns,
     slot: NDArray[np.int32],
     terms: Terms,
-    known: Array | None,
+    places: Array | None,
     like: tuple[Array, NDArray[np.int8]] | None,
     stereo: StereoRows | None,
-    bent: Array,
+    bending: Array,
     storage: Storage,
 ) -> tuple[ObservationRows, Rows, RayConstants]:
-    """Rows of a network in the kernel's order, where each is, and what renews those of image rays.
+    """Rows of a network in the kernel's order, their places, and the constants of image rays, which can be renewed.
 
-    `slot` (k,) is each ray's index among its point's observations, `known` (n, 3) positions at which to
-    begin; `like` starting positions (n, 3) and kinds (n,) to keep as they are, network order. `bent` (columns,) are the
-    shared unknowns with which the slopes of detector lines are those of adjusted interior orientations. `storage` is
-    where the constants go.
+    `slot` (k,) is each ray's index among its point's observations, `places` (n, 3) start positions; `like` start
+    positions (n, 3) and kinds (n,) to keep as they are, network order. `bending` (columns,) are the shared unknowns
+    with which the slopes of detector lines are those of adjusted interior orientations. `storage` holds the constants.
     """
     tables = _observation_tables(network, model, variables, patterns)
     store = _make_store(patterns, tables["observation_numbers"], storage)
     weight = np.zeros((2, int(store.piece[:, 2] @ np.diff(patterns.first)[store.piece[:, 0]])))
-    crossing = None if like else _begin_crossing(network, known)
+    crossing = None if like else _begin_crossing(network, places)
     rays = RayConstants(network, model, variables, patterns, slot, store.piece, store.before)
-    rays.fill(store.data, weight, terms, bent, crossing)
+    rays.fill(store.data, weight, terms, bending, crossing)
     ranges = _fill_ranges(network, store, terms, rays.effects, weight)
     _fill_ground(network, store, weight)
     starts, kinds = like or _starting_points(network, crossing)
@@ -229,12 +229,11 @@ def _make_store(patterns: Patterns, stored: Index, storage: Storage) -> _Store:
     first = patterns.piece_first[:-1]
     begins = [np.cumsum(counts) - counts for counts in (numbers, observations)]
     piece = np.stack([of_piece, first, size, *begins], axis=1)
-    data = storage.room(int(numbers.sum()))
-    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), data)
+    return _Store(patterns, before, np.ascontiguousarray(piece, dtype=np.int64), storage.room(int(numbers.sum())))
 
 
 def _observation_tables(network: Network, model: Model, variables: Variables, patterns: Patterns) -> dict[str, Any]:
-    """What the patterns' observations are, and how the unknowns act on them."""
+    """Kinds of the patterns' observations, and how the unknowns act on them."""
     focal = np.array([image.interior.focal_length for image in network.images] + [0.0])
     rate = np.array([image.normalised_rate for image in network.images] + [0.0])
     rays, polynomial = patterns.kind == IMAGE, (patterns.image >= 0) & (patterns.node < 0)
@@ -271,28 +270,28 @@ def _fill_ranges(network: Network, store: _Store, terms: Terms, effects: SharedE
     place, stride, among = store.place(ranges.point, store.patterns.range_slot)
     shares = np.zeros((ranges.point.size, 3)) if ranges.shares is None else ranges.shares
     store.put(place, stride, 3, shares)
-    known = np.nan_to_num(network.points.places[ranges.point])
-    store.put(place, stride, 6, ranges.values - np.einsum("ri,ri->r", shares, known))
+    positions = np.nan_to_num(network.points.places[ranges.point])
+    store.put(place, stride, 6, ranges.values - np.einsum("ri,ri->r", shares, positions))
     after = np.empty(ranges.point.size, dtype=np.int64)
-    for j, mine in enumerate(_by_image(ranges.image, len(network.images))):
-        if mine.size == 0:
+    for j, of_image in enumerate(_by_image(ranges.image, len(network.images))):
+        if of_image.size == 0:
             continue
         image = network.images[j]
-        since = ranges.times[mine] - image.trajectory.epoch
-        own, step, at = place[mine], stride[mine], 7
-        store.put(own, step, 0, image.trajectory.pose(since).position)
+        since = ranges.times[of_image] - image.trajectory.epoch
+        begin, step, at = place[of_image], stride[of_image], 7
+        store.put(begin, step, 0, image.trajectory.pose(since).position)
         lines = image.timing.lines(since)
-        for values in terms.basis(j, lines, terms.of_ranges[mine], False):
-            at = store.put(own, step, at, values)
-        moved = effects.of_ranges(j, image.normalised(lines), None if ranges.shares is None else shares[mine])
-        after[mine] = store.put(own, step, at, moved)
+        for values in terms.basis(j, lines, terms.of_ranges[of_image], False):
+            at = store.put(begin, step, at, values)
+        moved = effects.of_ranges(j, image.normalised(lines), None if ranges.shares is None else shares[of_image])
+        after[of_image] = store.put(begin, step, at, moved)
     for points, _, motion, on_ranges in known_motions(network) if ranges.shares is not None else ():
         if not on_ranges:
             index = np.searchsorted(points, ranges.point).clip(max=points.size - 1)
-            mine = np.flatnonzero(points[index] == ranges.point)
-            moved = np.zeros((mine.size, motion.shape[1], 4))
-            moved[:, :, 3] = np.einsum("rcj,rj->rc", motion[index[mine]], shares[mine])
-            after[mine] = store.put(place[mine], stride[mine], after[mine], moved)
+            moved_ranges = np.flatnonzero(points[index] == ranges.point)
+            moved = np.zeros((moved_ranges.size, motion.shape[1], 4))
+            moved[:, :, 3] = np.einsum("rcj,rj->rc", motion[index[moved_ranges]], shares[moved_ranges])
+            after[moved_ranges] = store.put(place[moved_ranges], stride[moved_ranges], after[moved_ranges], moved)
     weight[0, among] = 1.0 / ranges.sigmas
     return among
 
@@ -303,20 +302,20 @@ def _observations_before(network: Network) -> Index:
 
 
 def _fill_ground(network: Network, store: _Store, weight: Array) -> None:
-    """A-priori positions: upper triangular square root U of their information, |U (P - P0)|^2, and where shifts go."""
-    known = np.flatnonzero(network.points.kinds == PointKind.CONSTRAINED)
-    if known.size == 0:
+    """A-priori positions: upper triangular square root U of their information, |U (P - P0)|^2, and shifts on them."""
+    with_prior = np.flatnonzero(network.points.kinds == PointKind.CONSTRAINED)
+    if with_prior.size == 0:
         return
-    information = np.linalg.solve(network.points.covariances[known], np.eye(3))
+    information = np.linalg.solve(network.points.covariances[with_prior], np.eye(3))
     root = np.swapaxes(np.linalg.cholesky(0.5 * (information + np.swapaxes(information, 1, 2))), 1, 2)
-    place, stride, among = store.place(known, _observations_before(network)[known])
-    store.put(place, stride, 0, network.points.places[known])
+    place, stride, among = store.place(with_prior, _observations_before(network)[with_prior])
+    store.put(place, stride, 0, network.points.places[with_prior])
     store.put(place, stride, 3, root[:, *np.triu_indices(3)])
     weight[0, among] = 1.0
-    after = np.full(known.size, 9)
+    after = np.full(with_prior.size, 9)
     for points, _, motion, _ in known_motions(network):
-        mine = np.searchsorted(known, points)
-        after[mine] = store.put(place[mine], stride[mine], after[mine], motion)
+        members = np.searchsorted(with_prior, points)
+        after[members] = store.put(place[members], stride[members], after[members], motion)
 
 
 def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array) -> tuple[Index, Index]:
@@ -326,15 +325,15 @@ def _fill_surface(network: Network, store: _Store, starts: Array, weight: Array)
     """
     if network.surface is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    mine = np.flatnonzero(np.isfinite(network.surface.sigmas))
+    on_surface = np.flatnonzero(np.isfinite(network.surface.sigmas))
     slots = _observations_before(network) + (network.points.kinds == PointKind.CONSTRAINED)
-    place, stride, among = store.place(mine, slots[mine])
-    weight[0, among] = 1.0 / network.surface.sigmas[mine]
-    moved = store.put(place, stride, 0, network.surface.directions(starts[mine]))
+    place, stride, among = store.place(on_surface, slots[on_surface])
+    weight[0, among] = 1.0 / network.surface.sigmas[on_surface]
+    moved = store.put(place, stride, 0, network.surface.directions(starts[on_surface]))
     for members, motion in common_lifts(network, starts):
-        at = np.searchsorted(mine, members)
+        at = np.searchsorted(on_surface, members)
         store.put(place[at], stride[at], moved, motion)
-    return among, mine
+    return among, on_surface
 
 
 def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, weight: Array) -> Index:
@@ -355,20 +354,20 @@ def _fill_stereo(network: Network, store: _Store, stereo: StereoRows | None, wei
     return among
 
 
-def _begin_crossing(network: Network, known: Array | None) -> Crossing:
-    """Which points begin where their nominal rays cross: free ones of which nothing else is `known` (n, 3)."""
+def _begin_crossing(network: Network, places: Array | None) -> Crossing:
+    """Points that start at the intersection of their nominal rays: free ones without a position in `places` (n, 3)."""
     starts = network.points.places.copy()
-    there = np.zeros(starts.shape[0], dtype=bool)
-    if known is not None:
-        there = np.all(np.isfinite(known), axis=1)
-        starts[there] = known[there]
-    free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~there
+    given = np.zeros(starts.shape[0], dtype=bool)
+    if places is not None:
+        given = np.all(np.isfinite(places), axis=1)
+        starts[given] = places[given]
+    free = (network.points.kinds == PointKind.FREE) & ~network.undetermined & ~given
     return Crossing(free, starts, np.zeros(free.size))
 
 
 def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array, NDArray[np.int8]]:
-    """(n, 3) m: where each point's inner solve begins: where it is known to be, its a-priori place, or the intersection
-    of its nominal rays; and (n,) what each point is.
+    """(n, 3) m, start of each point's inner solve: its known position, its a-priori place, or the intersection of its
+    nominal rays; and (n,) the kind of each point.
     """
     assert crossing is not None
     free, starts, angles = crossing
@@ -382,7 +381,7 @@ def _starting_points(network: Network, crossing: Crossing | None) -> tuple[Array
 
 
 def _start_on_the_ground(network: Network, missing: Index, starts: Array) -> None:
-    """Where nothing else says where a point is (parallel rays): where its first ray meets the ellipsoid."""
+    """Start points without another position (parallel rays) where their first ray meets the ellipsoid."""
     with_rays, first = np.unique(network.rays.point, return_index=True)
     for i in missing:
         k = first[np.searchsorted(with_rays, i)]

@@ -1,7 +1,8 @@
-"""The unknowns that points share, in the order of the columns of one vector; what is known of them without any point.
+"""The unknowns that points share, in the order of the columns of one vector, and their priors.
 
-That is whitened rows: of most each by itself, about zero, of a strip's orientation images together (`network.passes`),
-and of laser profiles that cross (`network.crossovers`). And their directions in the states of the observations.
+Priors are whitened rows: of most unknowns each by itself, about zero; jointly of a pass's orientation images
+(`network.passes`), and of laser profiles that cross (`network.crossovers`). And the directions of the unknowns in the
+states of the observations.
 """
 
 from collections.abc import Sequence
@@ -25,11 +26,11 @@ from mgsgraph.network.effects import crossover_rows, footprint_motion
 @dataclass(frozen=True, slots=True, eq=False)
 class Variables:
     """Unknowns that points share: orientation coefficients of images, horizontal shifts of profiles, shift and tilt of
-    the terrain model, those of `Network.shared`, orientation images of strips, and factors of errors in common.
+    the terrain model, those of `Network.shared`, orientation images of passes, and factors of errors in common.
 
     Variable j is image j, variable `images` + p is profile p, after the profiles may come the terrain model, and then
-    come the shared unknowns; then, strip by strip, its nodes and its trend; then the groups of errors in common. An
-    image that is held, or of a strip, has no columns.
+    come the shared unknowns; then, pass by pass, its nodes and its trend; then the groups of errors in common. An image
+    that is held, or of a pass, has no columns.
     """
 
     images: int
@@ -88,23 +89,23 @@ def make_variables(network: Network) -> Variables:
     angular += [np.array([term.unit == "rad" for term in terms]) for terms in network.shift_terms]
     sigmas += [shared.sigmas for shared in network.shared]
     angular += [np.full(shared.kind.width, shared.kind.unit == "rad") for shared in network.shared]
-    sigmas += [part for strip in network.passes for part in strip.sigmas]
-    angular += [part for strip in network.passes for part in strip.angular]
+    sigmas += [part for pass_ in network.passes for part in pass_.sigmas]
+    angular += [part for pass_ in network.passes for part in pass_.angular]
     considered = [np.zeros(prior.sigmas.size, dtype=bool) for prior in network.priors]
     for name, terms in zip(network.shift_names, network.shift_terms, strict=True):  # heights and tilts are estimated
         considered.append(np.array([term.horizontal and name in network.considered for term in terms]))
     considered += [np.full(shared.kind.width, shared.name in network.considered) for shared in network.shared]
-    considered += [np.zeros(part.size, dtype=bool) for strip in network.passes for part in strip.sigmas]
+    considered += [np.zeros(part.size, dtype=bool) for pass_ in network.passes for part in pass_.sigmas]
     factors = network.widths[len(sigmas) :]
     sigmas += [np.ones(size) for size in factors]
-    for known in (angular, considered):
-        known += [np.zeros(size, dtype=bool) for size in factors]
+    for flags in (angular, considered):
+        flags += [np.zeros(size, dtype=bool) for size in factors]
     width = np.array([part.size for part in sigmas], dtype=np.int64)
     adjusted = np.concatenate([network.with_polynomial, np.ones(len(sigmas) - len(network.images), dtype=bool)])
     first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
     columns = np.repeat(adjusted, width)
-    every = (np.concatenate(part)[columns] for part in (sigmas, angular, considered))
-    return Variables(len(network.images), first, width, *every)
+    columns_of_all = (np.concatenate(part)[columns] for part in (sigmas, angular, considered))
+    return Variables(len(network.images), first, width, *columns_of_all)
 
 
 class PriorFactor(NamedTuple):
@@ -115,7 +116,7 @@ class PriorFactor(NamedTuple):
     blocks: tuple[Array, ...]
     """Of each a matrix (rows, width)."""
     about: Index
-    """(rows,) column of the shared unknowns that each row is chiefly about."""
+    """(rows,) column of the main shared unknown of each row."""
     target: Array
     """(rows,) zero for orientation images."""
 
@@ -127,21 +128,21 @@ class Prior:
     columns: int
     """Number of shared unknowns."""
     weights: Array
-    """(columns,) 1/m and 1/rad of unknowns that are known each by itself; 0 of strips', and where nothing is known."""
+    """(columns,) 1/m and 1/rad of unknowns with a prior of their own; 0 for those of passes, and without a prior."""
     factors: tuple[PriorFactor, ...]
     """On the unknowns of passes, those of the user's own, then those of crossovers, one row each."""
     first: Index
     """(v,) first column of each variable."""
     considered: tuple[int, ...] = ()
-    """Variables with considered columns: they get a joint covariance, whatever the observations say."""
+    """Variables with considered columns: they always get a joint covariance."""
     crossovers: int = 0
     """Rows at the end that are crossovers."""
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """Pairs of variables, first < second, that some factor joins."""
+        """Pairs of variables, first < second, that some factor connects."""
         members = [*(factor.variables for factor in self.factors), self.considered]
-        return sorted({(v, w) for mine in members for k, v in enumerate(mine) for w in mine[k + 1 :]})
+        return sorted({(v, w) for joined in members for k, v in enumerate(joined) for w in joined[k + 1 :]})
 
     @cached_property
     def root(self) -> "csr_array":
@@ -160,13 +161,14 @@ class Prior:
         return coo_array(entries, shape=(count, self.columns)).tocsr()
 
     @cached_property
-    def every(self) -> "csr_array":
-        """(rows, columns) of all rows: those of unknowns known each by itself, then the factors'."""
+    def design(self) -> "csr_array":
+        """(rows, columns) of all rows: priors of single unknowns, then the factors'."""
         from scipy.sparse import csr_array, vstack  # slow to import
 
-        known = np.flatnonzero(self.weights)
-        own = csr_array((self.weights[known], (np.arange(known.size), known)), shape=(known.size, self.columns))
-        return csr_array(vstack([own, self.root]))
+        with_prior = np.flatnonzero(self.weights)
+        count = with_prior.size
+        single = csr_array((self.weights[with_prior], (np.arange(count), with_prior)), shape=(count, self.columns))
+        return csr_array(vstack([single, self.root]))
 
     @cached_property
     def about(self) -> Index:
@@ -189,8 +191,8 @@ class Prior:
         from scipy.sparse import coo_array  # slow to import
         from scipy.sparse.csgraph import connected_components
 
-        one, other = np.array(self.pairs, dtype=np.int64).reshape(-1, 2).T
-        links = coo_array((np.ones(one.size), (one, other)), (self.first.size, self.first.size))
+        first, second = np.array(self.pairs, dtype=np.int64).reshape(-1, 2).T
+        links = coo_array((np.ones(first.size), (first, second)), (self.first.size, self.first.size))
         return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
 
     @property
@@ -200,8 +202,8 @@ class Prior:
 
     def residuals(self, values: Array) -> Array:
         """(columns + rows of factors,) whitened, of all unknowns (columns,); zero where nothing is known."""
-        own = values * self.weights
-        return np.append(own, self.root @ values - self.target) if self.factors else own
+        single = values * self.weights
+        return np.append(single, self.root @ values - self.target) if self.factors else single
 
     def cost(self, values: Array) -> float:
         """Of all unknowns (columns,)."""
@@ -210,13 +212,13 @@ class Prior:
 
     def gradient(self, values: Array) -> Array:
         """(columns,) per m and rad."""
-        own = values * self.weights**2
-        return own + self.root.T @ (self.root @ values - self.target) if self.factors else own
+        single = values * self.weights**2
+        return single + self.root.T @ (self.root @ values - self.target) if self.factors else single
 
     def normal(self) -> Array:
         """(columns, columns) of all rows; for small networks."""
-        own = np.diag(self.weights**2)
-        return own + (self.root.T @ self.root).toarray() if self.factors else own
+        single = np.diag(self.weights**2)
+        return single + (self.root.T @ self.root).toarray() if self.factors else single
 
     def whitening(self, scales: Array) -> "csr_array | None":
         """(rows, columns) square root of all this information on unknowns in units of `scales` (columns,), of order one
@@ -226,29 +228,28 @@ class Prior:
 
         if not self.factors:
             return None
-        known = self.every @ diags_array(scales)
-        unknown = np.flatnonzero(np.asarray(abs(known).sum(axis=0)).ravel() == 0.0)
+        rows = self.design @ diags_array(scales)
+        unknown = np.flatnonzero(np.asarray(abs(rows).sum(axis=0)).ravel() == 0.0)
         ones = csr_array((np.ones(unknown.size), (np.arange(unknown.size), unknown)), (unknown.size, self.columns))
-        return csr_array(vstack([known, ones]))
+        return csr_array(vstack([rows, ones]))
 
 
 def make_prior(network: Network, variables: Variables) -> Prior:
     """Of a network."""
     weights = 1.0 / variables.prior_sigmas
     factors = list[PriorFactor]()
-    for strip, first in network.numbered_passes:
-        weights[variables.columns_from(first, strip.widths.size)] = 0.0
-        for unknowns, blocks, about in strip.prior.factors(strip.nodes):
+    for pass_, first in network.numbered_passes:
+        weights[variables.columns_from(first, pass_.widths.size)] = 0.0
+        for unknowns, blocks, about in pass_.prior.factors(pass_.nodes):
             columns = variables.first[first + about[:, 0]] + about[:, 1]
-            joined = tuple(first + k for k in unknowns)
-            factors.append(PriorFactor(joined, blocks, columns, np.zeros(columns.size)))
+            factors.append(PriorFactor(tuple(first + k for k in unknowns), blocks, columns, np.zeros(columns.size)))
     for link in network.common_links:
         about = np.arange(weights.size)[variables.columns_of(link.variables[-1])]
         weights[about] = 0.0
         factors.append(PriorFactor(link.variables, link.blocks, about, link.target))
-    for own in network.linear:
-        about = np.repeat(variables.first[own.variables[0]], own.target.size)
-        factors.append(PriorFactor(own.variables, own.blocks, about, own.target))
+    for linear in network.linear:
+        about = np.repeat(variables.first[linear.variables[0]], linear.target.size)
+        factors.append(PriorFactor(linear.variables, linear.blocks, about, linear.target))
     of_crossovers = [
         PriorFactor(row.variables, row.blocks, variables.first[list(row.variables[:1])], row.target)
         for row in crossover_rows(network)
@@ -291,12 +292,12 @@ def shift_values(network: Network, variables: Variables, orientation: Array) -> 
 def pass_values(
     network: Network, variables: Variables, orientation: Array
 ) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Of each strip its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
+    """Of each pass its nodes (k, 6) and its trend (w,), in the vector (columns,) of all that points share."""
     nodes, trends = list[Array](), list[Array]()
-    for strip, first in network.numbered_passes:
-        own = variables.columns_from(first, len(strip.nodes))
-        nodes.append(orientation[own].reshape(-1, 6))
-        trends.append(orientation[own.stop : own.stop + strip.prior.trend_sigmas.size])
+    for pass_, first in network.numbered_passes:
+        columns = variables.columns_from(first, len(pass_.nodes))
+        nodes.append(orientation[columns].reshape(-1, 6))
+        trends.append(orientation[columns.stop : columns.stop + pass_.prior.trend_sigmas.size])
     return tuple(nodes), tuple(trends)
 
 

@@ -1,16 +1,16 @@
 """The Bayes tree of iSAM2 over the shared unknowns: reduced systems go in and out, estimates and covariances come out.
 
 Kaess, Johannsson, Roberts, Ila, Leonard & Dellaert, "iSAM2" (2012). Every factor is quadratic, so the tree is iSAM2's
-incremental elimination and nothing else; what is not linear is mended by taking a bundle's system out and putting in
-one that was made at the present values (`incremental`). Unknowns are held in units of their a-priori sigmas: numbers of
-order one, for which the wildfire threshold means the same everywhere.
+incremental elimination and nothing else; for nonlinearity a bundle's system is replaced by one made at the present
+values (`incremental`). Unknowns are in units of their a-priori sigmas: numbers of order one, for which the wildfire
+threshold means the same everywhere.
 
-The tree is eliminated by Cholesky's method as long as GTSAM takes it, and from then on by QR, which takes seven times
+The tree is eliminated by Cholesky's method as long as GTSAM accepts it, and from then on by QR, which takes seven times
 as long and more memory on a block of images. GTSAM's Cholesky refuses a pivot below 2^-24 of the diagonal that it
-began with (measured, 4.3): hundreds of ties good to a tenth of a pixel bring that about under priors of some hundred
-metres, though the priors themselves keep every direction determined. Where it doesn't refuse, no more than 24 of 53
-bits are lost: 1e-8 of a sigma. QR has no such limit. It needs the rows: what GTSAM makes of quadratic factors itself is
-Cholesky's again.
+began with (measured, 4.3): hundreds of ties good to a tenth of a pixel cause such pivots under priors of some hundred
+meters, though the priors themselves keep every direction determined. Where it doesn't refuse, no more than 24 of 53
+bits are lost: 1e-8 of a sigma. QR has no such limit. It needs the rows: GTSAM's own rows of quadratic factors come from
+Cholesky's method again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -26,14 +26,13 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network.parts import Members, Unknown
 
 _WILDFIRE = 1e-7
-"""A-priori sigmas: changes smaller than this are not handed on (a thousandth of what is promised where the posterior
-is a thousand times sharper than the prior)."""
+"""A-priori sigmas: smaller changes are not passed on (1e-4 posterior sigmas where the posterior is a thousand times
+sharper than the prior)."""
 
 
 _ROUNDING = tuple(10.0**k for k in range(-15, -7))
-"""Shares of a system's largest curvature that rounding may have put wrong, and taken below zero: the least one that
-makes Cholesky's method go through is added. How much that is depends on how much of the rows the points have taken:
-1e-15 to 1e-10."""
+"""Shares of a system's largest curvature by which rounding may have made others negative: the least one with which
+Cholesky's method succeeds is added. It depends on how much of the rows the points absorb: 1e-15 to 1e-10."""
 _CORNER = 1e200
 """In place of the cost where only the gradient's row of the factor is wanted: no pivot runs out there."""
 
@@ -83,16 +82,16 @@ def square_root(block: Array, right: Array, cost: float, sigmas: Array) -> tuple
 
 @contextmanager
 def _solvable(what: str) -> Iterator[None]:
-    """GTSAM's errors as SolverErrors that say what it can't do."""
+    """Turn GTSAM's errors into SolverErrors that say what failed."""
     try:
         yield
     except RuntimeError as error:
-        said = " ".join(str(error).split())[:100] or "not positive definite"
+        message = " ".join(str(error).split())[:100] or "not positive definite"
         remedy = "look for sigmas that differ by many orders of magnitude, or adjust by batch"
-        raise SolverError(f"iSAM2 can't {what} ({said}); {remedy}") from error
+        raise SolverError(f"iSAM2 can't {what} ({message}); {remedy}") from error
 
 
-TOGETHER = ("node", "trend")
+JOINT_PRIORS = ("node", "trend")
 """Kinds of unknowns with joint priors: those of passes."""
 
 
@@ -111,7 +110,7 @@ class PriorRows:
 
 
 _Owner = Unknown | Members | PriorRows
-"""Whose a factor is: the prior of an unknown, the reduced system of a bundle, what is known of some unknowns."""
+"""What a factor belongs to: the prior of an unknown, the reduced system of a bundle, prior rows of some unknowns."""
 
 
 class Tree:
@@ -133,27 +132,28 @@ class Tree:
         self,
         new: Mapping[Unknown, Array] | None = None,
         systems: Mapping[Members, ReducedSystem] | None = None,
-        gone: Iterable[Members] = (),
+        replaced: Iterable[Members] = (),
         dropped: Iterable[Unknown] = (),
         rows: Iterable[PriorRows] | None = None,
     ) -> None:
-        """Put unknowns (with a-priori sigmas (d,)) and systems in, take others out; a system whose members are there
-        replaces the one that was. `rows` are all priors of the unknowns of passes, whose sigmas are
-        mere units; None leaves them as they are.
+        """Add unknowns (with a-priori sigmas (d,)) and systems, remove others; a system replaces the one of the same
+        members. `rows` are all priors of the unknowns of passes, whose sigmas are units only; None leaves them as they
+        are.
 
-        Raises SolverError when the sum can't be eliminated; the tree is of no use after that.
+        Raises SolverError when the sum can't be eliminated; discard the tree then.
         """
         new, systems, dropped = dict(new or {}), dict(systems or {}), list(dropped)
-        known = [one for one in self._slots if isinstance(one, PriorRows)]
-        kept = known if rows is None else list(dict.fromkeys(rows))
-        leaving: list[_Owner] = [one for one in {*gone, *systems} if one in self._slots]
+        present = [prior for prior in self._slots if isinstance(prior, PriorRows)]
+        wanted = present if rows is None else list(dict.fromkeys(rows))
+        leaving: list[_Owner] = [owner for owner in {*replaced, *systems} if owner in self._slots]
         leaving += [unknown for unknown in dropped if unknown in self._slots]
-        leaving += [one for one in known if one not in kept]
+        leaving += [prior for prior in present if prior not in wanted]
         for unknown, sigmas in new.items():
             self._keys[unknown], self._scale[unknown] = self._next, sigmas
             self._next += 1
         with _solvable("eliminate the change"):
-            self._replace(leaving, self._factors_of(new, [one for one in kept if one not in self._slots], systems), new)
+            added = [prior for prior in wanted if prior not in self._slots]
+            self._replace(leaving, self._factors_of(new, added, systems), new)
         for unknown in dropped:
             del self._keys[unknown], self._scale[unknown]
             self._taken.pop(unknown, None)
@@ -161,21 +161,21 @@ class Tree:
     def _factors_of(
         self, new: Iterable[Unknown], rows: Iterable[PriorRows], systems: Mapping[Members, ReducedSystem]
     ) -> dict[_Owner, gtsam.NonlinearFactor]:
-        """Factors of unknowns that are known by themselves, of rows on several, and of reduced systems."""
-        found = dict[_Owner, gtsam.NonlinearFactor]()
+        """Factors of priors of single unknowns, of prior rows on several, and of reduced systems."""
+        factors = dict[_Owner, gtsam.NonlinearFactor]()
         for unknown in new:
-            if unknown.kind not in TOGETHER:
+            if unknown.kind not in JOINT_PRIORS:
                 size = self._scale[unknown].size
                 unit = gtsam.noiseModel.Unit.Create(size)
-                found[unknown] = gtsam.PriorFactorVector(self._keys[unknown], np.zeros(size), unit)
-        for one in rows:
-            found[one] = self._linear(one.unknowns, one.whitened, np.zeros(one.whitened[0].shape[0]))
-        return found | {members: self._factor(system) for members, system in systems.items()}
+                factors[unknown] = gtsam.PriorFactorVector(self._keys[unknown], np.zeros(size), unit)
+        for prior in rows:
+            factors[prior] = self._linear(prior.unknowns, prior.whitened, np.zeros(prior.whitened[0].shape[0]))
+        return factors | {members: self._factor(system) for members, system in systems.items()}
 
     def _replace(
         self, leaving: Sequence[_Owner], coming: Mapping[_Owner, gtsam.NonlinearFactor], new: Iterable[Unknown]
     ) -> None:
-        """Factors in the place of others, on new unknowns, too; the whole tree by QR where Cholesky's method fails."""
+        """Replace factors, also on new unknowns; the whole tree by QR where Cholesky's method fails."""
         removed = [self._slots.pop(owner) for owner in leaving]
         for owner in leaving:
             del self._factors[owner]
@@ -197,8 +197,8 @@ class Tree:
             values.insert(self._keys[unknown], np.zeros(self._scale[unknown].size))
         for factor in coming.values():
             factors.add(factor)
-        found = self._isam.update(factors, values, removed).getNewFactorsIndices()
-        self._slots |= {owner: int(slot) for owner, slot in zip(coming, found, strict=True)}
+        slots = self._isam.update(factors, values, removed).getNewFactorsIndices()
+        self._slots |= {owner: int(slot) for owner, slot in zip(coming, slots, strict=True)}
 
     def _factor(self, system: ReducedSystem) -> gtsam.LinearContainerFactor:
         """A reduced system as GTSAM factor on whitened unknowns: rows (A, b) with the error |A x - b|^2 / 2."""
@@ -223,15 +223,15 @@ class Tree:
     def moved(self) -> dict[Unknown, Array]:
         """Present values, m and rad, of the unknowns that have moved since the last call, and of new ones."""
         with _solvable("solve"):
-            estimate, found = self._isam.calculateEstimate(), dict[Unknown, Array]()
+            estimate, changed = self._isam.calculateEstimate(), dict[Unknown, Array]()
         for size, names in self._by_size().items():
             # many unknowns, of which few have moved: compared all at once
             now = np.array([estimate.atVector(self._keys[name]) for name in names]).reshape(len(names), size)
             before = np.array([self._taken.get(name, _undefined(size)) for name in names]).reshape(now.shape)
             for k in np.flatnonzero(np.any(now != before, axis=1)).tolist():
                 self._taken[names[k]] = now[k]
-                found[names[k]] = now[k] * self._scale[names[k]]
-        return found
+                changed[names[k]] = now[k] * self._scale[names[k]]
+        return changed
 
     def _by_size(self) -> dict[int, list[Unknown]]:
         groups = dict[int, list[Unknown]]()
@@ -245,7 +245,7 @@ class Tree:
         if len(keys) == 1:
             return np.asarray(self._isam.marginalCovariance(keys[0]) * scale[:, None] * scale)
         joint = self._isam.jointMarginalCovariance(keys)
-        blocks = np.block([[joint.at(one, other) for other in keys] for one in keys])
+        blocks = np.block([[joint.at(first, second) for second in keys] for first in keys])
         return np.asarray(blocks * scale[:, None] * scale)
 
 

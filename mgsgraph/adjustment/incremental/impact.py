@@ -1,4 +1,4 @@
-"""What a change has done: which images and points moved, by how much and by how many of their sigmas."""
+"""The effect of a change: which images and points moved, by how much and by how many of their sigmas."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -91,7 +91,7 @@ class Impact(Record):
     unconnected: tuple[str, ...]
     """Images added that share no points with any other."""
     lost: tuple[str, ...]
-    """Points that no image sees any longer, and that have gone with the one removed."""
+    """Points that no image sees any longer, removed with the image."""
     undetermined: tuple[str, ...]
     """Points that had a place, and have too few rays left."""
     updates: int
@@ -117,51 +117,51 @@ class Impact(Record):
     @property
     def sentences(self) -> list[str]:
         """The main results, in sentences."""
-        said = list[str]()
+        lines = list[str]()
         if self.unconnected:
             names = ", ".join(self.unconnected)
-            said.append(f"Unconnected: {names}. No point is shared with another image; tie points would join it.")
+            lines.append(f"Unconnected: {names}. No point is shared with another image; tie points would join it.")
         if self.neighbours:
             most = sorted(self.neighbours.items(), key=lambda pair: -pair[1])[:5]
-            said.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
-        said += [*self._of_images(), *self._of_points()]
+            lines.append("Shared points: " + ", ".join(f"{count} with {name}" for name, count in most) + ".")
+        lines += [*self._of_images(), *self._of_points()]
         if self.undetermined:
-            said.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
+            lines.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
         if self.lost:
             which = " that no other image saw" if self.subjects else ""
-            said.append(f"{many(len(self.lost), 'point')}{which}: gone.")
-        return [*said, *([] if self.converged else ["It did not converge; solve the project."])]
+            lines.append(f"{many(len(self.lost), 'point')}{which}: removed.")
+        return [*lines, *([] if self.converged else ["It did not converge; solve the project."])]
 
     def _of_images(self) -> list[str]:
         images, old = self.images, ~self.images.new
-        said = [
+        lines = [
             f"{images.names[k]} lies {images.in_sigmas[k]:.2g} of its a-priori sigmas from where it was thought to be: "
             "look whether file, name and measures belong together."
             for k in np.flatnonzero(~old & (images.in_sigmas > _FAR)).tolist()
         ]
         if not np.any(old):
-            return said
+            return lines
         k = int(np.argmax(np.where(old, self.images.in_sigmas, -1.0)))
         alone, nodes = (int(np.count_nonzero(old & which)) for which in (~images.nodes, images.nodes))
         counts = [*([many(alone, "image")] if alone else []), *([many(nodes, "orientation image")] if nodes else [])]
         return [
-            *said,
+            *lines,
             f"{' and '.join(counts)} reached; most moved is {self.images.names[k]}: "
             f"{self.images.in_sigmas[k]:.2g} of its sigmas, {self.images.on_ground[k]:.3g} m on the ground."
         ]
 
     def _of_points(self) -> list[str]:
-        said, points, moved = list[str](), self.points, ~self.points.new
+        lines, points, moved = list[str](), self.points, ~self.points.new
         if np.any(moved):
             k = int(np.nanargmax(np.where(moved, points.in_sigmas, -1.0)))
-            said.append(
+            lines.append(
                 f"{many(int(np.count_nonzero(moved)), 'point')} moved by more than {NOTICEABLE} of a sigma; most "
                 f"of all {points.ids[k]}: {np.linalg.norm(points.moves[k]):.3g} m, {points.in_sigmas[k]:.2g} sigmas."
             )
         if np.any(points.new):
             mean = ", ".join(f"{value:.3g}" for value in np.nanmean(points.sigmas_after[points.new], axis=0))
-            said.append(f"{many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
-        return said
+            lines.append(f"{many(int(np.count_nonzero(points.new)), 'new point')}; mean sigmas x, y, z {mean} m.")
+        return lines
 
     def table(self) -> Table:
         """The images reached, new ones first, then the most moved; for the terminal and for notebooks."""
@@ -171,7 +171,7 @@ class Impact(Record):
         def column(name: str, values: Array, unit: str, width: int = 9) -> Column:
             return Column(name, values, unit, page=".3g", text=f">{width}.3g", gap=2)
 
-        found = Table("images", "Images reached", (
+        reached = Table("images", "Images reached", (
             Column("image", images.names, page="s", text=f"<{_NAME}"),
             Column("moved", moved, "sigmas", page="s", text=">8", gap=2),
             column("position", np.linalg.norm(images.moves[:, :3], axis=1), "m"),
@@ -180,7 +180,7 @@ class Impact(Record):
             column("sigma before", np.where(images.new, np.nan, images.ground_before), "m", 13),
             column("after", images.ground_after, "m"),
         ))  # fmt: skip
-        return found.take(np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable"))
+        return reached.take(np.argsort(-np.where(images.new, np.inf, images.in_sigmas), kind="stable"))
 
     def points_table(self) -> Table:
         """Every point that moved, or that is new; for the terminal also the root of the trace of the covariances."""
@@ -222,7 +222,7 @@ def impact(
     before: Mapping[Unknown, Shared],
     after: Mapping[Unknown, Shared],
 ) -> Impact:
-    """Put the record of a change together.
+    """Make the record of a change.
 
     Parameters
     ----------
@@ -235,22 +235,22 @@ def impact(
     before, after : mapping
         Shared unknowns.
     """
-    kept = settled.bundles
-    was, apart = _as_they_were(old, kept)
+    bundles = settled.bundles
+    was, replaced = _as_they_were(old, bundles)
     reached = {unknown for members in settled.reached for unknown in members} | set(after) - set(before)
     moving = sorted(u for u in reached if u.kind in ("image", "node") and u in after)
-    now = {name for one in kept.values() for name in one.network.points.ids}
+    now = {name for bundle in bundles.values() for name in bundle.network.points.ids}
     adding = verb == "add"
-    neighbours, linked = _neighbours(subjects, kept)
+    neighbours, linked = _neighbours(subjects, bundles)
     return Impact(
         verb,
         tuple(subjects),
         _moved_images(moving, before, after),
-        _moved_points(kept, was),
+        _moved_points(bundles, was),
         neighbours if adding else {},
         tuple(name for name in subjects if name not in linked) if adding else (),
-        tuple(name for name in apart if name not in now),
-        _left_undetermined(kept, was),
+        tuple(name for name in replaced if name not in now),
+        _left_undetermined(bundles, was),
         settled.updates,
         settled.systems,
         settled.converged,
@@ -279,36 +279,36 @@ def _moved_image(before: Shared | None, after: Shared) -> list[float]:
     """Six moves, their size in sigmas, six sigmas before and after, move on the ground, its sigma before and after."""
     was = before or replace(after, value=np.zeros_like(after.value), covariance=np.diag(after.prior**2))
     step, sigmas = after.value - was.value, was.sigmas
-    spread = [float(np.sqrt(np.trace(after.ground @ one.covariance @ after.ground.T))) for one in (was, after)]
+    spread = [float(np.sqrt(np.trace(after.ground @ state.covariance @ after.ground.T))) for state in (was, after)]
     size = float(np.max(np.abs(step) / sigmas))
     return [*step[:6], size, *sigmas[:6], *after.sigmas[:6], float(np.linalg.norm(after.ground @ step)), *spread]
 
 
 def _as_they_were(
-    old: Mapping[Members, Bundle], kept: Mapping[Members, Bundle]
+    old: Mapping[Members, Bundle], bundles: Mapping[Members, Bundle]
 ) -> tuple[dict[Members, tuple[Array, Array]], list[str]]:
-    """Places and sigmas (n, 3) that the points of each bundle had before, NaN for those that had none; and the points
-    of the bundles that have been taken apart.
+    """Places and sigmas (n, 3) of the points of each bundle before, NaN for those that had none; and the points of the
+    bundles that were replaced.
     """
-    same = {members for members, one in kept.items() if members in old and one.network is old[members].network}
-    mixed = [one for members, one in old.items() if members not in same]
-    row = {name: k for k, name in enumerate(name for one in mixed for name in one.network.points.ids)}
-    nothing = np.full((1, 3), np.nan)
-    places = np.concatenate([*(one.places for one in mixed), nothing])
-    sigmas = np.concatenate([*(one.sigmas for one in mixed), nothing])
-    found = dict[Members, tuple[Array, Array]]()
-    for members, bundle in kept.items():
+    same = {members for members, part in bundles.items() if members in old and part.network is old[members].network}
+    mixed = [part for members, part in old.items() if members not in same]
+    row = {name: k for k, name in enumerate(name for part in mixed for name in part.network.points.ids)}
+    undetermined = np.full((1, 3), np.nan)
+    places = np.concatenate([*(part.places for part in mixed), undetermined])
+    sigmas = np.concatenate([*(part.sigmas for part in mixed), undetermined])
+    states = dict[Members, tuple[Array, Array]]()
+    for members, bundle in bundles.items():
         if members in same:
-            found[members] = old[members].places, old[members].sigmas
+            states[members] = old[members].places, old[members].sigmas
         else:
-            mine = np.array([row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
-            found[members] = places[mine], sigmas[mine]
-    return found, list(row)
+            rows = np.array([row.get(name, -1) for name in bundle.network.points.ids], dtype=np.int64)
+            states[members] = places[rows], sigmas[rows]
+    return states, list(row)
 
 
-def _moved_points(kept: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]) -> MovedPoints:
+def _moved_points(bundles: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]) -> MovedPoints:
     """Points that have moved noticeably, and new ones."""
-    parts = [_moved_of(bundle, *was[members]) for members, bundle in kept.items()]
+    parts = [_moved_of(bundle, *was[members]) for members, bundle in bundles.items()]
     ids = tuple(name for names, _ in parts for name in names)
     table = np.concatenate([np.zeros((0, 11)), *(values for _, values in parts)])
     return MovedPoints(ids, table[:, 0] > 0.0, table[:, 1:4], table[:, 4], table[:, 5:8], table[:, 8:11])
@@ -326,33 +326,32 @@ def _moved_of(bundle: Bundle, places: Array, sigmas: Array) -> tuple[list[str], 
 
 
 def _left_undetermined(
-    kept: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]
+    bundles: Mapping[Members, Bundle], was: Mapping[Members, tuple[Array, Array]]
 ) -> tuple[str, ...]:
     """Points that had a place and have none now."""
-    found = list[str]()
-    for members, bundle in kept.items():
+    missing_now = list[str]()
+    for members, bundle in bundles.items():
         missing = np.isnan(bundle.places[:, 0])
         if np.any(missing):
-            had = np.isfinite(was[members][0][:, 0])
-            found += bundle.network.points.ids[missing & had].tolist()
-    return tuple(found)
+            missing_now += bundle.network.points.ids[missing & np.isfinite(was[members][0][:, 0])].tolist()
+    return tuple(missing_now)
 
 
-def _neighbours(subjects: Sequence[str], kept: Mapping[Members, Bundle]) -> tuple[dict[str, int], set[str]]:
+def _neighbours(subjects: Sequence[str], bundles: Mapping[Members, Bundle]) -> tuple[dict[str, int], set[str]]:
     """Images that share determined points with some others, and how many; and all images that share such points."""
-    shared, linked, own = dict[str, int](), set[str](), set(subjects)
-    for bundle in kept.values():
+    shared, linked, names = dict[str, int](), set[str](), set(subjects)
+    for bundle in bundles.values():
         network = bundle.network
         number = {image.name: j for j, image in enumerate(network.images)}
-        mine = np.zeros((len(number), len(network.points)), dtype=bool)
-        mine[network.rays.image, network.rays.point] = True
-        mine &= np.isfinite(bundle.places[:, 0])
-        several = mine.sum(axis=0) > 1
-        with_own = np.any(mine[[number[name] for name in own if name in number]], axis=0)
+        visible = np.zeros((len(number), len(network.points)), dtype=bool)
+        visible[network.rays.image, network.rays.point] = True
+        visible &= np.isfinite(bundle.places[:, 0])
+        several = visible.sum(axis=0) > 1
+        with_own = np.any(visible[[number[name] for name in names if name in number]], axis=0)
         for name, j in number.items():
-            if np.any(mine[j] & several):
+            if np.any(visible[j] & several):
                 linked.add(name)
-            if name not in own and (count := int(np.count_nonzero(mine[j] & with_own))):
+            if name not in names and (count := int(np.count_nonzero(visible[j] & with_own))):
                 shared[name] = shared.get(name, 0) + count
     return shared, linked
 
@@ -399,10 +398,10 @@ class Closing(Record):
         if not self.converged:
             return "Closing check against batch: batch did not converge; the incremental result was kept."
         verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"
-        kept = "batch's result was taken over" if self.adopted else "the incremental result was kept"
+        outcome = "batch's result was taken over" if self.adopted else "the incremental result was kept"
         return (
             f"Closing check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
-            f"{self.unknown}, {self.points:.2g} sigmas for point {self.point}; {kept}."
+            f"{self.unknown}, {self.points:.2g} sigmas for point {self.point}; {outcome}."
         )
 
 
@@ -415,17 +414,16 @@ def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array
             worst, which = off, unknown
     k, off = _farthest(solution, places)
     converged = solution.converged
-    adopted = converged and max(worst, off) > EXACT
-    return Closing(which, worst, solution.network.points.ids[k], off, adopted, converged)
+    return Closing(which, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
 
 
 def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:
     """The point that lies farthest off, and its largest difference of a coordinate in its sigma."""
-    known = np.isfinite(places[:, 0])
+    placed = np.isfinite(places[:, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.max(np.abs(places - solution.places) / solution.sigmas, axis=1)
-    off[~known & ~solution.determined] = 0.0
-    off[known != solution.determined] = np.inf
-    off[known & solution.determined & np.isnan(off)] = 0.0  # a fixed point has no sigma, and stays where it is
+    off[~placed & ~solution.determined] = 0.0
+    off[placed != solution.determined] = np.inf
+    off[placed & solution.determined & np.isnan(off)] = 0.0  # a fixed point has no sigma, and stays where it is
     k = int(np.argmax(off))
     return k, float(off[k])

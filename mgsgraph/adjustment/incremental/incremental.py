@@ -1,4 +1,4 @@
-"""Incremental adjustment: images come and go, iSAM2 holds the shared unknowns, points stay in their bundles."""
+"""Incremental adjustment: images are added and removed, iSAM2 holds the shared unknowns, points stay in bundles."""
 
 import time
 from collections import Counter
@@ -88,9 +88,9 @@ class IncrementalAdjustment(Record):
     @classmethod
     def of(cls, solution: "Solution", store: StateStore | None = None) -> "IncrementalAdjustment":
         """An incremental adjustment that begins with a batch solution."""
-        found = cls(solution.settings, store)
-        found.adopt(solution)
-        return found
+        incremental = cls(solution.settings, store)
+        incremental.adopt(solution)
+        return incremental
 
     def __repr__(self) -> str:
         return f"IncrementalAdjustment({len(self.images)} images, {len(self.store.members())} bundles of points)"
@@ -99,10 +99,10 @@ class IncrementalAdjustment(Record):
         """For notebooks: each image with the sigmas of its constant term."""
         rows = [("image", "position", "pointing"), ("", "m", "arcsec")]
         for name in self.images:
-            if (one := self._engine.shared.get(Unknown("image", name))) is None:
+            if (state := self._engine.shared.get(Unknown("image", name))) is None:
                 rows.append((name, "held", "held"))
                 continue
-            position, pointing = (float(np.linalg.norm(part)) for part in np.split(one.sigmas[:6], 2))
+            position, pointing = (float(np.linalg.norm(part)) for part in np.split(state.sigmas[:6], 2))
             rows.append((name, f"{position:.3g}", f"{pointing / ARCSEC:.3g}"))
         return card(repr(self), ["Sigmas of the images' position and pointing, as they were last looked at."], rows, 2)
 
@@ -120,12 +120,13 @@ class IncrementalAdjustment(Record):
 
     def correction(self, image: str | int) -> OrientationCorrection:
         """Present orientation correction of an image, with what shared unknowns do to it; zero for a held one."""
-        known = self._known(image)
-        one = with_definitions(alone(known), self._engine.known)
-        own, value = Unknown("image", known.image.name), self._engine.value
-        zero = np.zeros(one.priors[0].sigmas.size)
-        values = [value.get(name, zero) if name != own or not one.held[0] else zero for name in unknowns(one)]
-        return whole_correction(one, 0, values, self.settings.angles)
+        known_image = self._known(image)
+        network = with_definitions(alone(known_image), self._engine.known)
+        orientation, value = Unknown("image", known_image.image.name), self._engine.value
+        zero = np.zeros(network.priors[0].sigmas.size)
+        held = network.held[0]
+        values = [zero if held and name == orientation else value.get(name, zero) for name in unknowns(network)]
+        return whole_correction(network, 0, values, self.settings.angles)
 
     def covariance(self, *images: str | int) -> Array:
         """Joint covariance (d, d) of the coefficients of some images, m and rad, straight from iSAM2."""
@@ -133,9 +134,9 @@ class IncrementalAdjustment(Record):
         for image in names:
             if self._known(image).held:
                 raise InputError(f"image {image}", "held: it has no unknowns", "an adjusted image")
-            if (one := self._engine.known.of_image(image)) is not None:
-                found, remedy = f"of pass {one.name!r}: it has no coefficients of its own", "ask for `joint`"
-                raise InputError(f"image {image}", found, "an image with an orientation of its own", remedy)
+            if (pass_ := self._engine.known.of_image(image)) is not None:
+                problem, remedy = f"of pass {pass_.name!r}: it has no coefficients of its own", "ask for `joint`"
+                raise InputError(f"image {image}", problem, "an image with an orientation of its own", remedy)
         return self._engine.joint([Unknown("image", image) for image in names])
 
     def joint(self, wanted: Sequence[Unknown]) -> Array:
@@ -149,9 +150,9 @@ class IncrementalAdjustment(Record):
         """
         wanted = set(self.store.members()) if ids is None else set(self.store.bundles_of(ids).values())
         fresh = list(self._engine.refreshed(sorted(wanted)).values())
-        names = tuple(name for one in fresh for name in one.network.points.ids)
-        places = np.concatenate([np.zeros((0, 3)), *(one.places for one in fresh)])
-        covariances = np.concatenate([np.zeros((0, 3, 3)), *(one.covariances for one in fresh)])
+        names = tuple(name for bundle in fresh for name in bundle.network.points.ids)
+        places = np.concatenate([np.zeros((0, 3)), *(bundle.places for bundle in fresh)])
+        covariances = np.concatenate([np.zeros((0, 3, 3)), *(bundle.covariances for bundle in fresh)])
         if ids is None:
             return names, places, covariances
         where = {name: k for k, name in enumerate(names)}
@@ -188,14 +189,14 @@ class IncrementalAdjustment(Record):
         shot_sigma: float = 30.0,
         brought: Definitions | None = None,
     ) -> Impact:
-        """Add images with what is observed in them (and, of points that were there before, in others).
+        """Add images with their observations (and observations of known points in other images).
 
         Parameters
         ----------
         images : Network, PushbroomImage, KnownImage, or several of the latter
             A network brings its observations with it; those of its images that are known already are not new.
         observations : TiePoints, LaserProfile, or several
-            Points known already come again by their ids, with their new measures.
+            Known points are named by their ids, with their new measures.
         prior : OrientationPrior, optional
             Of a PushbroomImage; that of the image added last when absent.
         tie_sigma, shot_sigma : float
@@ -213,20 +214,19 @@ class IncrementalAdjustment(Record):
         """
         if isinstance(images, Network):
             require_separable(images)
-            there = set(self.images)
-            named = ((one.image.name, one) for one in known_images(images))
-            known = [self.store.image(name) if name in there else one for name, one in named]
-            more = [one for one in known if one.image.name not in there]
-            # of images that are there, a network doesn't say anew what is known of them
+            present = set(self.images)
+            named = ((known_image.image.name, known_image) for known_image in known_images(images))
+            all_images = [self.store.image(name) if name in present else known_image for name, known_image in named]
+            more = [known_image for known_image in all_images if known_image.image.name not in present]
+            # a network does not change priors of images that are in the adjustment
             brought = definitions(images) if brought is None else brought
-            return self._added(more, with_images(with_definitions(images, Definitions()), known), brought)
+            return self._added(more, with_images(with_definitions(images, Definitions()), all_images), brought)
         new = self._new_images(images, prior)
-        every = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
-        addition = build_network(ImagesByName(self.store, new), every, tie_sigma, shot_sigma)
-        return self._added(new, addition, brought)
+        batches = [observations] if isinstance(observations, TiePoints | LaserProfile) else list(observations)
+        return self._added(new, build_network(ImagesByName(self.store, new), batches, tie_sigma, shot_sigma), brought)
 
     def remove(self, *images: str | int) -> Impact:
-        """Take images out with their measures; points that nothing else sees go, too.
+        """Remove images with their measures, and points that no other image sees.
 
         Raises InputError for an unknown image.
         """
@@ -237,64 +237,64 @@ class IncrementalAdjustment(Record):
         return self._change("remove", list(names), [], *changed, after)
 
     def resume(self, store: StateStore) -> None:
-        """Go on with a store that holds the same state, opened anew."""
+        """Continue with a store that holds the same state, opened again."""
         self.store = store
         self._engine.resume(store)
 
-    def put_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
-        """Put points as a network has them, with all of their rows, in the place of what they were before.
+    def replace_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
+        """Replace points, with all of their rows, by those of a network.
 
         Parameters
         ----------
         ids : sequence of str
             Names of these points.
         network : Network or None
-            With images that are there; None takes the points out.
+            With images of the adjustment; None removes the points.
         verb : str
-            What is said to have been done.
+            The name of the change in its report.
 
         Raises
         ------
         InputError
             When parts contradict each other; nothing has changed then.
         """
-        known = self.store.definitions()
-        return self._change(verb, (), (), *with_points(self.store, ids, network, known), known)
+        definitions = self.store.definitions()
+        return self._change(verb, (), (), *with_points(self.store, ids, network, definitions), definitions)
 
     def close(self, name: str = "adjustment", progress: "Progress" = no_progress) -> tuple[Closing, "Solution"]:
-        """The closing check: batch over everything, from the nominal orientation, and how far the two lie apart.
+        """The closing check: a batch adjustment of everything, from the nominal orientation, and its differences.
 
-        Where anything is farther off than `EXACT` sigmas, what batch has found takes the place of what was there.
+        Where one is larger than `EXACT` sigmas, the batch result replaces the incremental one.
         """
         from mgsgraph.adjustment.adjust import adjust_network  # a whole batch solver, which changes do without
 
         network, places = self.as_network()
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
-        found = closing(solution, self._engine.value, places)
-        if found.adopted:
+        check = closing(solution, self._engine.value, places)
+        if check.adopted:
             self.adopt(solution)
-        return found, solution
+        return check, solution
 
     def adopt(self, solution: "Solution") -> None:
-        """Take a batch solution over: its images, points and unknowns in the place of all that was there."""
+        """Replace the state by a batch solution: its images, points and unknowns."""
         engine = self._engine
         rejected = solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected
         network = solution.network.with_rejected(*rejected)
-        there = set(self.images)
+        present = set(self.images)
         with engine.all_or_nothing():
-            for one, own in zip(known_images(network), network.with_polynomial.tolist(), strict=True):
-                if own:
-                    _require_finite_prior(one)
-            kept = engine.adopted(shared_of(solution), solution, network)
-            for one in known_images(network):
-                if one.image.name not in there or not _same_image(one, self.store.image(one.image.name)):
-                    self.store.put_image(one)
-            self.store.replace(self.store.members(), kept)
-            for name in there - {image.name for image in network.images}:
+            for image, adjusted in zip(known_images(network), network.with_polynomial.tolist(), strict=True):
+                if adjusted:
+                    _require_finite_prior(image)
+            bundles = engine.adopted(shared_of(solution), solution, network)
+            for image in known_images(network):
+                if image.image.name not in present or not _same_image(image, self.store.image(image.image.name)):
+                    self.store.add_image(image)
+            self.store.replace(self.store.members(), bundles)
+            for name in present - {image.name for image in network.images}:
                 self.store.drop_image(name)
-            self.store.put_definitions(engine.known)
+            self.store.set_definitions(engine.known)
             self.store.drop_shared(set(self.store.shared()) - set(engine.shared))
-            self.store.put_shared(engine.shared)
+            self.store.set_shared(engine.shared)
 
     # --- how
 
@@ -304,7 +304,7 @@ class IncrementalAdjustment(Record):
         before = self.store.definitions()
         after = extended(self.store, before, brought or Definitions(), new)
         changed = with_addition(self.store, addition, after, turned_bundles(self.store, before, after))
-        return self._change("add", [one.image.name for one in new], new, *changed, after)
+        return self._change("add", [image.image.name for image in new], new, *changed, after)
 
     def _known(self, image: str | int) -> KnownImage:
         names = self.images
@@ -317,65 +317,67 @@ class IncrementalAdjustment(Record):
             if prior is None and not self.images:
                 raise InputError(f"image {images.name}", "no a-priori sigmas", "a prior for the first image")
             images = KnownImage(images, prior or self.store.image(self.images[-1]).prior)
-        new, there = [images] if isinstance(images, KnownImage) else list(images), set(self.images)
-        for name, count in Counter(one.image.name for one in new).items():
-            if name in there or count > 1:
-                found = "in the adjustment already" if name in there else "named twice"
-                raise InputError(f"image {name}", found, "an image that is new", "remove it first to replace it")
+        new, present = [images] if isinstance(images, KnownImage) else list(images), set(self.images)
+        for name, count in Counter(image.image.name for image in new).items():
+            if name in present or count > 1:
+                problem = "in the adjustment already" if name in present else "named twice"
+                raise InputError(f"image {name}", problem, "an image that is new", "remove it first to replace it")
         return new
 
     def _new_unknowns(
-        self, new: Sequence[KnownImage], networks: Mapping[Members, Network], known: Definitions
+        self, new: Sequence[KnownImage], networks: Mapping[Members, Network], definitions: Definitions
     ) -> dict[Unknown, Shared]:
-        """Orientation of new images, shifts that come with an addition, orientation images of passes that are new or go
-        on, and new unknowns that images share; at zero.
+        """Orientation of new images, shifts of an addition, orientation images of passes that are new or continued, and
+        new unknowns that images share; at zero.
         """
-        found, angles = dict[Unknown, Shared](), self.settings.angles
-        every = ImagesByName(self.store, new)
-        for of_pass in known.passes.values():
-            if of_pass is not self._engine.known.passes.get(of_pass.name):
-                found |= shared_pass(of_pass, every, angles)
-        for name, by_images in known.shared.items():
-            found[Unknown("shared", name)] = shared_by_images(by_images, every, angles)
-        found = {unknown: start for unknown, start in found.items() if unknown not in self._engine.shared}
-        for one in new:
-            if known.of_image(one.image.name) is not None:
+        added, angles = dict[Unknown, Shared](), self.settings.angles
+        images = ImagesByName(self.store, new)
+        for pass_ in definitions.passes.values():
+            if pass_ is not self._engine.known.passes.get(pass_.name):
+                added |= shared_pass(pass_, images, angles)
+        for name, by_images in definitions.shared.items():
+            added[Unknown("shared", name)] = shared_by_images(by_images, images, angles)
+        added = {unknown: start for unknown, start in added.items() if unknown not in self._engine.shared}
+        for image in new:
+            if definitions.of_image(image.image.name) is not None:
                 continue
-            _require_finite_prior(one)
-            if not one.held:
-                unknown = Unknown("image", one.image.name)
-                found[unknown] = shared_image(one, self.settings.angles)
+            _require_finite_prior(image)
+            if not image.held:
+                unknown = Unknown("image", image.image.name)
+                added[unknown] = shared_image(image, self.settings.angles)
         for members, network in networks.items():
             for unknown in members:
                 if unknown.kind == "shift" and unknown not in self._engine.shared:
-                    motion = max(image_motion(one)[0] for one in known_images(network))
-                    found[unknown] = shared_shift(network, unknown.name, motion)
-        return found
+                    motion = max(image_motion(image)[0] for image in known_images(network))
+                    added[unknown] = shared_shift(network, unknown.name, motion)
+        return added
 
     def _change(
         self,
         verb: str,
         subjects: Sequence[str],
         new: Sequence[KnownImage],
-        gone: Sequence[Members],
+        replaced: Sequence[Members],
         networks: Mapping[Members, Network],
-        known: Definitions,
+        definitions: Definitions,
     ) -> Impact:
-        """Put bundles in the place of others, keep what has come of it, and say what has happened; `known` are the
-        passes and shared unknowns from now on.
+        """Replace bundles, store the new state, and report the change; `definitions` are the passes and shared unknowns
+        from now on.
         """
         began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
         require_one_body(self.store, new)
         before = dict(engine.shared)
-        old = {members: self.store.bundle(members) for members in gone}
+        old = {members: self.store.bundle(members) for members in replaced}
         with engine.all_or_nothing():
             dropped = [u for name in subjects if removing and (u := Unknown("image", name)) in before]
-            dropped += [unknown for unknown in unknowns_of(engine.known) if unknown not in set(unknowns_of(known))]
-            settled = engine.replaced(gone, networks, self._new_unknowns(new, networks, known), dropped, known)
+            remaining = set(unknowns_of(definitions))
+            dropped += [unknown for unknown in unknowns_of(engine.known) if unknown not in remaining]
+            unknowns_new = self._new_unknowns(new, networks, definitions)
+            settled = engine.replaced(replaced, networks, unknowns_new, dropped, definitions)
             old |= {members: self.store.bundle(members) for members in settled.bundles if members not in networks}
             report = impact(verb, subjects, settled, old, before, engine.shared)
-            self.store.put_definitions(known)
-            self._keep(settled, gone, networks, new, before)
+            self.store.set_definitions(definitions)
+            self._keep(settled, replaced, networks, new, before)
             for name in subjects if removing else ():
                 self.store.drop_image(name)
         return report.after(time.perf_counter() - began)
@@ -383,28 +385,28 @@ class IncrementalAdjustment(Record):
     def _keep(
         self,
         settled: Settled,
-        gone: Sequence[Members],
+        replaced: Sequence[Members],
         networks: Iterable[Members],
         new: Sequence[KnownImage],
         before: Mapping[Unknown, Shared],
     ) -> None:
         """Write the new state to the store."""
         shared = self._engine.shared
-        for one in new:
-            self.store.put_image(one)
-        there = {members: one for members, one in settled.bundles.items() if members not in networks}
-        self.store.replace(gone, {members: settled.bundles[members] for members in networks})
-        self.store.renew(there)
-        self.store.put_shared({unknown: one for unknown, one in shared.items() if one is not before.get(unknown)})
+        for image in new:
+            self.store.add_image(image)
+        moved = {members: bundle for members, bundle in settled.bundles.items() if members not in networks}
+        self.store.replace(replaced, {members: settled.bundles[members] for members in networks})
+        self.store.renew(moved)
+        self.store.set_shared({unknown: state for unknown, state in shared.items() if state is not before.get(unknown)})
         self.store.drop_shared([unknown for unknown in before if unknown not in shared])
 
 
-def _same_image(one: KnownImage, other: KnownImage) -> bool:
-    return one.image is other.image and one.prior is other.prior and one.held == other.held
+def _same_image(first: KnownImage, second: KnownImage) -> bool:
+    return first.image is second.image and first.prior is second.prior and first.held == second.held
 
 
-def _require_finite_prior(one: KnownImage) -> None:
+def _require_finite_prior(image: KnownImage) -> None:
     """Raise InputError unless every coefficient has an a-priori sigma."""
-    if not np.all(np.isfinite(one.prior.sigmas)):
-        found, expected = "a coefficient without an a-priori sigma", "finite sigmas, which iSAM2 needs to begin with"
-        raise InputError(f"image {one.image.name}", found, expected)
+    if not np.all(np.isfinite(image.prior.sigmas)):
+        problem, expected = "a coefficient without an a-priori sigma", "finite sigmas, which iSAM2 needs to begin with"
+        raise InputError(f"image {image.image.name}", problem, expected)

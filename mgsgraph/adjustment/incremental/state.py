@@ -1,4 +1,4 @@
-"""What an incremental adjustment keeps between two changes: bundles with their reduced systems, and shared unknowns.
+"""State of an incremental adjustment between two changes: bundles with their reduced systems, and shared unknowns.
 
 A bundle is all points that depend on the same shared unknowns (not the bundle of rays of one image). Its reduced system
 (points solved and eliminated at one orientation) is all that the tree of iSAM2 ever sees of it; its points are asked
@@ -38,7 +38,7 @@ from mgsgraph.network.shared import image_effect
 from mgsgraph.units import KM
 
 NOTICEABLE = 0.01
-"""Sigmas from which a move is stated."""
+"""Sigmas from which on a move is reported."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class ReducedSystem:
     cost: float
     """Half the weighted sum of squares of the points' rows there."""
     slack: float
-    """Pixels by which image places may move before it has to be made anew (`sweep.slack`)."""
+    """Pixels by which image places may move before it is relinearized (`sweep.slack`)."""
 
     def __post_init__(self) -> None:
         d = np.size(self.at)
@@ -65,7 +65,7 @@ class ReducedSystem:
 
 
 def stretches(unknowns: Sequence[Unknown], vectors: Mapping[Unknown, Array]) -> dict[Unknown, slice]:
-    """Where each of some unknowns lies in a joint vector of theirs, in this order; `vectors` has one (d,) of each."""
+    """Slices of some unknowns in their joint vector, in this order; `vectors` has one (d,) of each."""
     ends = accumulate((vectors[unknown].size for unknown in unknowns), initial=0)
     return {unknown: slice(*two) for unknown, two in zip(unknowns, pairwise(ends), strict=True)}
 
@@ -109,7 +109,7 @@ class Shared:
     value: Array
     """(d,) m and rad, adjusted."""
     covariance: Array
-    """(d, d) for sigma0 = 1, when it was looked at last."""
+    """(d, d) for sigma0 = 1, when it was last computed."""
     considered: bool = False
     """Whether it is held at zero, while its a-priori covariance is carried."""
 
@@ -135,7 +135,7 @@ class Settled:
     """Result of a change."""
 
     bundles: dict[Members, Bundle]
-    """Bundles changed, made anew or reached, with their points where they are now."""
+    """Bundles changed, relinearized or reached, with the present positions of their points."""
     reached: dict[Members, Array]
     """Joint covariance (d, d) of the unknowns of those that a noticeable change reached, as in their reduced system."""
     updates: int
@@ -162,7 +162,7 @@ class StateStore(Protocol):
         """The reduced systems of all bundles that have one, without any of their points."""
 
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
-        """For those of the points that are there: their bundle."""
+        """The bundle of each stored point of these."""
 
     def seen_by(self, image: str) -> list[Members]:
         """Bundles with points that have a ray or a range from an image."""
@@ -174,22 +174,22 @@ class StateStore(Protocol):
         """Members of all bundles."""
 
     def as_network(self) -> tuple[Network, Array]:
-        """All of it as one network, images in the order in which they came, and places (n, 3) in m of its points."""
+        """The whole state as one network, images in order of addition, and places (n, 3) in m of its points."""
 
-    def put_image(self, known: KnownImage) -> None:
+    def add_image(self, image: KnownImage) -> None:
         """Add an image."""
 
     def drop_image(self, name: str) -> None:
-        """Take an image out; its bundles have been replaced before."""
+        """Remove an image; its bundles have been replaced before."""
 
-    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+    def set_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
 
     def drop_shared(self, unknowns: Iterable[Unknown]) -> None:
         """Remove shared unknowns from the store."""
 
-    def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
-        """Take bundles out and put others in, none of which is there."""
+    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+        """Remove bundles and add others, none of which is stored."""
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
         """New systems and places for bundles whose points are the same."""
@@ -197,15 +197,15 @@ class StateStore(Protocol):
     def definitions(self) -> Definitions:
         """Passes and shared unknowns; those of the networks of bundles may be older ones."""
 
-    def put_definitions(self, known: Definitions) -> None:
-        """Take these in the place of all that there are."""
+    def set_definitions(self, definitions: Definitions) -> None:
+        """Replace all definitions."""
 
 
 class ImagesByName(Mapping[str, KnownImage]):
-    """New images, and those of a store, read when they are asked for."""
+    """New images, and those of a store, read on demand."""
 
     def __init__(self, store: StateStore, new: Sequence[KnownImage]) -> None:
-        self._store, self._new = store, {one.image.name: one for one in new}
+        self._store, self._new = store, {image.image.name: image for image in new}
         self._names = dict.fromkeys([*self._new, *store.image_names()])
 
     def __getitem__(self, name: str) -> KnownImage:
@@ -248,7 +248,7 @@ class InMemory:
         return {members: bundle.reduced for members, bundle in self._bundles.items() if bundle.reduced is not None}
 
     def bundles_of(self, ids: Iterable[str]) -> dict[str, Members]:
-        """For those of the points that are there: their bundle."""
+        """The bundle of each stored point of these."""
         return {name: self._bundle_of[name] for name in ids if name in self._bundle_of}
 
     def seen_by(self, image: str) -> list[Members]:
@@ -265,20 +265,20 @@ class InMemory:
 
     def as_network(self) -> tuple[Network, Array]:
         """All of it as one network, and places (n, 3) in m of its points."""
-        parts, known = [self._bundles[members] for members in sorted(self._bundles)], self._definitions
-        networks = [with_definitions(one.network, known) for one in parts]
-        whole = with_images(joined(networks), list(self._images.values()))
-        return with_definitions(whole, known), np.concatenate([one.places for one in parts])
+        parts, definitions = [self._bundles[members] for members in sorted(self._bundles)], self._definitions
+        networks = [with_definitions(bundle.network, definitions) for bundle in parts]
+        network = with_images(joined(networks), list(self._images.values()))
+        return with_definitions(network, definitions), np.concatenate([bundle.places for bundle in parts])
 
-    def put_image(self, known: KnownImage) -> None:
+    def add_image(self, image: KnownImage) -> None:
         """Add an image."""
-        self._images[known.image.name] = known
+        self._images[image.image.name] = image
 
     def drop_image(self, name: str) -> None:
         """Remove an image."""
         del self._images[name]
 
-    def put_shared(self, shared: Mapping[Unknown, Shared]) -> None:
+    def set_shared(self, shared: Mapping[Unknown, Shared]) -> None:
         """Add unknowns or replace their values."""
         self._shared |= shared
 
@@ -287,9 +287,9 @@ class InMemory:
         for unknown in unknowns:
             del self._shared[unknown]
 
-    def replace(self, gone: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
+    def replace(self, removed: Iterable[Members], new: Mapping[Members, Bundle]) -> None:
         """Take bundles out and put others in."""
-        for members in gone:
+        for members in removed:
             bundle = self._bundles.pop(members)
             for name in bundle.network.points.ids:
                 del self._bundle_of[name]
@@ -309,15 +309,15 @@ class InMemory:
         """Passes and shared unknowns."""
         return self._definitions
 
-    def put_definitions(self, known: Definitions) -> None:
+    def set_definitions(self, definitions: Definitions) -> None:
         """Take these in the place of all that there are."""
-        self._definitions = known
+        self._definitions = definitions
 
 
 def with_addition(
-    store: StateStore, addition: Network | None, known: Definitions | None = None, turned: Iterable[Members] = ()
+    store: StateStore, addition: Network | None, definitions: Definitions | None = None, turned: Iterable[Members] = ()
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles with points that an addition sees, too, and what they become with it.
+    """Bundles that share points with an addition, and what they become with it.
 
     Parameters
     ----------
@@ -326,67 +326,67 @@ def with_addition(
     known : Definitions, optional
         Passes and shared unknowns from now on; those of the store when absent.
     turned : iterable of Members
-        Bundles that become others in any case, as the passes that they see are not what they were.
+        Bundles that are replaced in any case: their passes have changed.
 
     Raises
     ------
     InputError
-        When the two contradict each other (`network.parts.joined`).
+        When the two contradict (`network.parts.joined`).
     """
-    known = store.definitions() if known is None else known
+    definitions = store.definitions() if definitions is None else definitions
     if addition is None:
-        gone = sorted(set(turned))
-        return _completed(store, gone, [store.bundle(members).network for members in gone], known)
-    gone = sorted({*store.bundles_of(addition.points.ids).values(), *turned})
-    return _completed(store, gone, [*(store.bundle(members).network for members in gone), addition], known)
+        replaced = sorted(set(turned))
+        return _completed(store, replaced, [store.bundle(members).network for members in replaced], definitions)
+    replaced = sorted({*store.bundles_of(addition.points.ids).values(), *turned})
+    return _completed(store, replaced, [*(store.bundle(m).network for m in replaced), addition], definitions)
 
 
 def without(
-    store: StateStore, images: Sequence[str], known: Definitions | None = None, turned: Iterable[Members] = ()
+    store: StateStore, images: Sequence[str], definitions: Definitions | None = None, turned: Iterable[Members] = ()
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that some images see, and what is left of them; points that nothing else sees go with the images.
+    """Bundles that some images see, and what remains of them; points that no other image sees are removed, too.
     `known` and `turned` as in `with_addition`.
     """
-    known = store.definitions() if known is None else known
-    gone = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
-    parts = (store.bundle(members).network for members in gone)
-    rest = [left for network in parts if (left := without_images(network, images)) is not None]
-    return _completed(store, gone, rest, known)
+    definitions = store.definitions() if definitions is None else definitions
+    replaced = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
+    parts = (store.bundle(members).network for members in replaced)
+    rest = [remaining for network in parts if (remaining := without_images(network, images)) is not None]
+    return _completed(store, replaced, rest, definitions)
 
 
 def with_points(
-    store: StateStore, ids: Sequence[str], network: Network | None, known: Definitions
+    store: StateStore, ids: Sequence[str], network: Network | None, definitions: Definitions
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that have some points, and what they become with these as a network has them; None: without them."""
-    gone = sorted(set(store.bundles_of(ids).values()))
-    parts = (store.bundle(members).network for members in gone)
-    rest = [left for one in parts if (left := without_points(one, ids)) is not None]
-    return _completed(store, gone, rest if network is None else [*rest, network], known)
+    """Bundles that have some points, and the bundles after a network replaces these points; None removes them."""
+    replaced = sorted(set(store.bundles_of(ids).values()))
+    parts = (store.bundle(members).network for members in replaced)
+    rest = [remaining for part in parts if (remaining := without_points(part, ids)) is not None]
+    return _completed(store, replaced, rest if network is None else [*rest, network], definitions)
 
 
 def require_one_body(store: StateStore, new: Sequence[KnownImage]) -> None:
-    """Raise InputError for a new image that shows another body than those that are there, or than the first new one."""
-    there = store.image_names()
-    known = [store.image(there[0])] if there else []
-    for one in new:
-        first = (known or new)[0].image
-        if one.image.body != first.body:
-            found = f"a body of {one.image.body.equatorial / KM:.1f} km"
+    """Raise InputError for a new image that shows another body than the stored ones, or than the first new one."""
+    names = store.image_names()
+    present = [store.image(names[0])] if names else []
+    for image in new:
+        first = (present or new)[0].image
+        if image.image.body != first.body:
+            problem = f"a body of {image.image.body.equatorial / KM:.1f} km"
             expected = f"that of image {first.name}, {first.body.equatorial / KM:.1f} km"
-            raise InputError(f"image {one.image.name}", found, expected, "keep bodies apart, in projects of their own")
+            raise InputError(f"image {image.image.name}", problem, expected, "use one project for each body")
 
 
 def _completed(
-    store: StateStore, gone: list[Members], parts: list[Network], known: Definitions
+    store: StateStore, replaced: list[Members], parts: list[Network], definitions: Definitions
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles of some parts, together with those that were there before of the same unknowns."""
-    parts = [with_definitions(one, known) for one in parts]
-    found = bundles(joined(parts)) if parts else {}
-    there = set(store.members()) - set(gone)
-    if others := [members for members in found if members in there]:
-        more = (with_definitions(store.bundle(members).network, known) for members in others)
-        found = bundles(joined([*parts, *more]))
-    return [*gone, *others], found
+    """Bundles of some parts, joined with stored bundles of the same unknowns."""
+    parts = [with_definitions(part, definitions) for part in parts]
+    completed = bundles(joined(parts)) if parts else {}
+    unchanged = set(store.members()) - set(replaced)
+    if touched := [members for members in completed if members in unchanged]:
+        more = (with_definitions(store.bundle(members).network, definitions) for members in touched)
+        completed = bundles(joined([*parts, *more]))
+    return [*replaced, *touched], completed
 
 
 if TYPE_CHECKING:
@@ -396,9 +396,9 @@ _PLACES = 17
 """Times of each image at which the basis between nodes is looked at."""
 
 
-def image_motion(known: KnownImage) -> Array:
+def image_motion(known_image: KnownImage) -> Array:
     """(6 (degree + 1),) pixels by which image places move, at most, per m and per rad of each coefficient."""
-    image = known.image
+    image = known_image.image
     middle = np.array([[0.5 * image.lines, 0.5 * image.samples]])
     per_radian = 1.0 / image.pixel_angle
     ground, _ = image.image_to_ground(*middle.T)
@@ -406,14 +406,14 @@ def image_motion(known: KnownImage) -> Array:
     distance = float(np.linalg.norm(ground[0] - position[0]))
     if not math.isfinite(distance):  # it looks past the body
         distance = float(np.linalg.norm(position[0])) - image.body.equatorial
-    return np.tile(np.repeat([per_radian / distance, per_radian], 3), known.prior.degree + 1)
+    return np.tile(np.repeat([per_radian / distance, per_radian], 3), known_image.prior.degree + 1)
 
 
-def ground_motion(known: KnownImage, angles: Angles) -> Array:
+def ground_motion(known_image: KnownImage, angles: Angles) -> Array:
     """(3, 6 (degree + 1)) by which the ground under an image's middle (u = 0) moves, m per m and per rad of each
     coefficient, on the ellipsoid; zero where it looks past the body.
     """
-    image, terms = known.image, known.prior.degree + 1
+    image, terms = known_image.image, known_image.prior.degree + 1
     line, sample = image.middle
     origin, direction, _, _ = image.rays(line, sample)
     _, by_origin, by_direction = intersect_ellipsoid(origin, direction, image.body, 0.0)
@@ -427,10 +427,10 @@ def ground_motion(known: KnownImage, angles: Angles) -> Array:
     return jacobian if np.all(np.isfinite(jacobian)) else np.zeros_like(jacobian)
 
 
-def shared_image(known: KnownImage, angles: Angles) -> Shared:
-    """The orientation of an image as it is before anything is observed in it."""
-    prior = known.prior.sigmas.ravel()
-    return Shared(prior, image_motion(known), ground_motion(known, angles), np.zeros(prior.size), np.diag(prior**2))
+def shared_image(image: KnownImage, angles: Angles) -> Shared:
+    """A-priori orientation of an image."""
+    prior = image.prior.sigmas.ravel()
+    return Shared(prior, image_motion(image), ground_motion(image, angles), np.zeros(prior.size), np.diag(prior**2))
 
 
 def shared_shift(network: Network, name: str, motion: float) -> Shared:
@@ -440,80 +440,81 @@ def shared_shift(network: Network, name: str, motion: float) -> Shared:
     return Shared(*unmoved, considered)
 
 
-def shared_pass(one: NamedPass, images: Mapping[str, KnownImage], angles: Angles) -> dict[Unknown, Shared]:
-    """Orientation images and trend of a pass as they are beforehand.
+def shared_pass(pass_: NamedPass, images: Mapping[str, KnownImage], angles: Angles) -> dict[Unknown, Shared]:
+    """A-priori orientation images and trend of a pass.
 
-    Raises InputError where nothing is known of some component: iSAM2 needs something to begin with.
+    Raises InputError where a component has no a-priori sigma: iSAM2 needs one.
     """
-    known = [images[name] for name in one.images]
-    edges = np.array([seconds(each.image) for each in known]) - one.nodes.epoch
-    sigmas = one.prior.node_sigmas(normalised(one.nodes))
+    seen_images = [images[name] for name in pass_.images]
+    edges = np.array([seconds(each.image) for each in seen_images]) - pass_.nodes.epoch
+    sigmas = pass_.prior.node_sigmas(normalised(pass_.nodes))
     if not np.all(np.isfinite(sigmas)):
         expected = "finite sigmas, which iSAM2 needs to begin with"
-        raise InputError(f"pass {one.name!r}", "orientation images without an a-priori sigma", expected)
-    moving, names = _node_motion(one, known, edges), pass_unknowns(one)
-    every = dict[Unknown, Shared]()
-    for name, time, own in zip(names, one.nodes.times.tolist(), sigmas, strict=False):
+        raise InputError(f"pass {pass_.name!r}", "orientation images without an a-priori sigma", expected)
+    moving, names = _node_motion(pass_, seen_images, edges), pass_unknowns(pass_)
+    states = dict[Unknown, Shared]()
+    for name, time, prior in zip(names, pass_.nodes.times.tolist(), sigmas, strict=False):
         near = int(np.maximum(edges[:, 0] - time, time - edges[:, 1]).argmin())
-        ground = ground_motion(known[near], angles)[:, :6]
-        if one.axes is not None:
-            ground = np.hstack([ground[:, :3], ground[:, 3:] @ one.axes[near]])
-        every[name] = Shared(own, moving, ground, np.zeros(6), np.diag(own**2))
-    if one.prior.trend_sigmas.size:
-        every[names[-1]] = _unmoving(one.prior.trend_sigmas)
-    return every
+        ground = ground_motion(seen_images[near], angles)[:, :6]
+        if pass_.axes is not None:
+            ground = np.hstack([ground[:, :3], ground[:, 3:] @ pass_.axes[near]])
+        states[name] = Shared(prior, moving, ground, np.zeros(6), np.diag(prior**2))
+    if pass_.prior.trend_sigmas.size:
+        states[names[-1]] = _unmoving(pass_.prior.trend_sigmas)
+    return states
 
 
-def _node_motion(one: NamedPass, known: Sequence[KnownImage], edges: Array) -> Array:
+def _node_motion(pass_: NamedPass, images: Sequence[KnownImage], edges: Array) -> Array:
     """(6,) pixels by which image places move, at most, per m and per rad of all nodes of a pass."""
     times = np.linspace(edges[:, 0], edges[:, 1], _PLACES).ravel()
-    weights = np.abs(one.nodes.at(times, one.nodes.epoch)[1]).sum(axis=1)
-    lenses = {(each.image.pixel_angle, each.image.interior.focal_length): each for each in known}
+    weights = np.abs(pass_.nodes.at(times, pass_.nodes.epoch)[1]).sum(axis=1)
+    lenses = {(each.image.pixel_angle, each.image.interior.focal_length): each for each in images}
     return np.asarray(np.max([image_motion(each)[:6] for each in lenses.values()], axis=0) * weights.max())
 
 
 def _unmoving(sigmas: Array, motion: Array | None = None, considered: bool = False) -> Shared:
-    """An unknown that moves no ground of its own, as it is beforehand."""
-    nothing = np.zeros(sigmas.size)
-    moving = nothing if motion is None else motion
-    return Shared(sigmas, moving, np.zeros((3, sigmas.size)), nothing, np.diag(sigmas**2), considered)
+    """A-priori state of an unknown that moves no ground of its own."""
+    zero = np.zeros(sigmas.size)
+    moving = zero if motion is None else motion
+    return Shared(sigmas, moving, np.zeros((3, sigmas.size)), zero, np.diag(sigmas**2), considered)
 
 
-def shared_by_images(one: NamedShared, images: Mapping[str, KnownImage], angles: Angles) -> Shared:
-    """An unknown that images share as it is beforehand; its motion is that of the image that it moves most."""
-    found = np.zeros(one.kind.width)
-    for known in {(i.image.pixel_angle, i.image.lines): i for name in one.images if (i := images[name])}.values():
-        motion, image = image_motion(known)[:6], known.image
-        if one.kind.moves_pose:
-            effect = np.abs(image_effect(image, one.kind, angles)).sum(axis=1)
-            found = np.maximum(found, effect @ motion)
-        elif one.kind is SharedKind.FOCAL_LENGTH:
+def shared_by_images(unknown: NamedShared, images: Mapping[str, KnownImage], angles: Angles) -> Shared:
+    """A-priori state of an unknown that images share; its motion is that of the image that it moves most."""
+    largest = np.zeros(unknown.kind.width)
+    seeing = (images[name] for name in unknown.images)
+    for known_image in {(i.image.pixel_angle, i.image.lines): i for i in seeing}.values():
+        motion, image = image_motion(known_image)[:6], known_image.image
+        if unknown.kind.moves_pose:
+            effect = np.abs(image_effect(image, unknown.kind, angles)).sum(axis=1)
+            largest = np.maximum(largest, effect @ motion)
+        elif unknown.kind is SharedKind.FOCAL_LENGTH:
             place, _ = image.interior.focal_plane(np.array([0.5, image.samples - 0.5]))
             widest = float(np.linalg.norm(place, axis=1).max())
-            found = np.maximum(found, widest / image.interior.focal_length**2 / image.pixel_angle)
-        elif one.kind.acts_on_rays:
-            found = np.maximum(found, 1.0 / one.sigmas)  # they act linearly: a sigma is thought to be a pixel
-    return _unmoving(one.sigmas, found, one.considered)
+            largest = np.maximum(largest, widest / image.interior.focal_length**2 / image.pixel_angle)
+        elif unknown.kind.acts_on_rays:
+            largest = np.maximum(largest, 1.0 / unknown.sigmas)  # linear: a sigma is taken as a pixel
+    return _unmoving(unknown.sigmas, largest, unknown.considered)
 
 
 def shared_of(solution: "Solution") -> dict[Unknown, Shared]:
     """The adjusted unknowns of a batch solution."""
-    network, found = solution.network, dict[Unknown, Shared]()
+    network, angles, adjusted = solution.network, solution.settings.angles, dict[Unknown, Shared]()
     names, count = unknowns(network), len(network.images)
     for j, (image, prior) in enumerate(zip(network.images, network.priors, strict=True)):
         if network.with_polynomial[j]:
-            one = shared_image(KnownImage(image, prior), solution.settings.angles)
+            start = shared_image(KnownImage(image, prior), angles)
             value, covariance = solution.coefficients[j].ravel(), solution.image_covariance(j)
-            found[names[j]] = replace(one, value=value, covariance=covariance)
-    motion = max((float(one.motion[0]) for one in found.values()), default=1.0)
+            adjusted[names[j]] = replace(start, value=value, covariance=covariance)
+    motion = max((float(start.motion[0]) for start in adjusted.values()), default=1.0)
     for p, name in enumerate(network.shift_names):
-        one = shared_shift(network, name, motion)
-        found[names[count + p]] = replace(one, value=solution.shifts[p], covariance=solution.shift_covariance(p))
-    known, every = definitions(network), {one.image.name: one for one in known_images(network)}
-    more = {Unknown("shared", n): shared_by_images(s, every, solution.settings.angles) for n, s in known.shared.items()}
-    for of_pass in known.passes.values():
-        more |= shared_pass(of_pass, every, solution.settings.angles)
+        start = shared_shift(network, name, motion)
+        adjusted[names[count + p]] = replace(start, value=solution.shifts[p], covariance=solution.shift_covariance(p))
+    defined, images = definitions(network), {image.image.name: image for image in known_images(network)}
+    more = {Unknown("shared", n): shared_by_images(s, images, angles) for n, s in defined.shared.items()}
+    for pass_ in defined.passes.values():
+        more |= shared_pass(pass_, images, angles)
     values = solution.values
     for v, unknown in enumerate(names[network.first_shared :], network.first_shared):
-        found[unknown] = replace(more[unknown], value=values[v], covariance=solution.joint_covariance.block(v, v))
-    return found
+        adjusted[unknown] = replace(more[unknown], value=values[v], covariance=solution.joint_covariance.block(v, v))
+    return adjusted

@@ -32,20 +32,20 @@ from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.parts import Members, Unknown, unknowns
 
 TOLERANCE = 2e-3
-"""Posterior sigmas by which linearisation may put an unknown wrong: small beside what is promised (`impact.CLOSE`),
-for the errors of bundles add up."""
+"""Posterior sigmas of an unknown's linearisation error: small beside the promised `impact.CLOSE`, since the errors of
+bundles add up."""
 _ROBUST_SHARE = 0.01
-"""Sigmas of an image coordinate by which it may move before the weights of a robust loss are made anew."""
+"""Sigmas of an image coordinate by which it may move before the weights of a robust loss are recomputed."""
 _STEP = 10.0
 """m, within which a stereo surface's slope and curvature are taken."""
 _MOST_ROUNDS = 20
-"""Times that rows of stereo surfaces are made anew for the same unknowns."""
+"""Relinearizations of the rows of stereo surfaces for the same unknowns."""
 _NOTHING = NodePrior(np.full(6, np.inf), np.zeros(6), np.zeros(6))
-"""Prior of orientation images of which nothing is known."""
+"""Prior of orientation images without a-priori sigmas."""
 
 
 def slack(network: Network, settings: SolverSettings, motion: Array, spread: Array, relief: Array) -> float:
-    """Pixels by which image places of a bundle may move before its reduced system has to be made anew.
+    """Pixels by which image places of a bundle may move before it is relinearized.
 
     The orientation enters the collinearity equations by sines of small angles: a move of p pixels, of w radians each,
     leaves p (p w) pixels that the linear system doesn't know. And it moves points along their rays: one whose place has
@@ -86,29 +86,29 @@ def about(network: Network) -> Network:
     """
     if not network.passes:
         return network
-    near = (replace(one, nodes=_near(network, one), prior=_NOTHING, whole=False) for one in network.passes)
+    near = (replace(pass_, nodes=_near(network, pass_), prior=_NOTHING, whole=False) for pass_ in network.passes)
     return replace(network, passes=tuple(near))
 
 
-def _near(network: Network, one: Pass) -> OrientationImages:
+def _near(network: Network, pass_: Pass) -> OrientationImages:
     """The nodes of a pass near the rays and ranges of a network."""
-    found = list[Index]()
-    if network.stereo is not None or len(one.nodes) <= SUPPORT:
-        return one.nodes
-    for j in one.images.tolist():
+    indices = list[Index]()
+    if network.stereo is not None or len(pass_.nodes) <= SUPPORT:
+        return pass_.nodes
+    for j in pass_.images.tolist():
         image, epoch = network.images[j], network.images[j].trajectory.epoch
         times, _ = image.timing.at(network.rays.places[network.rays.image == j, 0])
-        found.append(one.nodes.first_of_four(times, epoch))
-        found.append(one.nodes.first_of_four(network.ranges.times[network.ranges.image == j], 0.0))
-    nodes = np.concatenate(found)
+        indices.append(pass_.nodes.first_of_four(times, epoch))
+        indices.append(pass_.nodes.first_of_four(network.ranges.times[network.ranges.image == j], 0.0))
+    nodes = np.concatenate(indices)
     if nodes.size == 0:
-        return one.nodes
+        return pass_.nodes
     first, last = max(int(nodes.min()) - 1, 0), int(nodes.max()) + SUPPORT + 1
-    return one.nodes.with_nodes_at(one.nodes.times[first:last])
+    return pass_.nodes.with_nodes_at(pass_.nodes.times[first:last])
 
 
 class _Joint(NamedTuple):
-    """What is known of some unknowns."""
+    """Joint covariance of some unknowns."""
 
     covariance: Array
     """(d, d) m and rad, joint covariance."""
@@ -117,7 +117,7 @@ class _Joint(NamedTuple):
 
 
 class Sweep:
-    """A bundle that the kernel goes over.
+    """A bundle as the kernel takes it.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Sweep:
         self._relief: Array | None = None
 
     def reduce(self, values: Mapping[Unknown, Array], task: int = SYSTEM) -> Reduction:
-        """All points solved and eliminated at values of the unknowns; points that nothing determines are left out.
+        """All points solved and eliminated at values of the unknowns, without undetermined points.
 
         Raises PointBehindCamera.
         """
@@ -151,35 +151,35 @@ class Sweep:
         near = NEAR_ENOUGH if task == COSTS else NEAR
         if last is not None and last.serves(shared, task):
             return last
-        found = self._reduced(shared, task, None if last is None else last.points)
-        strong = without_weak(self._layout, found, self._selection)
+        reduction = self._reduced(shared, task, None if last is None else last.points)
+        strong = without_weak(self._layout, reduction, self._selection)
         if not np.array_equal(strong.out, self._selection.out):
             self._select(self._layout, strong)
-            found = self._reduced(shared, task, found.points)
+            reduction = self._reduced(shared, task, reduction.points)
         layout = self._layout.without_steps
         for _ in range(1 if layout.stereo is None else _MOST_ROUNDS):
-            exact = about_predicted_lines(layout, shared, found.points, near, own=True)
+            exact = about_predicted_lines(layout, shared, reduction.points, near, in_place=True)
             if exact is layout:
                 break
             same = exact.patterns is layout.patterns
-            begin = found.points if same else layout.network_order(found.points)[exact.point_order]
+            begin = reduction.points if same else layout.network_order(reduction.points)[exact.point_order]
             layout, self._last = exact, None  # its points may be in another order
             self._select(exact, self._selection)
-            found = self._reduced(shared, task, begin)
-        self._last = found
-        return found
+            reduction = self._reduced(shared, task, begin)
+        self._last = reduction
+        return reduction
 
     def system(self, values: Mapping[Unknown, Array], motion: Array) -> ReducedSystem | None:
         """The reduced system; None without adjusted unknowns or determined points. `motion` as in `slack`."""
-        found, layout = self.reduce(values), self._layout
+        reduction, layout = self.reduce(values), self._layout
         if layout.columns == 0 or not np.any(determined_points(self._rows)):
             return None
-        names, at, normal, gradient = self._joined(found)
+        names, at, normal, gradient = self._joined(reduction)
         if self._spread is None or self._relief is None:  # hardly change where the points are as near as this
-            self._spread = self._free_variances(found)
-            self._relief = self._stereo_relief(found)
+            self._spread = self._free_variances(reduction)
+            self._relief = self._stereo_relief(reduction)
         allowed = slack(self.network, self._settings, motion, self._spread, self._relief)
-        return ReducedSystem(names, at, normal, gradient, found.cost, allowed)
+        return ReducedSystem(names, at, normal, gradient, reduction.cost, allowed)
 
     def of_bundles(
         self, values: Mapping[Unknown, Array], joint: JointCovariance, bundles: Mapping[Members, Network],
@@ -196,46 +196,46 @@ class Sweep:
         motion : function
             As in `slack`, of each bundle.
         """
-        found, layout = self.reduce(values), self._layout
-        places, free = self._ordered(found.points), self._free_variances(found)
+        reduction, layout = self.reduce(values), self._layout
+        places, free = self._ordered(reduction.points), self._free_variances(reduction)
         covariances = self._ordered(
-            joint_point_covariances(layout, self._rows, found.orientation, found.points, joint)
+            joint_point_covariances(layout, self._rows, reduction.orientation, reduction.points, joint)
         )
         piece_group, group = self._rows.pattern_group[self._rows.piece[:, 0]], self._group_of_points()
-        costs = np.bincount(piece_group, found.piece_cost, len(layout.group_variables))
-        kept = dict[Members, Bundle]()
-        for members, (network, mine) in zip(bundles, _with_points(bundles, self.network), strict=True):
-            (own,) = np.unique(group[mine]).tolist()
+        costs = np.bincount(piece_group, reduction.piece_cost, len(layout.group_variables))
+        adopted = dict[Members, Bundle]()
+        for members, (network, inside) in zip(bundles, _with_points(bundles, self.network), strict=True):
+            (number,) = np.unique(group[inside]).tolist()
             system: ReducedSystem | None = None
-            if members and np.any(np.isfinite(places[mine, 0])):
-                names, at, normal, gradient = self._of_group(found, own)
-                allowed = slack(network, self._settings, motion(members, network), free[mine], np.zeros((0, 2)))
-                system = ReducedSystem(names, at, normal, gradient, float(costs[own]), allowed)
-            kept[members] = Bundle(network, system, places[mine], covariances[mine])
-        return kept
+            if members and np.any(np.isfinite(places[inside, 0])):
+                names, at, normal, gradient = self._of_group(reduction, number)
+                allowed = slack(network, self._settings, motion(members, network), free[inside], np.zeros((0, 2)))
+                system = ReducedSystem(names, at, normal, gradient, float(costs[number]), allowed)
+            adopted[members] = Bundle(network, system, places[inside], covariances[inside])
+        return adopted
 
-    def _of_group(self, found: Reduction, group: int) -> tuple[Members, Array, Array, Array]:
-        """Unknowns that the points of a group feel, values (d,), normal matrix (d, d) and gradient (d,)."""
+    def _of_group(self, reduction: Reduction, group: int) -> tuple[Members, Array, Array, Array]:
+        """Unknowns of the points of a group, values (d,), normal matrix (d, d) and gradient (d,)."""
         layout, felt = self._layout, self._layout.group_variables[group]
-        at = np.concatenate([found.orientation[layout.columns_of(v)] for v in felt])
-        return tuple(self._names[v] for v in felt), at, *dense(found, layout.groups, self._blocks, group)
+        at = np.concatenate([reduction.orientation[layout.columns_of(v)] for v in felt])
+        return tuple(self._names[v] for v in felt), at, *dense(reduction, layout.groups, self._blocks, group)
 
-    def _joined(self, found: Reduction) -> tuple[Members, Array, Array, Array]:
-        """Unknowns that the points feel, values (d,), normal matrix (d, d) and gradient (d,): one set of unknowns, or
-        several where rays are seen about other orientation images than thought before.
+    def _joined(self, reduction: Reduction) -> tuple[Members, Array, Array, Array]:
+        """Unknowns of all points, values (d,), normal matrix (d, d) and gradient (d,): one set of unknowns, or several
+        where rays depend on other orientation images than before.
         """
         layout = self._layout
         felt = sorted({v for group in layout.group_variables for v in group})
         first = dict(zip(felt, np.cumsum([0, *(layout.variables.width[v] for v in felt)]).tolist(), strict=False))
-        at = np.concatenate([found.orientation[layout.columns_of(v)] for v in felt])
+        at = np.concatenate([reduction.orientation[layout.columns_of(v)] for v in felt])
         normal, gradient = np.zeros((at.size, at.size)), np.zeros(at.size)
         for group, members in enumerate(layout.group_variables):
-            mine = np.concatenate([np.zeros(0, dtype=np.int64), *(
+            columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
                 np.arange(first[v], first[v] + layout.variables.width[v]) for v in members
             )])  # fmt: skip
-            own, right = dense(found, layout.groups, self._blocks, group)
-            normal[np.ix_(mine, mine)] += own
-            gradient[mine] += right
+            block, right = dense(reduction, layout.groups, self._blocks, group)
+            normal[np.ix_(columns, columns)] += block
+            gradient[columns] += right
         return tuple(self._names[v] for v in felt), at, normal, gradient
 
     def placed(
@@ -244,10 +244,10 @@ class Sweep:
         """The bundle with its points where the unknowns put them; `joint` is the covariance (d, d) of those of the
         system, in their order; absent where it has none.
         """
-        found = self.reduce(values, COSTS)
-        known = None if joint is None or system is None else _Joint(joint, stretches(system.unknowns, values))
-        covariances = self._covariances(found, [known] * len(self._layout.group_variables))
-        return Bundle(self.network, system, self._ordered(found.points), covariances)
+        reduction = self.reduce(values, COSTS)
+        of_system = None if joint is None or system is None else _Joint(joint, stretches(system.unknowns, values))
+        covariances = self._covariances(reduction, [of_system] * len(self._layout.group_variables))
+        return Bundle(self.network, system, self._ordered(reduction.points), covariances)
 
     def placed_bundles(
         self, values: Mapping[Unknown, Array], bundles: Mapping[Members, Bundle],
@@ -256,17 +256,17 @@ class Sweep:
         """All bundles of the network with their points where the unknowns put them, by one pass over all points;
         `joint` are the covariances (d, d) of the unknowns of each system. Networks as of `of_bundles`.
         """
-        found, groups = self.reduce(values, COSTS), self._group_of_points()
-        known: list[_Joint | None] = [None] * len(self._layout.group_variables)
-        there = list(_with_points({members: one.network for members, one in bundles.items()}, self.network))
-        for members, (_, mine) in zip(bundles, there, strict=True):
-            (own,) = np.unique(groups[mine]).tolist()
+        reduction, groups = self.reduce(values, COSTS), self._group_of_points()
+        of_groups: list[_Joint | None] = [None] * len(self._layout.group_variables)
+        numbered = list(_with_points({members: bundle.network for members, bundle in bundles.items()}, self.network))
+        for members, (_, inside) in zip(bundles, numbered, strict=True):
+            (number,) = np.unique(groups[inside]).tolist()
             if members in joint:
-                known[own] = _Joint(joint[members], stretches(systems[members].unknowns, values))
-        places, covariances = self._ordered(found.points), self._covariances(found, known)
+                of_groups[number] = _Joint(joint[members], stretches(systems[members].unknowns, values))
+        places, covariances = self._ordered(reduction.points), self._covariances(reduction, of_groups)
         return {
-            members: Bundle(network, systems.get(members), places[mine], covariances[mine])
-            for members, (network, mine) in zip(bundles, there, strict=True)
+            members: Bundle(network, systems.get(members), places[inside], covariances[inside])
+            for members, (network, inside) in zip(bundles, numbered, strict=True)
         }
 
     def _group_of_points(self) -> Index:
@@ -274,64 +274,64 @@ class Sweep:
         piece_group = self._rows.pattern_group[self._rows.piece[:, 0]]
         return self._layout.network_order(np.repeat(piece_group, self._rows.piece[:, 2]))
 
-    def _covariances(self, found: Reduction, joint: "Sequence[_Joint | None]") -> Array:
+    def _covariances(self, reduction: Reduction, joint: "Sequence[_Joint | None]") -> Array:
         """(n, 3, 3) m^2 of the points, NaN for undetermined ones, from the joint covariance of the unknowns that each
         group of points feels; of a group without one as if they were known.
         """
         layout, target = self._layout, self._blocks
         blocks = np.zeros(target.size)
-        for group, (members, known) in enumerate(zip(layout.group_variables, joint, strict=True)):
-            if known is not None:
-                blocks += sparse(self._joint_of(members, known), layout.groups, target, group)
+        for group, (members, covariance) in enumerate(zip(layout.group_variables, joint, strict=True)):
+            if covariance is not None:
+                blocks += sparse(self._joint_of(members, covariance), layout.groups, target, group)
         return self._ordered(
             point_covariances(
-                self._rows, layout.groups, target, layout.model, found.orientation, blocks, found.points
+                self._rows, layout.groups, target, layout.model, reduction.orientation, blocks, reduction.points
             )
         )
 
-    def _free_variances(self, found: Reduction) -> Array:
+    def _free_variances(self, reduction: Reduction) -> Array:
         """(n,) m^2, variance of each point in all directions as if all unknowns were known."""
-        nothing = [None] * len(self._layout.group_variables)
-        return np.asarray(np.trace(self._covariances(found, nothing), axis1=1, axis2=2))
+        held = [None] * len(self._layout.group_variables)
+        return np.asarray(np.trace(self._covariances(reduction, held), axis1=1, axis2=2))
 
-    def _joint_of(self, members: Sequence[int], known: "_Joint") -> Array:
-        """Covariance (d, d) of some variables, out of that of unknowns. An orientation image that is not among these is
-        one about which a ray has just come to lie: it has no weight there yet.
+    def _joint_of(self, members: Sequence[int], covariance: "_Joint") -> Array:
+        """Covariance (d, d) of some variables, taken from that of unknowns; zero for an orientation image that is not
+        among these: a ray has just moved next to it, and it has no weight there yet.
         """
-        joint, place = known
-        every = np.arange(joint.shape[0])
+        joint, place = covariance
+        numbers = np.arange(joint.shape[0])
         columns = np.concatenate([np.zeros(0, dtype=np.int64), *(
-            every[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
+            numbers[place[name]] if (name := self._names[v]) in place else np.full(self._layout.variables.width[v], -1)
             for v in members
         )])  # fmt: skip
-        there = np.flatnonzero(columns >= 0)
-        found = np.zeros((columns.size, columns.size))
-        found[np.ix_(there, there)] = joint[np.ix_(columns[there], columns[there])]
-        return found
+        present = np.flatnonzero(columns >= 0)
+        block = np.zeros((columns.size, columns.size))
+        block[np.ix_(present, present)] = joint[np.ix_(columns[present], columns[present])]
+        return block
 
-    def _stereo_relief(self, found: Reduction) -> Array:
-        """(k, 2) for `slack`: by how much heights differ from what the rows say of them a step away, where these take
-        the ground for level; and by how much normals turn.
+    def _stereo_relief(self, reduction: Reduction) -> Array:
+        """(k, 2) for `slack`: difference of heights from those that the linear rows predict a step away, where these
+        take the ground for level; and change of the normals.
         """
         layout, rows, control = self._layout, self._layout.stereo, self.network.stereo
         if rows is None or control is None:
             return np.zeros((0, 2))
-        points, squares = layout.network_order(found.points), np.zeros((rows.points.size, 2))
+        points, squares = layout.network_order(reduction.points), np.zeros((rows.points.size, 2))
         level = np.zeros(rows.points.size) if control.level is None else control.level[rows.points]
-        for way in range(2):
-            ahead = points + _STEP * east_north(points)[:, way]
-            there = linear_rows(self._seen, layout.model, layout.variables, found.orientation, ahead, rows)
-            assert there is not None
-            said, say = (
-                heights_at(one, self._seen, layout.variables, found.orientation, there.reference)
-                for one in (rows, there)
+        for axis in range(2):
+            ahead = points + _STEP * east_north(points)[:, axis]
+            rows_ahead = linear_rows(self._seen, layout.model, layout.variables, reduction.orientation, ahead, rows)
+            assert rows_ahead is not None
+            before, after = (
+                heights_at(linear, self._seen, layout.variables, reduction.orientation, rows_ahead.reference)
+                for linear in (rows, rows_ahead)
             )
-            turned = np.sum((there.normals - rows.normals) ** 2, axis=1)
-            squares += np.stack([level * (say - said) ** 2, turned], axis=1)
+            turned = np.sum((rows_ahead.normals - rows.normals) ** 2, axis=1)
+            squares += np.stack([level * (after - before) ** 2, turned], axis=1)
         return np.sqrt(squares) / (_STEP * control.sigmas[rows.points])[:, None]
 
     def places(self, values: Mapping[Unknown, Array]) -> Array:
-        """(n, 3) m, where the unknowns put the points; NaN for undetermined ones."""
+        """(n, 3) m, positions of the points at these unknowns; NaN for undetermined ones."""
         return self._ordered(self.reduce(values, COSTS).points)
 
     def _select(self, layout: Layout, selection: Selection) -> None:
@@ -358,7 +358,7 @@ class Sweep:
 
 def _with_points(bundles: Mapping[Members, Network], network: Network) -> Iterator[tuple[Network, Index]]:
     """Networks of bundles, each with the numbers of its points in the whole network."""
-    every = Names.concatenated([one.points.ids for one in bundles.values()])
-    numbers = network.points.ids.find(every)
-    ends = np.cumsum([len(one.points) for one in bundles.values()])
+    ids = Names.concatenated([network_of_bundle.points.ids for network_of_bundle in bundles.values()])
+    numbers = network.points.ids.find(ids)
+    ends = np.cumsum([len(network_of_bundle.points) for network_of_bundle in bundles.values()])
     return zip(bundles.values(), np.split(numbers, ends[:-1]), strict=True)

@@ -98,12 +98,12 @@ def test_replacing_and_removing_is_building_anew(seed: int) -> None:
                 tree.change(systems={members: systems[members]})
             case 1:
                 del systems[members]
-                tree.change(gone=[members])
+                tree.change(replaced=[members])
                 assert members not in tree
     assert np.all(from_dense(tree, priors, systems, seed) < CLOSE)
     leaving = next(iter(priors))
     gone = [members for members in systems if leaving in members]
-    tree.change(gone=gone, dropped=[leaving])
+    tree.change(replaced=gone, dropped=[leaving])
     left = {members: one for members, one in systems.items() if members not in gone}
     rest = {unknown: sigmas for unknown, sigmas in priors.items() if unknown != leaving}
     assert set(tree.values()) == set(rest)
@@ -147,7 +147,7 @@ def test_what_gtsam_s_cholesky_calls_indeterminate_is_no_harder(rows: int) -> No
     tree.change(priors, systems)
     assert np.all(from_dense(tree, priors, systems) < (1e-4, 1e-5))
     assert not tree.moved()
-    tree.change(gone=list(systems))
+    tree.change(replaced=list(systems))
     assert np.all(from_dense(tree, priors, {}) < CLOSE)
 
 

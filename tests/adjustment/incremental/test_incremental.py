@@ -457,10 +457,10 @@ def test_a_store_that_fails_leaves_the_engine_as_it_was() -> None:
     class Full(InMemory):
         full = False
 
-        def put_image(self, known: KnownImage) -> None:
+        def add_image(self, known: KnownImage) -> None:
             if self.full:
                 raise OSError("no space left")
-            super().put_image(known)
+            super().add_image(known)
 
     store = Full()
     adjustment = IncrementalAdjustment(store=store)

@@ -1,4 +1,4 @@
-"""The GPU that is there, and what a user should know of it."""
+"""The GPU of the machine, and a remark on its speed."""
 
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -8,13 +8,12 @@ from mgsgraph.errors import InputError
 WHERE = "solver, device"
 _INSTALL = 'install it with pip install "mgsgraph[cuda]", or take device = "cpu"'
 _SLOW = 4
-"""Times that float32 is faster from which float64 is a sideline: 2 on what is made for computing, 32 or 64 on what is
-made for pictures."""
+"""Ratio of float32 to float64 rates from which on float64 is slow: 2 on GPUs for computing, 32 or 64 on others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gpu:
-    """A device that is there."""
+    """A GPU."""
 
     name: str
     """As its driver calls it."""
@@ -25,7 +24,7 @@ class Gpu:
 
     @property
     def remark(self) -> str:
-        """What a user should know of its arithmetic; empty where nothing is wrong with it."""
+        """Remark on its arithmetic for the user; empty where it is fast."""
         if self.ratio < _SLOW:
             return ""
         return f"Its float64 rate is 1/{self.ratio} of its float32 rate: device = 'cpu' may take less time."
