@@ -366,7 +366,7 @@ def _squared_factors(by_group: Redundancy, judgements: list[Judgement]) -> Array
 
 
 def components_from_redundancy(by_group: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
-    """Factors (g,) of the groups, with their covariances from Helmert's matrix of those that can be judged."""
+    """Factors (g,) of the groups, with their covariances from Helmert's matrix of the judged groups."""
     size, judged = len(judgements), _judged_groups(judgements)
     part = by_group.helmert[np.ix_(judged, judged)]
     covariance, degrees = 2.0 * np.linalg.inv(part), np.full(size, np.nan)

@@ -57,7 +57,7 @@ class Quantity(Record):
 
 
 def joined(quantities: Sequence[Quantity]) -> Quantity:
-    """Several quantities as one, one after another."""
+    """Several quantities as one, in their order."""
     ends = np.cumsum([0, *(len(quantity.names) for quantity in quantities)]).tolist()
     by_shared: dict[int, Array] = {}
     noise: dict[Hashable, Array] = {}
@@ -443,9 +443,9 @@ class CommonPoints:
     def sigmas(self) -> tuple[Array, Array]:
         """(n,) m, 3-D sigmas of the earlier and of the later solution."""
         later, earlier = self.rows
-        earlier_variance, later_variance = (np.trace(solution.covariances[k], axis1=1, axis2=2)
-                      for solution, k in ((self.earlier, earlier), (self.solution, later)))  # fmt: skip
-        return np.sqrt(np.maximum(earlier_variance, 0.0)), np.sqrt(np.maximum(later_variance, 0.0))
+        before, after = (np.trace(solution.covariances[k], axis1=1, axis2=2)
+                         for solution, k in ((self.earlier, earlier), (self.solution, later)))  # fmt: skip
+        return np.sqrt(np.maximum(before, 0.0)), np.sqrt(np.maximum(after, 0.0))
 
     @property
     def in_sigmas(self) -> Array:

@@ -99,8 +99,7 @@ def linearity_of(at: Linearised) -> Linearity | None:
     True
     """
     graph = BundleGraph(at.layout, at.rows)
-    reduction = graph.reduction(at.orientation, SYSTEM, at.points)
-    return linearity(graph, reduction, at.of_estimator().joint.square_root)
+    return linearity(graph, graph.reduction(at.orientation, SYSTEM, at.points), at.of_estimator().joint.square_root)
 
 
 class Likelihood(Record):

@@ -350,8 +350,8 @@ def posterior_of(
 
     def joint_of(layout: Layout) -> JointCovariance:
         wanted = [names[v] for v in layout.variables.adjusted()]
-        covariance = joint(wanted) if wanted else np.zeros((0, 0))
-        return dense_covariance(layout.variables.first, layout.variables.width, covariance)
+        matrix = joint(wanted) if wanted else np.zeros((0, 0))
+        return dense_covariance(layout.variables.first, layout.variables.width, matrix)
 
     each = [values.get(unknown, np.zeros(0)) for unknown in names]
     return Posterior(at_values(network, settings, each, places, near=True, joint_of=joint_of))

@@ -5,15 +5,15 @@ found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts a
 print(found)
 
 Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
-of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
-so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
+of images shows only the difference of two passes, not which of them moves. Axes are observed very differently; so each
+has its own strength, and a hardly observed one follows the others: a priori log s is normal about the sigma that the
 search begins with, with a deviation common to the axes (`Process.spread`) and one of each (`strengths`).
 
 Where passes differ, each has strengths of its own, which depart from those in common; one that is hardly seen follows
 these. Passes differ where all departures together raise the restricted likelihood by more than noise does: not a
 process alone, since ties show position and attitude jointly, and what one is held to the other would make up for.
 
-Rays that scatter more than stated would be taken for a process: their sigmas count as right.
+Rays that scatter more than stated would be taken for a process: their sigmas are assumed correct.
 
 The restricted likelihood of strengths follows from an adjustment with other strengths. With everything else eliminated
 the measures say y = x + e of the nodes x of all passes, x being normal with the covariance K = sum_i s_i^2 C_i + trend:
@@ -36,9 +36,9 @@ density. No strengths need an adjustment of their own: with other ones all unkno
 
 and what is stated is the mean square about x, as of several minima (`adjustment.multistart`): S + A Q A'.
 
-Passes may move alike. Their difference then shows nothing, and strengths that follow from it would vanish. So there are
-two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see of a
-process has a strength of its own, exp(`_LESS`) of that of what they don't see.
+Passes may move in the same way. Their difference then shows nothing, and strengths that follow from it would vanish. So
+there are two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see
+of a process has a strength of its own, exp(`_LESS`) of that of what they don't see.
 """
 
 import math

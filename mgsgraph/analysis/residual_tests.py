@@ -1,9 +1,9 @@
-"""Do the residuals look as their sigmas promise? Normalised residuals group by group.
+"""Do the residuals agree with their sigmas? Normalized residuals group by group.
 
 A residual over its own sigma, w = v / sqrt(r) for a whitened residual v with the redundancy number r, is standard
-normal if the sigmas are right and the errors normal. Residuals of a group are correlated: of n of them only as many are
-worth an independent one as the group has redundancy (the eigenvalues of their covariance are at most one), and tests
-and bands count with that number. They err on the safe side: false alarms are rarer than stated.
+normal if the sigmas are right and the errors normal. Residuals of a group are correlated. The redundancy of the group
+is their number of independent residuals (the eigenvalues of their covariance are at most one); tests and bands use it.
+They are conservative: false alarms are rarer than stated.
 """
 
 import math
@@ -33,7 +33,7 @@ _MARKS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuantilePlot:
-    """Sorted residuals against what a normal law promises."""
+    """Sorted residuals against those of a normal distribution."""
 
     promised: Array
     """(m,) standard normal quantiles."""

@@ -1,8 +1,8 @@
 """Sanity checks: observations that were left out, and nominal residuals beyond what priors explain.
 
-An optimizer converges on whatever is left to it. Robust estimates and rejection hold while more than half of the
-observations of a kind are good, and no estimate can hold beyond (breakdown point; Rousseeuw & Leroy 1987, section 1.2):
-where most are left out, those that are left may as well be the wrong ones.
+An optimizer converges on any remaining observations. Robust estimates and rejection are valid while more than half of
+the observations of a kind are good, and no estimate is valid beyond (breakdown point; Rousseeuw & Leroy 1987, section
+1.2): where most are left out, the remaining ones may be the wrong ones.
 """
 
 from enum import StrEnum

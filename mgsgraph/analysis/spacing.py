@@ -1,17 +1,17 @@
 """Candidate spacings of orientation images, judged by how well each predicts rays that it has not seen.
 
-All candidates see the same rays and are asked for the same ones, so that they are judged by differences ray by ray:
-what a ray's own noise does to all of them alike drops out. Blunders, where they are sought, are so once, with the
-closest nodes that the rays support: wider ones would take what they can't follow for blunders. Rays near in time share
-the error of the orientation there and are not independent; standard errors are those of sums over stretches of time. Of
-all spacings that are not worse than the best one by more than one standard error of the difference, the coarsest is
-chosen (the rule of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
+All candidates are fitted to the same rays and predict the same ones. They are judged by differences ray by ray, so the
+noise of a ray, common to all of them, cancels. Blunders are sought once, if at all, with the closest nodes that the
+rays support: wider nodes would mark as blunders what they can't follow. Rays near in time share the error of the
+orientation there and are not independent; standard errors are those of sums over stretches of time. Of all spacings
+that are not worse than the best one by more than one standard error of the difference, the coarsest is chosen (the rule
+of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
 
 *Held out* is one ray of a point that other rays determine. Its misfit, measured minus predicted, is divided by what it
 would scatter were the orientation known: the ray's own noise, and that of the point as its other rays determine it.
 These numbers are the same for all candidates, whatever nodes they have. The covariance of the orientation stays out on
-purpose: it grows with the number of nodes, and dividing by it would reward a candidate for not knowing. So a misfit of
-1 is noise, and what is above comes from the orientation.
+purpose: it grows with the number of nodes, and dividing by it would reward uncertain candidates. So a misfit of
+1 is noise, and any excess comes from the orientation.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,5 +1,5 @@
-"""What a wrong input could still hide: errors of clock, position, pointing, terrain heights and ranges that the tests
-don't find, and by how much they move the points (external reliability; Baarda 1968, Foerstner & Wrobel 2016, 4.6).
+"""Undetected errors of inputs: errors of clock, position, pointing, terrain heights and ranges that the tests don't find,
+and by how much they move the points (external reliability; Baarda 1968, Foerstner & Wrobel 2016, 4.6).
 
 An error of the nominal orientation that corrections can follow, by coefficients c, is the same as if the priors were
 wrong by c: it stands in their rows alone. With b what an error of one unit adds to the whitened residuals before the

@@ -262,8 +262,7 @@ def _tested(solution: Solution) -> Verdict:
     count = sum(group.tested for group in groups) + tested + len(common) + len(offsets)
     count += rows.begin_of_priors if small else solution.residuals.size
     points = np.unique(rows.point[: rows.begin_of_priors]).size
-    largest = tuple(corrections[:_CORRECTIONS])
-    return Verdict(State.VALID, tuple(reasons), groups, largest, common, count, points)
+    return Verdict(State.VALID, tuple(reasons), groups, tuple(corrections[:_CORRECTIONS]), common, count, points)
 
 
 def _level(kind: str, tests: int) -> float:

@@ -4,7 +4,7 @@ rays show them.
 found = estimated_vibrations(network, settings)   # adjusts, looks at residuals, adds lines, until none is left
 print(found.sentences)
 
-Whose a vibration is residuals don't tell: each is an unknown of all passes and about all axes, with an a-priori sigma
+Residuals don't tell which pass vibrates: each vibration is an unknown of all passes and axes, with an a-priori sigma
 of a pixel at least (`SharedUnknown.of_vibration`). A frequency comes in where noise alone would show as clear a line at
 any frequency once in a thousand times (`residual_spectrum`). A frequency that is off by df makes of amounts c, s of
 cosine and sine the drifts (2 pi df h) (s, -c) over a half length h of the pass: least squares on the drifts found give
@@ -12,8 +12,8 @@ df, and a new adjustment, until it is less than a tenth of its sigma (Gauss-Newt
 2 log likelihood rises by more than log n for each of its amounts (BIC, n image coordinates); else it is held to what
 the frequency's own sigma leaves open, so that the amplitude's sigma has that in it.
 
-The prior makes no sigma: stated are amounts of which the rays leave less than a tenth of the a-priori variance. A pair
-shows the *difference* of its passes at the same ground: of all amounts x with the covariance C and L = C^-1, the
+No stated sigma comes from the prior: only amounts whose variance is below a tenth of the a-priori one are stated. A
+pair shows the *difference* of its passes at the same ground: of all amounts x with the covariance C and L = C^-1, the
 combination x_j + sum_k L_jj^-1 L_jk x_k is the surest with x_j in it; its covariance is L_jj^-1.
 """
 

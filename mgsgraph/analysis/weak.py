@@ -2,12 +2,12 @@
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
 sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that remains after the measures. (In place of an
-infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) What is known of a strip's nodes
-is known of them together: there the square root R of the a-priori information takes the place of D^-1, R S R'.
+infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) The prior of a strip's nodes is a
+joint one: there the square root R of the a-priori information takes the place of D^-1, R S R'.
 
-Many directions are often equally weak: whatever position and pointing of one image do to each other's favour, no
-measure ever tells. Directions whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`)
-and sorted by what they move, in m; their variances are no longer exactly eigenvalues, but within that 1 %.
+Many directions are often equally weak: measurements hardly separate position from pointing of one image. Directions
+whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`) and sorted by what they move,
+in m; their variances are no longer exactly eigenvalues, but within that 1 %.
 
 In a network of more than some 100 images there are hundreds of equals, and a handful of eigenvectors is a mixture of
 all of them. There Lanczos's method tells how weak the weakest is, and single images' own directions, as weak as that

@@ -13,9 +13,9 @@ in the first image is cut at the height of that surface (a plane through the nea
 the second image, and moved by the ties' own misplacement there (measured minus transferred the same way; a low-order
 polynomial of line and sample, so that measuring noise averages out). An orientation error across the epipolar plane
 shows in the misplacement; one within it lifts the ties' surface off the footprints and shows by the parallax of that
-height. A horizontal error of the footprints moves both places alike and shows in neither: ties don't know it. Relief
-between the ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated
-sigmas hold it.
+height. A horizontal error of the footprints moves both places in the same way and stays invisible. Relief between the
+ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated sigmas hold
+it.
 """
 
 from collections.abc import Sequence

@@ -128,7 +128,7 @@ def mountings(images: Sequence[PushbroomImage], where: str, one_camera: bool = F
                 "when they are followed over other images", f"at most {_LOOSE} rad", "take one of them out",
             )  # fmt: skip
     rotations = np.array([axes[j] for j in range(len(images))])
-    return rotations if max(_angle(rotation) for rotation in rotations) > _TURNED else None
+    return rotations if max(_angle(matrix) for matrix in rotations) > _TURNED else None
 
 
 def _links(

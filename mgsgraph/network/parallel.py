@@ -1,4 +1,4 @@
-"""Points whose rays are nearly parallel: nothing says how far away they are."""
+"""Points whose rays are nearly parallel: their distance is undetermined."""
 
 import numpy as np
 

@@ -9,9 +9,9 @@ corrections to the observed exterior orientation): of a node at time t, s = -1 .
     c(t) = bias + drift s + e(t),
 
 where e has the node's own sigma and, between nodes, the correlation exp(-|dt| / correlation time) of a Gauss-Markov
-process. So a node hangs on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and sigma
-root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
-nodes then don't say more than the trajectory knows (`NodePrior`).
+process. So a node depends on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and
+sigma root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it.
+Closer nodes then don't say more than the trajectory knows (`NodePrior`).
 
 Other departures: any Gaussian process (`ProcessPrior`, `network.conditioning`), its rows between neighbouring nodes by
 sequential conditioning (`network.conditioning`). Or none, and the corrections polynomials of time (`PolynomialPrior`):

@@ -297,14 +297,13 @@ def add_up(tables, table, edges, result, gradient, blocks):
                     for s in range(slices):
                         value += numbers[k + s * quads * SUMS]
                     a, b, p, q = c // columns_j, c % columns_j, (begin + v) // width, (begin + v) % width
-                    entry_a = entry + (p if terms > 0 else a)
+                    row = entry + (p if terms > 0 else a)
                     a = a if terms > 0 else 0
                     if alone:
-                        cuda.atomic.add(gradient, tables.entry[entry_a, RIGHT] + a, value)
+                        cuda.atomic.add(gradient, tables.entry[row, RIGHT] + a, value)
                     else:
-                        entry_b = entry_j + (q if terms_j > 0 else b)
+                        column = entry_j + (q if terms_j > 0 else b)
                         add_number(
-                            tables, pattern, same, entry_a, a, entry_b, b if terms_j > 0 else 0, value, mirrored > 0,
-                            blocks,
+                            tables, pattern, same, row, a, column, b if terms_j > 0 else 0, value, mirrored > 0, blocks
                         )
                 cuda.syncthreads()
