@@ -13,9 +13,9 @@ from mgsgraph.factors.algebra import add, scale, subtract
 def hermite(s, step, first, last, first_velocity, last_velocity):
     """Position, m, and velocity, m/s, at the share s of a step in s."""
     begin, end, way = scale(step, first_velocity), scale(step, last_velocity), subtract(last, first)
-    both = add(begin, end)
-    second = subtract(scale(3.0, way), add(begin, both))
-    third = subtract(both, scale(2.0, way))
+    total = add(begin, end)
+    second = subtract(scale(3.0, way), add(begin, total))
+    third = subtract(total, scale(2.0, way))
     position = add(first, scale(s, add(begin, scale(s, add(second, scale(s, third))))))
     motion = add(begin, scale(s, add(scale(2.0, second), scale(3.0 * s, third))))
     return position, scale(1.0 / step, motion)

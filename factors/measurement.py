@@ -48,10 +48,10 @@ class _Instrument:
     """What all unknowns of a factor do to the state of one of its instruments."""
 
     def __init__(self, effects: Sequence[Effect], first: dict[int, int], total: int) -> None:
-        every = [(key, width) for one in effects for key, width in zip(one.keys, one.widths, strict=True)]
+        unknowns = [(key, width) for effect in effects for key, width in zip(effect.keys, effect.widths, strict=True)]
         self._effects, self._total = effects, total
         self._columns = np.concatenate(
-            [np.zeros(0, dtype=int), *(first[key] + np.arange(width) for key, width in every)]
+            [np.zeros(0, dtype=int), *(first[key] + np.arange(width) for key, width in unknowns)]
         )
         self._whole = len(effects) == 1 and np.array_equal(self._columns, np.arange(total))
         self._kept: dict[float, tuple[Array, Array]] = {}
@@ -65,13 +65,13 @@ class _Instrument:
         return self._kept[line]
 
     def _matrices(self, line: float) -> tuple[Array, Array]:
-        parts = [one.at(line) for one in self._effects]
+        parts = [effect.at(line) for effect in self._effects]
         if self._whole:
             return parts[0]
-        found = np.zeros((2, STATE, self._total))
+        matrices = np.zeros((2, STATE, self._total))
         for k in (0, 1) if parts else ():
-            np.add.at(found[k].T, self._columns, np.hstack([part[k] for part in parts]).T)
-        return found[0], found[1]
+            np.add.at(matrices[k].T, self._columns, np.hstack([part[k] for part in parts]).T)
+        return matrices[0], matrices[1]
 
     def states(self, x: Array) -> StateAt:
         """State as a function of the line, at unknowns (columns,)."""
@@ -118,21 +118,21 @@ def measurement_factor(
     import gtsam  # the equations of `factors` serve those who need no graph, too
 
     widths = {
-        key: width for mine in effects for one in mine for key, width in zip(one.keys, one.widths, strict=True)
+        key: width for some in effects for effect in some for key, width in zip(effect.keys, effect.widths, strict=True)
     }
     keys, ends = list(widths), np.cumsum([0, *widths.values()]).tolist()
     columns = [slice(*edges) for edges in pairwise(ends)]
     point = _key_or_position(point, label)
     if isinstance(point, int) and point in widths:
         raise InputError(label, f"key {gtsam_name(point)} of an unknown and of the point", "a key of its own for each")
-    instruments = [_Instrument(mine, dict(zip(keys, ends, strict=False)), ends[-1]) for mine in effects]
+    instruments = [_Instrument(some, dict(zip(keys, ends, strict=False)), ends[-1]) for some in effects]
 
     def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         place = values.atPoint3(point) if isinstance(point, int) else point
         x = np.concatenate([np.zeros(0), *(values.atVector(key) for key in keys)])
         if x.size != ends[-1]:
             raise _of_other_length(label, widths, values)
-        rows = measurement(*(one.states(x) for one in instruments), place)
+        rows = measurement(*(item.states(x) for item in instruments), place)
         if rows is None:
             if jacobians is not None:
                 found = "the image doesn't see the point: behind the camera, or far outside"
@@ -141,9 +141,9 @@ def measurement_factor(
         if jacobians is not None:
             if keys:
                 parts = zip(np.split(rows.by_state, len(instruments), axis=1), instruments, rows.lines, strict=True)
-                whole = np.asarray(sum(by_state @ one.matrices(line)[0] for by_state, one, line in parts))
-                for k, mine in enumerate(columns):
-                    jacobians[k] = np.asfortranarray(whole[:, mine])
+                derivatives = np.asarray(sum(by_state @ item.matrices(line)[0] for by_state, item, line in parts))
+                for k, part in enumerate(columns):
+                    jacobians[k] = np.asfortranarray(derivatives[:, part])
             if isinstance(point, int):
                 jacobians[len(keys)] = np.asfortranarray(rows.by_point)
         return rows.residual
@@ -189,10 +189,10 @@ def noise_model(
     given = np.asarray(sigmas, dtype=np.float64)
     if given.shape not in ((), (rows,)):
         raise InputError(where, f"{given.size} sigmas", f"one or {rows}")
-    every = np.broadcast_to(given, (rows,)).copy()
-    if not (np.all(np.isfinite(every)) and np.all(every > 0.0)):
-        raise InputError(where, f"sigma {every.min():g}", "positive numbers")
-    diagonal = gtsam.noiseModel.Diagonal.Sigmas(every)
+    all_sigmas = np.broadcast_to(given, (rows,)).copy()
+    if not (np.all(np.isfinite(all_sigmas)) and np.all(all_sigmas > 0.0)):
+        raise InputError(where, f"sigma {all_sigmas.min():g}", "positive numbers")
+    diagonal = gtsam.noiseModel.Diagonal.Sigmas(all_sigmas)
     if robust is None:
         return diagonal
     if not (isinstance(robust, tuple) and len(robust) == 2 and robust[0] in LOSSES and robust[1] > 0.0):

@@ -29,13 +29,13 @@ def orientation_prior(key: int, sigmas: Array) -> gtsam.NonlinearFactor:
     >>> from gtsam.symbol_shorthand import X
     >>> prior = mgsgraph.factors.orientation_prior(X(0), network.priors[0].sigmas)
     """
-    every = np.asarray(sigmas, dtype=np.float64).ravel()
+    flat = np.asarray(sigmas, dtype=np.float64).ravel()
     if np.ndim(sigmas) == 0:
         raise InputError("orientation prior", f"one sigma, {sigmas}", "one of each coefficient")
-    if not np.all(every > 0.0):
-        raise InputError("orientation prior", f"sigma {every[~(every > 0.0)][0]:g}", "positive sigmas")
-    precisions = np.where(np.isinf(every), 0.0, 1.0 / every**2)
-    return gtsam.PriorFactorVector(key, np.zeros(every.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
+    if not np.all(flat > 0.0):
+        raise InputError("orientation prior", f"sigma {flat[~(flat > 0.0)][0]:g}", "positive sigmas")
+    precisions = np.where(np.isinf(flat), 0.0, 1.0 / flat**2)
+    return gtsam.PriorFactorVector(key, np.zeros(flat.size), gtsam.noiseModel.Diagonal.Precisions(precisions))
 
 
 def linear_prior(keys: Sequence[int], blocks: Sequence[Array], target: Array) -> gtsam.CustomFactor:

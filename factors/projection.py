@@ -92,7 +92,7 @@ class ImageRay:
 
 def _tuples(nominal: Sequence[Array]) -> tuple[Any, ...]:
     """Position, matrix, velocity and angular rate of one line, of arrays (1, ...)."""
-    centre, matrix, velocity, rate = (one[0].tolist() for one in nominal)
+    centre, matrix, velocity, rate = (array[0].tolist() for array in nominal)
     return tuple(centre), tuple(map(tuple, matrix)), tuple(velocity), tuple(rate)
 
 
@@ -105,7 +105,7 @@ def _ray_at(attitude_of: Any, frozen: Any, *arrays: Array) -> float:
         tuple(rate.tolist()), attitude_of, frozen,
     )  # fmt: skip
     for k, (of_point, of_rotation, of_interior) in enumerate(derivatives):
-        rows[k] = (values[k], *of_point, *(-one for one in of_point), *of_rotation, *of_interior, 0.0, 0.0, 0.0, 0.0)
+        rows[k] = (values[k], *of_point, *(-d for d in of_point), *of_rotation, *of_interior, 0.0, 0.0, 0.0, 0.0)
     return float(ahead)
 
 
@@ -180,6 +180,6 @@ def pushbroom_projection(
     if not (0.0 <= measured[0] <= image.lines and 0.0 <= measured[1] <= image.samples):
         size = f"0 .. {image.lines} lines, 0 .. {image.samples} samples"
         raise InputError(where, f"pixel {measured[0]:g}, {measured[1]:g}", size, "check line and sample")
-    own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
+    orientation = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
     ray = ImageRay(image, (float(measured[0]), float(measured[1])), line, angles, near)
-    return measurement_factor([[*own, *shared]], point, ray, noise_model(sigma, robust, 2, where), where)
+    return measurement_factor([[*orientation, *shared]], point, ray, noise_model(sigma, robust, 2, where), where)

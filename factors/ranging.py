@@ -112,9 +112,9 @@ def laser_range(
     if not abs(line) <= _FARTHEST * image.lines:
         remedy = "image.timing.lines(times - image.trajectory.epoch) gives it"
         raise InputError(where, f"an image of {image.lines} lines", "its line at the shot's time", remedy)
-    own = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
-    known, shares = np.zeros((2, 3)) if footprint is None else footprint
+    orientation = [] if image_key is None else [orientation_polynomial(image_key, degree, float(image.lines))]
+    prior, shares = np.zeros((2, 3)) if footprint is None else footprint
     row = Range(
-        float(measured - known @ shares), line, image.pose(np.array([line])).position[0], tuple(shares.tolist())
+        float(measured - prior @ shares), line, image.pose(np.array([line])).position[0], tuple(shares.tolist())
     )
-    return measurement_factor([[*own, *shared]], point, row, noise_model(sigma, robust, 1, where), where)
+    return measurement_factor([[*orientation, *shared]], point, row, noise_model(sigma, robust, 1, where), where)

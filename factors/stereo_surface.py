@@ -60,11 +60,11 @@ class _Sighting:
 
     def __call__(self, state_at: StateAt, point: Array) -> Linear | None:
         """Pixel, and its derivatives; looked for from where the point was last, or else from where it began."""
-        found = self._followed(state_at, point)
-        if found is None and self._at != self._begin:
+        sighted = self._followed(state_at, point)
+        if sighted is None and self._at != self._begin:
             self._at, self._ray = self._begin, self._from(self._begin)
-            found = self._followed(state_at, point)
-        return found
+            sighted = self._followed(state_at, point)
+        return sighted
 
     def _followed(self, state_at: StateAt, point: Array) -> Linear | None:
         for _ in range(_TURNS):
@@ -94,7 +94,7 @@ class StereoHeight:
         first, second = self._first(first_state, point), self._second(second_state, point)
         if first is None or second is None:
             return None
-        there, slopes = (one[0] for one in self._surface.disparity(first.residual[None]))
+        matched, slopes = (values[0] for values in self._surface.disparity(first.residual[None]))
         if self._level is not None:
             slopes = np.linalg.solve((first.by_point @ self._level).T, (second.by_point @ self._level).T).T
         epipolar = second.by_point @ self._first.towards(first_state, first.lines[0], point)
@@ -103,7 +103,7 @@ class StereoHeight:
         gradient = epipolar @ second.by_point + back @ first.by_point
         size = np.linalg.norm(gradient)
         by_state = np.concatenate([back @ first.by_state, epipolar @ second.by_state]) / size
-        height = np.array([epipolar @ (second.residual - there) / size])
+        height = np.array([epipolar @ (second.residual - matched) / size])
         return Linear(height, gradient[None] / size, by_state[None], (*first.lines, *second.lines))
 
 
@@ -166,6 +166,6 @@ def stereo_height(
     >>> factor = mgsgraph.factors.stereo_height(L(17), surface, images, effects, 2.0)
     """
     where = label or f"height above the surface of images {images[0].name} and {images[1].name}"
-    first, second = (_Sighting(one, angles, at) for one, at in zip(images, near or (None, None), strict=True))
+    first, second = (_Sighting(image, angles, at) for image, at in zip(images, near or (None, None), strict=True))
     row = StereoHeight(surface, first, second, level)
     return measurement_factor(effects, point, row, noise_model(sigma, robust, 1, where), where)

@@ -142,10 +142,10 @@ class SurfaceHeight:
 
     def __call__(self, state_at: StateAt, point: Array) -> Linear:
         """Row (m) at a state: where the model itself is (m)."""
-        moved, every = tuple((point - state_at(0.0)[0][:3]).tolist()), self.terrain.coefficients
-        row, column = post_coordinates(moved, self.terrain.first, self.terrain.step, every.shape)
-        i, j = min(int(row), every.shape[0] - 3), min(int(column), every.shape[1] - 3)
-        around = tuple(map(tuple, every[i - 1 : i + 3, j - 1 : j + 3].tolist()))
+        moved, coefficients = tuple((point - state_at(0.0)[0][:3]).tolist()), self.terrain.coefficients
+        row, column = post_coordinates(moved, self.terrain.first, self.terrain.step, coefficients.shape)
+        i, j = min(int(row), coefficients.shape[0] - 3), min(int(column), coefficients.shape[1] - 3)
+        around = tuple(map(tuple, coefficients[i - 1 : i + 3, j - 1 : j + 3].tolist()))
         height, by_point = height_above(moved, cubic(column - j, row - i, around), self.terrain.step)
         by_state = np.zeros((1, STATE))
         by_state[0, :3] = scale(-1.0, by_point)

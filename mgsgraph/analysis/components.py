@@ -132,32 +132,32 @@ class Component(Record):
     @property
     def sentence(self) -> str:
         """Verdict on the sigmas of the group, in one sentence."""
-        said = _SENTENCES[self.judgement].format(one=self) if self.judgement in _SENTENCES else _judged(self)
-        return f"{self.name}: {said}"
+        text = _SENTENCES[self.judgement].format(one=self) if self.judgement in _SENTENCES else _judged(self)
+        return f"{self.name}: {text}"
 
 
-def _judged(one: Component) -> str:
+def _judged(component: Component) -> str:
     notes = list[str]()
-    if abs(one.correlation) > CORRELATED:
-        notes.append(f"correlated with {one.beside}, correlation {one.correlation:.2f}")
-    if one.negative:
+    if abs(component.correlation) > CORRELATED:
+        notes.append(f"correlated with {component.beside}, correlation {component.correlation:.2f}")
+    if component.negative:
         notes.insert(0, "Foerstner's estimate, as if all others were right: Helmert's is negative")
-    return "; ".join([_plainly(one), *notes])
+    return "; ".join([_plainly(component), *notes])
 
 
-def _plainly(one: Component) -> str:
-    low, high = one.interval()
-    if one.consistent and one.sigma > _VAGUE * one.factor:
+def _plainly(component: Component) -> str:
+    low, high = component.interval()
+    if component.consistent and component.sigma > _VAGUE * component.factor:
         return (
-            f"no inconsistency found, but the test is weak (factor {one.factor:.2g}, "
+            f"no inconsistency found, but the test is weak (factor {component.factor:.2g}, "
             f"{low:.2g} to {high:.2g} with {100 * SURE:.0f}%)"
         )
-    if one.consistent:
-        return f"consistent (factor {_with_sigma(one.factor, one.sigma)})"
-    if one.factor > 1.0:
-        return f"too optimistic, sigmas too small by a factor of {_with_sigma(one.factor, one.sigma)}"
-    inverse = 1.0 / one.factor
-    return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, one.sigma * inverse**2)}"
+    if component.consistent:
+        return f"consistent (factor {_with_sigma(component.factor, component.sigma)})"
+    if component.factor > 1.0:
+        return f"too optimistic, sigmas too small by a factor of {_with_sigma(component.factor, component.sigma)}"
+    inverse = 1.0 / component.factor
+    return f"too pessimistic, sigmas too large by a factor of {_with_sigma(inverse, component.sigma * inverse**2)}"
 
 
 _SENTENCES = {
@@ -195,23 +195,23 @@ class Components(Record):
 
     def __getitem__(self, name: str) -> Component:
         """One group by its name."""
-        for one in self.groups:
-            if one.name == name:
-                return one
-        names = ", ".join(one.name for one in self.groups)
+        for component in self.groups:
+            if component.name == name:
+                return component
+        names = ", ".join(component.name for component in self.groups)
         raise InputError(f"variance component {name!r}", "no such group", f"one of {names}")
 
     @property
     def factors(self) -> Array:
         """(g,) factors, 1 where there is none."""
-        found = np.array([one.factor for one in self.groups])
-        return np.where(np.isfinite(found), found, 1.0)
+        values = np.array([component.factor for component in self.groups])
+        return np.where(np.isfinite(values), values, 1.0)
 
     @property
     def sentences(self) -> list[str]:
         """One for each group, and one on how it was done."""
         how = "exact" if self.exact else "one term estimated with random signs, for there are many unknowns"
-        lines = [*(one.sentence for one in self.groups), f"Helmert's matrix: {how}."]
+        lines = [*(component.sentence for component in self.groups), f"Helmert's matrix: {how}."]
         if self.rough:
             lines.append("First estimates (some factors are far from 1): --iterate repeats them until they converge.")
         return lines
@@ -265,13 +265,13 @@ def components(solution: Solution | Linearised, grouping: Grouping | None = None
     tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
     """
     at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
-    found = group_redundancy(at, grouping or group_rows(at.network))
-    judgements = judge_groups(found, {})
-    squared = _squared_factors(found, judgements)
-    plain = found.squares / np.maximum(found.redundancy, 1e-300)
-    first = components_from_redundancy(found, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
-    groups = tuple(replace(one, negative=bool(s <= 0.0)) for one, s in zip(first.groups, squared, strict=True))
-    far = [abs(math.log(one.factor)) > _FAR for one in first.groups if one.judgement is Judgement.JUDGED]
+    by_group = group_redundancy(at, grouping or group_rows(at.network))
+    judgements = judge_groups(by_group, {})
+    squared = _squared_factors(by_group, judgements)
+    plain = by_group.squares / np.maximum(by_group.redundancy, 1e-300)
+    first = components_from_redundancy(by_group, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
+    groups = tuple(replace(entry, negative=bool(s <= 0.0)) for entry, s in zip(first.groups, squared, strict=True))
+    far = [abs(math.log(entry.factor)) > _FAR for entry in first.groups if entry.judgement is Judgement.JUDGED]
     return replace(first, groups=groups, rough=any(far))
 
 
@@ -313,39 +313,39 @@ def iterated_components(
         present = scaled(network, grouping, total)
         solution = adjust_network(present, settings, left_in=left_in)
         history.append(total.copy())
-        found = group_redundancy(at_solution(solution).of_estimator(), grouping)
-        judgements = judge_groups(found, held)
-        free = np.array([one is Judgement.JUDGED for one in judgements], dtype=bool)
-        step = np.where(free, np.sqrt(np.clip(_squared_factors(found, judgements), _STEP**-2, _STEP**2)), 1.0)
-        lost = [g for g in np.flatnonzero(~free & (total != 1.0)).tolist() if g not in held]
-        converged = bool(np.all(np.abs(step - 1.0) <= tolerance)) and not lost and solution.converged
+        by_group = group_redundancy(at_solution(solution).of_estimator(), grouping)
+        judgements = judge_groups(by_group, held)
+        free = np.array([judgement is Judgement.JUDGED for judgement in judgements], dtype=bool)
+        step = np.where(free, np.sqrt(np.clip(_squared_factors(by_group, judgements), _STEP**-2, _STEP**2)), 1.0)
+        unjudged = [g for g in np.flatnonzero(~free & (total != 1.0)).tolist() if g not in held]
+        converged = bool(np.all(np.abs(step - 1.0) <= tolerance)) and not unjudged and solution.converged
         if converged or len(history) == most:
             break
         total = total * (step if len(history) < _UNDAMPED else np.sqrt(step))
         for g in np.flatnonzero(free & ((total <= _FLOOR) | (total >= _CEILING))).tolist():
             held[g] = Judgement.ZERO if total[g] <= _FLOOR else Judgement.UNBOUNDED
         total = np.clip(total, _FLOOR, _CEILING)
-        for g in lost:  # with its new sigmas nothing can be said of them: neither for them nor against the stated ones
+        for g in unjudged:  # the new sigmas neither confirm nor contradict the stated ones
             held[g], total[g] = Judgement.LOST, 1.0
-    components = components_from_redundancy(found, judgements, total)
+    components = components_from_redundancy(by_group, judgements, total)
     return IteratedComponents(present, solution, components, converged, np.array(history))
 
 
-def judge_groups(found: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
+def judge_groups(by_group: Redundancy, held: dict[int, Judgement]) -> list[Judgement]:
     """Of each group; those held are as they were."""
-    judgements = [Judgement.FEW if r < LEAST else Judgement.JUDGED for r in found.redundancy]
+    judgements = [Judgement.FEW if r < LEAST else Judgement.JUDGED for r in by_group.redundancy]
     for g, judgement in held.items():
         judgements[g] = judgement
     while True:
         judged = _judged_groups(judgements)
-        degrees = _degrees(found.helmert[np.ix_(judged, judged)])
+        degrees = _degrees(by_group.helmert[np.ix_(judged, judged)])
         if not degrees.size or degrees.min() >= LEAST:
             return judgements
         judgements[int(judged[np.argmin(degrees)])] = Judgement.INSEPARABLE
 
 
 def _judged_groups(judgements: list[Judgement]) -> Index:
-    return np.flatnonzero([one is Judgement.JUDGED for one in judgements])
+    return np.flatnonzero([judgement is Judgement.JUDGED for judgement in judgements])
 
 
 def _degrees(helmert: Array) -> Array:
@@ -356,31 +356,31 @@ def _degrees(helmert: Array) -> Array:
     return np.asarray(1.0 / (inverse * scale**2))
 
 
-def _squared_factors(found: Redundancy, judgements: list[Judgement]) -> Array:
+def _squared_factors(by_group: Redundancy, judgements: list[Judgement]) -> Array:
     """(g,) solution of Helmert's equations for the groups that are judged, the others' factors being one; NaN there."""
     judged, squared = _judged_groups(judgements), np.full(len(judgements), np.nan)
-    excess = (found.squares - found.redundancy)[judged]
-    squared[judged] = 1.0 + np.linalg.solve(found.helmert[np.ix_(judged, judged)], excess)
+    excess = (by_group.squares - by_group.redundancy)[judged]
+    squared[judged] = 1.0 + np.linalg.solve(by_group.helmert[np.ix_(judged, judged)], excess)
     return squared
 
 
-def components_from_redundancy(found: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
-    """Factors (g,) of the groups, with their covariances from Helmert's matrix of those that can be judged."""
+def components_from_redundancy(by_group: Redundancy, judgements: list[Judgement], factors: Array) -> Components:
+    """Factors (g,) of the groups, with their covariances from Helmert's matrix of the judged groups."""
     size, judged = len(judgements), _judged_groups(judgements)
-    part = found.helmert[np.ix_(judged, judged)]
+    part = by_group.helmert[np.ix_(judged, judged)]
     covariance, degrees = 2.0 * np.linalg.inv(part), np.full(size, np.nan)
     degrees[judged] = _degrees(part)
     correlation, scale = np.full((size, size), np.nan), 1.0 / np.sqrt(np.diag(covariance))
     correlation[np.ix_(judged, judged)] = covariance * scale[:, None] * scale
     groups = []
     for g, judgement in enumerate(judgements):
-        numbers = int(found.counts[g]), float(found.redundancy[g]), float(found.squares[g])
-        lost = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
-        beside, shared = nearest(found, g) if lost else most_correlated(found, judged, g)
-        known = float(degrees[g])
-        if judgement is Judgement.JUDGED and abs(shared) > CORRELATED and 2.0 * _VAGUE**2 * known < 1.0:
-            judgement, known = Judgement.ENTANGLED, math.nan
+        numbers = int(by_group.counts[g]), float(by_group.redundancy[g]), float(by_group.squares[g])
+        inseparable = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
+        beside, shared = nearest(by_group, g) if inseparable else most_correlated(by_group, judged, g)
+        freedom = float(degrees[g])
+        if judgement is Judgement.JUDGED and abs(shared) > CORRELATED and 2.0 * _VAGUE**2 * freedom < 1.0:
+            judgement, freedom = Judgement.ENTANGLED, math.nan
         has = judgement in (Judgement.JUDGED, Judgement.ENTANGLED, Judgement.ZERO, Judgement.UNBOUNDED)
         factor = float(factors[g]) if has else math.nan
-        groups.append(Component(found.names[g], judgement, *numbers, factor, known, beside, shared))
-    return Components(tuple(groups), correlation, found.helmert, found.exact)
+        groups.append(Component(by_group.names[g], judgement, *numbers, factor, freedom, beside, shared))
+    return Components(tuple(groups), correlation, by_group.helmert, by_group.exact)

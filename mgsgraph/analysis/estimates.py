@@ -56,20 +56,20 @@ class Quantity(Record):
         return Quantity(names, units, values, by_shared, {point: jacobian @ part for point, part in self.noise.items()})
 
 
-def together(quantities: Sequence[Quantity]) -> Quantity:
-    """Several quantities as one, one after another."""
-    ends = np.cumsum([0, *(len(one.names) for one in quantities)]).tolist()
+def joined(quantities: Sequence[Quantity]) -> Quantity:
+    """Several quantities as one, in their order."""
+    ends = np.cumsum([0, *(len(quantity.names) for quantity in quantities)]).tolist()
     by_shared: dict[int, Array] = {}
     noise: dict[Hashable, Array] = {}
-    for first, last, one in zip(ends, ends[1:], quantities, strict=False):
-        for variable, part in one.by_shared.items():
+    for first, last, quantity in zip(ends, ends[1:], quantities, strict=False):
+        for variable, part in quantity.by_shared.items():
             by_shared.setdefault(variable, np.zeros((ends[-1], part.shape[1])))[first:last] = part
-        for point, part in one.noise.items():
+        for point, part in quantity.noise.items():
             noise.setdefault(point, np.zeros((ends[-1], 3)))[first:last] = part
     return Quantity(
-        tuple(name for one in quantities for name in one.names),
-        tuple(unit for one in quantities for unit in one.units),
-        np.concatenate([one.values for one in quantities]),
+        tuple(name for quantity in quantities for name in quantity.names),
+        tuple(unit for quantity in quantities for unit in quantity.units),
+        np.concatenate([quantity.values for quantity in quantities]),
         by_shared,
         noise,
     )
@@ -78,13 +78,13 @@ def together(quantities: Sequence[Quantity]) -> Quantity:
 def covariance(quantity: Quantity, joint: JointCovariance) -> Array:
     """(m, m) covariance of a quantity's numbers, in the product of their units, for sigma0 = 1."""
     m = len(quantity.names)
-    found = np.zeros((m, m))
+    matrix = np.zeros((m, m))
     if quantity.by_shared:
         jacobian = np.hstack(list(quantity.by_shared.values()))
-        found += jacobian @ joint.of(quantity.by_shared) @ jacobian.T
+        matrix += jacobian @ joint.of(quantity.by_shared) @ jacobian.T
     for part in quantity.noise.values():
-        found += part @ part.T
-    return np.asarray(0.5 * (found + found.T))
+        matrix += part @ part.T
+    return np.asarray(0.5 * (matrix + matrix.T))
 
 
 def correlation(covariance: Array) -> Array:
@@ -412,9 +412,9 @@ class CommonPoints:
     @cached_property
     def _pairs(self) -> Index:
         """(n, 2) numbers of every common name in the later and in the earlier solution."""
-        found = Names.of(self.earlier.network.points.ids).find(self.solution.network.points.ids)
-        here = np.flatnonzero(found >= 0)
-        return np.stack([here, found[here]], axis=1)
+        matches = Names.of(self.earlier.network.points.ids).find(self.solution.network.points.ids)
+        later = np.flatnonzero(matches >= 0)
+        return np.stack([later, matches[later]], axis=1)
 
     @property
     def shared(self) -> int:
@@ -424,9 +424,9 @@ class CommonPoints:
     @cached_property
     def rows(self) -> tuple[Index, Index]:
         """(n,) numbers in the later and in the earlier solution, of those that both determine."""
-        here, there = self._pairs.T
-        sound = self.solution.determined[here] & self.earlier.determined[there]
-        return here[sound], there[sound]
+        later, earlier = self._pairs.T
+        sound = self.solution.determined[later] & self.earlier.determined[earlier]
+        return later[sound], earlier[sound]
 
     @cached_property
     def places(self) -> Array:
@@ -436,16 +436,16 @@ class CommonPoints:
     @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, later minus earlier."""
-        there = self.earlier.places[self.rows[1]]
-        return np.asarray(np.einsum("nij,nj->ni", east_north_up(self.places), self.places - there))
+        before = self.earlier.places[self.rows[1]]
+        return np.asarray(np.einsum("nij,nj->ni", east_north_up(self.places), self.places - before))
 
     @cached_property
     def sigmas(self) -> tuple[Array, Array]:
         """(n,) m, 3-D sigmas of the earlier and of the later solution."""
-        here, there = self.rows
-        one, other = (np.trace(solution.covariances[k], axis1=1, axis2=2)
-                      for solution, k in ((self.earlier, there), (self.solution, here)))  # fmt: skip
-        return np.sqrt(np.maximum(one, 0.0)), np.sqrt(np.maximum(other, 0.0))
+        later, earlier = self.rows
+        before, after = (np.trace(solution.covariances[k], axis1=1, axis2=2)
+                         for solution, k in ((self.earlier, earlier), (self.solution, later)))  # fmt: skip
+        return np.sqrt(np.maximum(before, 0.0)), np.sqrt(np.maximum(after, 0.0))
 
     @property
     def in_sigmas(self) -> Array:

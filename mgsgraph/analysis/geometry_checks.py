@@ -50,14 +50,14 @@ def deviating_heights(network: Network, places: Array, covariances: Array) -> De
     covariances : (n, 3, 3) array
         m^2.
     """
-    found = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
-    for _, mine in network.of_class():
-        there = mine[np.isfinite(places[mine]).all(axis=1) & (network.points.kinds[mine] != PointKind.FIXED)]
+    by_class = [DeviatingHeights(np.zeros(0, dtype=np.int64), np.zeros(0))]
+    for _, members in network.of_class():
+        located = members[np.isfinite(places[members]).all(axis=1) & (network.points.kinds[members] != PointKind.FIXED)]
         # in a frame that is not body-fixed nothing is known of heights
-        if there.size > _NEIGHBORS and _near(float(np.median(distances(places[there]))), network.images[0].body):
-            points, deviations = _deviating(places[there], covariances[there])
-            found.append(DeviatingHeights(there[points], deviations))
-    points, deviations = (np.concatenate(part) for part in zip(*found, strict=True))
+        if located.size > _NEIGHBORS and _near(float(np.median(distances(places[located]))), network.images[0].body):
+            points, deviations = _deviating(places[located], covariances[located])
+            by_class.append(DeviatingHeights(located[points], deviations))
+    points, deviations = (np.concatenate(part) for part in zip(*by_class, strict=True))
     order = np.argsort(-np.abs(deviations), kind="stable")
     return DeviatingHeights(points[order], deviations[order])
 
@@ -67,13 +67,13 @@ def _deviating(places: Array, covariances: Array) -> tuple[Index, Array]:
     from scipy.spatial import cKDTree  # slow to import
 
     heights, up = distances(places), unit_vectors(places)
-    flat, known = up * np.median(heights), np.arange(heights.size)
+    flat, sample = up * np.median(heights), np.arange(heights.size)
     chosen = _candidates(flat, heights)
-    if known.size > _MOST:
-        known = np.sort(np.random.default_rng(0).choice(known.size, _MOST, replace=False))
-    away, near = cKDTree(flat[known]).query(flat[chosen], k=_NEIGHBORS + 1)
-    near = known[near]
-    looked_at = np.union1d(chosen, known)
+    if sample.size > _MOST:
+        sample = np.sort(np.random.default_rng(0).choice(sample.size, _MOST, replace=False))
+    away, near = cKDTree(flat[sample]).query(flat[chosen], k=_NEIGHBORS + 1)
+    near = sample[near]
+    looked_at = np.union1d(chosen, sample)
     sigmas, to = np.zeros(heights.size), up[looked_at]
     sigmas[looked_at] = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", to, covariances[looked_at], to), 0.0))
     itself = near == chosen[:, None]  # else the farthest one is left out
@@ -110,12 +110,12 @@ def convergence(network: Network, points: Index) -> Array:
     """(k,) rad, angles between the outermost rays of those of some points (m,) that two nominal rays see or more."""
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
-    mine = np.flatnonzero(place[network.rays.point] >= 0)
-    rays = network.rays.chosen(mine)
-    origins, directions = np.empty((mine.size, 3)), np.empty((mine.size, 3))
+    chosen = np.flatnonzero(place[network.rays.point] >= 0)
+    rays = network.rays.chosen(chosen)
+    origins, directions = np.empty((chosen.size, 3)), np.empty((chosen.size, 3))
     for j in np.unique(rays.image).tolist():
-        here = rays.image == j
-        origins[here], directions[here] = network.images[j].sightlines(*rays.places[here].T)
+        of_image = rays.image == j
+        origins[of_image], directions[of_image] = network.images[j].sightlines(*rays.places[of_image].T)
     _, _, angles = intersect_rays(origins, directions, place[rays.point], points.size)
     return np.asarray(angles[network.ray_counts[points] >= 2])
 
@@ -133,19 +133,19 @@ class MisplacedProfile(NamedTuple):
 
 def misplaced_profiles(network: Network) -> list[MisplacedProfile]:
     """Images whose laser shots lie far before or behind their lines of sight, along the flight, at the shots' times."""
-    ranges, found = network.ranges, list[MisplacedProfile]()
+    ranges, misplaced = network.ranges, list[MisplacedProfile]()
     for j in np.unique(ranges.image).tolist():
-        image, mine = network.images[j], np.flatnonzero(ranges.image == j)
-        mine = mine[network.points.kinds[ranges.point[mine]] != PointKind.FREE]
-        if not mine.size:
+        image, shots = network.images[j], np.flatnonzero(ranges.image == j)
+        shots = shots[network.points.kinds[ranges.point[shots]] != PointKind.FREE]
+        if not shots.size:
             continue
-        pose = image.trajectory.pose(ranges.times[mine] - image.trajectory.epoch)
-        seen = unit_vectors(network.points.places[ranges.point[mine]] - pose.position)
+        pose = image.trajectory.pose(ranges.times[shots] - image.trajectory.epoch)
+        toward_shots = unit_vectors(network.points.places[ranges.point[shots]] - pose.position)
         line, sample = image.middle
         looks = unit_vectors(image.sightlines(line, sample)[1]) @ image.pose(line).matrix[0].T  # in the camera's axes
         looks = np.einsum("c,nck->nk", looks[0], pose.matrix)
         level = unit_vectors(np.cross(pose.position, np.cross(pose.velocity, pose.position)))
-        angle = float(np.median(np.einsum("nk,nk->n", seen - looks, level)))
+        angle = float(np.median(np.einsum("nk,nk->n", toward_shots - looks, level)))
         if abs(angle) > _APART:
-            found.append(MisplacedProfile(image.name, angle, mine.size))
-    return found
+            misplaced.append(MisplacedProfile(image.name, angle, shots.size))
+    return misplaced

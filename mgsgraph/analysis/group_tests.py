@@ -89,28 +89,28 @@ class GroupTest(Record):
         return math.isfinite(self.p_value)
 
 
-def fit_of_groups(rows: ResidualRows, known: PriorRows, grouping: Grouping) -> tuple[GroupTest, ...]:
+def fit_of_groups(rows: ResidualRows, priors: PriorRows, grouping: Grouping) -> tuple[GroupTest, ...]:
     """Tests of all groups of chosen points' rows and of the priors; of image places lines and samples apart.
 
     Parameters
     ----------
     rows : ResidualRows
-    known : PriorRows
+    priors : PriorRows
         There.
     grouping : Grouping
         Of the same network.
     """
-    redundancy = np.append(rows.redundancy[: rows.begin_of_priors], 1.0 - known.share)
+    redundancy = np.append(rows.redundancy[: rows.begin_of_priors], 1.0 - priors.share)
     redundancy += np.sum(rows.considered**2, axis=1)
     number, names = numbers_of_groups(rows, grouping)
-    found = list[GroupTest]()
+    tests = list[GroupTest]()
     for k in np.unique(number).tolist():
-        mine = np.flatnonzero(number == k)
-        own, squares = float(redundancy[mine].sum()), float(rows.residuals[mine] @ rows.residuals[mine])
-        tested = own > UNTESTED * mine.size and BACK_PROJECTED not in names[k]
-        p, weights = _tail(rows, mine, own, squares) if tested else (math.nan, np.zeros(0))
-        found.append(GroupTest(names[k], mine.size, own, squares, p, weights))
-    return tuple(found)
+        members = np.flatnonzero(number == k)
+        of_group, squares = float(redundancy[members].sum()), float(rows.residuals[members] @ rows.residuals[members])
+        tested = of_group > UNTESTED * members.size and BACK_PROJECTED not in names[k]
+        p, weights = _tail(rows, members, of_group, squares) if tested else (math.nan, np.zeros(0))
+        tests.append(GroupTest(names[k], members.size, of_group, squares, p, weights))
+    return tuple(tests)
 
 
 def numbers_of_groups(rows: ResidualRows, grouping: Grouping) -> tuple[Index, list[str]]:
@@ -121,44 +121,44 @@ def numbers_of_groups(rows: ResidualRows, grouping: Grouping) -> tuple[Index, li
         (GROUND, grouping.ground, rows.point), (SURFACE, grouping.heights, rows.point),
         (STEREO, grouping.stereo, rows.point),
     ):  # fmt: skip
-        mine = rows.of_kind(kind)
-        groups[mine] = of[by[mine]]
+        members = rows.of_kind(kind)
+        groups[members] = of[by[members]]
     groups[rows.begin_of_priors :] = grouping.of_priors(rows.at.layout)
     coordinates = np.isin(np.arange(len(grouping.names)), grouping.rays)
     names = [
-        f"{name}, {way}" if both else name
-        for name, both in zip(grouping.names, coordinates.tolist(), strict=True)
+        f"{name}, {way}" if of_rays else name
+        for name, of_rays in zip(grouping.names, coordinates.tolist(), strict=True)
         for way in ("lines", "samples")
     ]
     return 2 * groups + ((rows.kind == IMAGE) & (rows.component == 1)), names
 
 
-def _tail(rows: ResidualRows, mine: Index, redundancy: float, squares: float) -> tuple[float, Array]:
+def _tail(rows: ResidualRows, members: Index, redundancy: float, squares: float) -> tuple[float, Array]:
     """Probability of so large a sum of squares of some rows, or of a larger one; `GroupTest.weights`."""
     from scipy.stats import chi2  # slow to import
 
-    if mine.size <= _MOST_ROWS and redundancy < _EXACT:
-        weights = np.linalg.eigvalsh(rows.variance(mine, np.eye(mine.size)))
+    if members.size <= _MOST_ROWS and redundancy < _EXACT:
+        weights = np.linalg.eigvalsh(rows.variance(members, np.eye(members.size)))
         weights = weights[weights > 1e-9 * weights.max()]
         return quadratic_tail(squares, weights), weights
-    factor = _square_of_covariance(rows, mine, redundancy) / redundancy
+    factor = _square_of_covariance(rows, members, redundancy) / redundancy
     return float(chi2.sf(squares / factor, redundancy / factor)), np.array([factor])
 
 
-def _square_of_covariance(rows: ResidualRows, mine: Index, redundancy: float) -> float:
+def _square_of_covariance(rows: ResidualRows, members: Index, redundancy: float) -> float:
     """Trace of C^2 of some rows (q,), C = I - O O' - T S T' + B B' (`ResidualRows`); or of C, which is more, where
     that is too large to be formed.
     """
-    own, through, joint = rows.own[mine], rows.through[mine], rows.at.joint
-    if joint.columns > _MOST_COLUMNS or mine.size * joint.columns > _MOST_NUMBERS:
+    own, through, joint = rows.own[members], rows.through[members], rows.at.joint
+    if joint.columns > _MOST_COLUMNS or members.size * joint.columns > _MOST_NUMBERS:
         return redundancy
     spread = np.asarray(through @ joint.square_root.back(np.eye(joint.columns)))
     parts = own.power(2).sum() + np.sum(spread**2), (own.T @ own).power(2).sum(), np.sum((own.T @ spread) ** 2)
-    found = mine.size - 2.0 * parts[0] + parts[1] + 2.0 * parts[2] + np.sum((spread.T @ spread) ** 2)
-    brought = rows.considered[mine]
-    left = brought - own @ (own.T @ brought) - spread @ (spread.T @ brought)
-    found += 2.0 * np.sum(brought * left) + np.sum((brought.T @ brought) ** 2)
-    return max(float(found), 1e-12)
+    trace = members.size - 2.0 * parts[0] + parts[1] + 2.0 * parts[2] + np.sum((spread.T @ spread) ** 2)
+    brought = rows.considered[members]
+    rest = brought - own @ (own.T @ brought) - spread @ (spread.T @ brought)
+    trace += 2.0 * np.sum(brought * rest) + np.sum((brought.T @ brought) ** 2)
+    return max(float(trace), 1e-12)
 
 
 def quadratic_tail(value: float, weights: Array) -> float:

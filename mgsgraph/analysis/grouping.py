@@ -62,17 +62,17 @@ class Grouping:
     def of_observations(self, layout: Layout) -> Index:
         """(t,) group of each observation of a layout."""
         places, rows = layout.observation_rows, layout.rows
-        found = np.full(rows.weight.shape[1], -1)
-        found[places.rays], found[places.ranges] = self.rays, self.ranges
-        found[places.heights] = self.heights[places.on_terrain]
+        groups = np.full(rows.weight.shape[1], -1)
+        groups[places.rays], groups[places.ranges] = self.rays, self.ranges
+        groups[places.heights] = self.heights[places.on_terrain]
         if layout.stereo is not None:
-            found[places.stereo] = self.stereo[layout.stereo.points]
+            groups[places.stereo] = self.stereo[layout.stereo.points]
         for pattern, first, count, _, among in rows.piece.tolist():
             observations = slice(rows.pattern_observation[pattern], rows.pattern_observation[pattern + 1])
             for i in np.flatnonzero(rows.observation_kind[observations] == GROUND).tolist():
                 of_points = self.ground[layout.point_order[first : first + count]]
-                found[among + i * count : among + (i + 1) * count] = of_points
-        return found
+                groups[among + i * count : among + (i + 1) * count] = of_points
+        return groups
 
     def of_priors(self, layout: Layout) -> Index:
         """(rows,) group of each row of the layout's prior, crossovers among them."""
@@ -101,15 +101,15 @@ def group_rows(network: Network) -> Grouping:
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
     parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
-    parts += [part for strip in network.passes for part in _of_strip(strip)]
+    parts += [part for pass_ in network.passes for part in _of_strip(pass_)]
     parts += _of_common(network, of_ray)
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
     stereo = np.full(0 if network.stereo is None else n, STEREO_HEIGHTS)
     heights = np.full(0 if network.surface is None else n, HEIGHTS)
     labels = [of_ray.astype(str), np.full(network.ranges.point.size, RANGES), ground, heights, stereo]
-    own = network.with_polynomial
-    labels += [part for j, part in enumerate(parts) if j >= own.size or own[j]]
+    polynomial = network.with_polynomial
+    labels += [part for j, part in enumerate(parts) if j >= polynomial.size or polynomial[j]]
     labels.append(np.full(0 if network.crossovers is None else 1, CROSSOVERS))
     names = list(dict.fromkeys(name for part in labels for name in dict.fromkeys(part.tolist())))
     number = {name: g for g, name in enumerate(names)}
@@ -117,16 +117,16 @@ def group_rows(network: Network) -> Grouping:
     def numbered(part: Sequence[str]) -> Index:
         return np.array([number.get(name, 0) for name in part], dtype=np.int64)
 
-    def every(name: str, size: int) -> Index:
+    def constant(name: str, size: int) -> Index:
         return np.full(size, number.get(name, 0))
 
     return Grouping(
         tuple(names),
         numbered(of_ray.tolist()),
-        every(RANGES, network.ranges.point.size),
-        every(GROUND_PRIORS, n),
-        every(HEIGHTS, n),
-        every(STEREO_HEIGHTS, n),
+        constant(RANGES, network.ranges.point.size),
+        constant(GROUND_PRIORS, n),
+        constant(HEIGHTS, n),
+        constant(STEREO_HEIGHTS, n),
         tuple(numbered(part.tolist()) for part in parts),
         number.get(CROSSOVERS, 0),
     )
@@ -136,13 +136,13 @@ def _of_common(network: Network, of_ray: NDArray[np.object_]) -> list[NDArray[np
     """Labels of the factors of errors in common: those of the rows, for they are parts of the same errors. A group may
     have lost all its rows to a rejection.
     """
-    found = list[NDArray[np.object_]]()
-    for one, of_row, _ in network.common:
-        labels = np.full(one.widths.size, of_ray[0] if of_row == 2 else HEIGHTS, dtype=object)
+    parts = list[NDArray[np.object_]]()
+    for errors, of_row, _ in network.common:
+        labels = np.full(errors.widths.size, of_ray[0] if of_row == 2 else HEIGHTS, dtype=object)
         if of_row == 2:
-            labels[one.group] = of_ray[one.members]
-        found += [np.full(width * of_row, label) for width, label in zip(one.widths.tolist(), labels, strict=True)]
-    return found
+            labels[errors.group] = of_ray[errors.members]
+        parts += [np.full(width * of_row, label) for width, label in zip(errors.widths.tolist(), labels, strict=True)]
+    return parts
 
 
 def _of_strip(strip: Pass) -> list[NDArray[np.str_]]:
@@ -162,11 +162,11 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
     firsts = network.first_of_passes[:-1].tolist()
     profiles, surface, stereo = network.shifts, network.surface, network.stereo
     if profiles is not None:
-        own = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
-        profiles = ProfileShifts(profiles.names, profiles.profile, profiles.sigmas * own)
+        scales = np.array([of_unknown[images + p][0] for p in range(len(profiles.names))]).reshape(-1)
+        profiles = ProfileShifts(profiles.names, profiles.profile, profiles.sigmas * scales)
     if surface is not None:
-        own = of_unknown[images + shifts - 1] if network.terrain_moves else np.zeros(0)
-        surface = surface.scaled(factors[grouping.heights], own)
+        scales = of_unknown[images + shifts - 1] if network.terrain_moves else np.zeros(0)
+        surface = surface.scaled(factors[grouping.heights], scales)
     if stereo is not None:
         stereo = replace(stereo, sigmas=stereo.sigmas * factors[grouping.stereo])
     crossing = network.crossovers
@@ -191,7 +191,7 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
             for k, shared in enumerate(network.shared)
         ),
         passes=tuple(
-            _scaled_strip(strip, of_unknown[first:]) for strip, first in zip(network.passes, firsts, strict=True)
+            _scaled_strip(pass_, of_unknown[first:]) for pass_, first in zip(network.passes, firsts, strict=True)
         ),
     )
 
@@ -234,11 +234,11 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
     for rows, groups in _rows_by_group(at, grouping):
         sums.add(rows, groups)
     sums.close()
-    known, size = prior_rows(at), len(grouping.names)
+    priors, size = prior_rows(at), len(grouping.names)
     of_row = grouping.of_priors(at.layout)
     counts = sums.counts + np.bincount(of_row, minlength=size)
-    squares = sums.squares + np.bincount(of_row, known.misfit**2, size)
-    shares = sums.shares + np.bincount(of_row, known.share, size)
+    squares = sums.squares + np.bincount(of_row, priors.misfit**2, size)
+    shares = sums.shares + np.bincount(of_row, priors.share, size)
     normals = sums.normals(of_row)
     redundancy, exact = counts - shares, at.layout.columns <= dense
     if exact:
@@ -260,13 +260,13 @@ def _rows_by_group(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRo
         observations = int(rows.pattern_observation[pattern + 1] - rows.pattern_observation[pattern])
         if not inside.size or not observations:
             continue
-        whole = at.rows_of_piece(piece)
+        block = at.rows_of_piece(piece)
         groups = of_observation[among : among + observations * count].reshape(observations, count)[:, inside]
         sets, which = np.unique(groups, axis=1, return_inverse=True)
         for k, of_set in enumerate(sets.T):
-            mine = inside[which.reshape(-1) == k]
+            same = inside[which.reshape(-1) == k]
             part = replace(
-                whole, residuals=whole.residuals[mine], by_point=whole.by_point[mine], by_shared=whole.by_shared[mine]
+                block, residuals=block.residuals[same], by_point=block.by_point[same], by_shared=block.by_shared[same]
             )
             yield part, of_set[part.observation]
 
@@ -290,21 +290,21 @@ class _Sums:
         # rows that were rejected are zero
         present = np.any(rows.by_point != 0.0, axis=2) | np.any(rows.by_shared != 0.0, axis=2) | (rows.residuals != 0.0)
         inner, outer, carried = dict[int, Array](), dict[int, Array](), dict[int, Array]()
-        found = np.unique(groups).tolist()
-        for g in found:
-            mine = groups == g
-            own, left = through[:, mine], rest[:, mine]
-            turned = np.swapaxes(own, 1, 2)
-            inner[g], outer[g] = (turned @ own).reshape(-1), _stacked(turned @ left)
-            flat = _stacked(left)
+        numbers = np.unique(groups).tolist()
+        for g in numbers:
+            members = groups == g
+            through_group, rest_group = through[:, members], rest[:, members]
+            turned = np.swapaxes(through_group, 1, 2)
+            inner[g], outer[g] = (turned @ through_group).reshape(-1), _stacked(turned @ rest_group)
+            flat = _stacked(rest_group)
             normal = flat.T @ flat
             carried[g] = outer[g] @ self._covariance
             self._normal[g] += normal
-            self.counts[g] += np.count_nonzero(present[:, mine])
-            self.squares[g] += np.sum(rows.residuals[:, mine] ** 2)
-            self.shares[g] += np.sum(own**2) + np.sum(normal * self._covariance)
-        for g in found:
-            for k in found:
+            self.counts[g] += np.count_nonzero(present[:, members])
+            self.squares[g] += np.sum(rows.residuals[:, members] ** 2)
+            self.shares[g] += np.sum(through_group**2) + np.sum(normal * self._covariance)
+        for g in numbers:
+            for k in numbers:
                 self.cross[g, k] += inner[g] @ inner[k] + 2.0 * np.vdot(carried[g], outer[k])
 
     def close(self) -> None:
@@ -326,24 +326,24 @@ class _Sums:
         """N of each group, with its priors' own rows, whose groups are `of_row`."""
         from scipy.sparse import coo_array  # slow to import
 
-        layout, found = self._at.layout, []
+        layout, matrices = self._at.layout, []
         variables = layout.variables
         links = list[tuple[Index, Index, Index]]()
         """Row, column, and place in the flat arrays, of the numbers of each block."""
         for v, w, at in zip(self._blocks.first, self._blocks.second, self._blocks.offset, strict=True):
             a, b = np.arange(variables.width[v]), np.arange(variables.width[w])
             where = at + np.arange(a.size * b.size)
-            one = np.repeat(variables.first[v] + a, b.size)
-            other = np.tile(variables.first[w] + b, a.size)
-            links += [(one, other, where)] if v == w else [(one, other, where), (other, one, where)]
+            first = np.repeat(variables.first[v] + a, b.size)
+            second = np.tile(variables.first[w] + b, a.size)
+            links += [(first, second, where)] if v == w else [(first, second, where), (second, first, where)]
         links.append((np.zeros(0, dtype=np.int64),) * 3)
         row, column, place = (np.concatenate(part) for part in zip(*links, strict=True))
         for g, flat in enumerate(self._flat):
             values, prior = flat[place], layout.prior.design[np.flatnonzero(of_row == g)]
             taken = values != 0.0
-            made = coo_array((values[taken], (row[taken], column[taken])), shape=(layout.columns, layout.columns))
-            found.append(made.tocsr() + (prior.T @ prior).tocsr())
-        return found
+            normal = coo_array((values[taken], (row[taken], column[taken])), shape=(layout.columns, layout.columns))
+            matrices.append(normal.tocsr() + (prior.T @ prior).tocsr())
+        return matrices
 
     def _open(self, variables: tuple[int, ...]) -> None:
         if variables != self._variables:
@@ -362,11 +362,11 @@ def _stacked(matrices: Array) -> Array:
 def _traces(normals: "list[csr_array]", covariance: Array) -> Array:
     """(g, g) tr(N_g S N_k S)."""
     half = [normal @ covariance for normal in normals]
-    found = np.zeros((len(half), len(half)))
-    for g, one in enumerate(half):
-        for k, other in enumerate(half[: g + 1]):
-            found[g, k] = found[k, g] = np.sum(one * other.T)
-    return found
+    traces = np.zeros((len(half), len(half)))
+    for g, first in enumerate(half):
+        for k, second in enumerate(half[: g + 1]):
+            traces[g, k] = traces[k, g] = np.sum(first * second.T)
+    return traces
 
 
 def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Array:
@@ -374,28 +374,28 @@ def _estimated_traces(normals: "list[csr_array]", joint: JointCovariance) -> Arr
     signs, root = np.random.default_rng(0).choice([-1.0, 1.0], (joint.columns, _PROBES)), joint.square_root
     spread = root.back(signs)
     projected = [root.forward(normal @ spread) for normal in normals]
-    return np.array([[np.sum(one * other) for other in projected] for one in projected]) / _PROBES
+    return np.array([[np.sum(first * second) for second in projected] for first in projected]) / _PROBES
 
 
-def nearest(found: Redundancy, group: int) -> tuple[str, float]:
+def nearest(by_group: Redundancy, group: int) -> tuple[str, float]:
     """The group whose residuals have most in common with those of a group that can't be judged, and minus the cosine
     between the two in Helmert's matrix: -1 where all redundancy of the one is the other's.
     """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(found.helmert), 1e-300))
-    alike = (found.helmert * scale[:, None] * scale)[group]
-    alike[group] = -1.0
-    k = int(np.argmax(alike))
-    return found.names[k], -float(alike[k])
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(by_group.helmert), 1e-300))
+    cosines = (by_group.helmert * scale[:, None] * scale)[group]
+    cosines[group] = -1.0
+    k = int(np.argmax(cosines))
+    return by_group.names[k], -float(cosines[k])
 
 
-def most_correlated(found: Redundancy, judged: Index, group: int) -> tuple[str, float]:
+def most_correlated(by_group: Redundancy, judged: Index, group: int) -> tuple[str, float]:
     """The judged group whose squared factor is most correlated with that of a group, were they estimated together."""
     others = judged[judged != group]
-    if not others.size or found.helmert[group, group] <= 0.0:
+    if not others.size or by_group.helmert[group, group] <= 0.0:
         return "", math.nan
-    own = np.concatenate([[group], others])
-    scale = 1.0 / np.sqrt(np.diag(found.helmert)[own])
-    inverse = np.linalg.pinv(found.helmert[np.ix_(own, own)] * scale[:, None] * scale, hermitian=True)
+    both = np.concatenate([[group], others])
+    scale = 1.0 / np.sqrt(np.diag(by_group.helmert)[both])
+    inverse = np.linalg.pinv(by_group.helmert[np.ix_(both, both)] * scale[:, None] * scale, hermitian=True)
     shared = inverse[0, 1:] / np.sqrt(np.maximum(inverse[0, 0] * np.diag(inverse)[1:], np.finfo(np.float64).tiny))
     k = int(np.argmax(np.abs(shared)))
-    return found.names[int(others[k])], float(shared[k])
+    return by_group.names[int(others[k])], float(shared[k])

@@ -99,8 +99,7 @@ def linearity_of(at: Linearised) -> Linearity | None:
     True
     """
     graph = BundleGraph(at.layout, at.rows)
-    found = graph.reduction(at.orientation, SYSTEM, at.points)
-    return linearity(graph, found, at.of_estimator().joint.square_root)
+    return linearity(graph, graph.reduction(at.orientation, SYSTEM, at.points), at.of_estimator().joint.square_root)
 
 
 class Likelihood(Record):
@@ -145,7 +144,7 @@ class Likelihood(Record):
         others are what suits them best.
         """
         network, variables = self._at.network, self._at.layout.variables
-        names = [*(one.name for one in network.images), *network.shift_names, *(one.name for one in network.shared)]
+        names = [*(item.name for item in network.images), *network.shift_names, *(item.name for item in network.shared)]
         held, wanted = list[int](), self._at.orientation.copy()
         for name, value in values.items():
             variable = names.index(name) if name in names else -1
@@ -175,13 +174,13 @@ class Likelihood(Record):
             with errors_from(f"likelihood, {owner!r}, no shift or shared unknown"):
                 (owner,) = image_names([owner], [image.name for image in self._at.network.images])
             names = {owner, f"image {owner}"}
-        mine = [c for c, axis in enumerate(self._frames.axes) if axis.owner in names]
+        columns = [c for c, axis in enumerate(self._frames.axes) if axis.owner in names]
         for name in axes:
-            if name not in (there := [str(self._frames.axes[c]) for c in mine]):
-                raise InputError(f"likelihood, {owner!r}", f"no {name!r}", listed(there) or "another name")
-        if not mine:
+            if name not in (axis_names := [str(self._frames.axes[c]) for c in columns]):
+                raise InputError(f"likelihood, {owner!r}", f"no {name!r}", listed(axis_names) or "another name")
+        if not columns:
             raise _unknown(owner)
-        return [self._profile(c) for c in mine if not axes or str(self._frames.axes[c]) in axes]
+        return [self._profile(c) for c in columns if not axes or str(self._frames.axes[c]) in axes]
 
     def _profile(self, column: int) -> Profile:
         axis, direction = self._frames.axes[column], self._frames.along(column)
@@ -194,13 +193,13 @@ class Likelihood(Record):
     def _side(self, direction: Array, value: float, sigma: float) -> list[float]:
         """Ends of the intervals on one side; `sigma` has its sign."""
         held, begin = direction[:, None], self._at.orientation
-        ends, at, root, known = list[float](), 0.0, 0.0, begin
+        ends, at, root, solved = list[float](), 0.0, 0.0, begin
         for wanted in map(_quantile, LEVELS):
             low, high, trial = (at, root), (math.inf, math.inf), max(wanted, at)
             for _ in range(_TRIALS):
-                state = begin + (known - begin) * (trial / at) if at else None
+                state = begin + (solved - begin) * (trial / at) if at else None
                 cost, state = self._held(held, np.array([value + trial * sigma]), state)
-                at, known = trial, state
+                at, solved = trial, state
                 root = math.sqrt(max(2.0 * (cost - self._lowest), 0.0))
                 if abs(root - wanted) < _EXACT or trial >= _FAR:
                     break
@@ -219,19 +218,19 @@ class Likelihood(Record):
         layout, rows, points = at.layout, at.rows, self._begin.points
         for _ in range(_LAYOUTS):
             graph = BundleGraph(layout, rows)
-            known = graph.reduction(start, SYSTEM, points)
-            if not math.isfinite(known.cost):
+            reduction = graph.reduction(start, SYSTEM, points)
+            if not math.isfinite(reduction.cost):
                 return math.inf, start
             if 0 < directions.shape[1] < start.size:
-                problem = HeldProblem(graph, directions, known)
+                problem = HeldProblem(graph, directions, reduction)
                 start = levenberg_marquardt(problem, start, at.settings, lambda _: None).state
-                known = problem.at(start, COSTS)
-            anew = about_predicted_lines(layout, start, known.points)
+                reduction = problem.at(start, COSTS)
+            anew = about_predicted_lines(layout, start, reduction.points)
             if anew is layout:
                 break
-            points = layout.network_order(known.points)[anew.point_order]
+            points = layout.network_order(reduction.points)[anew.point_order]
             layout, rows = anew, _same_rows(layout, rows, anew)
-        return graph.cost(known), start
+        return graph.cost(reduction), start
 
 
 def _unknown(name: str) -> InputError:

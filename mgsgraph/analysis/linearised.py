@@ -24,9 +24,9 @@ def require_covariance(solution: Solution) -> None:
     if solution.own_factors:
         what = f"factors of your own on points ({solution.own_factors}), which its measurements do not have"
         raise InputError(solution.name, what, "a solution of its network", "ask mgsgraph.Marginals of your graph")
-    there = solution.determined
-    joint, points = solution.joint_covariance.sigmas, solution.covariances[there]
-    if not np.any(there) or not (np.all(np.isfinite(joint)) and np.all(np.isfinite(points))):
+    determined = solution.determined
+    joint, points = solution.joint_covariance.sigmas, solution.covariances[determined]
+    if not np.any(determined) or not (np.all(np.isfinite(joint)) and np.all(np.isfinite(points))):
         found, expected = "a solution without covariance", "one of every determined point and image"
         raise InputError(solution.name, found, expected, "adjust the case again")
 
@@ -42,7 +42,7 @@ def at_solution(solution: Solution) -> Linearised:
     rays = solution.rays_used | out[network.rays.point]
     rows = layout.active(rays, solution.ranges_used, out, solution.stereo_used)
     mixed = solution.minima is not None and solution.minima.several
-    mixed = mixed or any(one.asks_for_strengths for one in network.passes)
+    mixed = mixed or any(pass_.asks_for_strengths for pass_ in network.passes)
     return Linearised(layout, settings, rows, orientation, points, solution.joint_covariance, mixed)
 
 
@@ -107,8 +107,8 @@ class PriorRows:
 def prior_rows(at: Linearised) -> PriorRows:
     """Rows of the priors of a linearised network."""
     prior = at.layout.prior
-    own = np.flatnonzero(prior.weights)
-    sigma, share = [1.0 / prior.weights[own]], [(at.joint.sigmas[own] * prior.weights[own]) ** 2]
+    weighted = np.flatnonzero(prior.weights)
+    sigma, share = [1.0 / prior.weights[weighted]], [(at.joint.sigmas[weighted] * prior.weights[weighted]) ** 2]
     flat, begin = at.joint.of_each([factor.variables for factor in prior.factors]), 0
     for variables, blocks, about, _ in prior.factors:
         rows = np.concatenate(blocks, axis=1)
@@ -123,12 +123,12 @@ def prior_rows(at: Linearised) -> PriorRows:
     misfit = -(prior.design @ at.orientation)
     misfit[misfit.size - prior.target.size :] += prior.target
     sigmas = np.concatenate(sigma)
-    for one, first in at.network.numbered_passes:
-        if isinstance(one.prior, PolynomialPrior):
-            nodes = np.array([at.layout.variables.first[first + k] for k in range(len(one.nodes))])
-            mine = np.flatnonzero((prior.about >= nodes[0]) & (prior.about < nodes[-1] + 6))
-            term = np.searchsorted(nodes, prior.about[mine], side="right") - 1
-            sigmas[mine] = one.prior.coefficient_sigmas[term, prior.about[mine] - nodes[term]]
+    for pass_, first in at.network.numbered_passes:
+        if isinstance(pass_.prior, PolynomialPrior):
+            nodes = np.array([at.layout.variables.first[first + k] for k in range(len(pass_.nodes))])
+            of_pass = np.flatnonzero((prior.about >= nodes[0]) & (prior.about < nodes[-1] + 6))
+            term = np.searchsorted(nodes, prior.about[of_pass], side="right") - 1
+            sigmas[of_pass] = pass_.prior.coefficient_sigmas[term, prior.about[of_pass] - nodes[term]]
     if at.network.crossovers is not None:
         sigmas[sigmas.size - prior.crossovers :] = at.network.crossovers.sigmas
     return PriorRows(prior.about, sigmas, misfit, np.concatenate(share), prior.crossovers)
@@ -146,13 +146,13 @@ def unknown_name(network: Network, variable: int, inside: int) -> tuple[str, str
     if variable >= network.first_of_passes[-1]:
         return "factor of correlated errors", ""
     if variable >= network.first_of_passes[0]:
-        one, node = network.of_passes(variable)
-        what, component = one.part(node, inside)
-        if isinstance(one.prior, PolynomialPrior):
+        pass_, node = network.of_passes(variable)
+        what, component = pass_.part(node, inside)
+        if isinstance(pass_.prior, PolynomialPrior):
             what = f"the coefficient of s^{node}"  # what its rows are about; the unknowns are values at nodes
-        elif node < len(one.nodes):
-            what += f" ({one.nodes.times[node] - one.nodes.times[0]:.6g} s past the first)"
-        return f"{COMPONENTS[component]} of {what} of pass {one.name}", _unit(component)
+        elif node < len(pass_.nodes):
+            what += f" ({pass_.nodes.times[node] - pass_.nodes.times[0]:.6g} s past the first)"
+        return f"{COMPONENTS[component]} of {what} of pass {pass_.name}", _unit(component)
     if variable < network.first_shared:
         k = variable - len(network.images)
         return f"{network.shift_terms[k][inside].name} of {network.shift_names[k]}", network.shift_terms[k][inside].unit

@@ -220,16 +220,16 @@ def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, 
     root = np.swapaxes(back, 1, 2)
     # the kernel's rows of places are predicted minus measured
     misfit, share, effect = -numbers[:, :, 0], numbers[:, :, 1:4], numbers[:, :, 4:]
-    left = np.eye(3) - share
-    full = back @ left @ root
-    own, sigma = _diagonal(full), np.sqrt(_diagonal(covariance))
-    controlled = own * sigma**2 > UNCONTROLLED
-    safe = np.where(controlled, own, 1.0)
+    remaining = np.eye(3) - share
+    full = back @ remaining @ root
+    diagonal, sigma = _diagonal(full), np.sqrt(_diagonal(covariance))
+    controlled = diagonal * sigma**2 > UNCONTROLLED
+    safe = np.where(controlled, diagonal, 1.0)
     turned = (back @ misfit[:, :, None])[:, :, 0]
     detected = np.where(controlled, levels.shift / np.sqrt(safe), np.inf)
     moved = np.linalg.norm(back @ effect, axis=2)
     carried = np.sqrt(np.maximum(_diagonal(back @ share @ root), 0.0))
-    joint, dimensions = _joint_tests(left, misfit)
+    joint, dimensions = _joint_tests(remaining, misfit)
     out.sigma[:] = sigma.ravel()
     out.residual[:] = (covariance @ turned[:, :, None]).ravel()
     out.redundancy[:] = np.einsum("gij,gji->gi", covariance, full).ravel()
@@ -241,12 +241,12 @@ def judge_ground_priors(out: ScalarMeasures, covariance: Array, numbers: Array, 
     return float(np.sum(misfit**2))
 
 
-def _joint_tests(left: Array, misfit: Array) -> tuple[Array, Small]:
-    """Tests (g,) of the three rows of a-priori places together, of covariances `left` (g, 3, 3); their dimensions."""
-    values, vectors = np.linalg.eigh(left)
-    seen = values > UNCONTROLLED
+def _joint_tests(remaining: Array, misfit: Array) -> tuple[Array, Small]:
+    """Joint tests (g,) of the three rows of a-priori places, of covariances `remaining` (g, 3, 3); their dimensions."""
+    values, vectors = np.linalg.eigh(remaining)
+    controlled = values > UNCONTROLLED
     turned = np.einsum("gkq,gk->gq", vectors, misfit)
-    return np.sum(turned**2 / np.where(seen, values, np.inf), axis=1), seen.sum(axis=1).astype(np.int8)
+    return np.sum(turned**2 / np.where(controlled, values, np.inf), axis=1), controlled.sum(axis=1).astype(np.int8)
 
 
 def _times(value: Array, detected: Array) -> Array:
@@ -271,18 +271,18 @@ def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[st
     """What each of the chosen measures (k,) is, in words."""
     network, kind = layout.network, measures.kind[chosen]
     heads = [""] * (_WIDEST * len(MeasureKind))
-    for one, parts in _WHAT.items():
+    for number, parts in _WHAT.items():
         for component, part in enumerate(parts):
-            heads[_WIDEST * one + component] = f"{part} of point "
+            heads[_WIDEST * number + component] = f"{part} of point "
     head, image = _WIDEST * kind.astype(np.int64) + measures.component[chosen], measures.image[chosen]
-    priors, crossed = (np.flatnonzero(kind == one) for one in (MeasureKind.PRIOR, MeasureKind.CROSSOVER))
-    own = np.append(priors, crossed)
-    head[own], image[own] = len(heads) + np.arange(own.size), -1
+    priors, crossed = (np.flatnonzero(kind == wanted) for wanted in (MeasureKind.PRIOR, MeasureKind.CROSSOVER))
+    by_prior = np.append(priors, crossed)
+    head[by_prior], image[by_prior] = len(heads) + np.arange(by_prior.size), -1
     heads += [name for name, _ in _priors(layout, measures.row[chosen[priors]])]
     if network.crossovers is not None and network.shifts is not None:
         pairs = network.crossovers.profiles(network.shifts)[measures.row[chosen[crossed]]]
         heads += [f"crossover of {network.shifts.names[k]} and {network.shifts.names[m]}" for k, m in pairs.tolist()]
-    ids, images = network.points.ids, [*(f" in image {one.name}" for one in network.images), ""]
+    ids, images = network.points.ids, [*(f" in image {picture.name}" for picture in network.images), ""]
     rows = zip(head.tolist(), measures.point[chosen].tolist(), image.tolist(), strict=True)
     return [heads[h] + (ids[i] if i >= 0 else "") + images[j] for h, i, j in rows]
 
@@ -290,7 +290,7 @@ def names_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[st
 def units_of(layout: Layout, measures: ScalarMeasures, chosen: Index) -> list[str]:
     """Unit of each of the chosen measures (k,): px, m, rad or s."""
     kind = measures.kind[chosen]
-    units = ["px" if one else "m" for one in (kind == MeasureKind.RAY).tolist()]
+    units = ["px" if is_ray else "m" for is_ray in (kind == MeasureKind.RAY).tolist()]
     priors = np.flatnonzero(kind == MeasureKind.PRIOR)
     for k, (_, unit) in zip(priors.tolist(), _priors(layout, measures.row[chosen[priors]]), strict=True):
         units[k] = unit

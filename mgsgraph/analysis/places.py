@@ -119,12 +119,12 @@ def sigma_grid(
     longitude = west + steps[0] * (np.arange(columns) + 0.5)
     latitude = north - steps[1] * (np.arange(rows) + 0.5)
     ground = _ground(posterior, np.stack(np.meshgrid(longitude, latitude), axis=-1).reshape(-1, 2), height)
-    seen, places = _seen(posterior, numbers, ground)
-    several = np.flatnonzero(seen.sum(axis=1) >= 2)
+    visible, places = _seen(posterior, numbers, ground)
+    several = np.flatnonzero(visible.sum(axis=1) >= 2)
     if several.size == 0:
         raise _no_overlap(names)
     values = np.full((4, rows * columns), np.nan)
-    image, cell_of = np.nonzero(seen[several].T)
+    image, cell_of = np.nonzero(visible[several].T)
     rays = ImageRays(
         cell_of, np.array(numbers)[image], places[several[cell_of], image], np.full((cell_of.size, 2), sigma)
     )
@@ -136,7 +136,7 @@ def sigma_grid(
     if not np.any(np.isfinite(values)):
         found = f"rays of {some(names, len(names))} that are all but parallel"
         raise InputError("sigma raster", found, "images that look from different sides")
-    counts = seen.sum(axis=1).reshape(rows, columns)
+    counts = visible.sum(axis=1).reshape(rows, columns)
     return SigmaGrid(names, sigma, west, north, steps, values.reshape(4, rows, columns), counts)
 
 
@@ -193,14 +193,14 @@ def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[
     """Least and largest longitude and latitude of each footprint, all within half a turn of the first."""
     boxes: list[tuple[Array, Array]] = []
     for j in numbers:
-        found = footprint(posterior.network.images[j], height, posterior.correction(j))
-        if found.pole:
-            what = f"image {found.name}, which covers a pole"
+        area = footprint(posterior.network.images[j], height, posterior.correction(j))
+        if area.pole:
+            what = f"image {area.name}, which covers a pole"
             raise InputError("sigma raster", what, "images without a pole", "choose others (--image)")
-        if found.outline.shape[0]:
-            low, high = found.longitude_latitude.min(axis=0), found.longitude_latitude.max(axis=0)
-            apart = low[0] + high[0] - (boxes[0][0][0] + boxes[0][1][0] if boxes else 0.0)
-            turn = np.array([2.0 * np.pi * np.round(apart / (4.0 * np.pi)), 0.0])
+        if area.outline.shape[0]:
+            low, high = area.longitude_latitude.min(axis=0), area.longitude_latitude.max(axis=0)
+            offset = low[0] + high[0] - (boxes[0][0][0] + boxes[0][1][0] if boxes else 0.0)
+            turn = np.array([2.0 * np.pi * np.round(offset / (4.0 * np.pi)), 0.0])
             boxes.append((low - turn, high - turn))
     return boxes
 
@@ -208,13 +208,13 @@ def _boxes(posterior: Posterior, numbers: Sequence[int], height: float) -> list[
 def _seen(posterior: Posterior, numbers: Sequence[int], ground: Array) -> tuple[Array, Array]:
     """(n, images) whether each place (n, 3) falls into an image, and (n, images, 2) where."""
     places = np.full((ground.shape[0], len(numbers), 2), np.nan)
-    seen = np.zeros((ground.shape[0], len(numbers)), dtype=bool)
+    visible = np.zeros((ground.shape[0], len(numbers)), dtype=bool)
     for k, j in enumerate(numbers):
         image = posterior.image(j)
         places[:, k], _ = image.ground_to_image(ground, posterior.correction(j))
         line, sample = places[:, k].T
-        seen[:, k] = (line >= 0.0) & (line <= image.lines) & (sample >= 0.0) & (sample <= image.samples)
-    return seen, places
+        visible[:, k] = (line >= 0.0) & (line <= image.lines) & (sample >= 0.0) & (sample <= image.samples)
+    return visible, places
 
 
 def _no_overlap(names: Sequence[str]) -> InputError:
@@ -278,24 +278,24 @@ class View:
     def seen(self, points: Array, terrain: TerrainGrid | None = None) -> Places:
         """Where ground points (n, 3) in m are in the image; on a terrain model, relief may hide them."""
         pixels, _ = self.image.ground_to_image(points, self.correction)
-        found = np.all(np.isfinite(pixels), axis=1)
+        projected = np.all(np.isfinite(pixels), axis=1)
         states = np.full(len(points), State.NO_GROUND, dtype=object)
         states[np.all(np.isfinite(points), axis=1)] = State.FAR_OUTSIDE
-        states[found] = State.OUTSIDE
+        states[projected] = State.OUTSIDE
         states[self._inside(pixels)] = State.SEEN
-        where = np.flatnonzero(found)
-        origins, directions = self.image.sightlines(pixels[found, 0], pixels[found, 1], self.correction)
+        where = np.flatnonzero(projected)
+        origins, directions = self.image.sightlines(pixels[projected, 0], pixels[projected, 1], self.correction)
         if terrain is not None:
             nearer = np.linalg.norm(meet_terrain(origins, directions, terrain) - origins, axis=1)
-            hidden = nearer < np.linalg.norm(points[found] - origins, axis=1) - _RELIEF
+            hidden = nearer < np.linalg.norm(points[projected] - origins, axis=1) - _RELIEF
             states[where[hidden]] = State.BEHIND_RELIEF
-        up = points[found] / _squares(self.image.body)
-        away = np.einsum("ni,ni->n", up, points[found] - origins) >= 0.0
+        up = points[projected] / _squares(self.image.body)
+        away = np.einsum("ni,ni->n", up, points[projected] - origins) >= 0.0
         states[where[away]] = State.BEHIND_BODY
         covariances = None
         if self.solution is not None:
             covariances = np.full((len(points), 2, 2), np.nan)
-            covariances[found] = self._spread(points[found], pixels[found])
+            covariances[projected] = self._spread(points[projected], pixels[projected])
         return Places(pixels, points, tuple(states), covariances)
 
     def on_ground(
@@ -381,14 +381,14 @@ class View:
         """(n,) m, of a terrain model's height: its own, and of the solution's model what its shift, lift and tilt do,
         which are not applied. A sigma that the model doesn't know counts as zero.
         """
-        own: Array = np.nan_to_num(terrain.height_sigmas(points), posinf=0.0)
+        sigmas: Array = np.nan_to_num(terrain.height_sigmas(points), posinf=0.0)
         surface = self.solution.network.surface if self.solution is not None else None
         if self.solution is None or surface is None or surface.grid is not terrain or not surface.terms:
-            return own
+            return sigmas
         moved = np.einsum("ni,nki->nk", normals, surface.directions(points))
         value = self.solution.shift_values[-1]
         spread = self.solution.shift_spread(len(self.solution.shifts) - 1) + np.outer(value, value)
-        return np.asarray(np.sqrt(own**2 + np.einsum("nk,kl,nl->n", moved, spread, moved)))
+        return np.asarray(np.sqrt(sigmas**2 + np.einsum("nk,kl,nl->n", moved, spread, moved)))
 
     def _inside(self, pixels: Array) -> Mask:
         size = np.array([self.image.lines, self.image.samples])
@@ -402,15 +402,15 @@ class View:
         if not len(points):
             return np.zeros((0, 2, 2))
         by_pose = self.image.by_correction(points, pixels, self.correction)[:, :, :6]
-        joint, known = self.solution.joint_covariance, dict[tuple[int, ...], Array]()
-        found = np.empty((len(points), 2, 2))
+        joint, joints = self.solution.joint_covariance, dict[tuple[int, ...], Array]()
+        covariances = np.empty((len(points), 2, 2))
         follows = designs(self.solution.network, self.number, self.correction.angles, pixels[:, 0])
         for k, parts in enumerate(follows):
             variables = tuple(parts)
-            if variables and variables not in known:
-                known[variables] = joint.of(variables)
-            found[k] = _through(by_pose[k], parts, known.get(variables))
-        return found
+            if variables and variables not in joints:
+                joints[variables] = joint.of(variables)
+            covariances[k] = _through(by_pose[k], parts, joints.get(variables))
+        return covariances
 
 
 def _through(by_pose: Array, parts: Mapping[int, Array], joint: Array | None) -> Array:

@@ -28,7 +28,7 @@ from mgsgraph.analysis.estimates import (
     PositionEstimate,
     Quantity,
     covariance,
-    together,
+    joined,
 )
 from mgsgraph.analysis.likelihood import Likelihood
 from mgsgraph.analysis.linearised import at_solution, at_values
@@ -119,8 +119,8 @@ class Posterior(Record):
         first, second = self._point_name(first), self._point_name(second)
         if first == second:
             raise InputError(f"points {first}, {second}", "the same point twice", "two points")
-        both = [self.of_point(first), self.of_point(second)]
-        return Difference(first, second, both[0].values, both[1].values, self.covariance(both))
+        points = [self.of_point(first), self.of_point(second)]
+        return Difference(first, second, points[0].values, points[1].values, self.covariance(points))
 
     def pose(self, image: str | int, line: float) -> PoseEstimate:
         """Exterior orientation of an image at a line."""
@@ -131,9 +131,9 @@ class Posterior(Record):
         j = self.network.image_number(image)
         picture, correction = self.network.images[j], self.correction(j)
         pose = picture.pose(lines, correction)
-        found = [covariance(one, self.linearised.joint) for one in self._of_poses(j, lines)]
+        covariances = [covariance(quantity, self.linearised.joint) for quantity in self._of_poses(j, lines)]
         return [
-            PoseEstimate(picture.name, float(line), pose.position[k], pose.velocity[k], pose.matrix[k], found[k])
+            PoseEstimate(picture.name, float(line), pose.position[k], pose.velocity[k], pose.matrix[k], covariances[k])
             for k, line in enumerate(lines)
         ]
 
@@ -152,12 +152,12 @@ class Posterior(Record):
 
     def joint(self, quantities: Sequence[Quantity]) -> Estimate:
         """Several quantities with their joint covariance and correlations."""
-        whole = together(quantities)
-        return Estimate(whole.names, whole.units, whole.values, covariance(whole, self.linearised.joint))
+        stacked = joined(quantities)
+        return Estimate(stacked.names, stacked.units, stacked.values, covariance(stacked, self.linearised.joint))
 
     def covariance(self, quantities: Sequence[Quantity]) -> Array:
         """(m, m) joint covariance of several quantities, one after another."""
-        return covariance(together(quantities), self.linearised.joint)
+        return covariance(joined(quantities), self.linearised.joint)
 
     # --- quantities
 
@@ -212,9 +212,9 @@ class Posterior(Record):
         places, good = self._meet(layout)
         groups, target, orientation = layout.groups, layout.blocks.target, self.linearised.orientation
         pairs = self.linearised.pair_blocks(layout)
-        found = point_covariances(layout.rows, groups, target, layout.model, orientation, pairs, places)
-        found[~good], places[~good] = np.nan, np.nan
-        return layout.network_order(places), layout.network_order(found)
+        covariances = point_covariances(layout.rows, groups, target, layout.model, orientation, pairs, places)
+        covariances[~good], places[~good] = np.nan, np.nan
+        return layout.network_order(places), layout.network_order(covariances)
 
     @cached_property
     def likelihood(self) -> Likelihood:
@@ -270,12 +270,12 @@ class Posterior(Record):
 
         Raises InputError where they can't be of one place.
         """
-        own = rows.following()[0][0]
-        left = np.eye(rows.row.size) - own @ own.T
+        through_point = rows.following()[0][0]
+        rest = np.eye(rows.row.size) - through_point @ through_point.T
         through = rows.by_shared[0]
         spread = np.eye(rows.row.size) + through @ self.linearised.joint.of(rows.variables) @ through.T
-        seen = np.linalg.pinv(left @ spread @ left, rcond=1e-9, hermitian=True)
-        square = float(rows.residuals[0] @ seen @ rows.residuals[0]) / max(rows.row.size - 3, 1)
+        weights = np.linalg.pinv(rest @ spread @ rest, rcond=1e-9, hermitian=True)
+        square = float(rows.residuals[0] @ weights @ rows.residuals[0]) / max(rows.row.size - 3, 1)
         if square > _CONTRADICTION**2:
             found = f"rays that miss each other by {np.sqrt(square):.3g} sigmas"
             raise InputError(name, found, "measures of the same place", "check lines, samples and images")
@@ -290,19 +290,19 @@ class Posterior(Record):
         turn = np.tile(np.eye(6), (lines.size, 1, 1))
         turn[:, 3:, 3:] = correction.axes(nominal, moments)
         turned = -rotation.logarithm(pose.matrix @ np.swapaxes(nominal.matrix, 1, 2))
-        first, found = self.linearised.layout.variables.first, []
+        first, quantities = self.linearised.layout.variables.first, []
         follows = designs(self.network, image, correction.angles, lines)
         for k, (line, partials) in enumerate(zip(lines, follows, strict=True)):
             names = tuple(f"{name} of image {picture.name} at line {line:g}" for name in COMPONENTS)
             values = np.concatenate([pose.position[k], turned[k]])
             by_shared = {v: turn[k] @ block for v, block in partials.items() if first[v] >= 0}
-            found.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
-        return found
+            quantities.append(Quantity(names, _POSE_UNITS, values, by_shared, {}))
+        return quantities
 
-    def _of_point(self, names: tuple[str, ...], values: Array, rows: PointRows, own: Hashable) -> Quantity:
-        """A place whose noise, apart from what it shares, goes by the key `own`."""
+    def _of_point(self, names: tuple[str, ...], values: Array, rows: PointRows, key: Hashable) -> Quantity:
+        """A place whose noise, apart from what it shares, has the key `key`."""
         by_shared, noise = rows.eliminated()
-        return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {own: noise[0]})
+        return Quantity(names, ("m",) * 3, values, self._by_variable(rows.variables, by_shared[0]), {key: noise[0]})
 
     def _by_variable(self, variables: Sequence[int], columns: Array) -> dict[int, Array]:
         """Columns (m, c) of variables, one after another, split by variable; none where all images are held."""
@@ -314,17 +314,17 @@ class Posterior(Record):
     def _meet(self, layout: Layout) -> tuple[Array, Mask]:
         """Positions (m, 3), layout order, at which new rays meet, and which of them do."""
         target, orientation = layout.blocks.target, self.linearised.orientation
-        found = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
-        return found.points, (found.states == GOOD) & (layout.rows.kind != OUT)
+        reduction = reduce(layout.rows, layout.groups, target, layout.model, orientation, COSTS)
+        return reduction.points, (reduction.states == GOOD) & (layout.rows.kind != OUT)
 
 
-def stands_alone(network: Network) -> bool:
+def is_self_contained(network: Network) -> bool:
     """Whether some of its points, with the covariance of their unknowns, say of themselves what the whole says: not
     where rows of other points reach them (passes, stereo surfaces, crossovers, a raised terrain model, errors in
     common) or tests need the estimator's own covariance (considered unknowns).
     """
     raised = network.surface is not None and network.surface.raised
-    profiles = any(one.kind.of_profile for one in network.shared)
+    profiles = any(shared.kind.of_profile for shared in network.shared)
     return not (network.passes or network.stereo is not None or network.crossovers is not None or network.considered
                 or network.common or raised or profiles)  # fmt: skip
 
@@ -338,7 +338,7 @@ def posterior_of(
     Parameters
     ----------
     network : Network
-        That part; `stands_alone`.
+        That part; `is_self_contained`.
     values : mapping
         (d,) m and rad, of its adjusted unknowns, and of any others.
     places : (n, 3)
@@ -350,8 +350,8 @@ def posterior_of(
 
     def joint_of(layout: Layout) -> JointCovariance:
         wanted = [names[v] for v in layout.variables.adjusted()]
-        found = joint(wanted) if wanted else np.zeros((0, 0))
-        return dense_covariance(layout.variables.first, layout.variables.width, found)
+        matrix = joint(wanted) if wanted else np.zeros((0, 0))
+        return dense_covariance(layout.variables.first, layout.variables.width, matrix)
 
     each = [values.get(unknown, np.zeros(0)) for unknown in names]
     return Posterior(at_values(network, settings, each, places, near=True, joint_of=joint_of))
@@ -361,15 +361,15 @@ def posterior_of_points(solution: Solution, points: Index) -> Posterior | None:
     """The posterior of some points (m,) of a solution; None where these do not stand alone, or it is a mean over
     several minima.
     """
-    whole = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected)
-    if not stands_alone(whole) or (solution.minima is not None and solution.minima.several):
+    network = solution.network.with_rejected(solution.rays_rejected, solution.ranges_rejected, solution.stereo_rejected)
+    if not is_self_contained(network) or (solution.minima is not None and solution.minima.several):
         return None
-    number = {unknown: v for v, unknown in enumerate(unknowns(whole))}
+    number = {unknown: v for v, unknown in enumerate(unknowns(network))}
     values = dict(zip(number, solution.values, strict=True))
-    found = solution.joint_covariance
+    joint = solution.joint_covariance
     return posterior_of(
-        select_points(whole, points), solution.settings, values, solution.places[points],
-        lambda wanted: found.of([number[unknown] for unknown in wanted]),
+        select_points(network, points), solution.settings, values, solution.places[points],
+        lambda wanted: joint.of([number[unknown] for unknown in wanted]),
     )  # fmt: skip
 
 
@@ -396,34 +396,34 @@ def cross_covariances(at: Linearised, point: int) -> Array:
         Where nothing determines the point.
     """
     place = at.layout_index(point)
-    found = np.full((at.points.shape[0], 3, 3), np.nan)
-    own = at.rows_of(point)
-    if own.known:
-        found[at.rows.kind != OUT] = 0.0
-        return at.layout.network_order(found)
-    carried, noise = own.eliminated()
+    covariances = np.full((at.points.shape[0], 3, 3), np.nan)
+    of_point = at.rows_of(point)
+    if of_point.known:
+        covariances[at.rows.kind != OUT] = 0.0
+        return at.layout.network_order(covariances)
+    carried, noise = of_point.eliminated()
     joint = dict[tuple[int, ...], Array]()
     for piece, (_, first, count, *_) in enumerate(at.rows.piece.tolist()):
-        there = np.flatnonzero(at.rows.kind[first : first + count] != OUT)
-        if not there.size:
+        inside = np.flatnonzero(at.rows.kind[first : first + count] != OUT)
+        if not inside.size:
             continue
-        rows = at.rows_inside(piece, there)
-        mine = first + there
+        rows = at.rows_inside(piece, inside)
+        members = first + inside
         if rows.known:
-            found[mine] = 0.0
+            covariances[members] = 0.0
             continue
         if rows.variables not in joint:
-            both = list(dict.fromkeys([*own.variables, *rows.variables]))
-            columns = at.layout.variables.width[both]
-            begin = dict(zip(both, np.cumsum(columns) - columns, strict=True))
+            variables_of_both = list(dict.fromkeys([*of_point.variables, *rows.variables]))
+            columns = at.layout.variables.width[variables_of_both]
+            begin = dict(zip(variables_of_both, np.cumsum(columns) - columns, strict=True))
             parts = [
                 np.concatenate([np.zeros(0, dtype=np.int64),
                                 *(begin[v] + np.arange(at.layout.variables.width[v]) for v in variables)])
-                for variables in (own.variables, rows.variables)
+                for variables in (of_point.variables, rows.variables)
             ]  # fmt: skip
-            joint[rows.variables] = carried[0] @ at.joint.of(both)[np.ix_(*parts)]
-        others, _ = rows.eliminated()
-        found[mine] = np.einsum("ac,nbc->nab", joint[rows.variables], others)
-    found[place] += noise[0] @ noise[0].T
-    found[at.rows.kind == FIXED] = 0.0
-    return at.layout.network_order(found)
+            joint[rows.variables] = carried[0] @ at.joint.of(variables_of_both)[np.ix_(*parts)]
+        carried_by_others, _ = rows.eliminated()
+        covariances[members] = np.einsum("ac,nbc->nab", joint[rows.variables], carried_by_others)
+    covariances[place] += noise[0] @ noise[0].T
+    covariances[at.rows.kind == FIXED] = 0.0
+    return at.layout.network_order(covariances)

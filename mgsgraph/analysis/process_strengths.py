@@ -5,15 +5,15 @@ found = estimated_strengths(network, settings)   # adjusts, estimates, adjusts a
 print(found)
 
 Processes of the same part (position, attitude) and kind have a strength s along each axis, common to all passes: a pair
-of images shows the difference of two passes alone, and whose a motion is can't be told. Axes are seen very differently;
-so each has its own, and one that is hardly seen follows the others: beforehand log s is normal about the sigma that the
+of images shows only the difference of two passes, not which of them moves. Axes are observed very differently; so each
+has its own strength, and a hardly observed one follows the others: a priori log s is normal about the sigma that the
 search begins with, with a deviation common to the axes (`Process.spread`) and one of each (`strengths`).
 
 Where passes differ, each has strengths of its own, which depart from those in common; one that is hardly seen follows
 these. Passes differ where all departures together raise the restricted likelihood by more than noise does: not a
 process alone, since ties show position and attitude jointly, and what one is held to the other would make up for.
 
-Rays that scatter more than stated would be taken for a process: their sigmas count as right.
+Rays that scatter more than stated would be taken for a process: their sigmas are assumed correct.
 
 The restricted likelihood of strengths follows from an adjustment with other strengths. With everything else eliminated
 the measures say y = x + e of the nodes x of all passes, x being normal with the covariance K = sum_i s_i^2 C_i + trend:
@@ -36,9 +36,9 @@ density. No strengths need an adjustment of their own: with other ones all unkno
 
 and what is stated is the mean square about x, as of several minima (`adjustment.multistart`): S + A Q A'.
 
-Passes may move alike. Their difference then shows nothing, and strengths that follow from it would vanish. So there are
-two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see of a
-process has a strength of its own, exp(`_LESS`) of that of what they don't see.
+Passes may move in the same way. Their difference then shows nothing, and strengths that follow from it would vanish. So
+there are two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see
+of a process has a strength of its own, exp(`_LESS`) of that of what they don't see.
 """
 
 import math
@@ -116,34 +116,35 @@ class Evidence:
         """Of strengths (p)."""
         from scipy.linalg import block_diag  # slow to import
 
-        network, variables, blocks, own = solution.network, list[int](), list[Array](), list[Array]()
+        network, variables, blocks, diagonal_blocks = solution.network, list[int](), list[Array](), list[Array]()
         rows, at = dict[tuple[int, int], Index](), 0
-        for k in sorted({k for one in wanted for k, _ in one.members}):
+        for k in sorted({k for strength in wanted for k, _ in strength.members}):
             first, count = int(network.first_of_passes[k]), len(network.passes[k].nodes)
-            components = sorted({one.component for one in wanted if k in dict(one.members)})
+            components = sorted({strength.component for strength in wanted if k in dict(strength.members)})
             taken = np.concatenate([np.arange(c, 6 * count, 6) for c in components])
             rows |= {(k, c): at + i * count + np.arange(count) for i, c in enumerate(components)}
             variables += range(first, first + network.passes[k].widths.size)
             blocks.append(_information(network.passes[k])[:, taken])
-            own.append(blocks[-1][taken])
+            diagonal_blocks.append(blocks[-1][taken])
             at += taken.size
         before, joint = block_diag(*blocks), at_solution(solution).of_estimator().joint
-        prior = block_diag(*own)
-        found = prior - before.T @ joint.of(variables) @ before
+        prior = block_diag(*diagonal_blocks)
+        start = prior - before.T @ joint.of(variables) @ before
         push = before.T @ np.concatenate([solution.values[v] for v in variables])
 
-        def scaled(one: Strength, k: int, number: int) -> Block:
-            every, nodes, mine = processes_of(network, k, one.part), network.passes[k].nodes, rows[k, one.component]
-            whole = dense_covariance(every, one.axis, nodes)
-            whole += NUGGET**2 * np.diag(np.diagonal(whole))
+        def scaled(strength: Strength, k: int, number: int) -> Block:
+            processes, place = processes_of(network, k, strength.part), rows[k, strength.component]
+            nodes = network.passes[k].nodes
+            covariance = dense_covariance(processes, strength.axis, nodes)
+            covariance += NUGGET**2 * np.diag(np.diagonal(covariance))
             # the rows between neighbors have a covariance of their own, a little off the processes': that one scales
-            own = np.linalg.cholesky(np.linalg.inv(prior[np.ix_(mine, mine)]))
-            turned = own @ np.linalg.inv(np.linalg.cholesky(whole))
-            return mine, turned @ dense_covariance(every[number : number + 1], one.axis, nodes) @ turned.T
+            root = np.linalg.cholesky(np.linalg.inv(prior[np.ix_(place, place)]))
+            turned = root @ np.linalg.inv(np.linalg.cholesky(covariance))
+            return place, turned @ dense_covariance(processes[number : number + 1], strength.axis, nodes) @ turned.T
 
-        parts = tuple(tuple(scaled(one, *of) for of in one.members) for one in wanted)
-        mean = np.log(np.array([one.begin for one in wanted]) / strength_sigmas(network, wanted))
-        return cls(0.5 * (found + found.T), push, before, tuple(variables), parts, mean, spread_beforehand(wanted))
+        parts = tuple(tuple(scaled(strength, *of) for of in strength.members) for strength in wanted)
+        mean = np.log(np.array([strength.begin for strength in wanted]) / strength_sigmas(network, wanted))
+        return cls(0.5 * (start + start.T), push, before, tuple(variables), parts, mean, spread_beforehand(wanted))
 
     def apart(self, wanted: Sequence[Strength]) -> tuple["Evidence", list[Strength], Index]:
         """With strengths of each pass; these; and which each was before."""
@@ -157,28 +158,28 @@ class Evidence:
         """
         from scipy.linalg import block_diag  # slow to import
 
-        whole = np.linalg.solve(self._mixed(self.change(self.mean)), self.start)
-        seen, rest = list[tuple[Block, ...]](), list[tuple[Block, ...]]()
+        information = np.linalg.solve(self._mixed(self.change(self.mean)), self.start)
+        observed, rest = list[tuple[Block, ...]](), list[tuple[Block, ...]]()
         for part, mean in zip(self.parts, self.mean.tolist(), strict=True):
-            mine, every = np.concatenate([rows for rows, _ in part]), block_diag(*(matrix for _, matrix in part))
-            variances, axes = np.linalg.eigh(every)
+            place, of_process = np.concatenate([rows for rows, _ in part]), block_diag(*(matrix for _, matrix in part))
+            variances, axes = np.linalg.eigh(of_process)
             root = axes * np.sqrt(np.maximum(variances, 0.0))
-            shares, turn = np.linalg.eigh(math.exp(2.0 * mean) * root.T @ whole[np.ix_(mine, mine)] @ root)
-            for parts, some in ((seen, root @ turn[:, shares > 0.5]), (rest, root @ turn[:, shares <= 0.5])):
-                parts.append(((mine, some @ some.T),))
+            shares, turn = np.linalg.eigh(math.exp(2.0 * mean) * root.T @ information[np.ix_(place, place)] @ root)
+            for parts, some in ((observed, root @ turn[:, shares > 0.5]), (rest, root @ turn[:, shares <= 0.5])):
+                parts.append(((place, some @ some.T),))
         less, unseen = (
-            spread_beforehand([replace(one, spread=spread) for one, spread in zip(wanted, spreads, strict=True)])
-            for spreads in ([_LESS_BY] * len(wanted), [_NARROW * one.spread for one in wanted])
+            spread_beforehand([replace(sought, spread=spread) for sought, spread in zip(wanted, spreads, strict=True)])
+            for spreads in ([_LESS_BY] * len(wanted), [_NARROW * sought.spread for sought in wanted])
         )
         mean = np.append(self.mean + _LESS, self.mean)
-        return replace(self, parts=(*seen, *rest), mean=mean, spread=block_diag(less, unseen))
+        return replace(self, parts=(*observed, *rest), mean=mean, spread=block_diag(less, unseen))
 
     def change(self, steps: Array) -> Array:
         """D (n, n), where log strengths change by `steps` (p,)."""
         change = np.zeros_like(self.start)
         for growth, part in zip(np.expm1(2.0 * steps), self.parts, strict=True):
-            for mine, matrix in part:
-                change[np.ix_(mine, mine)] += growth * matrix
+            for place, matrix in part:
+                change[np.ix_(place, place)] += growth * matrix
         return change
 
     def _mixed(self, change: Array) -> Array:
@@ -192,15 +193,15 @@ class Evidence:
         factored = lu_factor(self._mixed(self.change(steps)))
         within, pushed = lu_solve(factored, self.start), lu_solve(factored, self.push)
         grown = [
-            [(mine, growth * matrix) for mine, matrix in part]
+            [(place, growth * matrix) for place, matrix in part]
             for growth, part in zip(np.exp(2.0 * steps), self.parts, strict=True)
         ]
-        through = [[(mine, within[:, mine] @ matrix) for mine, matrix in part] for part in grown]
-        traces = np.array([sum(np.trace(product[mine]) for mine, product in part) for part in through])
-        squares = np.array([sum(pushed[mine] @ matrix @ pushed[mine] for mine, matrix in part) for part in grown])
+        through = [[(place, within[:, place] @ matrix) for place, matrix in part] for part in grown]
+        traces = np.array([sum(np.trace(product[place]) for place, product in part) for part in through])
+        squares = np.array([sum(pushed[place] @ matrix @ pushed[place] for place, matrix in part) for part in grown])
         information = np.array([
-            [2.0 * sum(np.sum(a[d] * b[c].T) for c, a in left for d, b in right) for right in through]
-            for left in through
+            [2.0 * sum(np.sum(a[d] * b[c].T) for c, a in first for d, b in second) for second in through]
+            for first in through
         ])  # fmt: skip
         score = squares - traces - np.linalg.solve(self.spread, steps - self.mean)
         return Density(score, information + np.linalg.inv(self.spread))
@@ -221,11 +222,11 @@ class Evidence:
         for of_process in np.unique(self.spread > 0.0, axis=0):
             starts = begin + _STARTS[:, None] * of_process
             begin = starts[np.argmax([self.logarithm(start) for start in starts])]
-        found = minimize(
+        result = minimize(
             lambda at: -self.logarithm(at), begin, jac=lambda at: -self.density(at).score,
             bounds=np.stack([begin - _STEP, begin + _STEP], axis=1), options={"ftol": 1e-12, "gtol": 1e-6},
         )  # fmt: skip
-        return np.asarray(found.x)
+        return np.asarray(result.x)
 
     def drawn(self) -> tuple[Array, Array]:
         """(m, p) changes of log strengths that stand for their density, and (m,) logarithms of weights, whose mean is
@@ -250,9 +251,9 @@ class Evidence:
 
     def sizes(self, steps: Array, count: int) -> Array:
         """(count,) changes of the logarithms of root mean squares of whole processes."""
-        own = np.array([sum(np.trace(matrix) for _, matrix in part) for part in self.parts])
-        grown = (own * np.exp(2.0 * steps)).reshape(-1, count).sum(axis=0)
-        return np.asarray(0.5 * np.log(grown / own.reshape(-1, count).sum(axis=0)))
+        variances = np.array([sum(np.trace(matrix) for _, matrix in part) for part in self.parts])
+        grown = (variances * np.exp(2.0 * steps)).reshape(-1, count).sum(axis=0)
+        return np.asarray(0.5 * np.log(grown / variances.reshape(-1, count).sum(axis=0)))
 
 
 class Density(NamedTuple):
@@ -264,15 +265,15 @@ class Density(NamedTuple):
     """(p, p) that is expected."""
 
 
-def _information(one: Pass) -> Array:
+def _information(pass_: Pass) -> Array:
     """(q, q) P_0: information of the prior's rows on the nodes and the trend of a pass."""
-    edges = np.concatenate([[0], np.cumsum(one.widths)])
-    whole = np.zeros((edges[-1], edges[-1]))
-    for unknowns, blocks, _ in one.prior.factors(one.nodes):
-        for v, left in zip(unknowns, blocks, strict=True):
-            for w, right in zip(unknowns, blocks, strict=True):
-                whole[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += left.T @ right
-    return whole
+    edges = np.concatenate([[0], np.cumsum(pass_.widths)])
+    information = np.zeros((edges[-1], edges[-1]))
+    for unknowns, blocks, _ in pass_.prior.factors(pass_.nodes):
+        for v, first in zip(unknowns, blocks, strict=True):
+            for w, second in zip(unknowns, blocks, strict=True):
+                information[edges[v] : edges[v + 1], edges[w] : edges[w + 1]] += first.T @ second
+    return information
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,7 +304,7 @@ class EstimatedStrengths(Record):
     @property
     def sentences(self) -> list[str]:
         """One for each strength, for pairs that are inseparable, and for how it ended."""
-        lines = [one.sentence for one in self.strengths]
+        lines = [strength.sentence for strength in self.strengths]
         entangled = np.argwhere(np.triu(np.abs(self.correlation) > LIMIT, 1)).tolist()
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
@@ -350,7 +351,7 @@ def estimated_strengths(
         Where nothing is to be estimated, or a pass has too many nodes; and what `adjust_network` raises.
     """
     sought = sought_strengths(network)
-    several = any(len(one.passes) > 1 for one in sought)
+    several = any(len(strength.passes) > 1 for strength in sought)
     network = with_strength_sigmas(network, sought, strength_sigmas(network, sought))
     left_in = unmarked(network) if settings.reject == 0.0 else None
     for done in range(1, most + 1):
@@ -372,8 +373,8 @@ def estimated_strengths(
     covariance = off.T @ (weights[:, None] * off)
     points = strength_sigmas(network, sought) * np.exp([_quantiles(some, weights) for some in drawn.T]).T
     strengths = tuple(
-        replace(one, sigma=middle, error=error, interval=(low, high))
-        for one, low, middle, high, error in zip(
+        replace(strength, sigma=middle, error=error, interval=(low, high))
+        for strength, low, middle, high, error in zip(
             sought, *points.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True
         )
     )
@@ -401,15 +402,15 @@ def where_passes_differ(
 def _mixture(hypotheses: Sequence[tuple[float, Evidence]]) -> tuple[Array, Array, Array]:
     """Changes of log strengths (m, p) that stand for the posterior, their weights (m,), and Q."""
     each, logs = list[tuple[Evidence, Array]](), list[Array]()
-    for known, one in hypotheses:
-        steps, some = one.drawn()
-        each += [(one, step) for step in steps]
-        logs.append(some + math.log(known))
+    for probability, model in hypotheses:
+        steps, some = model.drawn()
+        each += [(model, step) for step in steps]
+        logs.append(some + math.log(probability))
     weights = np.exp(np.concatenate(logs) - max(some.max() for some in logs))
     weights /= weights.sum()
     count = hypotheses[0][1].mean.size
-    parts = (w * one.moved(step) for w, (one, step) in zip(weights.tolist(), each, strict=True) if w > _NOTHING)
-    return np.array([one.sizes(step, count) for one, step in each]), weights, np.asarray(sum(parts))
+    parts = (w * model.moved(step) for w, (model, step) in zip(weights.tolist(), each, strict=True) if w > _NOTHING)
+    return np.array([model.sizes(step, count) for model, step in each]), weights, np.asarray(sum(parts))
 
 
 def _quantiles(values: Array, weights: Array) -> Array:
@@ -425,8 +426,8 @@ def _with_spread(solution: Solution, evidence: Evidence, spread: Array) -> Solut
     root, width = joint.square_root, solution.network.widths
     columns = np.concatenate([root.first[v] + np.arange(width[v]) for v in evidence.variables])
     gain = at.of_estimator().joint.dense()[:, columns] @ evidence.before
-    whole = joint.dense() + gain @ spread @ gain.T
-    mixed = mixture_covariance(root.first, root.width, 0.5 * (whole + whole.T))
+    covariance = joint.dense() + gain @ spread @ gain.T
+    mixed = mixture_covariance(root.first, root.width, 0.5 * (covariance + covariance.T))
     points = replace(at, joint=mixed).point_covariances()
     return replace(
         solution, joint_covariance=mixed, covariances=points, sigmas_without_laser=None,

@@ -160,8 +160,8 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
     numbers, ground = swept(at, places)
     roots = _robust_roots(at, numbers)
     used, shots, heights, stereo = _taking_part(at, roots)
-    known = prior_rows(at)
-    counts = shots.size, 3 * points.size, heights.size, stereo.size, known.about.size
+    priors_of_unknowns = prior_rows(at)
+    counts = shots.size, 3 * points.size, heights.size, stereo.size, priors_of_unknowns.about.size
     ends = np.cumsum([0, 2 * int(np.count_nonzero(used)), *counts]).tolist()
     out = empty_measures(ends[-1])
     rays, ranges, apriori, surface, on_stereo, priors = (out.part(a, b) for a, b in pairwise(ends))
@@ -179,7 +179,7 @@ def reliability(of: Linearised | Solution, levels: Levels | None = None) -> Reli
         point = index.on_terrain[heights]
         sigmas, where = network.surface.sigmas[point], (point, point, -1, index.heights[heights])
         squares += _singles(surface, MeasureKind.HEIGHT, numbers, sigmas, None, levels, *where)
-    squares += _priors(priors, at, known, levels)
+    squares += _priors(priors, at, priors_of_unknowns, levels)
     if network.stereo is not None and at.layout.stereo is not None:
         point, root = at.layout.stereo.points[stereo], None if roots is None else roots.stereo[stereo]
         sigmas, where = network.stereo.sigmas[point], (point, point, -1, index.stereo[stereo])
@@ -209,9 +209,9 @@ def _ground_indices(at: Linearised, points: Index) -> Index:
     """(g,) places among all observations of the a-priori places of network points."""
     rows, index_of = at.rows, at.layout.patterns.point_index
     of_pattern = np.full(rows.pattern_group.size, -1)
-    own = np.flatnonzero(rows.observation_kind == GROUND)
-    pattern = np.searchsorted(rows.pattern_observation, own, side="right") - 1
-    of_pattern[pattern] = own - rows.pattern_observation[pattern]
+    of_ground = np.flatnonzero(rows.observation_kind == GROUND)
+    pattern = np.searchsorted(rows.pattern_observation, of_ground, side="right") - 1
+    of_pattern[pattern] = of_ground - rows.pattern_observation[pattern]
     inside = index_of[points]
     pattern, first, count, _, observation = rows.piece[at.layout.patterns.piece_of(inside)].T
     return np.asarray(observation + of_pattern[pattern] * count + inside - first, dtype=np.int64)
@@ -222,21 +222,21 @@ def _robust_roots(at: Linearised, numbers: Array) -> _Roots | None:
     if at.layout.model.loss == NO_LOSS:
         return None
     network, places = at.network, at.layout.observation_rows
-    found = residuals(at.layout, at.orientation, at.points)
+    raw = residuals(at.layout, at.orientation, at.points)
     on, sigmas = np.zeros(0, dtype=np.int64), np.zeros(0)
     if at.layout.stereo is not None and network.stereo is not None:
         on, sigmas = at.layout.stereo.points, network.stereo.sigmas
     plain = (
-        np.linalg.norm(found.image / network.rays.sigmas, axis=1), np.abs(found.ranges / network.ranges.sigmas),
-        np.abs(found.stereo[on] / sigmas[on]),
+        np.linalg.norm(raw.image / network.rays.sigmas, axis=1), np.abs(raw.ranges / network.ranges.sigmas),
+        np.abs(raw.stereo[on] / sigmas[on]),
     )  # fmt: skip
     scaled = (
         np.linalg.norm(numbers[places.rays, MISFIT], axis=1), np.abs(numbers[places.ranges, 0]),
         np.abs(numbers[places.stereo, 0]),
     )  # fmt: skip
     return _Roots(*(
-        np.where(whole > _EXACT, part / np.maximum(whole, _EXACT), 1.0)
-        for part, whole in zip(scaled, plain, strict=True)
+        np.where(unweighted > _EXACT, part / np.maximum(unweighted, _EXACT), 1.0)
+        for part, unweighted in zip(scaled, plain, strict=True)
     ))  # fmt: skip
 
 
@@ -246,12 +246,12 @@ def _rays(
     """Fill in the rays; their sum of squares."""
     rays, chosen = at.network.rays, np.flatnonzero(used)
     index, root = at.layout.observation_rows.rays[chosen], None if roots is None else roots.rays[chosen]
-    found, point, image = numbers[index], np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
+    of_rays, point, image = numbers[index], np.repeat(rays.point[chosen], 2), np.repeat(rays.image[chosen], 2)
     out.say(MeasureKind.RAY, np.tile(_BOTH, chosen.size), np.repeat(chosen, 2), point, image, np.repeat(index, 2))
-    misfit, share, effect = (found[:, columns].ravel() for columns in (MISFIT, SHARE, EFFECT))
+    misfit, share, effect = (of_rays[:, columns].ravel() for columns in (MISFIT, SHARE, EFFECT))
     twice = None if root is None else np.repeat(root, 2)
     judge_scalars(out, rays.sigmas[chosen].ravel(), misfit, share, effect, twice, levels)
-    joint, dimensions = pair_tests(found[:, MISFIT], found[:, SHARE], found[:, BETWEEN], root)
+    joint, dimensions = pair_tests(of_rays[:, MISFIT], of_rays[:, SHARE], of_rays[:, BETWEEN], root)
     out.joint[:], out.dimensions[:] = np.repeat(joint, 2), np.repeat(dimensions, 2)
     return float(misfit @ misfit)
 
@@ -269,18 +269,18 @@ def _singles(
     return float(misfit @ misfit)
 
 
-def _priors(out: ScalarMeasures, at: Linearised, known: PriorRows, levels: Levels) -> float:
+def _priors(out: ScalarMeasures, at: Linearised, priors: PriorRows, levels: Levels) -> float:
     """Fill in a-priori values of the shared unknowns, all of them zero, and crossovers; their sum of squares."""
-    about = known.about
+    about = priors.about
     variables = at.layout.variables
     adjusted = np.array(variables.adjusted(), dtype=np.int64)
     variable = np.repeat(adjusted, variables.width[adjusted])[about]
     image = np.where(variable < variables.images, variable, -1)
     out.say(MeasureKind.PRIOR, about - variables.first[variable], about, -1, image, -1)
-    last = out.part(about.size - known.crossovers, about.size)
-    last.say(MeasureKind.CROSSOVER, _zeros(about)[: known.crossovers], np.arange(known.crossovers), -1, -1, -1)
-    judge_scalars(out, known.sigma, known.misfit, known.share, np.full(about.size, np.nan), None, levels)
-    return float(known.misfit @ known.misfit)
+    last = out.part(about.size - priors.crossovers, about.size)
+    last.say(MeasureKind.CROSSOVER, _zeros(about)[: priors.crossovers], np.arange(priors.crossovers), -1, -1, -1)
+    judge_scalars(out, priors.sigma, priors.misfit, priors.share, np.full(about.size, np.nan), None, levels)
+    return float(priors.misfit @ priors.misfit)
 
 
 def _used(at: Linearised, places: Index | Indices, points: Index, root: Array | None) -> Mask:
@@ -311,28 +311,28 @@ class Suspect:
     """Whether it exceeds the critical value."""
 
 
-def suspects(found: Reliability, most: int = 20) -> tuple[Suspect, ...]:
+def suspects(tested: Reliability, most: int = 20) -> tuple[Suspect, ...]:
     """The `most` suspicious measures, or groups of such as can't be separated, worst first."""
     groups, listed = list[Suspect](), set[int]()
-    index = PointIndex(found.measures.point, len(found.at.network.points))
+    index = PointIndex(tested.measures.point, len(tested.at.network.points))
     correlations: dict[int, tuple[Index, Array]] = {}
-    for k in map(int, found.order(len(found))):
-        if len(groups) == most or np.isnan(found.measures.test[k]):
+    for k in map(int, tested.order(len(tested))):
+        if len(groups) == most or np.isnan(tested.measures.test[k]):
             break
         if k in listed:
             continue
-        point, together = int(found.measures.point[k]), np.array([k])
+        point, group = int(tested.measures.point[k]), np.array([k])
         if point >= 0:
             if point not in correlations:
-                correlations[point] = correlations_of_tests(found, index, point)
-            mine, matrix = correlations[point]
-            row = np.abs(matrix[np.flatnonzero(mine == k)[0]])
-            others = mine[(row > INSEPARABLE) & (mine != k)]
-            size = np.nan_to_num(np.abs(found.measures.test[others]), nan=-1.0)
-            together = np.append(together, others[np.argsort(-size, kind="stable")])
-        listed.update(together.tolist())
-        test = float(found.measures.test[k])
-        groups.append(Suspect(together, point, test, abs(test) > found.critical))
+                correlations[point] = correlations_of_tests(tested, index, point)
+            rows, matrix = correlations[point]
+            row = np.abs(matrix[np.flatnonzero(rows == k)[0]])
+            confused = rows[(row > INSEPARABLE) & (rows != k)]
+            size = np.nan_to_num(np.abs(tested.measures.test[confused]), nan=-1.0)
+            group = np.append(group, confused[np.argsort(-size, kind="stable")])
+        listed.update(group.tolist())
+        test = float(tested.measures.test[k])
+        groups.append(Suspect(group, point, test, abs(test) > tested.critical))
     return tuple(groups)
 
 
@@ -356,34 +356,34 @@ class PointIndex:
         return self._order[self._first[point] : self._first[point + 1]]
 
 
-def correlations_of_tests(found: Reliability, index: PointIndex, point: int) -> tuple[Index, Array]:
+def correlations_of_tests(tested: Reliability, index: PointIndex, point: int) -> tuple[Index, Array]:
     """Measures (q,) of a network point, and the correlations (q, q) of their tests; NaN where they have no test."""
-    mine = index.of(point)
-    rows = found.at.rows_of(point)
-    chosen = combinations(found, mine, rows)
-    covariance = chosen.T @ residual_covariance(found.at, rows)[0][0] @ chosen
+    measures = index.of(point)
+    rows = tested.at.rows_of(point)
+    chosen = combinations(tested, measures, rows)
+    covariance = chosen.T @ residual_covariance(tested.at, rows)[0][0] @ chosen
     variance, size = np.diagonal(covariance), np.einsum("rq,rq->q", chosen, chosen)
     sigma = np.sqrt(np.where(variance > _NOTHING * size, variance, np.nan))
-    return mine, np.asarray(covariance / sigma[:, None] / sigma)
+    return measures, np.asarray(covariance / sigma[:, None] / sigma)
 
 
-def combinations(found: Reliability, measures: Index, rows: PointRows) -> Array:
+def combinations(tested: Reliability, measures: Index, rows: PointRows) -> Array:
     """(r, q) whitened rows of a point that an error of one sigma in each of its measures goes into.
 
     A ray's coordinates are rows; errors of an a-priori place go through the square root of its information.
     """
-    table, at = found.measures, found.at
+    table, at = tested.measures, tested.at
     point = int(table.point[measures[0]])
     index = int(at.layout.patterns.point_index[point])
     _, first, count, _, observation = at.rows.piece[at.layout.patterns.piece_of(index)].tolist()
     slot = (table.observation[measures] - observation - (index - first)) // count
     chosen = np.zeros((rows.row.size, measures.size))
     for q, k in enumerate(measures.tolist()):
-        here = np.flatnonzero(rows.observation == slot[q])
+        of_slot = np.flatnonzero(rows.observation == slot[q])
         if table.kind[k] == MeasureKind.GROUND:
-            chosen[here, q] = _root(at.network.points.covariances[point])[:, table.component[k]] * table.sigma[k]
+            chosen[of_slot, q] = _root(at.network.points.covariances[point])[:, table.component[k]] * table.sigma[k]
         else:
-            chosen[here[table.component[k]], q] = 1.0
+            chosen[of_slot[table.component[k]], q] = 1.0
     return chosen
 
 

@@ -83,17 +83,17 @@ class ResidualRows:
     def scale(self) -> Array:
         """(r,) of rays and ranges what a pixel or a metre is in the whitened rows, robust weight included; else 0."""
         network, layout = self.at.network, self.at.layout
-        found = np.zeros(self.kind.size)
+        factors = np.zeros(self.kind.size)
         rays, ranges = self.of_kind(IMAGE), self.of_kind(RANGE)
-        found[rays] = 1.0 / network.rays.sigmas[self.measure[rays], self.component[rays]]
-        found[ranges] = 1.0 / network.ranges.sigmas[self.measure[ranges]]
+        factors[rays] = 1.0 / network.rays.sigmas[self.measure[rays], self.component[rays]]
+        factors[ranges] = 1.0 / network.ranges.sigmas[self.measure[ranges]]
         if layout.model.loss != NO_LOSS:
             plain = residuals(layout, self.at.orientation, self.at.points)
             image, single = plain.image[self.measure[rays], self.component[rays]], plain.ranges[self.measure[ranges]]
-            for mine, one in ((rays, image), (ranges, single)):
-                there = np.abs(one * found[mine]) > _EXACT
-                found[mine] = np.where(there, self.residuals[mine] / np.where(there, one, 1.0), found[mine])
-        return found
+            for part, residual in ((rays, image), (ranges, single)):
+                sound = np.abs(residual * factors[part]) > _EXACT
+                factors[part] = np.where(sound, self.residuals[part] / np.where(sound, residual, 1.0), factors[part])
+        return factors
 
     @cached_property
     def considered(self) -> Array:
@@ -107,27 +107,27 @@ class ResidualRows:
         factor = (variables.sigmas / variables.prior_sigmas**2)[held]
         unit = np.zeros((self.at.layout.columns, held.size))
         unit[held, np.arange(held.size)] = factor
-        found = np.asarray(self.through @ self._spread(unit))
-        own = np.flatnonzero(self.at.layout.prior.weights)
-        found[self.begin_of_priors + np.flatnonzero(np.isin(own, held))] = 0.0  # pseudo-observations, not their errors
-        return found
+        effects = np.asarray(self.through @ self._spread(unit))
+        priors = np.flatnonzero(self.at.layout.prior.weights)
+        effects[self.begin_of_priors + np.flatnonzero(np.isin(priors, held))] = 0.0  # pseudo-observations, no errors
+        return effects
 
     def explained(self, rows: Index, columns: Array) -> Array:
         """C G (r, k) with the covariance C of the residuals: how effects G, whose `columns` (q, k) stand in some rows
         (q,), show in them.
         """
         own, through, brought = self.own[rows], self.through[rows], self.considered
-        found = np.asarray(-(self.own @ (own.T @ columns)) - self.through @ self._spread(through.T @ columns))
-        found[rows] += columns
-        return np.asarray(found + brought @ (brought[rows].T @ columns))
+        effects = np.asarray(-(self.own @ (own.T @ columns)) - self.through @ self._spread(through.T @ columns))
+        effects[rows] += columns
+        return np.asarray(effects + brought @ (brought[rows].T @ columns))
 
     def variance(self, rows: Index, columns: Array) -> Array:
         """G' C G (k, k) of effects whose columns (q, k) stand in some rows (q,)."""
-        kept = self.own[rows]
-        own, right = kept[:, np.unique(kept.indices)].T @ columns, self.through[rows].T @ columns
+        chosen = self.own[rows]
+        inner, right = chosen[:, np.unique(chosen.indices)].T @ columns, self.through[rows].T @ columns
         brought = self.considered[rows].T @ columns
-        found = columns.T @ columns - own.T @ own - right.T @ self._spread(right) + brought.T @ brought
-        return np.asarray(0.5 * (found + found.T))
+        result = columns.T @ columns - inner.T @ inner - right.T @ self._spread(right) + brought.T @ brought
+        return np.asarray(0.5 * (result + result.T))
 
     def _spread(self, right: Array) -> Array:
         """Covariance of the shared unknowns times vectors (columns, k)."""
@@ -165,7 +165,7 @@ def residual_rows(at: Linearised, points: Index) -> ResidualRows:
     number = np.unique(point[:r], return_inverse=True)[1]
     place = np.repeat(np.arange(r), 3), (3 * number[:, None] + np.arange(3)).ravel()
     own = coo_array((joined("own", (3,))[:r].ravel(), place), (misfits.size, 3 * (number.max(initial=-1) + 1)))
-    kind, measure = (np.append(one, np.full(prior.rows, -1)) for one in _what(at, observation))
+    kind, measure = (np.append(part, np.full(prior.rows, -1)) for part in _what(at, observation))
     return ResidualRows(
         at, misfits, joined("redundancy"), joined("by_point", (3,)), point, kind, joined("component"), measure,
         own.tocsr(), csr_array(vstack([through, prior.design])),
@@ -196,10 +196,10 @@ def _parts(at: Linearised, points: Index) -> Iterator[_Part]:
     if not index.size:
         raise InputError("tests of the residuals", "no point that took part", "some", "adjust the case again")
     piece = at.layout.patterns.piece_of(index)
-    for one in np.unique(piece).tolist():
-        _, first, count, _, among = at.rows.piece[one].tolist()
-        inside = index[piece == one] - first
-        rows = at.rows_inside(one, inside)
+    for number in np.unique(piece).tolist():
+        _, first, count, _, among = at.rows.piece[number].tolist()
+        inside = index[piece == number] - first
+        rows = at.rows_inside(number, inside)
         own, through = rows.following()
         m, r = rows.residuals.shape
         share = np.sum(own**2, axis=2) + np.einsum("mrc,cd,mrd->mr", through, at.joint.of(rows.variables), through)
@@ -278,27 +278,27 @@ def correlations(
         Of each of these C g (r, d) and the inverse (d, d) of g' C g.
     """
     for kinds, where, quantity, unit, term in _KINDS:
-        mine = np.flatnonzero(np.isin(rows.kind, kinds))
-        mine = _some(rows, mine)
-        if mine.size < _FEWEST_PAIRS:
+        members = np.flatnonzero(np.isin(rows.kind, kinds))
+        members = _some(rows, members)
+        if members.size < _FEWEST_PAIRS:
             continue
-        covariance = rows.variance(mine, np.eye(mine.size))
+        covariance = rows.variance(members, np.eye(members.size))
         for shown, inverse in taken:
-            covariance -= shown[mine] @ inverse @ shown[mine].T
-        squares = float(residuals[mine] @ residuals[mine]) / max(float(np.trace(covariance)), 1e-9)
+            covariance -= shown[members] @ inverse @ shown[members].T
+        squares = float(residuals[members] @ residuals[members]) / max(float(np.trace(covariance)), 1e-9)
         values, vectors = np.linalg.eigh(covariance)
         root = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, values > _ROUNDING]
         tried = [
-            (length, *_judged(near, residuals[mine], covariance, root, max(1.0, squares)), near.nnz / mine.size)
-            for length, near in _near(rows, mine)
+            (length, *_judged(near, residuals[members], covariance, root, max(1.0, squares)), near.nnz / members.size)
+            for length, near in _near(rows, members)
         ]
         if tried:
-            length, coefficient, sigma, statistic, p, count = min(tried, key=lambda one: one[-2])
-            every = min(1.0, p * len(tried))
-            course = tuple(one[:3] for one in tried)
+            length, coefficient, sigma, statistic, p, count = min(tried, key=lambda trial: trial[-2])
+            corrected = min(1.0, p * len(tried))
+            course = tuple(trial[:3] for trial in tried)
             spread = 1.0 + max(coefficient, 0.0) * count
             yield NearCorrelation(
-                where, quantity, unit, term, length, coefficient, sigma, statistic, every, course, spread
+                where, quantity, unit, term, length, coefficient, sigma, statistic, corrected, course, spread
             )
 
 
@@ -309,26 +309,26 @@ _KINDS = (
 )
 
 
-def _some(rows: ResidualRows, mine: Index) -> Index:
+def _some(rows: ResidualRows, members: Index) -> Index:
     """Rows of as many points as may be compared: neighbours in the network's order, not scattered ones."""
-    if mine.size <= _MOST_ROWS:
-        return mine
-    points = np.unique(rows.point[mine])
-    keep = points[: max(1, points.size * _MOST_ROWS // mine.size)]
-    return mine[np.isin(rows.point[mine], keep)]
+    if members.size <= _MOST_ROWS:
+        return members
+    points = np.unique(rows.point[members])
+    keep = points[: max(1, points.size * _MOST_ROWS // members.size)]
+    return members[np.isin(rows.point[members], keep)]
 
 
-def _near(rows: ResidualRows, mine: Index) -> Iterator[tuple[float, "csr_array"]]:
+def _near(rows: ResidualRows, members: Index) -> Iterator[tuple[float, "csr_array"]]:
     """Distances, and pairs (q, q) of rows nearer than these: of the same image and component."""
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
 
-    places, owner = _places(rows, mine)
-    apart = np.column_stack([places, np.zeros(mine.size)])
+    places, owner = _places(rows, members)
+    separated = np.column_stack([places, np.zeros(members.size)])
     extent = 1e3 * (np.ptp(places, axis=0).max() + 1.0)
-    apart[:, -1] = extent * owner
-    tree = cKDTree(apart)
-    nearest = tree.query(apart, k=2)[0][:, 1]
+    separated[:, -1] = extent * owner
+    tree = cKDTree(separated)
+    nearest = tree.query(separated, k=2)[0][:, 1]
     unit = float(np.median(nearest[nearest < extent])) if np.any(nearest < extent) else 0.0
     if unit <= 0.0:
         return
@@ -338,20 +338,20 @@ def _near(rows: ResidualRows, mine: Index) -> Iterator[tuple[float, "csr_array"]
         if len(pairs) < _FEWEST_PAIRS or len(pairs) == before:
             continue
         before = len(pairs)
-        one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        yield within * unit, coo_array((np.ones(one.size), (one, other)), (mine.size,) * 2).tocsr()
+        first, second = np.concatenate([pairs, pairs[:, ::-1]]).T
+        yield within * unit, coo_array((np.ones(first.size), (first, second)), (members.size,) * 2).tocsr()
 
 
-def _places(rows: ResidualRows, mine: Index) -> tuple[Array, Index]:
+def _places(rows: ResidualRows, members: Index) -> tuple[Array, Index]:
     """Where rows are: line and sample, m on the ground, s; and rows of which set are compared with each other."""
-    network, kind = rows.at.network, int(rows.kind[mine[0]])
+    network, kind = rows.at.network, int(rows.kind[members[0]])
     if kind == IMAGE:
-        measure = rows.measure[mine]
-        return network.rays.places[measure], 2 * network.rays.image[measure] + rows.component[mine]
+        measure = rows.measure[members]
+        return network.rays.places[measure], 2 * network.rays.image[measure] + rows.component[members]
     if kind == RANGE:
-        measure = rows.measure[mine]
+        measure = rows.measure[members]
         return network.ranges.times[measure][:, None] - network.ranges.times.min(), network.ranges.image[measure]
-    return rows.at.layout.network_order(rows.at.points)[rows.point[mine]], np.zeros(mine.size, dtype=np.int64)
+    return rows.at.layout.network_order(rows.at.points)[rows.point[members]], np.zeros(members.size, dtype=np.int64)
 
 
 def _judged(

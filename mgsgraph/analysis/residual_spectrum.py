@@ -99,36 +99,36 @@ class Residuals:
     series: tuple[Series, ...]
     """Three for each image with rays enough."""
 
-    def shown(self, one: Series, moved: Array) -> Array:
+    def shown(self, series: Series, moved: Array) -> Array:
         """(r,) px, what residuals show of rays of a series that lie off by `moved` (k,) px."""
-        return _pixels(self.rows, self.rows.explained(one.own, (self.rows.scale[one.own] * moved)[:, None])[:, 0])
+        return _pixels(self.rows, self.rows.explained(series.own, (self.rows.scale[series.own] * moved)[:, None])[:, 0])
 
-    def share(self, one: Series, frequencies: Array) -> float:
+    def share(self, series: Series, frequencies: Array) -> float:
         """Of waves of a series, what neither points nor shared unknowns follow: mean over frequencies (f,) in Hz."""
-        columns = self.rows.scale[one.own, None] * one.waves(frequencies)
-        whole = float(np.sum(columns**2))
-        return float(np.trace(self.rows.variance(one.own, columns))) / whole if whole > 0.0 else 0.0
+        columns = self.rows.scale[series.own, None] * series.waves(frequencies)
+        total = float(np.sum(columns**2))
+        return float(np.trace(self.rows.variance(series.own, columns))) / total if total > 0.0 else 0.0
 
-    def wave(self, one: Series, frequencies: Array, residuals: Array) -> Wave:
+    def wave(self, series: Series, frequencies: Array, residuals: Array) -> Wave:
         """Of a series, fitted to residuals (r,) in px by their covariance: the clearest of frequencies (f,) in Hz."""
-        waves, f = one.waves(frequencies), frequencies.size
-        columns = self.rows.scale[one.own, None] * waves
-        normal = np.einsum("ifjf->fij", self.rows.variance(one.own, columns).reshape(2, f, 2, f))
-        right = ((one.weights * residuals[one.own]) @ waves).reshape(2, f).T
+        waves, f = series.waves(frequencies), frequencies.size
+        columns = self.rows.scale[series.own, None] * waves
+        normal = np.einsum("ifjf->fij", self.rows.variance(series.own, columns).reshape(2, f, 2, f))
+        right = ((series.weights * residuals[series.own]) @ waves).reshape(2, f).T
         values = np.einsum("fij,fj->fi", _inverse_normal(normal), right)
         drops = np.einsum("fi,fi->f", values, right)
         k = int(np.argmax(drops))
         share = float(np.trace(normal[k]) / np.sum(columns[:, k::f] ** 2))
-        shown = self.shown(one, waves[:, k::f] @ values[k])
+        shown = self.shown(series, waves[:, k::f] @ values[k])
         return Wave(float(frequencies[k]), values[k], normal[k], float(drops[k]), share, shown)
 
 
 def _pixels(rows: ResidualRows, whitened: Array) -> Array:
     """(r,) px of whitened numbers (r,) of rays; 0 of other rows."""
-    there = rows.of_kind(IMAGE)
-    found = np.zeros(whitened.size)
-    found[there] = whitened[there] / rows.scale[there]
-    return found
+    of_rays = rows.of_kind(IMAGE)
+    pixels = np.zeros(whitened.size)
+    pixels[of_rays] = whitened[of_rays] / rows.scale[of_rays]
+    return pixels
 
 
 def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
@@ -137,29 +137,29 @@ def residual_series(of: Solution | Linearised, fewest: int) -> Residuals:
     """
     at = at_solution(of) if isinstance(of, Solution) else of
     rays, rows = at.network.rays, residual_rows(at, np.arange(len(at.network.points)))
-    mine = rows.of_kind(IMAGE)
+    of_rays = rows.of_kind(IMAGE)
     if rays.back_projected is not None:
-        mine = mine[~rays.back_projected[rows.measure[mine]]]
-    image = rays.image[rows.measure[mine]]
-    series = [one for j in np.unique(image).tolist() for one in _of_image(rows, j, mine[image == j], fewest)]
+        of_rays = of_rays[~rays.back_projected[rows.measure[of_rays]]]
+    image = rays.image[rows.measure[of_rays]]
+    series = [of_turn for j in np.unique(image).tolist() for of_turn in _of_image(rows, j, of_rays[image == j], fewest)]
     if not series:
         raise InputError("residuals over time", f"no image with {fewest} rays that took part", "ties matched densely")
     return Residuals(rows, _pixels(rows, rows.residuals), tuple(series))
 
 
-def _of_image(rows: ResidualRows, image: int, mine: Index, fewest: int) -> Iterator[Series]:
+def _of_image(rows: ResidualRows, image: int, members: Index, fewest: int) -> Iterator[Series]:
     """Three of an image, with the rows of its rays, where these are enough."""
-    one = rows.at.network.images[image]
+    picture = rows.at.network.images[image]
     for turn in TURNS:
-        own = mine[rows.component[mine] == (1 if turn == "roll" else 0)]
-        places = rows.at.network.rays.places[rows.measure[own]]
-        times = one.timing.at(places[:, 0])[0]
-        if own.size < fewest or not np.ptp(times) > 0.0:
+        chosen = members[rows.component[members] == (1 if turn == "roll" else 0)]
+        places = rows.at.network.rays.places[rows.measure[chosen]]
+        times = picture.timing.at(places[:, 0])[0]
+        if chosen.size < fewest or not np.ptp(times) > 0.0:
             return
-        moves = 2.0 * places[:, 1] / one.samples - 1.0 if turn == "yaw" else np.ones(own.size)
-        shares = 1.0 - rows.own[own].power(2).sum(axis=1)
+        moves = 2.0 * places[:, 1] / picture.samples - 1.0 if turn == "yaw" else np.ones(chosen.size)
+        shares = 1.0 - rows.own[chosen].power(2).sum(axis=1)
         middle = 0.5 * (times.min() + times.max())
-        yield Series(image, one.name, turn, own, times - middle, moves, shares, rows.scale[own] ** 2)
+        yield Series(image, picture.name, turn, chosen, times - middle, moves, shares, rows.scale[chosen] ** 2)
 
 
 FALSE_ALARMS = 0.01
@@ -266,8 +266,8 @@ class SeriesSpectrum:
         binned = np.bincount(self._bin, values, self._length)
         # a bin's time from the middle, in periods of the grid's step
         ahead = 0.5 * (1.0 - self._length / _FINE) / self._length
-        found = np.fft.rfft(binned)[numbers] * np.exp(-2j * np.pi * numbers * ahead)
-        return np.stack([found.real, -found.imag], axis=1)
+        transform = np.fft.rfft(binned)[numbers] * np.exp(-2j * np.pi * numbers * ahead)
+        return np.stack([transform.real, -transform.imag], axis=1)
 
     def _normal(self) -> Array:
         """(f, 2, 2) of cosine and sine, less what polynomials of time take up."""
@@ -288,9 +288,9 @@ class SeriesSpectrum:
         freedom = max(2.0 * _EFFICIENCY * size / _FINE, 4.0)
         return np.maximum(floor, max(_LEAST * float(tests.max()), np.finfo(np.float64).tiny)), freedom
 
-    def peak(self, wave: Wave, left: Array) -> Peak:
+    def peak(self, wave: Wave, rest: Array) -> Peak:
         """How sure a wave is, by the floor of the residuals (k,) in px that it leaves."""
-        fits, at = self.fits(left), int(np.argmin(np.abs(self.grid - wave.frequency)))
+        fits, at = self.fits(rest), int(np.argmin(np.abs(self.grid - wave.frequency)))
         # the floor is of tests that count what points follow alone, the drop counts all unknowns
         counted = 0.5 * float(np.trace(fits.covariance[at] @ wave.normal))
         floor = max(float(fits.floor[at]) / counted, _LEAST * wave.drop)
@@ -358,13 +358,13 @@ class Vibration(Record):
         chance = f"p = {self.probability:.1g}" if self.probability > 1e-12 else "p < 1e-12"
         way = {"pitch": "along lines", "roll": "along samples", "yaw": "along lines at the edges"}[self.turn]
         digits = max(2, min(4, 1 - math.floor(math.log10(max(self.frequency_sigma, 1e-9)))))
-        other = ""
+        note = ""
         if self.alternatives:
-            other = f"; or of {', '.join(self.alternatives)}, or of both: residuals show their difference alone"
+            note = f"; or of {', '.join(self.alternatives)}, or of both: residuals show their difference alone"
         return (
             f"{self.image}: vibration of {self.frequency:.{digits}f} +- {self.frequency_sigma:.{digits}f} Hz, "
             f"{self.amplitude:.2f} +- {self.sigma:.2f} px {way} ({self.turn}, or a motion that looks the same; "
-            f"{chance}){other}."
+            f"{chance}){note}."
         )
 
 
@@ -412,13 +412,13 @@ class ResidualVibrations(Record):
     @property
     def sentences(self) -> list[str]:
         """Sentences: each vibration, and what would not be seen."""
-        found = [one.sentence for one in self.vibrations]
-        if not found:
-            found = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
-        blind = [f"{one.turn} of {one.image}" for one in self.spectra if one.blind and one.turn != "yaw"]
+        lines = [vibration.sentence for vibration in self.vibrations]
+        if not lines:
+            lines = [f"No image's residuals show a vibration ({100.0 * FALSE_ALARMS:g} % false alarms per angle)."]
+        blind = [f"{entry.turn} of {entry.image}" for entry in self.spectra if entry.blind and entry.turn != "yaw"]
         if blind:
-            found.append(f"Vibrations not tested: {some(blind, len(blind))} (heights of points absorb them).")
-        return found
+            lines.append(f"Vibrations not tested: {some(blind, len(blind))} (heights of points absorb them).")
+        return lines
 
 
 def residual_vibrations(
@@ -430,22 +430,22 @@ def residual_vibrations(
     searches done, and of all at most. Raises InputError where no image has rays enough.
     """
     residuals = residual_series(of, _FEWEST)
-    able = [SeriesSpectrum(one) for one in residuals.series]
-    found = _Found(residuals, able, false_alarms)
-    while len(found.waves) < _MOST_NAMED and found.next():
-        progress(len(found.waves), _MOST_NAMED)
+    able = [SeriesSpectrum(series) for series in residuals.series]
+    search = _Search(residuals, able, false_alarms)
+    while len(search.waves) < _MOST_NAMED and search.next():
+        progress(len(search.waves), _MOST_NAMED)
     progress(_MOST_NAMED, _MOST_NAMED)
-    return ResidualVibrations(tuple(map(found.spectrum, range(len(able)))), tuple(found.vibrations))
+    return ResidualVibrations(tuple(map(search.spectrum, range(len(able)))), tuple(search.vibrations))
 
 
-class _Found:
+class _Search:
     """Vibrations named one after another."""
 
     def __init__(self, residuals: Residuals, able: Sequence[SeriesSpectrum], false_alarms: float) -> None:
         self._residuals, self._able, self._false_alarms = residuals, able, false_alarms
         self._values = residuals.values
-        sampled = [np.linspace(one.grid[0], one.grid[-1], _SAMPLED) for one in able]
-        self._shares = [residuals.share(one.series, at) for one, at in zip(able, sampled, strict=True)]
+        sampled = [np.linspace(spectrum.grid[0], spectrum.grid[-1], _SAMPLED) for spectrum in able]
+        self._shares = [residuals.share(spectrum.series, at) for spectrum, at in zip(able, sampled, strict=True)]
         self._seeing = [k for k, share in enumerate(self._shares) if share >= BLIND]
         self._searched = set(self._seeing)
         self._first = self._now = self._fits()
@@ -461,12 +461,12 @@ class _Found:
         best = min(self._searched, key=lambda k: self._now[k].probability, default=-1)
         if best < 0 or self._now[best].probability > self._false_alarms:
             return False
-        one, fits = self._able[best], self._now[best]
-        near = fits.frequencies[np.argmax(fits.tests)] + one.resolution / _FINE * np.linspace(-1.0, 1.0, _ZOOM)
-        wave = self._residuals.wave(one.series, near, self._values)
-        left = self._values - wave.shown
-        if wave.share >= BLIND and self._confirmed(best, peak := one.peak(wave, left[one.series.own])):
-            self._take_out(best, peak, left)
+        spectrum, fits = self._able[best], self._now[best]
+        near = fits.frequencies[np.argmax(fits.tests)] + spectrum.resolution / _FINE * np.linspace(-1.0, 1.0, _ZOOM)
+        wave = self._residuals.wave(spectrum.series, near, self._values)
+        rest = self._values - wave.shown
+        if wave.share >= BLIND and self._confirmed(best, peak := spectrum.peak(wave, rest[spectrum.series.own])):
+            self._take_out(best, peak, rest)
         else:
             self._searched.discard(best)
         return True
@@ -478,43 +478,43 @@ class _Found:
         grows = any(each.amplitude < peak.amplitude for each in before[-1:])
         return peak.probability <= self._false_alarms and not recurs and not grows
 
-    def _take_out(self, best: int, peak: Peak, left: Array) -> None:
+    def _take_out(self, best: int, peak: Peak, rest: Array) -> None:
         """Leave residuals (r,) px, and name what is no trace of another."""
-        one, before = self._able[best], self._now
-        near = {k: before[k].near(peak.frequency, one.resolution) for k in self._seeing}
-        self._values = left
+        spectrum, before = self._able[best], self._now
+        near = {k: before[k].near(peak.frequency, spectrum.resolution) for k in self._seeing}
+        self._values = rest
         self._now = self._fits()
         # what was as clear in another image, and has gone with it, may as well be that image's
-        alike = tuple(
+        alternatives = tuple(
             f"{self._able[k].series.name} ({self._able[k].series.turn})" for k in self._seeing
-            if self._able[k].series.image != one.series.image and near[k] > _ALIKE * near[best]
-            and self._now[k].near(peak.frequency, one.resolution) < _TRACE * near[k]
+            if self._able[k].series.image != spectrum.series.image and near[k] > _ALIKE * near[best]
+            and self._now[k].near(peak.frequency, spectrum.resolution) < _TRACE * near[k]
         )  # fmt: skip
         # beside a clearer one of the same turn it is a trace of that
         trace = any(
-            abs(peak.frequency - each.frequency) < _NEAR * one.resolution and peak.test < _TRACE * each.test
-            for k, each, _ in self.waves if self._able[k].series.turn == one.series.turn
+            abs(peak.frequency - each.frequency) < _NEAR * spectrum.resolution and peak.test < _TRACE * each.test
+            for k, each, _ in self.waves if self._able[k].series.turn == spectrum.series.turn
         )  # fmt: skip
         if not trace:
-            self.vibrations.append(_vibration(one.series, peak, alike))
+            self.vibrations.append(_vibration(spectrum.series, peak, alternatives))
         self.waves.append((best, peak, not trace))
 
     def spectrum(self, number: int) -> ImageSpectrum:
         """Of a series, before anything was taken out."""
-        one, none = self._able[number], np.zeros(0)
-        what = one.series.name, one.series.turn, self._shares[number], one.grid
+        searched, none = self._able[number], np.zeros(0)
+        what = searched.series.name, searched.series.turn, self._shares[number], searched.grid
         if number not in self._first:
             return ImageSpectrum(*what, none, none, none, ())
         fits = self._first[number]
-        amplitudes, needed = np.hypot(*fits.values.T), level_of_test(self._false_alarms, one.width, fits.freedom)
+        amplitudes, needed = np.hypot(*fits.values.T), level_of_test(self._false_alarms, searched.width, fits.freedom)
         floor = np.sqrt(fits.floor * np.trace(fits.covariance, axis1=1, axis2=2))
         level = floor.copy()  # of any phase, where none was found
         np.divide(amplitudes, np.sqrt(fits.tests), out=level, where=fits.tests > 0.0)
-        mine = tuple(peak for k, peak, named in self.waves if k == number and named)
-        return ImageSpectrum(*what, amplitudes, floor, level * math.sqrt(needed), mine)
+        peaks = tuple(peak for k, peak, named in self.waves if k == number and named)
+        return ImageSpectrum(*what, amplitudes, floor, level * math.sqrt(needed), peaks)
 
 
 def _vibration(series: Series, peak: Peak, alternatives: tuple[str, ...]) -> Vibration:
     spread = math.sqrt(3.0) * peak.sigma / (math.pi * series.duration * peak.amplitude)
-    found = peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability
-    return Vibration(series.name, series.turn, *found, alternatives)
+    values = peak.frequency, spread, peak.amplitude, peak.sigma, peak.probability
+    return Vibration(series.name, series.turn, *values, alternatives)

@@ -1,9 +1,9 @@
-"""Do the residuals look as their sigmas promise? Normalised residuals group by group.
+"""Do the residuals agree with their sigmas? Normalized residuals group by group.
 
 A residual over its own sigma, w = v / sqrt(r) for a whitened residual v with the redundancy number r, is standard
-normal if the sigmas are right and the errors normal. Residuals of a group are correlated: of n of them only as many are
-worth an independent one as the group has redundancy (the eigenvalues of their covariance are at most one), and tests
-and bands count with that number. They err on the safe side: false alarms are rarer than stated.
+normal if the sigmas are right and the errors normal. Residuals of a group are correlated. The redundancy of the group
+is their number of independent residuals (the eigenvalues of their covariance are at most one); tests and bands use it.
+They are conservative: false alarms are rarer than stated.
 """
 
 import math
@@ -33,7 +33,7 @@ _MARKS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuantilePlot:
-    """Sorted residuals against what a normal law promises."""
+    """Sorted residuals against those of a normal distribution."""
 
     promised: Array
     """(m,) standard normal quantiles."""
@@ -146,13 +146,13 @@ def residual_statistics(
     residuals, redundancy, groups, _ = judged_rows(at, grouping)
     controlled = redundancy >= _CONTROLLED
     normalised = np.where(controlled, residuals / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
-    found = []
+    statistics = []
     for g, name in enumerate(grouping.names):
-        mine = groups == g
-        values = np.sort(normalised[mine & controlled])
-        worth = min(float(redundancy[mine & controlled].sum()), float(values.size))
-        found.append(ResidualStatistics(name, values, int(np.count_nonzero(mine & ~controlled)), worth))
-    return tuple(found)
+        members = groups == g
+        values = np.sort(normalised[members & controlled])
+        worth = min(float(redundancy[members & controlled].sum()), float(values.size))
+        statistics.append(ResidualStatistics(name, values, int(np.count_nonzero(members & ~controlled)), worth))
+    return tuple(statistics)
 
 
 class JudgedRows(NamedTuple):
@@ -177,10 +177,10 @@ def judged_rows(at: Linearised, grouping: Grouping) -> JudgedRows:
     taken = np.any(numbers != 0.0, axis=2) & np.all(np.isfinite(numbers), axis=2)
     of_observation = np.repeat(grouping.of_observations(layout)[:, None], 3, axis=1)
     shares = np.stack([numbers[:, row, 1 + row] for row in range(3)], axis=1)
-    known = prior_rows(at)
+    priors = prior_rows(at)
     return JudgedRows(
-        np.concatenate([numbers[:, :, 0][taken], known.misfit]),
-        np.concatenate([1.0 - shares[taken], 1.0 - known.share]),
+        np.concatenate([numbers[:, :, 0][taken], priors.misfit]),
+        np.concatenate([1.0 - shares[taken], 1.0 - priors.share]),
         np.concatenate([of_observation[taken], grouping.of_priors(layout)]),
-        np.concatenate([np.nonzero(taken)[1], np.zeros(known.misfit.size, dtype=np.int64)]),
+        np.concatenate([np.nonzero(taken)[1], np.zeros(priors.misfit.size, dtype=np.int64)]),
     )

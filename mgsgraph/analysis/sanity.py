@@ -1,8 +1,8 @@
 """Sanity checks: observations that were left out, and nominal residuals beyond what priors explain.
 
-An optimizer converges on whatever is left to it. Robust estimates and rejection hold while more than half of the
-observations of a kind are good, and no estimate can hold beyond (breakdown point; Rousseeuw & Leroy 1987, section 1.2):
-where most are left out, those that are left may as well be the wrong ones.
+An optimizer converges on any remaining observations. Robust estimates and rejection are valid while more than half of
+the observations of a kind are good, and no estimate is valid beyond (breakdown point; Rousseeuw & Leroy 1987, section
+1.2): where most are left out, the remaining ones may be the wrong ones.
 """
 
 from enum import StrEnum
@@ -74,19 +74,19 @@ class Loss(NamedTuple):
 def losses(solution: Solution) -> tuple[Loss, ...]:
     """Kinds of observations of which many are left out, the most first."""
     network, rays = solution.network, ray_statistics(solution)
-    lost, found = rejected_points(solution), list[Loss]()
-    for one, kind in _OF_CLASS.items():
-        mine = network.points.classes == one
-        found.append(Loss(kind, "", int(np.count_nonzero(lost & mine)), int(np.count_nonzero(mine))))
+    lost, kinds = rejected_points(solution), list[Loss]()
+    for point_class, kind in _OF_CLASS.items():
+        members = network.points.classes == point_class
+        kinds.append(Loss(kind, "", int(np.count_nonzero(lost & members)), int(np.count_nonzero(members))))
     ranges = solution.ranges_used
-    found.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
+    kinds.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
     if network.stereo is not None:
         on = network.stereo.surface >= 0
-        found.append(Loss(Kind.SHOTS, "", int(np.count_nonzero(on & ~solution.stereo_used)), int(np.count_nonzero(on))))
+        kinds.append(Loss(Kind.SHOTS, "", int(np.count_nonzero(on & ~solution.stereo_used)), int(np.count_nonzero(on))))
     for j, (total, used) in enumerate(zip(rays.total.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
-        found.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
-    worth = [one for one in found if one.total and (one.fatal or one.large)]
-    return tuple(sorted(worth, key=lambda one: -one.share))
+        kinds.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
+    worth = [loss for loss in kinds if loss.total and (loss.fatal or loss.large)]
+    return tuple(sorted(worth, key=lambda loss: -loss.share))
 
 
 _BEYOND = 5.0
@@ -115,7 +115,7 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
     images, rays = len(network.images), network.rays
     scale = np.array([_scale(network, j) for j in range(images)])
     expected = np.array([_pixels(network, j, *scale[j].tolist()) for j in range(images)])
-    whole = float(np.sqrt(np.sum(expected**2)))
+    total = float(np.sqrt(np.sum(expected**2)))
     rows = np.flatnonzero(np.isfinite(residuals[:, 0]))[:: -(-residuals.shape[0] // _MOST_RAYS) or 1]
     image, point = rays.image[rows], rays.point[rows]
     ground = np.hypot(_position_sigmas(network)[point], _shift_sigmas(network)[point])
@@ -123,10 +123,10 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
         medians(values, image, images)
         for values in (*(np.linalg.norm(each[rows], axis=1) for each in (residuals, network.ray_sigmas)), ground)
     )
-    sigma = np.sqrt(whole**2 + noise**2 + (control / scale[:, 0]) ** 2)
+    sigma = np.sqrt(total**2 + noise**2 + (control / scale[:, 0]) ** 2)
     beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))
-    found = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
-    return tuple(sorted(found, key=lambda one: -one.size))
+    images_beyond = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
+    return tuple(sorted(images_beyond, key=lambda image_beyond: -image_beyond.size))
 
 
 def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained, ...]:
@@ -135,22 +135,22 @@ def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained,
 
     Nothing is said of images that share unknowns by which ranges change.
     """
-    ranges, points, found = network.ranges, network.points, list[Unexplained]()
+    ranges, points, unexplained = network.ranges, network.points, list[Unexplained]()
     places, shifts = _position_sigmas(network), _shift_sigmas(network)
-    felt = [one for one in network.shared if one.kind.acts_on_ranges or one.kind.moves_footprints]
-    moved = {j for one in felt for j in one.images.tolist()}
+    felt = [shared for shared in network.shared if shared.kind.acts_on_ranges or shared.kind.moves_footprints]
+    moved = {j for shared in felt for j in shared.images.tolist()}
     for j in np.unique(ranges.image).tolist():
-        mine = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
-        mine = mine[points.kinds[ranges.point[mine]] != PointKind.FREE]
-        if mine.size < _FEWEST_MEASURES or j in moved:
+        rows = np.flatnonzero((ranges.image == j) & np.isfinite(residuals))
+        rows = rows[points.kinds[ranges.point[rows]] != PointKind.FREE]
+        if rows.size < _FEWEST_MEASURES or j in moved:
             continue
         orbit = 0.0 if network.held[j] else float(np.linalg.norm(_sigmas(network, j)[:, :3]))
-        ground, shift = (float(np.median(one[ranges.point[mine]])) for one in (places, shifts))
-        common = ground, float(np.median(ranges.sigmas[mine])), orbit, shift
-        sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[mine]))
+        ground, shift = (float(np.median(sigmas[ranges.point[rows]])) for sigmas in (places, shifts))
+        common = ground, float(np.median(ranges.sigmas[rows])), orbit, shift
+        sigma, mean = float(np.linalg.norm(common)), float(np.mean(residuals[rows]))
         if abs(mean) > _BEYOND * sigma:
-            found.append(Unexplained(j, mean, sigma))
-    return tuple(sorted(found, key=lambda one: -abs(one.size)))
+            unexplained.append(Unexplained(j, mean, sigma))
+    return tuple(sorted(unexplained, key=lambda image: -abs(image.size)))
 
 
 def _position_sigmas(network: Network) -> Array:
@@ -170,37 +170,37 @@ def _sigmas(network: Network, image: int) -> Array:
     owner = int(network.pass_of[image])
     if owner < 0:
         return network.priors[image].sigmas
-    one = network.passes[owner]
-    return np.asarray(one.prior.own_sigmas(one.nodes).max(axis=0)[None])
+    pass_ = network.passes[owner]
+    return np.asarray(pass_.prior.own_sigmas(pass_.nodes).max(axis=0)[None])
 
 
 def _pixels(network: Network, image: int, spacing: float, away: float) -> float:
     """pixels, by which an image's places are off by one sigma of all that moves them together, at most."""
     sigmas = np.zeros((1, 6)) if network.held[image] else _sigmas(network, image)
-    own = np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing
-    shared = [_shared_pixels(network, image, one, spacing) for one in network.shared]
-    return float(np.hypot(own, np.linalg.norm(shared)))
+    of_orientation = np.hypot(np.linalg.norm(sigmas[:, :3]), np.linalg.norm(sigmas[:, 3:]) * away) / spacing
+    shared = [_shared_pixels(network, image, unknown, spacing) for unknown in network.shared]
+    return float(np.hypot(of_orientation, np.linalg.norm(shared)))
 
 
-def _shared_pixels(network: Network, image: int, one: SharedUnknown, spacing: float) -> float:
+def _shared_pixels(network: Network, image: int, unknown: SharedUnknown, spacing: float) -> float:
     """pixels, by which an image's places are off by one sigma of a shared unknown; infinite where that isn't known."""
     picture = network.images[image]
-    if not (one.of(image) and one.kind.acts_on_rays):
+    if not (unknown.of(image) and unknown.kind.acts_on_rays):
         return 0.0
-    if one.kind is SharedKind.FOCAL_LENGTH:
-        return float(one.sigmas[0] / picture.interior.focal_length * 0.5 * picture.samples)
-    if one.kind.is_interior:  # m in the focal plane, of radial distortion at the farthest pixel
-        return float(np.linalg.norm(one.sigmas)) / (picture.pixel_angle * picture.interior.focal_length)
-    if not one.kind.moves_pose or picture.trajectory.spin is None:
+    if unknown.kind is SharedKind.FOCAL_LENGTH:
+        return float(unknown.sigmas[0] / picture.interior.focal_length * 0.5 * picture.samples)
+    if unknown.kind.is_interior:  # m in the focal plane, of radial distortion at the farthest pixel
+        return float(np.linalg.norm(unknown.sigmas)) / (picture.pixel_angle * picture.interior.focal_length)
+    if not unknown.kind.moves_pose or picture.trajectory.spin is None:
         return np.inf
-    moved = np.linalg.norm(ground_shift(picture, one.kind), axis=1)
-    return float(np.linalg.norm(moved * one.sigmas)) / spacing
+    moved = np.linalg.norm(ground_shift(picture, unknown.kind), axis=1)
+    return float(np.linalg.norm(moved * unknown.sigmas)) / spacing
 
 
 def _scale(network: Network, image: int) -> tuple[float, float]:
     """In an image's middle: m per line or sample on the ground, the smaller one, and m from the camera to there."""
-    one = network.images[image]
-    line, sample = one.middle
-    point, derivative = one.image_to_ground(line, sample)
-    away = np.linalg.norm(point[0] - one.pose(line).position[0])
+    picture = network.images[image]
+    line, sample = picture.middle
+    point, derivative = picture.image_to_ground(line, sample)
+    away = np.linalg.norm(point[0] - picture.pose(line).position[0])
     return float(np.linalg.norm(derivative[0], axis=0).min()), float(away)

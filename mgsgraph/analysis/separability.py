@@ -86,10 +86,10 @@ class Inseparable(Record):
     def mixture(self) -> str:
         """The mixture as a formula."""
         first, *others = self.quantities
-        share = np.abs(self.coefficients) * [one.sigma for one in self.quantities]
+        share = np.abs(self.coefficients) * [quantity.sigma for quantity in self.quantities]
         terms = [
-            f"{'+' if c > 0.0 else '-'} {abs(c):.4g} {_ratio(first.unit, one.unit)}x {one.name}"
-            for one, c, s in zip(others, self.coefficients[1:].tolist(), share[1:].tolist(), strict=True)
+            f"{'+' if c > 0.0 else '-'} {abs(c):.4g} {_ratio(first.unit, quantity.unit)}x {quantity.name}"
+            for quantity, c, s in zip(others, self.coefficients[1:].tolist(), share[1:].tolist(), strict=True)
             if s > _LEAST_SHARE * share.max()
         ]
         return " ".join([first.name, *terms])
@@ -97,7 +97,7 @@ class Inseparable(Record):
     @property
     def sentence(self) -> str:
         """A sentence with figures and units."""
-        names = [f"{one.name} (sigma {one.sigma:.3g} {one.unit})" for one in self.quantities]
+        names = [f"{quantity.name} (sigma {quantity.sigma:.3g} {quantity.unit})" for quantity in self.quantities]
         listed = f"{', '.join(names[:-1])} and {names[-1]}"
         of = "correlation" if len(names) == 2 else "largest correlation of two"
         return (
@@ -106,8 +106,8 @@ class Inseparable(Record):
         )
 
 
-def _ratio(unit: str, other: str) -> str:
-    return "" if unit == other else f"{unit or '1'}/{other or '1'} "
+def _ratio(unit: str, second: str) -> str:
+    return "" if unit == second else f"{unit or '1'}/{second or '1'} "
 
 
 def inseparable(
@@ -131,27 +131,27 @@ def inseparable(
     named, design = _quantities(network, joint, angles)
     covariance = design.T @ joint.square_root.covariance_times(design)
     sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    known = np.flatnonzero(sigmas > 0.0)
-    correlation = covariance[np.ix_(known, known)] / np.outer(sigmas[known], sigmas[known])
-    found = []
+    determined = np.flatnonzero(sigmas > 0.0)
+    correlation = covariance[np.ix_(determined, determined)] / np.outer(sigmas[determined], sigmas[determined])
+    groups = []
     for group in _groups(correlation, limit):
-        members = known[group].tolist()
-        mine = [Quantity(named[k][0], named[k][1], named[k][2], float(sigmas[k])) for k in members]
-        found.append(_inseparable(mine, correlation[np.ix_(group, group)]))
-    return tuple(sorted(found, key=lambda one: one.sigma / one.quantities[0].sigma))
+        members = determined[group].tolist()
+        quantities = [Quantity(named[k][0], named[k][1], named[k][2], float(sigmas[k])) for k in members]
+        groups.append(_inseparable(quantities, correlation[np.ix_(group, group)]))
+    return tuple(sorted(groups, key=lambda group_found: group_found.sigma / group_found.quantities[0].sigma))
 
 
-def _inseparable(mine: list[Quantity], correlation: Array) -> Inseparable:
+def _inseparable(quantities: list[Quantity], correlation: Array) -> Inseparable:
     values, vectors = np.linalg.eigh(correlation)
-    sigmas = np.array([one.sigma for one in mine])
+    sigmas = np.array([quantity.sigma for quantity in quantities])
     lead = int(np.abs(vectors[:, 0]).argmax()) if abs(vectors[0, 0]) < _LEAST_SHARE else 0
-    order = [lead, *(k for k in range(len(mine)) if k != lead)]
+    order = [lead, *(k for k in range(len(quantities)) if k != lead)]
     coefficients = (vectors[:, 0] / sigmas)[order]
-    off = correlation - np.eye(len(mine))
+    off = correlation - np.eye(len(quantities))
     largest = float(off.flat[np.abs(off).argmax()])
     scale = float(coefficients[0])
     sigma = float(np.sqrt(max(values[0], 0.0))) / abs(scale)
-    return Inseparable(tuple(mine[k] for k in order), largest, coefficients / scale, sigma)
+    return Inseparable(tuple(quantities[k] for k in order), largest, coefficients / scale, sigma)
 
 
 def _groups(correlation: Array, limit: float) -> list[Index]:
@@ -164,7 +164,7 @@ def _groups(correlation: Array, limit: float) -> list[Index]:
     _, label = connected_components(csr_array(np.abs(correlation) > limit), directed=False)
     groups = [group for k in np.unique(label).tolist() if (group := np.flatnonzero(label == k)).size > 1]
     paired = np.concatenate([np.zeros(0, dtype=np.int64), *groups])
-    seen = {tuple(group.tolist()) for group in groups}
+    listed = {tuple(group.tolist()) for group in groups}
     for k in np.setdiff1d(np.arange(label.size), paired).tolist():
         others = np.delete(np.arange(label.size), k)
         shares = np.linalg.lstsq(correlation[np.ix_(others, others)], correlation[others, k], rcond=1e-10)[0]
@@ -172,8 +172,8 @@ def _groups(correlation: Array, limit: float) -> list[Index]:
             continue
         taken = others[np.abs(shares) > _IN_MIXTURE * np.abs(shares).max()]
         group = np.sort(np.append(taken, k))
-        if tuple(group.tolist()) not in seen:
-            seen.add(tuple(group.tolist()))
+        if tuple(group.tolist()) not in listed:
+            listed.add(tuple(group.tolist()))
             groups.append(group)
     return groups
 
@@ -183,13 +183,13 @@ def _quantities(
 ) -> tuple[list[tuple[str, str, str]], Array]:
     """Name, owner and unit of each quantity, and its design (columns, q) in that unit."""
     first, named, columns = joint.square_root.first, list[tuple[str, str, str]](), list[Array]()
-    for k, one in enumerate(network.passes):
+    for k, pass_ in enumerate(network.passes):
         variable = int(network.first_of_passes[k])
         for name, unit, part in zip(_PARTS, ("m",) * 3 + ("arcsec",) * 3, _means(network, k, angles), strict=True):
             column = np.zeros(joint.columns)
             for node, weights in enumerate(part):
                 column[first[variable + node] : first[variable + node] + 6] = weights
-            named.append((f"{name} of pass {one.name}", one.name, unit))
+            named.append((f"{name} of pass {pass_.name}", pass_.name, unit))
             columns.append(column)
     for k, unknown in enumerate(network.shared):
         if network.first_shared + k not in joint.adjusted:
@@ -305,30 +305,30 @@ class Separation(Record):
 def separations(solution: Solution) -> tuple[Separation, ...]:
     """Of all components of all shared unknowns, in their order."""
     network, root = solution.network, solution.joint_covariance.square_root
-    own, names = _shared_columns(solution), column_names(network, root)
-    if not own.size:
+    columns, names = _shared_columns(solution), column_names(network, root)
+    if not columns.size:
         return ()
-    right = np.zeros((root.columns, own.size))
-    right[own, np.arange(own.size)] = 1.0
+    right = np.zeros((root.columns, columns.size))
+    right[columns, np.arange(columns.size)] = 1.0
     covariance = root.covariance_times(right)
-    sigmas, mine = solution.joint_covariance.sigmas, covariance[own, np.arange(own.size)]
-    correlation = covariance / np.outer(sigmas, np.sqrt(mine))
-    correlation[own, np.arange(own.size)] = 0.0
-    informations, others = np.diag(information(root, own)), np.abs(correlation).argmax(axis=0)
-    found = list[Separation]()
+    sigmas, variances = solution.joint_covariance.sigmas, covariance[columns, np.arange(columns.size)]
+    correlation = covariance / np.outer(sigmas, np.sqrt(variances))
+    correlation[columns, np.arange(columns.size)] = 0.0
+    informations, partners = np.diag(information(root, columns)), np.abs(correlation).argmax(axis=0)
+    results = list[Separation]()
     for unknown, values in zip(network.shared, solution.shared, strict=True):
         factor, unit = unknown.kind.reported
         ground = _ground(network, unknown) * factor
         for c, axis in enumerate(unknown.kind.components):
-            k = len(found)
-            other, sigma = int(others[k]), float(np.sqrt(mine[k])) / factor
-            found.append(Separation(
-                names[own[k]], unknown, axis, unit, float(values[c]) / factor, sigma,
+            k = len(results)
+            partner, sigma = int(partners[k]), float(np.sqrt(variances[k])) / factor
+            results.append(Separation(
+                names[columns[k]], unknown, axis, unit, float(values[c]) / factor, sigma,
                 float(unknown.sigmas[c]) / factor, float(ground[c]),
-                names[other] if root.columns > 1 else "", float(correlation[other, k]),
-                float(np.sqrt(max(0.0, 1.0 - 1.0 / (mine[k] * informations[k])))),
+                names[partner] if root.columns > 1 else "", float(correlation[partner, k]),
+                float(np.sqrt(max(0.0, 1.0 - 1.0 / (variances[k] * informations[k])))),
             ))  # fmt: skip
-    return tuple(found)
+    return tuple(results)
 
 
 def _ground(network: Network, unknown: SharedUnknown) -> Array:
@@ -342,7 +342,7 @@ def _ground(network: Network, unknown: SharedUnknown) -> Array:
 def _shared_columns(solution: Solution) -> Index:
     """Columns of the shared unknowns, in their order."""
     first, begins = solution.network.first_shared, solution.joint_covariance.square_root.first
-    parts = [begins[first + k] + np.arange(one.kind.width) for k, one in enumerate(solution.network.shared)]
+    parts = [begins[first + k] + np.arange(shared.kind.width) for k, shared in enumerate(solution.network.shared)]
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])
 
 
@@ -361,7 +361,7 @@ def information(root: SquareRoot, columns: Index) -> Array:
     place[columns] = np.arange(columns.size)
     for clique, members in enumerate(root.columns_of):
         wanted = place[members]
-        there = wanted >= 0
-        rows = root.rows_of(clique)[:, there]
-        information[np.ix_(wanted[there], wanted[there])] += rows.T @ rows
+        inside = wanted >= 0
+        rows = root.rows_of(clique)[:, inside]
+        information[np.ix_(wanted[inside], wanted[inside])] += rows.T @ rows
     return information

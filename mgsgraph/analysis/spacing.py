@@ -1,17 +1,17 @@
 """Candidate spacings of orientation images, judged by how well each predicts rays that it has not seen.
 
-All candidates see the same rays and are asked for the same ones, so that they are judged by differences ray by ray:
-what a ray's own noise does to all of them alike drops out. Blunders, where they are sought, are so once, with the
-closest nodes that the rays support: wider ones would take what they can't follow for blunders. Rays near in time share
-the error of the orientation there and are not independent; standard errors are those of sums over stretches of time. Of
-all spacings that are not worse than the best one by more than one standard error of the difference, the coarsest is
-chosen (the rule of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
+All candidates are fitted to the same rays and predict the same ones. They are judged by differences ray by ray, so the
+noise of a ray, common to all of them, cancels. Blunders are sought once, if at all, with the closest nodes that the
+rays support: wider nodes would mark as blunders what they can't follow. Rays near in time share the error of the
+orientation there and are not independent; standard errors are those of sums over stretches of time. Of all spacings
+that are not worse than the best one by more than one standard error of the difference, the coarsest is chosen (the rule
+of one standard error, Breiman et al. 1984): it predicts as well, with fewer unknowns.
 
 *Held out* is one ray of a point that other rays determine. Its misfit, measured minus predicted, is divided by what it
 would scatter were the orientation known: the ray's own noise, and that of the point as its other rays determine it.
 These numbers are the same for all candidates, whatever nodes they have. The covariance of the orientation stays out on
-purpose: it grows with the number of nodes, and dividing by it would reward a candidate for not knowing. So a misfit of
-1 is noise, and what is above comes from the orientation.
+purpose: it grows with the number of nodes, and dividing by it would reward uncertain candidates. So a misfit of
+1 is noise, and any excess comes from the orientation.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ def respaced(network: Network, spacing: float) -> Network:
 def with_nodes(network: Network, nodes: Sequence[OrientationImages]) -> Network:
     """A network with other nodes of its strips, in their order; the priors stay, which know any nodes."""
     require_respaceable(network)
-    strips = (replace(strip, nodes=other) for strip, other in zip(network.passes, nodes, strict=True))
+    strips = (replace(pass_, nodes=respaced_nodes) for pass_, respaced_nodes in zip(network.passes, nodes, strict=True))
     return replace(network, passes=tuple(strips))
 
 
@@ -65,10 +65,10 @@ def require_respaceable(network: Network) -> None:
     """Raise InputError unless there are strips, and priors that hold for any nodes."""
     if not network.passes:
         raise InputError("network", "no strips", "images whose orientation follows from orientation images")
-    for strip in network.passes:
-        if not isinstance(strip.prior, NodePrior):
+    for pass_ in network.passes:
+        if not isinstance(pass_.prior, NodePrior):
             found = "a joint prior of just its nodes"
-            raise InputError(f"strip {strip.name!r}", found, "one of any nodes (bias, drift and sigmas)")
+            raise InputError(f"strip {pass_.name!r}", found, "one of any nodes (bias, drift and sigmas)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +117,8 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
     rays = np.sort(shuffled[rng.choice(first, number, replace=False)])
     times, strip = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
     for k in np.unique(strip).tolist():
-        mine = pass_rays(network, k)
-        times[strip == k] = mine.times[np.searchsorted(mine.rays, rays[strip == k])]
+        of_pass = pass_rays(network, k)
+        times[strip == k] = of_pass.times[np.searchsorted(of_pass.rays, rays[strip == k])]
     return HeldOut(rays, strip, times)
 
 
@@ -127,16 +127,16 @@ def misfits(solution: Solution, held: HeldOut) -> tuple[Array, Array]:
     rays place them, and (h, 2, 3) px per m, how these follow their points; NaN where none places them, or sees them.
     """
     network = solution.network
-    found, slopes = np.full((held.rays.size, 2), np.nan), np.full((held.rays.size, 2, 3), np.nan)
+    misfits_of, slopes = np.full((held.rays.size, 2), np.nan), np.full((held.rays.size, 2, 3), np.nan)
     points, images = network.rays.point[held.rays], network.rays.image[held.rays]
     for j in np.unique(images).tolist():
-        mine = np.flatnonzero((images == j) & solution.determined[points])
-        measured = network.rays.places[held.rays[mine]]
-        predicted, slopes[mine] = solution.image(j).ground_to_image(
-            solution.places[points[mine]], solution.correction(j), start=measured[:, 0]
+        of_image = np.flatnonzero((images == j) & solution.determined[points])
+        measured = network.rays.places[held.rays[of_image]]
+        predicted, slopes[of_image] = solution.image(j).ground_to_image(
+            solution.places[points[of_image]], solution.correction(j), start=measured[:, 0]
         )
-        found[mine] = measured - predicted
-    return found, slopes
+        misfits_of[of_image] = measured - predicted
+    return misfits_of, slopes
 
 
 def whitening(solution: Solution, held: HeldOut) -> Array:
@@ -144,17 +144,17 @@ def whitening(solution: Solution, held: HeldOut) -> Array:
     other rays of a point place it nowhere.
     """
     at, network, points = at_solution(solution), solution.network, solution.network.rays.point[held.rays]
-    layout, known = at.layout, np.zeros_like(at.pair_blocks(at.layout))
-    own = point_covariances(
-        at.rows, layout.groups, layout.blocks.target, layout.model, at.orientation, known, at.points
+    layout, fixed = at.layout, np.zeros_like(at.pair_blocks(at.layout))
+    covariances = point_covariances(
+        at.rows, layout.groups, layout.blocks.target, layout.model, at.orientation, fixed, at.points
     )  # fmt: skip
     _, slopes = misfits(solution, held)
-    spread = slopes @ layout.network_order(own)[points] @ np.swapaxes(slopes, 1, 2)
+    spread = slopes @ layout.network_order(covariances)[points] @ np.swapaxes(slopes, 1, 2)
     spread[:, [0, 1], [0, 1]] += network.rays.sigmas[held.rays] ** 2
-    found = np.full_like(spread, np.nan)
+    roots = np.full_like(spread, np.nan)
     good = np.isfinite(spread).all(axis=(1, 2))
-    found[good] = np.linalg.inv(np.linalg.cholesky(spread[good]))
-    return found
+    roots[good] = np.linalg.inv(np.linalg.cholesky(spread[good]))
+    return roots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,27 +256,27 @@ def choose_spacing(
     tried, clean, rejected = _distinct(network, spacings), network, None
     progress(0, len(tried) + 1)
     if settings.reject > 0.0:
-        whole = _closest(tried, settings, least)
-        clean, rejected = network.with_rejected(whole.rays_rejected, whole.ranges_rejected), whole.rays_rejected
+        solved = _closest(tried, settings, least)
+        clean, rejected = network.with_rejected(solved.rays_rejected, solved.ranges_rejected), solved.rays_rejected
     held = hold_out(clean, share, np.random.default_rng(seed))
     trials, plain = list[_Trial](), replace(settings, reject=0.0)
-    for done, (spacing, one) in enumerate(tried):
+    for done, (spacing, candidate) in enumerate(tried):
         progress(done + 1, len(tried) + 1)
-        trials.append(_trial(spacing, replace(clean, passes=one.passes), plain, held, least))
+        trials.append(_trial(spacing, replace(clean, passes=candidate.passes), plain, held, least))
     progress(len(tried) + 1, len(tried) + 1)
     return _choice(network, trials, held, 0 if rejected is None else int(np.count_nonzero(rejected)))
 
 
 def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> Solution:
     """The adjustment of all rays with the closest spacing that they support."""
-    said = ""
-    for spacing, one in tried:
+    reason = ""
+    for spacing, candidate in tried:
         try:
-            require_supported(one, least)
-            return adjust_network(one, settings, f"nodes every {spacing:g} s")
+            require_supported(candidate, least)
+            return adjust_network(candidate, settings, f"nodes every {spacing:g} s")
         except (InputError, WeakNetwork, SolverError) as error:
-            said = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
-    raise InputError("candidate spacings", said)
+            reason = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
+    raise InputError("candidate spacings", reason)
 
 
 class _Trial(NamedTuple):
@@ -294,15 +294,15 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
     """Spacings, ascending, and the networks with them; of those with the same nodes, as wide ones in short strips have
     them, the first.
     """
-    found = dict[tuple[int, ...], tuple[float, Network]]()
+    candidates = dict[tuple[int, ...], tuple[float, Network]]()
     for spacing in sorted(set(spacings)):
-        one = respaced(network, spacing)
-        found.setdefault(tuple(len(strip.nodes) for strip in one.passes), (spacing, one))
-    if len(found) < 2:
-        asked = ", ".join(f"{one:g}" for one in spacings) or "none"
+        network_at = respaced(network, spacing)
+        candidates.setdefault(tuple(len(strip.nodes) for strip in network_at.passes), (spacing, network_at))
+    if len(candidates) < 2:
+        asked = ", ".join(f"{spacing:g}" for spacing in spacings) or "none"
         expected = "two or more that differ in their nodes (a strip has four at least)"
         raise InputError("candidate spacings", f"{asked} s", expected)
-    return list(found.values())
+    return list(candidates.values())
 
 
 def _trial(spacing: float, network: Network, settings: SolverSettings, held: HeldOut, least: int) -> _Trial:
@@ -329,10 +329,10 @@ def _choice(network: Network, trials: Sequence[_Trial], held: HeldOut, rejected:
         raise InputError("rays held out", found, "two at least", "hold out a smaller share, or match more points")
     robust = np.sqrt(2.0 * np.median(squares[:, judged], axis=1)) / _MEDIAN
     blunder = judged & np.all(np.sqrt(2.0 * squares) > _BLUNDER * robust[:, None], axis=0)
-    kept = judged & ~blunder
-    of_trial = {k: row[kept] for k, row in zip(good, squares, strict=True)}
+    used = judged & ~blunder
+    of_trial = {k: row[used] for k, row in zip(good, squares, strict=True)}
     candidates = tuple(_candidate(trial, of_trial.get(k, np.zeros(0))) for k, trial in enumerate(trials))
-    best, stretch = min(good, key=lambda k: candidates[k].rms), _stretches(trials, held)[kept]
+    best, stretch = min(good, key=lambda k: candidates[k].rms), _stretches(trials, held)[used]
     worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))
     for k in good:
         difference = of_trial[k] - of_trial[best]
@@ -354,15 +354,15 @@ def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
 
 def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
     """(h,) stretch of time of each ray held out: as long as the widest spacing, or shorter: a strip has some."""
-    found, first = np.zeros(held.rays.size, dtype=np.int64), 0
-    for k, strip in enumerate(trials[-1].network.passes):
-        start, stop = strip.nodes.coverage
-        count = max(int((stop - start) / float(np.diff(strip.nodes.times).max())), _STRETCHES)
-        mine = held.strip == k
-        inside = np.floor((held.times[mine] - start) / (stop - start) * count).astype(np.int64)
-        found[mine] = first + np.clip(inside, 0, count - 1)
+    stretches, first = np.zeros(held.rays.size, dtype=np.int64), 0
+    for k, pass_ in enumerate(trials[-1].network.passes):
+        start, stop = pass_.nodes.coverage
+        count = max(int((stop - start) / float(np.diff(pass_.nodes.times).max())), _STRETCHES)
+        of_pass = held.strip == k
+        inside = np.floor((held.times[of_pass] - start) / (stop - start) * count).astype(np.int64)
+        stretches[of_pass] = first + np.clip(inside, 0, count - 1)
         first += count
-    return found
+    return stretches
 
 
 def error_of_mean(values: Array, stretch: Index) -> float:

@@ -120,24 +120,24 @@ class OrientationStatistics:
 
 def orientation_statistics(solution: Solution, image: str | int) -> OrientationStatistics:
     """Corrections of one image over the papers' 31 places; those of all images are found at once, the first time."""
-    found = _ORIENTED.get(solution)
-    if found is None:
-        found = _ORIENTED[solution] = _orientation_statistics(solution)
-    return found[solution.network.image_number(image)]
+    by_image = _ORIENTED.get(solution)
+    if by_image is None:
+        by_image = _ORIENTED[solution] = _orientation_statistics(solution)
+    return by_image[solution.network.image_number(image)]
 
 
 def _orientation_statistics(solution: Solution) -> list[OrientationStatistics]:
-    images, found = range(len(solution.network.images)), list[OrientationStatistics]()
+    images, by_image = range(len(solution.network.images)), list[OrientationStatistics]()
     for first in range(0, len(images), _TOGETHER):
         some = images[first : first + _TOGETHER]
         profile = orientation_profiles(solution, some, PLACES)
         moved = profile.position_after - profile.position_before
         values = np.concatenate([moved, profile.angle_differences, profile.rotation], axis=1)
         sigmas = np.concatenate([profile.position_sigma, profile.angles_sigma, profile.rotation_sigma], axis=1)
-        values, sigmas = (one.reshape(len(some), PLACES, -1) for one in (values, sigmas))
+        values, sigmas = (part.reshape(len(some), PLACES, -1) for part in (values, sigmas))
         mean, rms = values.mean(axis=1), root_mean_square(values, 1)
-        found += [OrientationStatistics(*rows) for rows in zip(mean, rms, sigmas.mean(axis=1), strict=True)]
-    return found
+        by_image += [OrientationStatistics(*rows) for rows in zip(mean, rms, sigmas.mean(axis=1), strict=True)]
+    return by_image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,19 +166,19 @@ class PointStatistics:
 
 def point_statistics(solution: Solution, point_class: PointClass) -> PointStatistics:
     """Sigmas and corrections of one class of points."""
-    mine = solution.network.points.classes == point_class
-    adjusted = mine & adjusted_points(solution)
+    of_class = solution.network.points.classes == point_class
+    adjusted = of_class & adjusted_points(solution)
     mean, rms = mean_and_rms((solution.places - solution.places_before)[adjusted])
     sigmas, none = solution.sigmas[adjusted], np.full(3, np.nan)
-    whole = np.linalg.norm(sigmas, axis=1)
+    total = np.linalg.norm(sigmas, axis=1)
     return PointStatistics(
-        count=int(mine.sum()),
-        rejected=int(np.sum(rejected_points(solution) & mine)),
+        count=int(of_class.sum()),
+        rejected=int(np.sum(rejected_points(solution) & of_class)),
         adjusted=int(adjusted.sum()),
         mean_sigma=mean_and_rms(sigmas)[0],
-        median_sigma=np.median(sigmas, axis=0) if whole.size else none,
-        high_sigma=np.quantile(sigmas, 0.95, axis=0) if whole.size else none,
-        weak=int(np.sum(whole > _WEAK * np.median(whole))) if whole.size else 0,
+        median_sigma=np.median(sigmas, axis=0) if total.size else none,
+        high_sigma=np.quantile(sigmas, 0.95, axis=0) if total.size else none,
+        weak=int(np.sum(total > _WEAK * np.median(total))) if total.size else 0,
         mean_correction=mean,
         rms_correction=rms,
     )
@@ -233,9 +233,9 @@ def laser_gain(solution: Solution) -> float:
     mean, median = solution.sigmas_without_laser, solution.median_sigmas_without_laser
     if mean is None:
         return float("nan")
-    found = point_statistics(solution, PointClass.TIE)
-    without, known = (mean, found.mean_sigma) if median is None else (median, found.median_sigma)
-    return float(np.linalg.norm(without) / np.linalg.norm(known))
+    ties = point_statistics(solution, PointClass.TIE)
+    without, with_laser = (mean, ties.mean_sigma) if median is None else (median, ties.median_sigma)
+    return float(np.linalg.norm(without) / np.linalg.norm(with_laser))
 
 
 def local_sigmas(covariances: Array, points: Array) -> Array:
@@ -252,11 +252,11 @@ def sigmas_along(axes: Array, covariances: Array) -> Array:
 
 def solution_connectivity(solution: Solution) -> Connectivity:
     """By the rays that were used, with the footprints of the adjusted orientation."""
-    found = _CONNECTED.get(solution)
-    if found is None:
+    result = _CONNECTED.get(solution)
+    if result is None:
         footprints = network_footprints(solution.network, solution.places, solution.correction)
-        found = _CONNECTED[solution] = connectivity(solution.network, footprints, solution.rays_used)
-    return found
+        result = _CONNECTED[solution] = connectivity(solution.network, footprints, solution.rays_used)
+    return result
 
 
 SHARE = 0.98
@@ -272,11 +272,11 @@ def medians(values: Array, groups: Index, number: int) -> Array:
     """(number,) median of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
     sound = np.isfinite(values)
     values, groups = values[sound], groups[sound]
-    ordered, of, found = values[np.lexsort((values, groups))], counts(groups, number), np.full(number, np.nan)
+    ordered, of, middle = values[np.lexsort((values, groups))], counts(groups, number), np.full(number, np.nan)
     first, some = np.cumsum(of) - of, of > 0
     low, high = (ordered[(first + shift)[some]] for shift in ((of - 1) // 2, of // 2))
-    found[some] = 0.5 * (low + high)
-    return found
+    middle[some] = 0.5 * (low + high)
+    return middle
 
 
 def used_rays(solution: Solution) -> Mask:
@@ -291,9 +291,9 @@ def median_residuals(solution: Solution) -> Array:
     of line and sample; NaN where there are none. Blunders hardly change it.
     """
     rays = solution.network.rays
-    mine = np.flatnonzero(used_rays(solution))
-    size = np.max(np.abs(solution.residuals[mine]) / solution.network.ray_sigmas[mine], axis=1)
-    return medians(size, rays.image[mine], len(solution.network.images))
+    used = np.flatnonzero(used_rays(solution))
+    size = np.max(np.abs(solution.residuals[used]) / solution.network.ray_sigmas[used], axis=1)
+    return medians(size, rays.image[used], len(solution.network.images))
 
 
 def worst_first(solution: Solution) -> Index:
@@ -345,12 +345,12 @@ def _turns(pose: Pose, axes: Array) -> Array:
     """(n, 6, 6) from components of corrections to the axes of the flight; `axes` (n, 3, 3) are how the camera turns
     about its own axes per rad of each rotation component.
     """
-    found = np.zeros((axes.shape[0], 6, 6))
+    turns = np.zeros((axes.shape[0], 6, 6))
     for k, (position, velocity) in enumerate(zip(pose.position, pose.velocity, strict=True)):
         level = flight_axes(position, velocity)
-        found[k, :3, :3] = level
-        found[k, 3:, 3:] = camera_axes(pose.matrix[k] @ level[0]) @ axes[k]
-    return found
+        turns[k, :3, :3] = level
+        turns[k, 3:, 3:] = camera_axes(pose.matrix[k] @ level[0]) @ axes[k]
+    return turns
 
 
 def flight_axes_at(places: Array, velocities: Array) -> Array:
@@ -384,10 +384,10 @@ def strip_corrections(solution: Solution, strip: str | int, times: Array) -> Str
     variable = int(solution.network.first_of_passes[strip])
     covariance = np.empty((times.size, 6, 6))
     for k in np.unique(first).tolist():
-        mine = first == k
+        members = first == k
         joint = solution.joint_covariance.of(range(variable + k, variable + k + SUPPORT))
         joint = joint.reshape(SUPPORT, 6, SUPPORT, 6)
-        covariance[mine] = np.einsum("np,piqj,nq->nij", basis[mine], joint, basis[mine])
+        covariance[members] = np.einsum("np,piqj,nq->nij", basis[members], joint, basis[members])
     turn = strip_turns(solution.network, strip, times, solution.settings.angles)
     sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
     return StripCorrections(times, np.einsum("nij,nj->ni", turn, values), sigmas)
@@ -449,15 +449,15 @@ def node_times(solution: Solution, strip: str | int) -> Array:
 
 
 def _report(solution: Solution, strip: int) -> PassReport:
-    one, pictures = solution.network.passes[strip], solution.network.pictures(strip)
+    pass_, pictures = solution.network.passes[strip], solution.network.pictures(strip)
     image = pictures[straightest(pictures)]
     start, stop = seconds(image)
-    spacing = one.nodes.spacing
+    spacing = pass_.nodes.spacing
     lines = spacing * image.lines / (stop - start)
     _, derivative = image.image_to_ground(*image.middle)
     return PassReport(
-        one.name, one.nodes.basis, tuple(picture.name for picture in pictures),
-        len(one.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
+        pass_.name, pass_.nodes.basis, tuple(picture.name for picture in pictures),
+        len(pass_.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
         strip_corrections(solution, strip, node_times(solution, strip)), _trend(solution, strip),
     )  # fmt: skip
 
@@ -475,34 +475,34 @@ def _trend(solution: Solution, strip: int) -> tuple[tuple[str, str, float, float
     )
 
 
-def prior_sigmas(one: Pass, rows: Array) -> Array:
+def prior_sigmas(pass_: Pass, rows: Array) -> Array:
     """(r,) a-priori sigmas of functions of a pass's nodes; infinite where its prior does not determine all nodes.
 
     Parameters
     ----------
-    one : Pass
+    pass_ : Pass
         With k nodes; its prior's rows are sparse, and so is what is solved.
     rows : (r, 6 k)
         Per m and rad of the nodes, one after another.
     """
     from scipy.sparse.linalg import splu
 
-    scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in one.sigmas])
-    root = _root(one, scales)
+    scales = np.concatenate([np.where(np.isfinite(sigmas), sigmas, 1.0) for sigmas in pass_.sigmas])
+    root = _root(pass_, scales)
     wanted = np.pad(rows, ((0, 0), (0, scales.size - rows.shape[1]))) * scales
     try:
-        found = splu((root.T @ root).tocsc()).solve(np.ascontiguousarray(wanted.T))
+        solved = splu((root.T @ root).tocsc()).solve(np.ascontiguousarray(wanted.T))
     except RuntimeError:  # singular: nodes of which nothing is known
         return np.full(rows.shape[0], np.inf)
-    return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", wanted, found), 0.0)))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("rc,cr->r", wanted, solved), 0.0)))
 
 
-def _root(one: Pass, scales: Array) -> "csr_array":
+def _root(pass_: Pass, scales: Array) -> "csr_array":
     """(rows, columns) whitened rows of the prior on nodes and trend, in units of `scales` (columns,)."""
     from scipy.sparse import csr_array
 
-    first, parts, height = np.concatenate([[0], np.cumsum(one.widths)]), list[tuple[Index, Index, Array]](), 0
-    for factor in one.prior.factors(one.nodes):
+    first, parts, height = np.concatenate([[0], np.cumsum(pass_.widths)]), list[tuple[Index, Index, Array]](), 0
+    for factor in pass_.prior.factors(pass_.nodes):
         for unknown, block in zip(factor.unknowns, factor.blocks, strict=True):
             row, column = np.nonzero(block)
             place = first[unknown] + column

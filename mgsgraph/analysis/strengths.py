@@ -76,21 +76,21 @@ class Strength(Record):
 
 def sought_strengths(network: Network) -> list[Strength]:
     """What is to be found: processes alike in part and kind are one, of all passes, with three axes."""
-    found = dict[tuple[str, str, int], list[tuple[int, int]]]()
-    for k, one in enumerate(network.passes):
-        for part in ("position", "attitude") if isinstance(one.prior, ProcessPrior) else ():
-            alike = list[str]()
+    members_of = dict[tuple[str, str, int], list[tuple[int, int]]]()
+    for k, pass_ in enumerate(network.passes):
+        for part in ("position", "attitude") if isinstance(pass_.prior, ProcessPrior) else ():
+            kinds = list[str]()
             for number, process in enumerate(processes_of(network, k, part)):
                 if process.estimated:
-                    found.setdefault((part, process.kind, alike.count(process.kind)), []).append((k, number))
-                alike.append(process.kind)
-        if len(one.nodes) > _MOST and any(k == of for members in found.values() for of, _ in members):
+                    members_of.setdefault((part, process.kind, kinds.count(process.kind)), []).append((k, number))
+                kinds.append(process.kind)
+        if len(pass_.nodes) > _MOST and any(k == of for members in members_of.values() for of, _ in members):
             remedy = "state the strengths that a shorter part of the pass gives"
-            raise InputError(f"pass {one.name!r}, strengths", f"{len(one.nodes)} nodes", f"{_MOST} at most", remedy)
-    if not found:
+            raise InputError(f"pass {pass_.name!r}, strengths", f"{len(pass_.nodes)} nodes", f"{_MOST} at most", remedy)
+    if not members_of:
         raise InputError("strengths of processes", "none that is to be estimated", 'some with sigma = "estimated"')
     sought = list[Strength]()
-    for number, ((part, kind, _), members) in enumerate(found.items()):
+    for number, ((part, kind, _), members) in enumerate(members_of.items()):
         names = tuple(network.passes[k].name for k, _ in members)
         first = processes_of(network, members[0][0], part)[members[0][1]]
         sought += [
@@ -103,19 +103,19 @@ def sought_strengths(network: Network) -> list[Strength]:
 def of_each_pass(sought: Sequence[Strength]) -> tuple[list[Strength], Index]:
     """With strengths of each pass; and which each was before."""
     pairs = [
-        (replace(one, passes=(name,), members=(member,)), k)
-        for k, one in enumerate(sought)
-        for name, member in zip(one.passes, one.members, strict=True)
+        (replace(item, passes=(name,), members=(member,)), k)
+        for k, item in enumerate(sought)
+        for name, member in zip(item.passes, item.members, strict=True)
     ]
-    return [one for one, _ in pairs], np.array([k for _, k in pairs])
+    return [item for item, _ in pairs], np.array([k for _, k in pairs])
 
 
 def spread_beforehand(sought: Sequence[Strength]) -> Array:
     """(p, p) covariance beforehand of log strengths."""
-    process, axis, first = np.array([(one.process, one.axis, one.members[0][0]) for one in sought]).T[:, None]
-    same, both = process == process.T, (process == process.T) & (axis == axis.T)
-    common = np.outer(*2 * ([one.spread for one in sought],)) * same + _OWN**2 * both
-    return np.asarray(common * (1.0 + _DEPARTURE**2 * (both.sum(axis=0) > 1) * (first == first.T)))
+    process, axis, first = np.array([(item.process, item.axis, item.members[0][0]) for item in sought]).T[:, None]
+    same, same_axis = process == process.T, (process == process.T) & (axis == axis.T)
+    common = np.outer(*2 * ([item.spread for item in sought],)) * same + _OWN**2 * same_axis
+    return np.asarray(common * (1.0 + _DEPARTURE**2 * (same_axis.sum(axis=0) > 1) * (first == first.T)))
 
 
 def processes_of(network: Network, number: int, part: str) -> tuple[Process, ...]:
@@ -127,21 +127,21 @@ def processes_of(network: Network, number: int, part: str) -> tuple[Process, ...
 
 def strength_sigmas(network: Network, sought: Sequence[Strength]) -> Array:
     """(p,) of the first pass that has each."""
-    first = [(one, *one.members[0]) for one in sought]
-    return np.array([processes_of(network, k, one.part)[number].sigmas[one.axis] for one, k, number in first])
+    first = [(item, *item.members[0]) for item in sought]
+    return np.array([processes_of(network, k, item.part)[number].sigmas[item.axis] for item, k, number in first])
 
 
 def with_strength_sigmas(network: Network, sought: Sequence[Strength], sigmas: Array) -> Network:
     """With strengths (p,), of all passes."""
     passes = list(network.passes)
-    for one, sigma in zip(sought, sigmas.tolist(), strict=True):
-        for of_pass, number in one.members:
+    for item, sigma in zip(sought, sigmas.tolist(), strict=True):
+        for of_pass, number in item.members:
             prior = passes[of_pass].prior
             assert isinstance(prior, ProcessPrior)
-            part = list(prior.position if one.part == "position" else prior.attitude)
-            mine = np.where(np.arange(3) == one.axis, sigma, part[number].sigmas)
-            part[number] = replace(part[number], sigmas=mine)
-            if one.part == "position":
+            part = list(prior.position if item.part == "position" else prior.attitude)
+            of_axes = np.where(np.arange(3) == item.axis, sigma, part[number].sigmas)
+            part[number] = replace(part[number], sigmas=of_axes)
+            if item.part == "position":
                 prior = replace(prior, position=tuple(part))
             else:
                 prior = replace(prior, attitude=tuple(part))

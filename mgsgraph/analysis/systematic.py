@@ -109,89 +109,89 @@ class Family:
 def families(rows: ResidualRows) -> Iterator[Family]:
     """All that is asked of a network."""
     network = rows.at.network
-    seen = rows.of_kind(IMAGE)
-    image = network.rays.image[rows.measure[seen]]
+    rays = rows.of_kind(IMAGE)
+    image = network.rays.image[rows.measure[rays]]
     by_sample = list[Family]()
     for j in np.unique(image).tolist():
-        mine = seen[image == j]
-        if np.unique(rows.point[mine]).size >= _FEWEST:
-            yield _by_time(rows, j, mine)
-            by_sample.append(_by_sample(rows, j, mine))
+        members = rays[image == j]
+        if np.unique(rows.point[members]).size >= _FEWEST:
+            yield _by_time(rows, j, members)
+            by_sample.append(_by_sample(rows, j, members))
     yield from by_sample
     if len(by_sample) > 1:
-        rows_of, columns = (np.concatenate([getattr(one, name) for one in by_sample]) for name in ("rows", "columns"))
+        rows_of, columns = (np.concatenate([getattr(part, name) for part in by_sample]) for name in ("rows", "columns"))
         yield Family("all images", rows_of, columns, by_sample[0].hypotheses)
     yield from _of_terrain(rows)
     yield from _of_profiles(rows)
 
 
-def _by_time(rows: ResidualRows, image: int, mine: Index) -> Family:
+def _by_time(rows: ResidualRows, image: int, rays: Index) -> Family:
     """Jitter and slow changes of the image coordinates, by themselves and together."""
     network = rows.at.network
     picture, degree = network.images[image], network.priors[image].degree
-    times, _ = picture.timing.at(network.rays.places[rows.measure[mine], 0])
+    times, _ = picture.timing.at(network.rays.places[rows.measure[rays], 0])
     span = max(float(np.ptp(times)), 1e-9)
     since = times - times.min()
     cycles = np.arange(1.0, min(_MOST_CYCLES, 0.5 * np.unique(times).size) + 0.5 * _STEP, _STEP)
     phase = 2.0 * np.pi * np.outer(since / span, cycles)
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(since.size, -1)
     slow = np.polynomial.legendre.legvander(2.0 * since / span - 1.0, degree + 1)
-    every, found = list[Array](), list[Hypothesis]()
+    blocks, effects = list[Array](), list[Hypothesis]()
     width = slow.shape[1] + waves.shape[1]
     for component, name in enumerate(("line", "sample")):
-        unit = (rows.scale[mine] * (rows.component[mine] == component))[:, None]
-        every += [unit * slow, unit * waves]
-        found += [Hypothesis(EffectKind.TREND, name, "px", (component * width + k,)) for k in range(slow.shape[1])]
-    for k, one in enumerate(cycles.tolist()):
+        unit = (rows.scale[rays] * (rows.component[rays] == component))[:, None]
+        blocks += [unit * slow, unit * waves]
+        effects += [Hypothesis(EffectKind.TREND, name, "px", (component * width + k,)) for k in range(slow.shape[1])]
+    for k, cycle in enumerate(cycles.tolist()):
         line = slow.shape[1] + 2 * k
         pairs = (line, line + 1), (line + width, line + width + 1)
-        both = ("line", pairs[0]), ("sample", pairs[1]), ("line and sample", (*pairs[0], *pairs[1]))
-        found += [Hypothesis(EffectKind.JITTER, name, "px", columns, span / one) for name, columns in both]
-    return Family(f"image {picture.name}", mine, np.concatenate(every, axis=1), tuple(found), since)
+        components = ("line", pairs[0]), ("sample", pairs[1]), ("line and sample", (*pairs[0], *pairs[1]))
+        effects += [Hypothesis(EffectKind.JITTER, name, "px", columns, span / cycle) for name, columns in components]
+    return Family(f"image {picture.name}", rays, np.concatenate(blocks, axis=1), tuple(effects), since)
 
 
-def _by_sample(rows: ResidualRows, image: int, mine: Index) -> Family:
+def _by_sample(rows: ResidualRows, image: int, rays: Index) -> Family:
     """Focal length, distortion and rotation of the detector."""
     network = rows.at.network
     picture = network.images[image]
-    x = 2.0 * network.rays.places[rows.measure[mine], 1] / picture.samples - 1.0
-    line, sample = rows.component[mine] == 0, rows.component[mine] == 1
-    columns = rows.scale[mine][:, None] * np.stack([sample * x, sample * x**2, sample * x**3, line * x, line * x**2], 1)
+    x = 2.0 * network.rays.places[rows.measure[rays], 1] / picture.samples - 1.0
+    line, sample = rows.component[rays] == 0, rows.component[rays] == 1
+    columns = rows.scale[rays][:, None] * np.stack([sample * x, sample * x**2, sample * x**3, line * x, line * x**2], 1)
     names = ("sample", "sample", "sample", "line", "line")
     kinds = (EffectKind.FOCAL_LENGTH, *[EffectKind.DISTORTION] * 4)
-    found = tuple(Hypothesis(kind, name, "px", (k,)) for k, (kind, name) in enumerate(zip(kinds, names, strict=True)))
-    return Family(f"image {picture.name}", mine, columns, found)
+    effects = tuple(Hypothesis(kind, name, "px", (k,)) for k, (kind, name) in enumerate(zip(kinds, names, strict=True)))
+    return Family(f"image {picture.name}", rays, columns, effects)
 
 
-def _moved(rows: ResidualRows, mine: Index, motion: Array) -> Array:
+def _moved(rows: ResidualRows, members: Index, motion: Array) -> Array:
     """(q, k) of rows whose control is moved by motions (q, k, 3) in m."""
-    return -np.asarray(np.einsum("qc,qkc->qk", rows.by_point[mine], motion))
+    return -np.asarray(np.einsum("qc,qkc->qk", rows.by_point[members], motion))
 
 
 def _of_terrain(rows: ResidualRows) -> Iterator[Family]:
     """Where the terrain model, and the surface that images show, lie."""
     for kind, where in ((SURFACE, TERRAIN), (STEREO, "stereo surfaces")):
-        mine = rows.of_kind(kind)
-        if mine.size < _FEWEST:
+        members = rows.of_kind(kind)
+        if members.size < _FEWEST:
             continue
-        places = rows.at.layout.network_order(rows.at.points)[rows.point[mine]]
-        ways, sigmas = east_north_up(places), 1.0 / np.linalg.norm(rows.by_point[mine], axis=1)
+        places = rows.at.layout.network_order(rows.at.points)[rows.point[members]]
+        ways, sigmas = east_north_up(places), 1.0 / np.linalg.norm(rows.by_point[members], axis=1)
         # of the model below each point: the point's own has its error, which the residual has, too
-        height = np.linalg.norm(places, axis=1) - sigmas * rows.residuals[mine]
+        height = np.linalg.norm(places, axis=1) - sigmas * rows.residuals[members]
         about = (places - places.mean(axis=0)) / KM
         east, north, up = (ways[:, k] for k in range(3))
         flat = [np.einsum("qc,qc->q", about, way)[:, None] * up for way in (east, north)]
         scaled = ((height - height.mean()) / KM)[:, None] * up
         motion = np.stack([east, north, up, scaled, *flat], axis=1)
-        found = [
+        effects = [
             Hypothesis(EffectKind.SLOPE, "east and north", "m", (0, 1)),
             Hypothesis(EffectKind.HEIGHT, "up", "m", (2,)),
             Hypothesis(EffectKind.TILT, "up across the ground", "arcsec", (4, 5)),
         ]
         # a model has errors of its own, by which low ground lies too low; they must not matter
-        if np.std(height) > _RELIEF * np.median(sigmas) * np.sqrt(mine.size):
-            found.append(Hypothesis(EffectKind.HEIGHT, "up with height", "m/km", (3,)))
-        yield Family(where, mine, _moved(rows, mine, motion), tuple(found))
+        if np.std(height) > _RELIEF * np.median(sigmas) * np.sqrt(members.size):
+            effects.append(Hypothesis(EffectKind.HEIGHT, "up with height", "m/km", (3,)))
+        yield Family(where, members, _moved(rows, members, motion), tuple(effects))
 
 
 def _of_profiles(rows: ResidualRows) -> Iterator[Family]:
@@ -200,10 +200,10 @@ def _of_profiles(rows: ResidualRows) -> Iterator[Family]:
     beams = _beams(network)
     lifted = np.abs(np.einsum("nkc,nc->nk", beams, _up(network.points.places)))
     rolled = lifted.max(axis=1) > _ROLLED * np.linalg.norm(beams, axis=2).max(axis=1)
-    known = rows.of_kind(GROUND)
+    control = rows.of_kind(GROUND)
     for name, members in _profiles(network):
-        mine = known[np.isin(rows.point[known], members)]
-        if np.unique(rows.point[mine]).size < _FEWEST:
+        shots = control[np.isin(rows.point[control], members)]
+        if np.unique(rows.point[shots]).size < _FEWEST:
             continue
         places = network.points.places[members]
         ways, powers = east_north_up(places), np.polynomial.legendre.legvander(along_track(places), _DRIFT_DEGREE)
@@ -212,31 +212,31 @@ def _of_profiles(rows: ResidualRows) -> Iterator[Family]:
             axis = np.einsum("nkc,nc->k", beams[members], ways[:, 2])
             up = ARCSEC * np.einsum("nkc,k->nc", beams[members], axis / np.linalg.norm(axis))[:, None]
         motion = np.concatenate([level, up, powers[:, 1:, None] * ways[:, 2:], powers[:, 1:2, None] * level], axis=1)
-        found = [Hypothesis(EffectKind.SLOPE, "east and north", "m", (0, 1))]
-        found.append(
+        effects = [Hypothesis(EffectKind.SLOPE, "east and north", "m", (0, 1))]
+        effects.append(
             Hypothesis(EffectKind.BEAM, "beam", "arcsec", (2,)) if np.mean(rolled[members]) > 0.5
             else Hypothesis(EffectKind.HEIGHT, "up", "m", (2,))
         )  # fmt: skip
-        found += [Hypothesis(EffectKind.DRIFT, "up", "m", (3 + k,)) for k in range(_DRIFT_DEGREE)]
-        found.append(Hypothesis(EffectKind.DRIFT, "east and north", "m", (3 + _DRIFT_DEGREE, 4 + _DRIFT_DEGREE)))
-        yield _of_motion(rows, f"profile {name}", mine, members, motion, found)
+        effects += [Hypothesis(EffectKind.DRIFT, "up", "m", (3 + k,)) for k in range(_DRIFT_DEGREE)]
+        effects.append(Hypothesis(EffectKind.DRIFT, "east and north", "m", (3 + _DRIFT_DEGREE, 4 + _DRIFT_DEGREE)))
+        yield _of_motion(rows, f"profile {name}", shots, members, motion, effects)
 
 
 def _of_motion(
-    rows: ResidualRows, where: str, mine: Index, members: Index, motion: Array, found: Sequence[Hypothesis]
+    rows: ResidualRows, where: str, shots: Index, members: Index, motion: Array, effects: Sequence[Hypothesis]
 ) -> Family:
     """Effects that move footprints, the points `members` (m,), ascending, by motions (m, k, 3) in m; with the
     crossovers of profiles.
     """
-    network, columns = rows.at.network, _moved(rows, mine, motion[np.searchsorted(members, rows.point[mine])])
+    network, columns = rows.at.network, _moved(rows, shots, motion[np.searchsorted(members, rows.point[shots])])
     crossing = network.crossovers
     if crossing is not None:
         place = np.searchsorted(members, crossing.shots).clip(max=members.size - 1)
-        there = (members[place] == crossing.shots)[:, :, None, None]
-        moved = crossing.effect(network.points.places, np.swapaxes(np.where(there, motion[place], 0.0), 2, 3))
+        inside = (members[place] == crossing.shots)[:, :, None, None]
+        moved = crossing.effect(network.points.places, np.swapaxes(np.where(inside, motion[place], 0.0), 2, 3))
         last = rows.kind.size - moved.shape[0] + np.arange(moved.shape[0])
-        mine, columns = np.append(mine, last), np.concatenate([columns, moved / crossing.sigmas[:, None]])
-    return Family(where, mine, columns, tuple(found))
+        shots, columns = np.append(shots, last), np.concatenate([columns, moved / crossing.sigmas[:, None]])
+    return Family(where, shots, columns, tuple(effects))
 
 
 def _profiles(network: Network) -> Iterator[tuple[str, Index]]:
@@ -251,13 +251,13 @@ def _profiles(network: Network) -> Iterator[tuple[str, Index]]:
 
 def _beams(network: Network) -> Array:
     """(n, 3, 3) m per rad that a turn of the beam about each of the camera's axes moves footprints with a range."""
-    found = np.zeros((len(network.points), 3, 3))
+    beams = np.zeros((len(network.points), 3, 3))
     images = np.unique(network.ranges.image)
     if images.size:
         shared = SharedUnknown("beam", SharedKind.ALTIMETER_BORESIGHT, images, np.ones(3))
         points, motion = footprint_motion(network, shared)
-        found[points] = motion
-    return found
+        beams[points] = motion
+    return beams
 
 
 def _up(places: Array) -> Array:

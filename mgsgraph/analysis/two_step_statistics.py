@@ -116,12 +116,12 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     first = np.full(len(network.points), -1, dtype=np.int64)
     for name, images in owners(network):
         rays = _first_rays(steps, images)
-        mine = network.rays.point[rays]
-        fresh = first[mine] < 0
-        first[mine[fresh]] = rays[fresh]
-        heights_of = _height_statistics(heights, mine[used[mine]])
+        points_of_rays = network.rays.point[rays]
+        fresh = first[points_of_rays] < 0
+        first[points_of_rays[fresh]] = rays[fresh]
+        heights_of = _height_statistics(heights, points_of_rays[used[points_of_rays]])
         poses = _poses(steps, int(images[images.size // 2]))
-        sigmas = _sigmas(steps, covariances, rays[ties[mine]])
+        sigmas = _sigmas(steps, covariances, rays[ties[points_of_rays]])
         groups.append(_group(name, sigmas, poses, heights_of))
     rays = first[ties & (first >= 0)]
     everything = _group(
@@ -131,7 +131,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
         _height_statistics(heights, np.flatnonzero(used & (first >= 0))),
     )
     points = np.flatnonzero(complete)
-    without_row, left_out = (int(np.count_nonzero(of_ties & one)) for one in (~with_row, with_row & ~complete))
+    without_row, left_out = (int(np.count_nonzero(of_ties & missing)) for missing in (~with_row, with_row & ~complete))
     of_points = points, heights[:, points], used[points]
     return TwoStepStatistics(steps, everything, tuple(groups), *of_points, without_row, left_out)
 
@@ -148,16 +148,16 @@ def owners(network: Network) -> list[tuple[str, Index]]:
 def _ties(steps: TwoSteps) -> Mask:
     """(n,) tie points with an adjusted place after both steps."""
     points = steps.network.points
-    mine = (points.classes == PointClass.TIE) & (points.kinds != PointKind.FIXED)
-    return np.asarray(mine & steps.free.determined & steps.fitted.determined)
+    adjusted = (points.classes == PointClass.TIE) & (points.kinds != PointKind.FIXED)
+    return np.asarray(adjusted & steps.free.determined & steps.fitted.determined)
 
 
 def _first_rays(steps: TwoSteps, images: Index) -> Index:
     """The first ray that took part of each point that some images see."""
     rays = steps.network.rays
-    mine = np.flatnonzero(np.isin(rays.image, images) & steps.free.rays_used)
-    _, first = np.unique(rays.point[mine], return_index=True)
-    return mine[first]
+    chosen = np.flatnonzero(np.isin(rays.image, images) & steps.free.rays_used)
+    _, first = np.unique(rays.point[chosen], return_index=True)
+    return chosen[first]
 
 
 def _sigmas(steps: TwoSteps, before: Array, rays: Index) -> Array:
@@ -166,11 +166,11 @@ def _sigmas(steps: TwoSteps, before: Array, rays: Index) -> Array:
     points, image = network.rays.point[rays], network.rays.image[rays]
     velocities = np.empty((rays.size, 3))
     for j in np.unique(image).tolist():
-        mine = image == j
-        velocities[mine] = network.images[j].pose(network.rays.places[rays[mine], 0]).velocity
+        of_image = image == j
+        velocities[of_image] = network.images[j].pose(network.rays.places[rays[of_image], 0]).velocity
     axes = flight_axes_at(steps.fitted.places[points], velocities)
     covariances = (before, steps.free.covariances, steps.fitted.covariances)
-    return np.stack([sigmas_along(axes, one[points]) for one in covariances])
+    return np.stack([sigmas_along(axes, stage[points]) for stage in covariances])
 
 
 def _poses(steps: TwoSteps, image: int) -> Array:

@@ -1,5 +1,5 @@
-"""What a wrong input could still hide: errors of clock, position, pointing, terrain heights and ranges that the tests
-don't find, and by how much they move the points (external reliability; Baarda 1968, Foerstner & Wrobel 2016, 4.6).
+"""Undetected errors of inputs: errors of clock, position, pointing, terrain heights and ranges that no test finds,
+and by how much they move the points (external reliability; Baarda 1968, Foerstner & Wrobel 2016, 4.6).
 
 An error of the nominal orientation that corrections can follow, by coefficients c, is the same as if the priors were
 wrong by c: it stands in their rows alone. With b what an error of one unit adds to the whitened residuals before the
@@ -116,55 +116,55 @@ def undetected(
         The same as if the terrain model weren't there. Its relief tests small errors alone: after large ones it may fit
         at a wrong place.
     """
-    found = _undetected(rows, critical)
+    errors = _undetected(rows, critical)
     if without_terrain is None:
-        return found
-    bare = {(one.what, one.of): one for one in _undetected(without_terrain, critical)}
+        return errors
+    bare = {(error.what, error.of): error for error in _undetected(without_terrain, critical)}
     return tuple(
-        replace(one, size_without_terrain=other.size, effect_without_terrain=other.size * other.moves)
-        if (other := bare.get((one.what, one.of))) is not None and other.size > _MORE * one.size else one
-        for one in found
+        replace(error, size_without_terrain=without.size, effect_without_terrain=without.size * without.moves)
+        if (without := bare.get((error.what, error.of))) is not None and without.size > _MORE * error.size else error
+        for error in errors
     )  # fmt: skip
 
 
 def _undetected(rows: ResidualRows, critical: float) -> tuple[Undetected, ...]:
     from scipy.special import ndtr, ndtri  # slow to import
 
-    found, motions = list[Undetected](), Motions(rows.at)
-    for one in _errors(rows):
-        column = one.column[:, None]
-        variance, whole = float(rows.variance(one.rows, column)[0, 0]), float(one.column @ one.column)
+    results, motions = list[Undetected](), Motions(rows.at)
+    for error in _errors(rows):
+        column = error.column[:, None]
+        variance, total = float(rows.variance(error.rows, column)[0, 0]), float(error.column @ error.column)
         test, p, size = math.nan, math.nan, math.inf
-        if variance > _NOTHING * whole:
-            test = float(one.column @ rows.residuals[one.rows]) / math.sqrt(variance)
+        if variance > _NOTHING * total:
+            test = float(error.column @ rows.residuals[error.rows]) / math.sqrt(variance)
             p, size = 2.0 * float(ndtr(-abs(test))), (critical + float(ndtri(POWER))) / math.sqrt(variance)
-        shared = -rows.at.joint.square_root.covariance_times(np.asarray(rows.through[one.rows].T @ column))[:, 0]
-        found.append(Undetected(one.what, one.of, one.unit, test, p, size, *motions.of(shared, one.control)))
-    return tuple(found)
+        shared = -rows.at.joint.square_root.covariance_times(np.asarray(rows.through[error.rows].T @ column))[:, 0]
+        results.append(Undetected(error.what, error.of, error.unit, test, p, size, *motions.of(shared, error.control)))
+    return tuple(results)
 
 
 def _errors(rows: ResidualRows) -> Iterator[_Error]:
     """All errors that are looked at."""
     network, layout = rows.at.network, rows.at.layout
-    every = layout.prior.design
-    priors = rows.begin_of_priors + np.arange(every.shape[0])
+    prior_rows = layout.prior.design
+    priors = rows.begin_of_priors + np.arange(prior_rows.shape[0])
     adjusted = [j for j in range(len(network.images)) if not network.held[j]]
     owners = [[j] for j in adjusted] if len(adjusted) <= _MOST_IMAGES else []
     for images in ([adjusted] if len(adjusted) > 1 else []) + owners:
         of = "all images" if len(images) > 1 else network.images[images[0]].name
         for what, unit, columns in _of_orientation(rows.at, images):
-            if np.any(column := np.asarray(every @ columns)):
+            if np.any(column := np.asarray(prior_rows @ columns)):
                 yield _Error(what, of, unit, priors, column)
-        mine = rows.of_kind(IMAGE)
-        mine = mine[(rows.component[mine] == 1) & np.isin(network.rays.image[rows.measure[mine]], images)]
-        if mine.size:
-            off = rows.scale[mine] * from_middle(network, rows.measure[mine])
-            yield _Error("focal length", of, "", mine, off, (IMAGE, images[0] if len(images) == 1 else -1))
+        chosen = rows.of_kind(IMAGE)
+        chosen = chosen[(rows.component[chosen] == 1) & np.isin(network.rays.image[rows.measure[chosen]], images)]
+        if chosen.size:
+            off = rows.scale[chosen] * from_middle(network, rows.measure[chosen])
+            yield _Error("focal length", of, "", chosen, off, (IMAGE, images[0] if len(images) == 1 else -1))
     for kind, of in ((GROUND, "laser shots and control"), (SURFACE, "the terrain model"), (RANGE, "the laser")):
-        mine = rows.of_kind(kind)
-        for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if mine.size else ():
-            up = rows.at.layout.network_order(rows.at.points)[rows.point[mine]]
-            yield _Error(what, of, "m", mine, _per_meter(kind, axis, rows.by_point[mine], up), (kind, axis))
+        chosen = rows.of_kind(kind)
+        for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if chosen.size else ():
+            up = rows.at.layout.network_order(rows.at.points)[rows.point[chosen]]
+            yield _Error(what, of, "m", chosen, _per_meter(kind, axis, rows.by_point[chosen], up), (kind, axis))
 
 
 def _of_orientation(at: Linearised, images: list[int]) -> Iterator[tuple[str, str, Array]]:
@@ -185,30 +185,30 @@ def _of_orientation(at: Linearised, images: list[int]) -> Iterator[tuple[str, st
         yield "position time", "s", parts[1]
     axes = {j: np.linalg.inv(axes_of_flight(network.images[j], at.settings.angles)[2]) for j in images}
     for k, name in enumerate(FLIGHT_NAMES):
-        along = _joined(at, {j: np.asarray(one[:, k][None]) for j, one in axes.items()})
+        along = _joined(at, {j: np.asarray(turn[:, k][None]) for j, turn in axes.items()})
         yield name if k > 2 else f"{name} position", "rad" if k > 2 else "m", along
 
 
 def _joined(at: Linearised, effects: dict[int, Array]) -> Array:
     """(columns,) coefficients of images' corrections; the nodes of a pass have the constant terms of its first."""
     network, layout = at.network, at.layout
-    found = np.zeros(layout.columns)
+    joined = np.zeros(layout.columns)
     for j, effect in effects.items():
         if network.pass_of[j] >= 0:
             continue
         columns = layout.columns_of(j)
         terms = min(len(effect), (columns.stop - columns.start) // 6)
-        found[columns.start : columns.start + 6 * terms] = effect[:terms].ravel()
-    for one, first in network.numbered_passes:
-        mine = [effects[j] for j in one.images.tolist() if j in effects]
-        for variable in range(first, first + len(one.nodes)) if mine else ():
-            found[layout.columns_of(variable)] = mine[0][0]
-    return found
+        joined[columns.start : columns.start + 6 * terms] = effect[:terms].ravel()
+    for pass_, first in network.numbered_passes:
+        of_pass = [effects[j] for j in pass_.images.tolist() if j in effects]
+        for variable in range(first, first + len(pass_.nodes)) if of_pass else ():
+            joined[layout.columns_of(variable)] = of_pass[0][0]
+    return joined
 
 
 def from_middle(network: Network, rays: Index) -> Array:
     """(q,) px, samples of some rays (q,) from their images' middle: by so much a doubled focal length moves them."""
-    middle = np.array([0.5 * one.samples for one in network.images])
+    middle = np.array([0.5 * image.samples for image in network.images])
     return np.asarray(network.rays.places[rays, 1] - middle[network.rays.image[rays]])
 
 

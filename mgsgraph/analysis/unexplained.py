@@ -51,19 +51,19 @@ class Judged:
     def tests(self, residuals: Array, spread: float = 1.0) -> list["Test"]:
         """Of all hypotheses, where sums over many rows scatter more than stated by a factor of their variance."""
         squares = float(residuals[self.beside] @ residuals[self.beside])
-        found, hypotheses = list[Test](), self.family.hypotheses
-        widths = np.array([len(one.columns) for one in hypotheses])
+        results, hypotheses = list[Test](), self.family.hypotheses
+        widths = np.array([len(hypothesis.columns) for hypothesis in hypotheses])
         for width in np.unique(widths).tolist():
-            mine = np.flatnonzero(widths == width)
-            chosen = np.array([hypotheses[k].columns for k in mine.tolist()])
+            of_width = np.flatnonzero(widths == width)
+            chosen = np.array([hypotheses[k].columns for k in of_width.tolist()])
             inverse, degrees = solved(self.variance[chosen[:, :, None], chosen[:, None, :]], self.size[chosen])
             statistic = np.einsum("td,tde,te->t", self.score[chosen], inverse, self.score[chosen]) / spread
-            stated, own = _p_values(statistic, degrees, squares, self.freedom)
-            found += [
-                Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(stated[n]), float(own[n]))
-                for n, k in enumerate(mine.tolist())
+            stated, fisher = _p_values(statistic, degrees, squares, self.freedom)
+            results += [
+                Test(self, hypotheses[k], float(statistic[n]), int(degrees[n]), float(stated[n]), float(fisher[n]))
+                for n, k in enumerate(of_width.tolist())
             ]
-        return found
+        return results
 
     def without(self, cross: Array, inverse: Array, estimate: Array) -> None:
         """Take an effect out: its covariance (k, d) with the columns, inverse (d, d) of its own, estimate (d,)."""
@@ -95,8 +95,8 @@ class Test:
 
     def named(self, count: int, level: float) -> bool:
         """Whether it is to be named, one of `count` families."""
-        every = count * len(self.judged.family.hypotheses)
-        return every * self.single <= level and every * self.own <= OWN_LEVEL
+        number = count * len(self.judged.family.hypotheses)
+        return number * self.single <= level and number * self.own <= OWN_LEVEL
 
 
 def solved(variance: Array, size: Array) -> tuple[Array, Index]:
@@ -105,21 +105,21 @@ def solved(variance: Array, size: Array) -> tuple[Array, Index]:
     """
     scale = 1.0 / np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(variance * scale[:, :, None] * scale[:, None, :])
-    seen = values > _SHOWN
+    shown = values > _SHOWN
     vectors = vectors * scale[:, :, None]
-    weight = np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)
-    return np.einsum("tik,tk,tjk->tij", vectors, weight, vectors), seen.sum(axis=1)
+    weight = np.where(shown, 1.0 / np.where(shown, values, 1.0), 0.0)
+    return np.einsum("tik,tk,tjk->tij", vectors, weight, vectors), shown.sum(axis=1)
 
 
 def _p_values(statistic: Array, degrees: Index, squares: float, freedom: float) -> tuple[Array, Array]:
     """By chi-square, and by Fisher's law with the scatter of residuals of a sum of squares and a redundancy."""
     from scipy.special import chdtrc, fdtrc  # slow to import
 
-    left, count = freedom - degrees, np.maximum(degrees, 1)
-    tested = (degrees > 0) & (left > 0.0)
-    rest = np.maximum(squares - statistic, _LEAST_REST * squares) / np.where(tested, left, 1.0)
-    own = fdtrc(count, np.where(tested, left, 1.0), statistic / count / np.maximum(rest, np.finfo(np.float64).tiny))
-    return np.where(tested, chdtrc(count, statistic), 1.0), np.where(tested, own, 1.0)
+    free, count = freedom - degrees, np.maximum(degrees, 1)
+    tested = (degrees > 0) & (free > 0.0)
+    rest = np.maximum(squares - statistic, _LEAST_REST * squares) / np.where(tested, free, 1.0)
+    fisher = fdtrc(count, np.where(tested, free, 1.0), statistic / count / np.maximum(rest, np.finfo(np.float64).tiny))
+    return np.where(tested, chdtrc(count, statistic), 1.0), np.where(tested, fisher, 1.0)
 
 
 LEVEL = 0.01
@@ -197,8 +197,8 @@ class Effect(Record):
             EffectKind.CORRELATION: f"{self.quantity} of points within {self.period:.3g} {self.unit} resemble each "
             f"other (correlation {self.amplitude:.2g}",
         }[self.kind]
-        other = f"; or {', '.join(self.alternatives)}, which is inseparable from it" if self.alternatives else ""
-        return f"{self.where}: {how}, p = {self.p_value:.1g}): {self.kind}{other}; {self.term}"
+        note = f"; or {', '.join(self.alternatives)}, which is inseparable from it" if self.alternatives else ""
+        return f"{self.where}: {how}, p = {self.p_value:.1g}): {self.kind}{note}; {self.term}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,7 +235,7 @@ class Unexplained(Record):
         """What was found, one for each effect."""
         if not self.effects:
             return [f"{self.tests} tests by time, sample, slope, height and neighbors find no significant effect."]
-        return [one.sentence for one in self.effects]
+        return [effect.sentence for effect in self.effects]
 
 
 def unexplained(of: Solution | Linearised, level: float = LEVEL) -> Unexplained:
@@ -266,7 +266,7 @@ class _Search:
     def __init__(self, rows: ResidualRows, level: float) -> None:
         self._rows, self._level = rows, level
         self._residuals = rows.residuals.copy()
-        self._judged = [Judged(rows, one, rows.residuals) for one in families(rows)]
+        self._judged = [Judged(rows, family, rows.residuals) for family in families(rows)]
         self._taken = list[tuple[Array, Array]]()
         """Of each named effect C g (r, d), once those before it are taken out, and the inverse of g' C g."""
         self._patterns = list[Pattern]()
@@ -277,38 +277,38 @@ class _Search:
         """All of it."""
         named, count = list[Effect](), len(self._judged) + 3  # kinds of rows whose correlation is tested at last
         while True:
-            tests = [min(self._tests(one), key=lambda test: test.single) for one in self._judged]
+            tests = [min(self._tests(judged), key=lambda test: test.single) for judged in self._judged]
             clear = [test for test in tests if test.named(count, self._level)]
             if not clear or len(named) == _MOST_NAMED:
                 break
             best = min(clear, key=lambda test: test.p_value)
             if not named and self._spread == 1.0:
                 near = correlations(self._rows, self._residuals, self._taken)
-                self._spread = max((one.spread for one in near if one.p_value < best.p_value), default=1.0)
+                self._spread = max((kind.spread for kind in near if kind.p_value < best.p_value), default=1.0)
                 if self._spread > 1.0:
                     continue
             named.append(self._named(best, count))
         last = [
             (Effect(
-                EffectKind.CORRELATION, one.where, min(1.0, one.p_value * count), one.coefficient, one.unit, one.term,
-                one.sigma, one.quantity, one.length, one.statistic, 1,
-            ), one.course)
-            for one in correlations(self._rows, self._residuals, self._taken)
+                EffectKind.CORRELATION, kind.where, min(1.0, kind.p_value * count), kind.coefficient, kind.unit,
+                kind.term, kind.sigma, kind.quantity, kind.length, kind.statistic, 1,
+            ), kind.course)
+            for kind in correlations(self._rows, self._residuals, self._taken)
         ]  # fmt: skip
         # matching errors in common make the ties' heights alike, and errors of a terrain model their image places
-        alike = sorted((one.p_value, one.where) for one, _ in last if one.where in _CONFOUNDED)
-        for one, course in last:
-            if one.p_value <= self._level and (one.where not in _CONFOUNDED or one.where == alike[0][1]):
-                self._patterns.append(Pattern(one, *(np.array(part) for part in zip(*course, strict=True))))
-        self._patterns.sort(key=lambda one: one.effect.p_value)
+        confounded = sorted((effect.p_value, effect.where) for effect, _ in last if effect.where in _CONFOUNDED)
+        for effect, course in last:
+            if effect.p_value <= self._level and (effect.where not in _CONFOUNDED or effect.where == confounded[0][1]):
+                self._patterns.append(Pattern(effect, *(np.array(part) for part in zip(*course, strict=True))))
+        self._patterns.sort(key=lambda effect: effect.effect.p_value)
         others = [self._effect(test, count, *self._estimate(test)) for test in tests if test.degrees]
-        others += [one for one, _ in last if one not in [pattern.effect for pattern in self._patterns]]
-        number = sum(len(one.family.hypotheses) for one in self._judged) + len(last)
-        named = [one.effect for one in self._patterns]
+        others += [effect for effect, _ in last if effect not in [pattern.effect for pattern in self._patterns]]
+        number = sum(len(judged.family.hypotheses) for judged in self._judged) + len(last)
+        named = [pattern.effect for pattern in self._patterns]
         return Unexplained(self._level, tuple(named), tuple(others), number, tuple(self._patterns))
 
-    def _tests(self, one: Judged) -> list[Test]:
-        return one.tests(self._residuals, self._spread)
+    def _tests(self, judged: Judged) -> list[Test]:
+        return judged.tests(self._residuals, self._spread)
 
     def _estimate(self, test: Test) -> tuple[Array, Array]:
         """Amplitudes (d,) of an effect and their covariance (d, d)."""
@@ -329,16 +329,16 @@ class _Search:
         before, pattern = self._clearest(kind), self._pattern(best.judged, hypothesis, columns, shown, estimate)
         self._residuals -= shown @ estimate
         self._taken.append((shown, inverse))
-        for one in self._judged:
-            one.without(one.family.columns.T @ shown[one.family.rows], inverse, estimate)
+        for judged in self._judged:
+            judged.without(judged.family.columns.T @ shown[judged.family.rows], inverse, estimate)
         after = self._clearest(kind)
-        alike = [
+        places = [
             where + (f" (period {test.hypothesis.period:.2g} s)" if kind is EffectKind.JITTER else "")
             for where, test in before.items()
             if where != family.where and test.statistic > _ALIKE * best.statistic
             and not after[where].named(count, self._level)
         ]  # fmt: skip
-        effect = self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(alike))
+        effect = self._effect(replace(best, hypothesis=hypothesis), count, estimate, inverse, tuple(places))
         self._patterns.append(Pattern(effect, *pattern))
         return effect
 
@@ -350,24 +350,24 @@ class _Search:
         unit = np.where(rows.scale > 0.0, rows.scale, np.linalg.norm(rows.by_point, axis=1))[family.rows]
         wave = hypothesis.kind is EffectKind.JITTER and estimate.size == 2 * _PAIR
         part = slice(_PAIR * int(np.argmax(np.hypot(estimate[::2], estimate[1::2]))), None) if wave else slice(None)
-        mine = np.any(columns[:, part][:, :_PAIR] != 0.0, axis=1) & (unit > 0.0)
-        effect = (columns @ estimate)[mine] / unit[mine]
+        acting = np.any(columns[:, part][:, :_PAIR] != 0.0, axis=1) & (unit > 0.0)
+        effect = (columns @ estimate)[acting] / unit[acting]
         along = effect
         if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
             assert family.times is not None
-            along = family.times[mine] % hypothesis.period if wave or estimate.size > 1 else family.times[mine]
-        chosen = family.rows[mine]
-        return along, self._residuals[chosen] / unit[mine], (shown @ estimate)[chosen] / unit[mine]
+            along = family.times[acting] % hypothesis.period if wave or estimate.size > 1 else family.times[acting]
+        chosen = family.rows[acting]
+        return along, self._residuals[chosen] / unit[acting], (shown @ estimate)[chosen] / unit[acting]
 
     def _clearest(self, kind: EffectKind) -> dict[str, Test]:
         """Clearest test of a kind at each place."""
-        found = dict[str, Test]()
-        for one in self._judged:
-            for test in self._tests(one):
-                where = one.family.where
-                if test.hypothesis.kind is kind and (where not in found or test.single < found[where].single):
-                    found[where] = test
-        return found
+        clearest = dict[str, Test]()
+        for judged in self._judged:
+            for test in self._tests(judged):
+                where = judged.family.where
+                if test.hypothesis.kind is kind and (where not in clearest or test.single < clearest[where].single):
+                    clearest[where] = test
+        return clearest
 
     def _effect(
         self, test: Test, count: int, estimate: Array, covariance: Array, alternatives: tuple[str, ...] = ()
@@ -384,10 +384,10 @@ class _Search:
 
     def _shown(self, rows: Index, columns: Array) -> Array:
         """C G (r, k) with the covariance C of the residuals that are left."""
-        found = self._rows.explained(rows, columns)
+        shown = self._rows.explained(rows, columns)
         for taken, inverse in self._taken:
-            found -= taken @ (inverse @ (taken[rows].T @ columns))
-        return found
+            shown -= taken @ (inverse @ (taken[rows].T @ columns))
+        return shown
 
     def _refined(self, best: Test) -> tuple[Hypothesis, Array, Array]:
         """Jitter of the period that explains most near the best one: hypothesis, columns (q, 2) and what they show."""
@@ -395,12 +395,12 @@ class _Search:
         assert family.times is not None
         step = 0.5 / max(float(np.ptp(family.times)), 1e-9)
         tried = 1.0 / (1.0 / period + step * np.linspace(-0.8, 0.8, _FINE))
-        columns = [family.jitter(best.hypothesis, one) for one in tried.tolist()]
+        columns = [family.jitter(best.hypothesis, trial) for trial in tried.tolist()]
         width = columns[0].shape[1]
         shown = self._shown(family.rows, np.concatenate(columns, axis=1)).reshape(-1, _FINE, width).swapaxes(0, 1)
-        score = np.array([one.T @ self._residuals[family.rows] for one in columns])
-        inner = np.array([one.T @ other[family.rows] for one, other in zip(columns, shown, strict=True)])
-        inverse, _ = solved(inner, np.array([np.sum(one**2, axis=0) for one in columns]))
+        score = np.array([column.T @ self._residuals[family.rows] for column in columns])
+        inner = np.array([column.T @ image[family.rows] for column, image in zip(columns, shown, strict=True)])
+        inverse, _ = solved(inner, np.array([np.sum(column**2, axis=0) for column in columns]))
         k = int(np.argmax(np.einsum("td,tde,te->t", score, inverse, score)))
         return best.hypothesis._replace(period=float(tried[k])), columns[k], shown[k]
 
@@ -415,20 +415,20 @@ def _chosen(network: Network) -> Index:
         owners += [np.flatnonzero(network.shifts.profile == p) for p in range(len(network.shifts.names))]
     most, least = _PER_OWNER
     each = max(least, min(most, _MOST_POINTS // max(len(owners), 1)))
-    every = [np.unique(one)[:: max(1, -(-np.unique(one).size // each))] for one in owners]
-    return np.unique(np.concatenate(every))
+    points = [np.unique(of_owner)[:: max(1, -(-np.unique(of_owner).size // each))] for of_owner in owners]
+    return np.unique(np.concatenate(points))
 
 
 def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float) -> str:
     """What to add to the case file."""
     image = where.removeprefix("image ")
-    j = next((k for k, one in enumerate(network.images) if one.name == image), -1)
+    j = next((k for k, picture in enumerate(network.images) if picture.name == image), -1)
     if hypothesis.kind in (EffectKind.JITTER, EffectKind.TREND):
         if j >= 0 and network.held[j] and hypothesis.kind is EffectKind.TREND:
             return f"[[images]] {image!r}: held = false"
         if j >= 0 and network.pass_of[j] >= 0:
-            strip = network.passes[network.pass_of[j]].name
-            return f"[[passes]] {strip!r}: {_nodes(network, j, hypothesis, amplitude)}"
+            pass_ = network.passes[network.pass_of[j]].name
+            return f"[[passes]] {pass_!r}: {_nodes(network, j, hypothesis, amplitude)}"
         if hypothesis.kind is EffectKind.TREND:
             degree = network.priors[j].degree + 1 if j >= 0 else 3
             return f"[[images]] {image!r}: orientation = {{ degree = {degree} }}, or a wider trend"

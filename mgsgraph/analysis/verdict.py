@@ -189,11 +189,11 @@ class Verdict(Record):
     @property
     def untested(self) -> tuple[str, ...]:
         """Groups that nothing tests."""
-        return tuple(one.name for one in self.groups if not one.tested)
+        return tuple(group.name for group in self.groups if not group.tested)
 
     def of(self, cause: Cause) -> tuple[Reason, ...]:
         """Reasons about one thing."""
-        return tuple(one for one in self.reasons if one.cause is cause)
+        return tuple(reason for reason in self.reasons if reason.cause is cause)
 
 
 _UNTESTED = Verdict(State.VALID, (), (), (), (), 0, 0)
@@ -210,10 +210,10 @@ def verdict(solution: Solution) -> Verdict:
     >>> found.state.value, found.untested
     ('valid', ())
     """
-    known = _VERDICTS.get(solution)
-    if known is None:
-        known = _VERDICTS[solution] = _verdict(solution)
-    return known
+    result = _VERDICTS.get(solution)
+    if result is None:
+        result = _VERDICTS[solution] = _verdict(solution)
+    return result
 
 
 def is_valid(solution: Solution) -> bool:
@@ -232,10 +232,10 @@ def _verdict(solution: Solution) -> Verdict:
             tested = replace(_UNTESTED, reasons=(reason,))
         reasons = [*checks.result(), *tested.reasons]
     causes = list(Cause)
-    reasons.sort(key=lambda one: (one.state is not State.INVALID, causes.index(one.cause),
-                                  np.nan_to_num(one.p_value), -abs(one.size)))  # fmt: skip
-    states = {one.state for one in reasons}
-    state = next((one for one in (State.INVALID, State.SUSPECT) if one in states), State.VALID)
+    reasons.sort(key=lambda reason: (reason.state is not State.INVALID, causes.index(reason.cause),
+                                  np.nan_to_num(reason.p_value), -abs(reason.size)))  # fmt: skip
+    states = {reason.state for reason in reasons}
+    state = next((candidate for candidate in (State.INVALID, State.SUSPECT) if candidate in states), State.VALID)
     return replace(tested, state=state, reasons=tuple(reasons))
 
 
@@ -253,17 +253,16 @@ def _tested(solution: Solution) -> Verdict:
     level = _level("offsets", len(offsets))
     reasons = [
         *_of_groups(groups),
-        *(Reason(State.SUSPECT, Cause.CORRECTION, one.name, one.in_sigmas, "sigmas", p_value=one.p_value)
-          for one in corrections if one.p_value < _level("corrections", tested)),
-        *_common_error([one for one in common if math.isfinite(one.p_value)]),
-        *(one for one in offsets if one.p_value < level and abs(one.size) > _PIXELS),
+        *(Reason(State.SUSPECT, Cause.CORRECTION, unknown.name, unknown.in_sigmas, "sigmas", p_value=unknown.p_value)
+          for unknown in corrections if unknown.p_value < _level("corrections", tested)),
+        *_common_error([error for error in common if math.isfinite(error.p_value)]),
+        *(offset for offset in offsets if offset.p_value < level and abs(offset.size) > _PIXELS),
         *(_outliers(rows) if small else _outlying_rays(solution)),
     ]  # fmt: skip
-    count = sum(one.tested for one in groups) + tested + len(common) + len(offsets)
+    count = sum(group.tested for group in groups) + tested + len(common) + len(offsets)
     count += rows.begin_of_priors if small else solution.residuals.size
     points = np.unique(rows.point[: rows.begin_of_priors]).size
-    kept = tuple(corrections[:_CORRECTIONS])
-    return Verdict(State.VALID, tuple(reasons), groups, kept, common, count, points)
+    return Verdict(State.VALID, tuple(reasons), groups, tuple(corrections[:_CORRECTIONS]), common, count, points)
 
 
 def _level(kind: str, tests: int) -> float:
@@ -273,7 +272,7 @@ def _level(kind: str, tests: int) -> float:
 
 def level_of_groups(groups: Sequence[GroupTest]) -> float:
     """Of the test of each of some groups."""
-    return _level("groups", sum(one.tested for one in groups))
+    return _level("groups", sum(group.tested for group in groups))
 
 
 def _critical(level: float) -> float:
@@ -285,8 +284,8 @@ def _critical(level: float) -> float:
 
 def _sampled(solution: Solution) -> Linearised:
     """Some of the points where they were solved, with the covariance that all of them gave."""
-    network, there = solution.network, np.flatnonzero(solution.determined)
-    chosen = np.sort(np.random.default_rng(0).choice(there, min(_SAMPLE, there.size), replace=False))
+    network, determined = solution.network, np.flatnonzero(solution.determined)
+    chosen = np.sort(np.random.default_rng(0).choice(determined, min(_SAMPLE, determined.size), replace=False))
     part = thinned(network, chosen, solution.rays_used, solution.ranges_used)
     places = solution.places[chosen]
     return at_values(part, solution.settings, solution.values, places, joint_of=lambda _: solution.joint_covariance)
@@ -299,9 +298,10 @@ def _grave(solution: Solution) -> Iterator[Reason]:
     """What makes a solution invalid, and what comes near to it."""
     if not solution.converged:
         yield Reason(State.INVALID, Cause.NOT_CONVERGED, solution.message, math.nan, "")
-    for one in losses(solution):
-        what = f"{one.kind}{f' of {one.image}' if one.image else ''}"
-        yield Reason(State.INVALID if one.fatal else State.SUSPECT, Cause.LEFT_OUT, what, one.share, "share", one.lost)
+    for loss in losses(solution):
+        what = f"{loss.kind}{f' of {loss.image}' if loss.image else ''}"
+        state = State.INVALID if loss.fatal else State.SUSPECT
+        yield Reason(state, Cause.LEFT_OUT, what, loss.share, "share", loss.lost)
     if solution.sigma0 > ABSURD:
         yield Reason(State.INVALID, Cause.SIGMA0, "all observations", solution.sigma0, "factor")
     for moved in solution.strained:
@@ -317,8 +317,8 @@ def _of_common_sense(solution: Solution) -> Iterator[Reason]:
         (unexplained_residuals, solution.residuals_before, "px"),
         (unexplained_ranges, solution.range_residuals_before, "m"),
     ):
-        for one in exceeding(network, before):
-            yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[one.image].name, one.size, unit)
+        for image in exceeding(network, before):
+            yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[image.image].name, image.size, unit)
     for twice in duplicates(network):
         yield Reason(State.SUSPECT, Cause.DUPLICATE, twice.sentence, twice.count / twice.total, "share", twice.count)
     for profile in misplaced_profiles(network):
@@ -340,8 +340,8 @@ def _common_errors(solution: Solution, rows: ResidualRows) -> tuple[Undetected, 
         at = at_values(replace(network, surface=None), solution.settings, values, solution.places)
         return undetected(rows, critical, residual_rows(at, np.arange(len(network.points))))
     except (InputError, np.linalg.LinAlgError):  # nothing else holds some of it
-        every = undetected(rows, critical)
-        return tuple(replace(one, size_without_terrain=math.inf, effect_without_terrain=math.inf) for one in every)
+        errors = undetected(rows, critical)
+        return tuple(replace(error, size_without_terrain=math.inf, effect_without_terrain=math.inf) for error in errors)
 
 
 # --- tests
@@ -351,8 +351,8 @@ def _of_groups(groups: Sequence[GroupTest]) -> list[Reason]:
     """Groups that fit worse than stated."""
     level = level_of_groups(groups)
     return [
-        Reason(State.SUSPECT, Cause.GROUP, one.name, one.sigma0, "factor", p_value=one.p_value)
-        for one in groups if one.tested and one.p_value < level and one.sigma0 > _RELEVANT
+        Reason(State.SUSPECT, Cause.GROUP, group.name, group.sigma0, "factor", p_value=group.p_value)
+        for group in groups if group.tested and group.p_value < level and group.sigma0 > _RELEVANT
     ]  # fmt: skip
 
 
@@ -381,12 +381,12 @@ def _corrections(at: Linearised, priors: PriorRows) -> tuple[list[Correction], i
 
 def _common_error(checked: Sequence[Undetected]) -> list[Reason]:
     """The most significant one: others that look like it go with it."""
-    over = [one for one in checked if one.p_value < _level("common errors", len(checked))]
+    over = [error for error in checked if error.p_value < _level("common errors", len(checked))]
     if not over:
         return []
-    one = max(over, key=lambda each: abs(each.test))
-    what = f"{one.what} of {one.of}"
-    return [Reason(State.SUSPECT, Cause.COMMON_ERROR, what, one.test, "sigmas", len(over), one.p_value)]
+    largest = max(over, key=lambda each: abs(each.test))
+    what = f"{largest.what} of {largest.of}"
+    return [Reason(State.SUSPECT, Cause.COMMON_ERROR, what, largest.test, "sigmas", len(over), largest.p_value)]
 
 
 def _offsets(rows: ResidualRows) -> Iterator[Reason]:
@@ -394,33 +394,33 @@ def _offsets(rows: ResidualRows) -> Iterator[Reason]:
     network = rows.at.network
     if len(network.images) > _MOST_IMAGES:
         return
-    seen = rows.of_kind(IMAGE)
-    image, classes = network.rays.image[rows.measure[seen]], network.points.classes[rows.point[seen]]
+    rays = rows.of_kind(IMAGE)
+    image, classes = network.rays.image[rows.measure[rays]], network.points.classes[rows.point[rays]]
     for j, picture in enumerate(network.images):
-        for one in PointClass:
+        for point_class in PointClass:
             for component, way in enumerate(("lines", "samples")):
-                mine = seen[(image == j) & (classes == one) & (rows.component[seen] == component)]
-                what = f"{way} of {one.name.lower()} points in {picture.name}"
-                yield from _offset(rows, mine, rows.scale[mine], what, "px")
+                members = rays[(image == j) & (classes == point_class) & (rows.component[rays] == component)]
+                what = f"{way} of {point_class.name.lower()} points in {picture.name}"
+                yield from _offset(rows, members, rows.scale[members], what, "px")
 
 
-def _offset(rows: ResidualRows, mine: Index, column: Array, what: str, unit: str) -> Iterator[Reason]:
+def _offset(rows: ResidualRows, members: Index, column: Array, what: str, unit: str) -> Iterator[Reason]:
     """The score test of a constant that some rows (q,) have in common, whitened (q,) per unit; and the test of their
     mean by their own scatter, which finds it behind stated sigmas that are too large.
     """
     from scipy.special import ndtr, stdtr  # slow to import
 
-    if not mine.size:
+    if not members.size:
         return
-    variance, score = float(rows.variance(mine, column[:, None])[0, 0]), float(column @ rows.residuals[mine])
+    variance, score = float(rows.variance(members, column[:, None])[0, 0]), float(column @ rows.residuals[members])
     if variance > _CONTROLLED * float(column @ column):
         p = 2.0 * float(ndtr(-abs(score) / math.sqrt(variance)))
-        yield Reason(State.SUSPECT, Cause.OFFSET, what, score / variance, unit, mine.size, p)
-    values = rows.residuals[mine] / column
-    if mine.size >= _FEW and np.ptp(values) > 0.0:
-        mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(mine.size)
-        p = 2.0 * float(stdtr(mine.size - 1, -abs(mean) / error))
-        yield Reason(State.SUSPECT, Cause.OFFSET, what, mean, unit, mine.size, p)
+        yield Reason(State.SUSPECT, Cause.OFFSET, what, score / variance, unit, members.size, p)
+    values = rows.residuals[members] / column
+    if members.size >= _FEW and np.ptp(values) > 0.0:
+        mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(members.size)
+        p = 2.0 * float(stdtr(members.size - 1, -abs(mean) / error))
+        yield Reason(State.SUSPECT, Cause.OFFSET, what, mean, unit, members.size, p)
 
 
 def _outliers(rows: ResidualRows) -> Iterator[Reason]:

@@ -4,7 +4,7 @@ rays show them.
 found = estimated_vibrations(network, settings)   # adjusts, looks at residuals, adds lines, until none is left
 print(found.sentences)
 
-Whose a vibration is residuals don't tell: each is an unknown of all passes and about all axes, with an a-priori sigma
+Residuals don't tell which pass vibrates: each vibration is an unknown of all passes and axes, with an a-priori sigma
 of a pixel at least (`SharedUnknown.of_vibration`). A frequency comes in where noise alone would show as clear a line at
 any frequency once in a thousand times (`residual_spectrum`). A frequency that is off by df makes of amounts c, s of
 cosine and sine the drifts (2 pi df h) (s, -c) over a half length h of the pass: least squares on the drifts found give
@@ -12,8 +12,8 @@ df, and a new adjustment, until it is less than a tenth of its sigma (Gauss-Newt
 2 log likelihood rises by more than log n for each of its amounts (BIC, n image coordinates); else it is held to what
 the frequency's own sigma leaves open, so that the amplitude's sigma has that in it.
 
-The prior makes no sigma: stated are amounts of which the rays leave less than a tenth of the a-priori variance. A pair
-shows the *difference* of its passes at the same ground: of all amounts x with the covariance C and L = C^-1, the
+No stated sigma comes from the prior: only amounts whose variance is below a tenth of the a-priori one are stated. A
+pair shows the *difference* of its passes at the same ground: of all amounts x with the covariance C and L = C^-1, the
 combination x_j + sum_k L_jj^-1 L_jk x_k is the surest with x_j in it; its covariance is L_jj^-1.
 """
 
@@ -140,12 +140,12 @@ class EstimatedVibrations(Record):
     @property
     def sentences(self) -> list[str]:
         """One for each frequency, then one for each amplitude."""
-        found = [
-            f"Vibration found: {one.frequency:.4f} +- {one.sigma:.2g} Hz{', drifting' if one.drifts else ''}."
-            for one in self.lines
+        lines = [
+            f"Vibration found: {line.frequency:.4f} +- {line.sigma:.2g} Hz{', drifting' if line.drifts else ''}."
+            for line in self.lines
         ] or [f"No vibration found ({100.0 * FALSE_ALARMS:g} % false alarms)."]
-        found += [one.sentence for one in amplitudes(self.solution)]
-        return found if self.converged else [*found, "The search for vibrations did NOT converge."]
+        lines += [amplitude.sentence for amplitude in amplitudes(self.solution)]
+        return lines if self.converged else [*lines, "The search for vibrations did NOT converge."]
 
 
 def estimated_vibrations(
@@ -195,30 +195,30 @@ Owners = Sequence[tuple[str, Index]]
 def _owners(network: Network, passes: Sequence[str]) -> Owners:
     """Those that vibrate."""
     alone = [(network.images[j].name, np.array([j])) for j in np.flatnonzero(network.pass_of < 0).tolist()]
-    found = [(one.name, one.images) for one in network.passes if one.name in passes or not passes]
-    return found if passes else [*found, *alone]
+    named = [(pass_.name, pass_.images) for pass_ in network.passes if pass_.name in passes or not passes]
+    return named if passes else [*named, *alone]
 
 
 def _new_lines(solution: Solution, lines: Sequence[Line], owners: Owners) -> list[Line]:
     """Lines that residuals show, the clearest of those that the passes' times do not resolve."""
-    network, found = solution.network, list[Line]()
-    apart = max(1.0 / np.ptp([seconds(network.images[j]) for j in images.tolist()]) for _, images in owners)
-    known = [*lines, *(Line(one.sine.frequency, 0.0, 0.0) for one in network.shared if one.sine is not None)]
-    for one in residual_vibrations(solution, FALSE_ALARMS).vibrations:
-        if all(abs(one.frequency - other.frequency) > apart for other in (*known, *found)):
-            found.append(Line(one.frequency, one.frequency_sigma, one.amplitude))
-    return found
+    network, new = solution.network, list[Line]()
+    resolution = max(1.0 / np.ptp([seconds(network.images[j]) for j in images.tolist()]) for _, images in owners)
+    known = [*lines, *(Line(shared.sine.frequency, 0.0, 0.0) for shared in network.shared if shared.sine is not None)]
+    for vibration in residual_vibrations(solution, FALSE_ALARMS).vibrations:
+        if all(abs(vibration.frequency - line.frequency) > resolution for line in (*known, *new)):
+            new.append(Line(vibration.frequency, vibration.frequency_sigma, vibration.amplitude))
+    return new
 
 
 def with_lines(network: Network, owners: Owners, lines: Sequence[Line]) -> Network:
     """With an unknown of each line and pass."""
     more = list[SharedUnknown]()
-    for one in lines:
+    for line in lines:
         for name, images in owners:
-            sine = sine_over([network.images[j] for j in images.tolist()], one.frequency)
-            sigma = max(_AMPLITUDES * one.size, _SMALLEST) * network.images[int(images[0])].pixel_angle
-            called = f"vibration of {one.frequency:.4f} Hz, {name}"
-            more.append(SharedUnknown.of_vibration(called, images, sine, np.full(3, sigma), one.drift))
+            sine = sine_over([network.images[j] for j in images.tolist()], line.frequency)
+            sigma = max(_AMPLITUDES * line.size, _SMALLEST) * network.images[int(images[0])].pixel_angle
+            called = f"vibration of {line.frequency:.4f} Hz, {name}"
+            more.append(SharedUnknown.of_vibration(called, images, sine, np.full(3, sigma), line.drift))
     return replace(network, shared=(*network.shared, *more))
 
 
@@ -228,23 +228,23 @@ def _refined(
 ) -> tuple[list[Line], bool]:
     """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
-    lines, begin = [replace(one, drift=_DRIFT) for one in lines], None
+    lines, begin = [replace(line, drift=_DRIFT) for line in lines], None
     before = moved = np.ones(len(lines))
     for done in range(_MOST_ROUNDS):
         solution = adjust_network(with_lines(network, owners, lines), rough, name, progress, begin=begin)
-        own = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
-        begin, drifts = solution.values, [_drifts(solution, mine) for mine in own.tolist()]
-        steps = np.array([one.step for one in drifts])
+        numbers = np.arange(len(network.shared), len(solution.shared)).reshape(len(lines), -1)
+        begin, drifts = solution.values, [_drifts(solution, members) for members in numbers.tolist()]
+        steps = np.array([drift.step for drift in drifts])
         # by secants: where amplitudes are hardly above noise, steps are too short or too long
         before, moved = steps, steps / (np.clip((before - steps) / moved, *_RATES) if done else 1.0)
         lines = [
-            replace(one, frequency=one.frequency + step, sigma=at.sigma)
-            for one, at, step in zip(lines, drifts, moved.tolist(), strict=True)
+            replace(line, frequency=line.frequency + step, sigma=at.sigma)
+            for line, at, step in zip(lines, drifts, moved.tolist(), strict=True)
         ]
-        if rested := all(abs(one.step) < _AT_REST * one.sigma for one in drifts):
+        if rested := all(abs(drift.step) < _AT_REST * drift.sigma for drift in drifts):
             break
     least = np.log(2.0 * network.rays.point.size)
-    return [_chosen(one, at, at.gain > least) for one, at in zip(lines, drifts, strict=True)], rested
+    return [_chosen(line, at, at.gain > least) for line, at in zip(lines, drifts, strict=True)], rested
 
 
 class _Drifts(NamedTuple):
@@ -262,25 +262,25 @@ class _Drifts(NamedTuple):
 
 def _drifts(solution: Solution, members: list[int]) -> _Drifts:
     """Of the shared unknowns of a line."""
-    every = [solution.network.shared[k] for k in members]
+    unknowns = [solution.network.shared[k] for k in members]
     drift = np.arange(12 * len(members)) % 4 > 1
-    whole = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
-    values, joint = np.concatenate([solution.shared[k] for k in members]), whole[np.ix_(drift, drift)]
-    prior, information = np.concatenate([one.sigmas for one in every])[drift] ** -2.0, np.linalg.inv(joint)
+    covariance = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
+    values, joint = np.concatenate([solution.shared[k] for k in members]), covariance[np.ix_(drift, drift)]
+    prior, information = np.concatenate([unknown.sigmas for unknown in unknowns])[drift] ** -2.0, np.linalg.inv(joint)
     pushed, shown = information @ values[drift], max(float(np.sum(1.0 - np.diag(joint) * prior)), 1.0)
     # those that there are without a drift: beside one they are less certain, and noise in them would count as known
-    amounts = (values[~drift] - whole[np.ix_(~drift, drift)] @ pushed).reshape(-1, 2)
-    halves = np.repeat([one.sine.half for one in every if one.sine is not None], 3)
+    amounts = (values[~drift] - covariance[np.ix_(~drift, drift)] @ pushed).reshape(-1, 2)
+    halves = np.repeat([unknown.sine.half for unknown in unknowns if unknown.sine is not None], 3)
     slope = (2.0 * np.pi * halves[:, None] * amounts[:, ::-1] * [1.0, -1.0]).ravel()
-    known = max(float(slope @ (information - np.diag(prior)) @ slope), 1e-12)
+    certainty = max(float(slope @ (information - np.diag(prior)) @ slope), 1e-12)
     gain = float(values[drift] @ pushed) / shown
-    return _Drifts(float(slope @ pushed) / known, known**-0.5, gain, float(halves.max()))
+    return _Drifts(float(slope @ pushed) / certainty, certainty**-0.5, gain, float(halves.max()))
 
 
-def _chosen(one: Line, at: _Drifts, drifts: bool) -> Line:
+def _chosen(line: Line, at: _Drifts, drifts: bool) -> Line:
     """A line that drifts, or one with no other drift than that of its frequency's sigma."""
-    left = 2.0 * np.pi * at.half * one.sigma * one.size / max(_AMPLITUDES * one.size, _SMALLEST)
-    return replace(one, drift=_DRIFT if drifts else min(left, _DRIFT), drifts=drifts)
+    drift = 2.0 * np.pi * at.half * line.sigma * line.size / max(_AMPLITUDES * line.size, _SMALLEST)
+    return replace(line, drift=_DRIFT if drifts else min(drift, _DRIFT), drifts=drifts)
 
 
 def adjusted(
@@ -290,36 +290,36 @@ def adjusted(
     """An adjustment with all that is to be found on the way, strengths of processes and vibrations of passes, and what
     was found of these in sentences.
     """
-    said = list[str]()
+    sentences = list[str]()
 
     def once(
         network: Network, settings: SolverSettings, name: str, progress: Callable[[Iteration], None]
     ) -> Solution:
-        if not any(one.asks_for_strengths for one in network.passes):
+        if not any(pass_.asks_for_strengths for pass_ in network.passes):
             return adjust_network(network, settings, name, progress, workers)
-        found = estimated_strengths(network, settings, name=name, progress=progress)
-        said[:] = found.sentences
-        return found.solution
+        strengths = estimated_strengths(network, settings, name=name, progress=progress)
+        sentences[:] = strengths.sentences
+        return strengths.solution
 
     if not vibrating:
-        return once(network, settings, name, progress), said
-    every = estimated_vibrations(network, settings, name, progress, once, vibrating)
-    return every.solution, [*said, *every.sentences]
+        return once(network, settings, name, progress), sentences
+    vibrations = estimated_vibrations(network, settings, name, progress, once, vibrating)
+    return vibrations.solution, [*sentences, *vibrations.sentences]
 
 
 def amplitudes(solution: Solution) -> tuple[Amplitude, ...]:
     """What rays show of all vibrations that are unknowns."""
     of_frequency, shared = dict[float, list[int]](), solution.network.shared
-    for k, one in enumerate(shared):
-        if one.sine is not None:
-            of_frequency.setdefault(one.sine.frequency, []).append(k)
-    found = list[Amplitude]()
+    for k, unknown in enumerate(shared):
+        if unknown.sine is not None:
+            of_frequency.setdefault(unknown.sine.frequency, []).append(k)
+    records = list[Amplitude]()
     for members in of_frequency.values():
         joint = solution.joint_covariance.of([solution.shared_variable(k) for k in members])
         for axis in range(3):
-            own = (12 * np.arange(len(members))[:, None] + 4 * axis + np.arange(2)).ravel()
-            found += _of_axis(solution, members, axis, joint[np.ix_(own, own)])
-    return tuple(found)
+            rows = (12 * np.arange(len(members))[:, None] + 4 * axis + np.arange(2)).ravel()
+            records += _of_axis(solution, members, axis, joint[np.ix_(rows, rows)])
+    return tuple(records)
 
 
 def _of_axis(solution: Solution, members: list[int], axis: int, joint: Array) -> Iterator[Amplitude]:
@@ -330,18 +330,18 @@ def _of_axis(solution: Solution, members: list[int], axis: int, joint: Array) ->
     amounts = np.array([solution.shared[k][4 * axis : 4 * axis + 2] for k in members])
     prior = np.array([solution.network.shared[k].sigmas[4 * axis] ** 2 for k in members])
     information = np.linalg.inv(joint)
-    surest = [np.linalg.inv(information[mine, mine]) for mine in blocks]
-    alone, least = (np.array([np.trace(one) / 2.0 for one in every]) for every in
-                    ([joint[mine, mine] for mine in blocks], surest))  # fmt: skip
-    best, seen = int(np.argmin(least / prior)), np.flatnonzero(alone < SEEN * prior).tolist()
-    for j in seen:
+    surest = [np.linalg.inv(information[block, block]) for block in blocks]
+    alone, least = (np.array([np.trace(variance) / 2.0 for variance in matrices]) for matrices in
+                    ([joint[block, block] for block in blocks], surest))  # fmt: skip
+    best, visible = int(np.argmin(least / prior)), np.flatnonzero(alone < SEEN * prior).tolist()
+    for j in visible:
         yield _stated(solution, [members[j]], axis, [], amounts[j], joint[blocks[j], blocks[j]])
     if m > 1 and least[best] < min(SEEN * prior[best], _SURER**2 * alone[best]):
-        others = [k for k in range(m) if k != best]
-        taken = [-surest[best] @ information[blocks[best], blocks[k]] for k in others]
-        left = amounts[best] - sum(w @ amounts[k] for w, k in zip(taken, others, strict=True))
-        yield _stated(solution, [members[best], *(members[k] for k in others)], axis, taken, left, surest[best])
-    elif not seen:
+        partners = [k for k in range(m) if k != best]
+        taken = [-surest[best] @ information[blocks[best], blocks[k]] for k in partners]
+        difference = amounts[best] - sum(w @ amounts[k] for w, k in zip(taken, partners, strict=True))
+        yield _stated(solution, [members[best], *(members[k] for k in partners)], axis, taken, difference, surest[best])
+    elif not visible:
         yield _stated(solution, members[:1], axis, [], np.full(2, np.nan), np.eye(2))
 
 

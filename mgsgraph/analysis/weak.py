@@ -2,12 +2,12 @@
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
 sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that remains after the measures. (In place of an
-infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) What is known of a strip's nodes
-is known of them together: there the square root R of the a-priori information takes the place of D^-1, R S R'.
+infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) The prior of a strip's nodes is a
+joint one: there the square root R of the a-priori information takes the place of D^-1, R S R'.
 
-Many directions are often equally weak: whatever position and pointing of one image do to each other's favour, no
-measure ever tells. Directions whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`)
-and sorted by what they move, in m; their variances are no longer exactly eigenvalues, but within that 1 %.
+Many directions are often equally weak: measurements hardly separate position from pointing of one image. Directions
+whose sigmas differ by less than 1 % are therefore turned to simple structure (`simple`) and sorted by what they move,
+in m; their variances are no longer exactly eigenvalues, but within that 1 %.
 
 In a network of more than some 100 images there are hundreds of equals, and a handful of eigenvectors is a mixture of
 all of them. There Lanczos's method tells how weak the weakest is, and single images' own directions, as weak as that
@@ -114,7 +114,7 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
             f"one of {layout.columns or 'at least one'}, as the network has",
             "give an adjustment with free orientation",
         )  # fmt: skip
-    frames, found = Frames(layout), list[WeakDirection]()
+    frames, directions = Frames(layout), list[WeakDirection]()
     prior = layout.prior.whitening(layout.scales)
     factors = sum(layout.network.widths[layout.network.first_of_passes[-1] :])
     scales = layout.scales  # of errors in common nothing is said: nobody asks for them
@@ -126,13 +126,13 @@ def weakest(layout: Layout, joint: JointCovariance, count: int = 5) -> tuple[Wea
     if values.size < layout.columns:
         runs = chain(_single_images(frames, joint, float(values[0]), count), runs)
     for run in runs:
-        if len(found) >= count:
+        if len(directions) >= count:
             break
-        for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(found)].T:
+        for direction in _legible(frames, run, max(_TURNED, count))[:, : count - len(directions)].T:
             whitened = _before(prior, direction) / layout.scales
             variance = whitened @ joint.square_root.covariance_times(whitened)
-            found.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
-    return tuple(found)
+            directions.append(_described(frames, direction, float(np.sqrt(variance)), run.number))
+    return tuple(directions)
 
 
 def _before(prior: "csr_array | None", direction: Array) -> Array:
@@ -151,8 +151,8 @@ def spectrum(
 
     All of them up to `dense` columns; above, by Lanczos's method on the square root, the first `count` (and some more).
     """
-    whole = joint.columns <= max(dense, count + 1)
-    values, vectors = (_dense_spectrum if whole else _lanczos)(joint, scales, count, prior)
+    dense_matrix = joint.columns <= max(dense, count + 1)
+    values, vectors = (_dense_spectrum if dense_matrix else _lanczos)(joint, scales, count, prior)
     if prior is None:
         return values, vectors
     # R S R' w = l w belongs to the direction S R' w, and R S R' w / l = w
@@ -191,22 +191,22 @@ def _lanczos(joint: JointCovariance, scales: Array, count: int, prior: "csr_arra
 
 def _single_images(frames: Frames, joint: JointCovariance, largest: float, count: int) -> Iterator[_EqualDirections]:
     """Directions of single images that are as weak as the weakest, where there are `count`; those that move most."""
-    layout, found = frames.layout, list[tuple[slice, Array]]()
+    layout, weak_ones = frames.layout, list[tuple[slice, Array]]()
     for variable in (v for v in layout.variables.adjusted() if v not in layout.prior.joined):
         columns = layout.columns_of(variable)
         scales = layout.scales[columns]
         values, vectors = np.linalg.eigh(joint.block(variable, variable) / scales / scales[:, None])
         weak = vectors[:, values >= largest * (1.0 - _EQUAL) ** 2]
-        found.append((columns, _longest(weak, frames.moved(columns, weak))))
-    each = [(columns, vector) for columns, vectors in found for vector in vectors.T]
+        weak_ones.append((columns, _longest(weak, frames.moved(columns, weak))))
+    each = [(columns, vector) for columns, vectors in weak_ones for vector in vectors.T]
     if len(each) < count:
         return
-    lengths = [np.linalg.norm(frames.moved(columns, vectors), axis=0) for columns, vectors in found]
+    lengths = [np.linalg.norm(frames.moved(columns, vectors), axis=0) for columns, vectors in weak_ones]
     chosen = np.argsort(-np.concatenate(lengths), kind="stable")[: max(_TURNED, count)]
-    together = np.zeros((layout.columns, chosen.size))
+    directions = np.zeros((layout.columns, chosen.size))
     for place, k in enumerate(chosen):
-        together[each[k][0], place] = each[k][1]
-    yield _EqualDirections(together, len(each))
+        directions[each[k][0], place] = each[k][1]
+    yield _EqualDirections(directions, len(each))
 
 
 def _runs(values: Array, vectors: Array) -> Iterator[_EqualDirections]:
@@ -225,11 +225,11 @@ def _longest(vectors: Array, moved: Array) -> Array:
 
 def _legible(frames: Frames, run: _EqualDirections, most: int) -> Array:
     """(columns, k) directions of one run, `most` at the most, turned to simple structure, what moves most first."""
-    every, vectors = slice(0, run.vectors.shape[0]), run.vectors
+    all_columns, vectors = slice(0, run.vectors.shape[0]), run.vectors
     if vectors.shape[1] > most:
-        vectors = _longest(vectors, frames.moved(every, vectors))[:, :most]
+        vectors = _longest(vectors, frames.moved(all_columns, vectors))[:, :most]
     vectors = vectors @ simple_basis(frames.turned(vectors))
-    length = np.linalg.norm(frames.moved(every, vectors), axis=0)
+    length = np.linalg.norm(frames.moved(all_columns, vectors), axis=0)
     return np.asarray(vectors[:, np.argsort(-np.round(length, 3), kind="stable")])
 
 

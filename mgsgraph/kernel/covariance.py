@@ -238,14 +238,14 @@ def own_share(count, width, w, s):
     """SHARED_PART: J PAIR J' of an observation with itself."""
     index = 0
     for row in range(count):
-        for other in range(row, count):
+        for column in range(row, count):
             sink = s + SHARED_PART + index * LANES
             for l in range(LANES):
                 w[sink + l] = 0.0
             for a in range(width):
                 for b in range(width):
                     k, left = PAIR + a * WIDTH + b * LANES, s + RESULT + BY_STATE + row * ROW + a * LANES
-                    right = s + RESULT + BY_STATE + other * ROW + b * LANES
+                    right = s + RESULT + BY_STATE + column * ROW + b * LANES
                     for l in range(LANES):
                         w[sink + l] += w[left + l] * w[k + l] * w[right + l]
             index += 1
@@ -297,12 +297,12 @@ def through_point(count, width, linked, w, s):
 
 
 @lane
-def share(row, other, l, w):
+def share(row, column, l, w):
     """Element of H without J S J': P_row (M P' - (J U)')_other - (J U)_row P_other'."""
     total = 0.0
     for c in range(3):
-        total += w[B_L + (3 * row + c) * LANES + l] * w[ERROR + (3 * other + c) * LANES + l]
-        total -= w[J_U + (3 * row + c) * LANES + l] * w[B_L + (3 * other + c) * LANES + l]
+        total += w[B_L + (3 * row + c) * LANES + l] * w[ERROR + (3 * column + c) * LANES + l]
+        total -= w[J_U + (3 * row + c) * LANES + l] * w[B_L + (3 * column + c) * LANES + l]
     return total
 
 
@@ -310,23 +310,23 @@ def share(row, other, l, w):
 def store_observation(rows, count, linked, at, point, first, last, w, s, values):
     """`NUMBERS` of each row of an observation, lanes first .. last; NaN where the point is out or weak."""
     for l in range(first, last):
-        known = (rows.kind[point + l] != OUT) & (w[STATUS + l] != WEAK)
+        valid = (rows.kind[point + l] != OUT) & (w[STATUS + l] != WEAK)
         index = 0
         for row in range(count):
-            values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if known else np.nan
-            for other in range(row, count):
-                value = share(row, other, l, w) + (w[s + SHARED_PART + index * LANES + l] if linked else 0.0)
-                value = value if known else np.nan
-                values[at + l, row, 1 + other] = value
-                values[at + l, other, 1 + row] = value
+            values[at + l, row, 0] = w[s + RESULT + RESIDUAL + row * ROW + l] if valid else np.nan
+            for column in range(row, count):
+                value = share(row, column, l, w) + (w[s + SHARED_PART + index * LANES + l] if linked else 0.0)
+                value = value if valid else np.nan
+                values[at + l, row, 1 + column] = value
+                values[at + l, column, 1 + row] = value
                 index += 1
             e = ERROR + 3 * row * LANES
             z2 = w[e + 2 * LANES + l] * w[FACTOR + 5 * LANES + l]
             z1 = (w[e + LANES + l] - w[FACTOR + 4 * LANES + l] * z2) * w[FACTOR + 2 * LANES + l]
             z0 = (w[e + l] - w[FACTOR + LANES + l] * z1 - w[FACTOR + 3 * LANES + l] * z2) * w[FACTOR + l]
-            values[at + l, row, 4] = -z0 if known else np.nan
-            values[at + l, row, 5] = -z1 if known else np.nan
-            values[at + l, row, 6] = -z2 if known else np.nan
+            values[at + l, row, 4] = -z0 if valid else np.nan
+            values[at + l, row, 5] = -z1 if valid else np.nan
+            values[at + l, row, 6] = -z2 if valid else np.nan
 
 
 @lane

@@ -92,13 +92,13 @@ def leave_out_unsolved(count, width, w, s):
 
 
 @inlined
-def put_coupling(w, y, mine, right, l, a, r):
+def put_coupling(w, y, place, right, l, a, r):
     """Y = a L^-T of a row a of W, and right side r - Y L^-1 g, lane l."""
     y0 = a[0] * w[FACTOR + l]
     y1 = (a[1] - w[FACTOR + LANES + l] * y0) * w[FACTOR + 2 * LANES + l]
     y2 = a[2] - w[FACTOR + 3 * LANES + l] * y0 - w[FACTOR + 4 * LANES + l] * y1
     y2 *= w[FACTOR + 5 * LANES + l]
-    y[mine + l], y[mine + LANES + l], y[mine + 2 * LANES + l] = y0, y1, y2
+    y[place + l], y[place + LANES + l], y[place + 2 * LANES + l] = y0, y1, y2
     w[right + l] = r - dot((y0, y1, y2), vector(w, FORWARD, l))
 
 
@@ -107,22 +107,22 @@ def couple(count, width, w, s, y, c):
     """Y = W L^-T from register c of the coupling on, and RIGHT J'r - Y L^-1 g, of an observation, W = J_state' B."""
     b, r = s + RESULT + BY_POINT, s + RESULT + RESIDUAL
     for a in range(width):
-        f, right, mine = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
+        f, right, place = s + RESULT + BY_STATE + a * LANES, s + RIGHT + a * LANES, c + 3 * a * LANES
         if count == 1:
             for l in range(LANES):
-                put_coupling(w, y, mine, right, l, scale(w[f + l], vector(w, b, l)), w[f + l] * w[r + l])
+                put_coupling(w, y, place, right, l, scale(w[f + l], vector(w, b, l)), w[f + l] * w[r + l])
         elif count == 2:
             for l in range(LANES):
                 u, v = w[f + l], w[f + ROW + l]
                 row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
-                put_coupling(w, y, mine, right, l, row, u * w[r + l] + v * w[r + ROW + l])
+                put_coupling(w, y, place, right, l, row, u * w[r + l] + v * w[r + ROW + l])
         else:
             for l in range(LANES):
                 u, v, z = w[f + l], w[f + ROW + l], w[f + 2 * ROW + l]
                 row = add(scale(u, vector(w, b, l)), scale(v, vector(w, b + ROW, l)))
                 row = add(row, scale(z, vector(w, b + 2 * ROW, l)))
                 rest = u * w[r + l] + v * w[r + ROW + l] + z * w[r + 2 * ROW + l]
-                put_coupling(w, y, mine, right, l, row, rest)
+                put_coupling(w, y, place, right, l, row, rest)
 
 
 @lane
@@ -174,12 +174,12 @@ def state_pair(count, first_width, second_width, same, w, s, y, c, d):
     if first_width == 6 and second_width == 6:
         pose_pair(w, y, c, d)
     for a in range(first_width):
-        mine = c + 3 * a * LANES
+        place = c + 3 * a * LANES
         for b in range(a if same else 0, second_width):
             z, k = d + 3 * b * LANES, PAIR + a * WIDTH + b * LANES
             if first_width != 6 or second_width != 6:
                 for l in range(LANES):
-                    w[k + l] = -dot(vector(y, mine, l), vector(y, z, l))
+                    w[k + l] = -dot(vector(y, place, l), vector(y, z, l))
             f, g = s + RESULT + BY_STATE + a * LANES, s + RESULT + BY_STATE + b * LANES
             for row in range(count if same else 0):
                 for l in range(LANES):
@@ -293,11 +293,11 @@ def sum_terms(rows, groups, target, segments, count, i, j, begin, w, s, t, buffe
         (group, first), at = segment_observations(rows, segments, k, begin), 0
         for p in range(terms_i):
             for q in range(p if same else 0, terms_j):
-                one, other = rows.observation_entry[first + i] + p, rows.observation_entry[first + j] + q
-                start, down, across, own = block_index(rows, groups, target, group, one, other)
+                entry_i, entry_j = rows.observation_entry[first + i] + p, rows.observation_entry[first + j] + q
+                start, down, across, one_variable = block_index(rows, groups, target, group, entry_i, entry_j)
                 add_sums(blocks, start, down, across, sums, at, components_i, components_j)
-                if own and one != other:  # a variable's block with itself holds both triangles
-                    start, down, across, _ = block_index(rows, groups, target, group, other, one)
+                if one_variable and entry_i != entry_j:  # a variable's block with itself holds both triangles
+                    start, down, across, _ = block_index(rows, groups, target, group, entry_j, entry_i)
                     down, across = (down, across) if same else (across, down)
                     add_sums(blocks, start, down, across, sums, at, components_i, components_j)
                 at += MOST_SUMS
@@ -311,15 +311,15 @@ def segment_observations(rows, segments, k, begin):
 
 
 @inlined
-def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, one, other, components, blocks):
+def add_dots(rows, groups, target, segments, count, i, e, a, j, f, begin, w, begin_i, begin_j, components, blocks):
     """Add, to the block of column a of entry e of observation i and entry f (a single column) of observation j, the
-    product of `components` registers each, from `one` and `other` on, summed over them and over lanes.
+    product of `components` registers each, from `begin_i` and `begin_j` on, summed over them and over lanes.
     """
     for k in range(count):
         group, first = segment_observations(rows, segments, k, begin)
         value = 0.0
         for c in range(components):
-            value += lane_dot(segments[k, BEGIN], segments[k, END], w, one + c * LANES, other + c * LANES)
+            value += lane_dot(segments[k, BEGIN], segments[k, END], w, begin_i + c * LANES, begin_j + c * LANES)
         entry_i, entry_j = rows.observation_entry[first + i] + e, rows.observation_entry[first + j] + f
         add_entry(rows, groups, target, group, entry_i, a, entry_j, value, blocks)
 
@@ -373,8 +373,8 @@ def sum_right(rows, groups, target, segments, count, i, begin, w, s, buffers, gr
 
 
 @inlined
-def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth, y, buffers, blocks, gradient):
-    """Add a tile's solved points to the gradient and, if `whole`, to the blocks of pairs of variables."""
+def eliminate_tile(rows, groups, target, model, segments, count, with_matrix, w, depth, y, buffers, blocks, gradient):
+    """Add a tile's solved points to the gradient and, if `with_matrix`, to the blocks of pairs of variables."""
     couple_all(rows, model, segments, w, depth, y)
     begin, end = observations_of(rows, segments)
     fixed, tile = rows.pattern_fixed[segments[0, PATTERN]] > 0, (rows, groups, target, segments, count)
@@ -382,12 +382,12 @@ def eliminate_tile(rows, groups, target, model, segments, count, whole, w, depth
         s = TILE + (i - begin) * depth
         if observation_columns(rows, i)[1] > 0:
             sum_right(*tile, i, begin, w, s, buffers, gradient)
-        for j in range(i, end if whole else i):
+        for j in range(i, end if with_matrix else i):
             if not paired(rows, fixed, i, j):
                 continue
             t, widths = TILE + (j - begin) * depth, (rows.observation_width[i], rows.observation_width[j])
-            own, other = (i - begin) * COUPLED, (j - begin) * COUPLED
-            state_pair(row_count(rows.observation_kind[i]), *widths, i == j, w, s, y, own, other)
+            coupling_i, coupling_j = (i - begin) * COUPLED, (j - begin) * COUPLED
+            state_pair(row_count(rows.observation_kind[i]), *widths, i == j, w, s, y, coupling_i, coupling_j)
             if rows.observation_terms[i] * rows.observation_terms[j] > 0:
                 sum_terms(*tile, i, j, begin, w, s, t, buffers, blocks)
             if rows.observation_shared[i] + rows.observation_shared[j] > 0:
@@ -462,9 +462,9 @@ def largest_step(w):
 
 
 @inlined
-def solve_tile(rows, model, segments, count, x, points, move, everything, w, depth, kept):
-    """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and, if `kept`,
-    rows there.
+def solve_tile(rows, model, segments, count, x, points, move, everything, w, depth, store_rows):
+    """Coordinates of a tile's points of least cost with the orientation held: POINT, COST and STATUS, and rows
+    there if `store_rows`.
 
     Begins at `points` (n, 3); rows, FACTOR and FORWARD stay those of the coordinates before the last, short step.
     Unless `move`, the points stay where they are, and take part all if `everything`. With a robust loss the way is
@@ -483,7 +483,7 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
     slow, steps = robust or on_terrain(rows, segments), 0
     for _ in range(2 * INNER_STEPS):
         now = convex if convexly else model
-        all_rows(rows, now, robust and not plainly, segments, count, x, w, depth, kept)
+        all_rows(rows, now, robust and not plainly, segments, count, x, w, depth, store_rows)
         if fixed:
             break
         factorise(w)
@@ -504,10 +504,10 @@ def solve_tile(rows, model, segments, count, x, points, move, everything, w, dep
 def on_terrain(rows, segments):
     """Whether a tile's points have heights above the terrain model."""
     begin, end = observations_of(rows, segments)
-    found = False
+    present = False
     for i in range(begin, end):
-        found = found or rows.observation_kind[i] == SURFACE
-    return found
+        present = present or rows.observation_kind[i] == SURFACE
+    return present
 
 
 @lane

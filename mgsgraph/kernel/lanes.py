@@ -59,19 +59,19 @@ lane by lane; the observations' coupling to their points.
 @infer_global(operator.getitem)
 class _Load(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
-        known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
-        return signature(types.float64, arguments[0], types.int64) if known else None
+        fits = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
+        return signature(types.float64, arguments[0], types.int64) if fits else None
 
 
 @infer_global(operator.setitem)
 class _Store(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:
-        known = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
-        return signature(types.none, arguments[0], types.int64, types.float64) if known else None
+        fits = isinstance(arguments[0], Registers) and isinstance(arguments[1], types.Integer)
+        return signature(types.none, arguments[0], types.int64, types.float64) if fits else None
 
 
-def _apart(builder: Any, instruction: Any, kind: Registers) -> Any:
-    """The instruction, marked as one on an array that doesn't overlap the other's."""
+def _no_alias(builder: Any, instruction: Any, kind: Registers) -> Any:
+    """The instruction, marked as working on an array that overlaps no other."""
     add = builder.module.add_metadata
     domain = add([ir.MetaDataString(builder.module, "mgsgraph registers")])
     scopes = {name: add([ir.MetaDataString(builder.module, f"mgsgraph {name}"), domain]) for name in _APART}
@@ -83,13 +83,13 @@ def _apart(builder: Any, instruction: Any, kind: Registers) -> Any:
 @lower_builtin(operator.getitem, Registers, types.Integer)
 def _load(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     pointer = cgutils.gep_inbounds(builder, arguments[0], arguments[1])
-    return _apart(builder, builder.load(pointer), call.args[0])
+    return _no_alias(builder, builder.load(pointer), call.args[0])
 
 
 @lower_builtin(operator.setitem, Registers, types.Integer, types.Float)
 def _store(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
     pointer = cgutils.gep_inbounds(builder, arguments[0], arguments[1])
-    _apart(builder, builder.store(arguments[2], pointer), call.args[0])
+    _no_alias(builder, builder.store(arguments[2], pointer), call.args[0])
     return context.get_dummy_value()
 
 
@@ -126,7 +126,7 @@ def four(typing: Any, array: Any, index: Any) -> Any:
     """Four numbers of an array from an index on."""
 
     def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        return _apart(builder, builder.load(_address(builder, *arguments), align=8), call.args[0])
+        return _no_alias(builder, builder.load(_address(builder, *arguments), align=8), call.args[0])
 
     return _FOUR(array, types.int64), generate
 
@@ -137,7 +137,7 @@ def put_four(typing: Any, array: Any, index: Any, value: Any) -> Any:
 
     def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
         address = _address(builder, *arguments[:2])
-        _apart(builder, builder.store(arguments[2], address, align=8), call.args[0])
+        _no_alias(builder, builder.store(arguments[2], address, align=8), call.args[0])
         return context.get_dummy_value()
 
     return types.none(array, types.int64, _FOUR), generate
@@ -152,11 +152,11 @@ def transpose_four(typing: Any, array: Any, a: Any, b: Any, c: Any, d: Any, sink
     def generate(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
         source, *starts, sink, index, step = arguments
         rows = [
-            _apart(builder, builder.load(_address(builder, source, start), align=8), call.args[0]) for start in starts
+            _no_alias(builder, builder.load(_address(builder, source, k), align=8), call.args[0]) for k in starts
         ]
-        for one, column in enumerate(_transposed(builder, rows)):
-            there = builder.add(index, builder.mul(step, ir.Constant(step.type, one)))
-            _apart(builder, builder.store(column, _address(builder, sink, there), align=8), call.args[5])
+        for k, column in enumerate(_transposed(builder, rows)):
+            place = builder.add(index, builder.mul(step, ir.Constant(step.type, k)))
+            _no_alias(builder, builder.store(column, _address(builder, sink, place), align=8), call.args[5])
         return context.get_dummy_value()
 
     return types.none(array, *4 * (types.int64,), sink, types.int64, types.int64), generate
@@ -165,8 +165,8 @@ def transpose_four(typing: Any, array: Any, a: Any, b: Any, c: Any, d: Any, sink
 def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
     """Columns of a matrix of four rows."""
 
-    def mixed(one: Any, other: Any, order: list[int]) -> Any:
-        return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), order))
+    def mixed(first: Any, second: Any, order: list[int]) -> Any:
+        return builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(ir.IntType(32), FOUR), order))
 
     a, b, c, d = rows
     even, odd = [0, 4, 2, 6], [1, 5, 3, 7]  # of pairs of rows
@@ -207,27 +207,27 @@ def _accumulating(fours: int, weights: int) -> Any:
                 return builder.add(index, ir.Constant(index.type, constant))
 
             def load(pointer: Any, kind: Any) -> Any:
-                return _apart(builder, builder.load(pointer, align=8), kind)
+                return _no_alias(builder, builder.load(pointer, align=8), kind)
 
             with cgutils.for_range_slice(builder, first, last, ir.Constant(first.type, 1)) as (lane, _):
-                register, here = builder.add(weight, lane), builder.add(at, builder.mul(lane, step))
+                register, source = builder.add(weight, lane), builder.add(at, builder.mul(lane, step))
                 factors = [
                     _spread(builder, load(cgutils.gep_inbounds(builder, array, after(register, k * LANES)), kinds[0]))
                     for k in range(weights)
                 ]
                 for f in range(fours):
-                    four_values = load(_address(builder, values, after(here, f * FOUR)), kinds[4])
+                    four_values = load(_address(builder, values, after(source, f * FOUR)), kinds[4])
                     for factor, row in zip(factors, totals, strict=True):
                         product = builder.fmul(factor, four_values, ("contract",))
                         builder.store(builder.fadd(product, builder.load(row[f]), ("contract",)), row[f])
             for k, row in enumerate(totals):
                 for f, total in enumerate(row):
                     address = _address(builder, sums, after(to, k * MOST_SUMS + f * FOUR))
-                    _apart(builder, builder.store(builder.load(total), address, align=8), kinds[7])
+                    _no_alias(builder, builder.store(builder.load(total), address, align=8), kinds[7])
             return context.get_dummy_value()
 
-        whole = types.int64
-        return types.none(array, whole, whole, whole, values, whole, whole, sums, whole), generate
+        integer = types.int64
+        return types.none(array, integer, integer, integer, values, integer, integer, sums, integer), generate
 
     return _intrinsic(accumulate)
 
@@ -267,8 +267,8 @@ if _config.DISABLE_JIT:  # plain Python, to look at or to count: arrays are what
 
     def transpose_four(array: Any, a: int, b: int, c: int, d: int, sink: Any, index: int, step: int) -> None:
         """Four numbers from a, b, c and d on, put side by side."""
-        for one in range(FOUR):
-            sink[index + one * step : index + one * step + FOUR] = [array[row + one] for row in (a, b, c, d)]
+        for k in range(FOUR):
+            sink[index + k * step : index + k * step + FOUR] = [array[row + k] for row in (a, b, c, d)]
 
 
 _INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}

@@ -358,9 +358,9 @@ def add_rows(model, robust, kind, width, w):
 
 
 @inlined
-def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
-    """Rows of all observations at POINT, their COST and normal equations; if `kept` they go to the observations' own
-    registers.
+def all_rows(rows, model, robust, segments, count, x, w, depth, store_rows):
+    """Rows of all observations at POINT, their COST and normal equations; if `store_rows` the rows go to the
+    observations' own registers.
     """
     for l in range(LANES):
         w[COST + l] = 0.0
@@ -384,6 +384,6 @@ def all_rows(rows, model, robust, segments, count, x, w, depth, kept):
                 surface_rows(rows, segments, count, w)
         measured = kind == IMAGE or kind == RANGE or kind == STEREO
         add_rows(model, robust and measured, kind, rows.observation_width[i], w)
-        if kept:
+        if store_rows:
             unused = STATE_WIDTH - rows.observation_width[i]  # of the last row
             copy_block(w, ROWS, s + RESULT, OF_ROWS[row_count(kind)] - unused * LANES)

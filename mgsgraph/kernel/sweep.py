@@ -269,7 +269,7 @@ def sweep_all(
     """
     count = min(threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
     edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
-    whole, with_gradient = task == SYSTEM, task in (GRADIENT, SYSTEM)
+    with_matrix, with_gradient = task == SYSTEM, task in (GRADIENT, SYSTEM)
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
     values = np.empty((0, 0, 0)) if values is None else values
@@ -278,7 +278,7 @@ def sweep_all(
     rows = with_frozen_terrain(rows)
 
     def part(k: int) -> tuple[Array, Array]:
-        blocks = np.zeros(target.size) if whole else none
+        blocks = np.zeros(target.size) if with_matrix else none
         gradient = np.zeros(target.columns) if with_gradient else none
         results = (scratch_for(rows), points, states, costs, blocks, gradient, values)
         sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
@@ -289,7 +289,7 @@ def sweep_all(
     running = _threads(count - 1).map(part, range(1, count))
     blocks, gradient = part(0)
     for more, slope in running:
-        if whole:
+        if with_matrix:
             blocks += more
         if with_gradient:
             gradient += slope
@@ -341,8 +341,8 @@ def reduce(
     points = (rows.start if points is None else points).copy()
     states, costs = np.empty(rows.kind.size, dtype=np.int8), np.empty(rows.piece.shape[0])
     blocks, gradient = sweep_all(rows, groups, target, model, orientation, task, points, states, costs)
-    own, cost = blocks if task == SYSTEM else None, float(costs.sum())
-    return Reduction(task, orientation.copy(), cost, costs, own, gradient, points, states)
+    matrix, cost = blocks if task == SYSTEM else None, float(costs.sum())
+    return Reduction(task, orientation.copy(), cost, costs, matrix, gradient, points, states)
 
 
 def point_covariances(
@@ -407,9 +407,9 @@ def dense(reduction: Reduction, groups: Groups, target: NormalBlocks, group: int
     d = int(groups.member_width[first:last].sum())
     block = np.zeros((d, d))
     for rows, columns, at in _blocks(groups, target, group):
-        own = block[rows, columns]
-        own[:] = reduction.blocks[at : at + own.size].reshape(own.shape)
-        block[columns, rows] = own.T
+        part = block[rows, columns]
+        part[:] = reduction.blocks[at : at + part.size].reshape(part.shape)
+        block[columns, rows] = part.T
     at = target.right[first] if last > first else 0
     return block, reduction.gradient[at : at + d]
 
@@ -418,8 +418,8 @@ def sparse(block: Array, groups: Groups, target: NormalBlocks, group: int) -> Ar
     """Blocks of the target with the dense matrix (d, d) of one group; zero elsewhere."""
     blocks = np.zeros(target.size)
     for rows, columns, at in _blocks(groups, target, group):
-        own = block[rows, columns]
-        blocks[at : at + own.size] = own.ravel()
+        part = block[rows, columns]
+        blocks[at : at + part.size] = part.ravel()
     return blocks
 
 

@@ -69,7 +69,7 @@ class CommonErrors(Record):
         """(m, c) what the factors make of each row, in its own sigmas, by the values (width c,) of each group, then
         others'.
         """
-        flat = np.concatenate([np.reshape(one, -1) for one in values[: self.widths.size]])
+        flat = np.concatenate([np.reshape(value, -1) for value in values[: self.widths.size]])
         of_row = flat.size // int(self.widths.sum())
         first = np.cumsum(self.widths) - self.widths
         place = np.minimum(first[self.group][:, None] + np.arange(self.loads.shape[1]), flat.size // of_row - 1)
@@ -87,8 +87,8 @@ class CommonErrors(Record):
         """Rows whose groups have as many factors, and their loads (k, width)."""
         widths = self.widths[self.group]
         for width in np.unique(widths).tolist():
-            mine = np.flatnonzero(widths == width)
-            yield mine, self.loads[mine, :width]
+            rows = np.flatnonzero(widths == width)
+            yield rows, self.loads[rows, :width]
 
 
 def common_matches(rays: ImageRays, sides: Array, shares: Array) -> tuple[ImageRays, CommonErrors | None]:
@@ -103,12 +103,12 @@ def common_matches(rays: ImageRays, sides: Array, shares: Array) -> tuple[ImageR
     shares : (k,)
         Of the variance, that windows have in common as far as they overlap.
     """
-    mine = np.flatnonzero(sides > 0.0)
-    places, reach = rays.places[mine].copy(), sides[mine]
-    places[:, 0] += rays.image[mine] * (np.ptp(places[:, 0]) + 2.0 * reach.max() if mine.size else 0.0)
-    parts = [(np.sqrt(shares[mine]), reach)]
-    common, own = common_errors(places, parts, mine, rays.point[mine], rays.image[mine])
-    return replace(rays, sigmas=scaled(rays.sigmas, mine, own)), common
+    matched = np.flatnonzero(sides > 0.0)
+    places, reach = rays.places[matched].copy(), sides[matched]
+    places[:, 0] += rays.image[matched] * (np.ptp(places[:, 0]) + 2.0 * reach.max() if matched.size else 0.0)
+    parts = [(np.sqrt(shares[matched]), reach)]
+    common, own = common_errors(places, parts, matched, rays.point[matched], rays.image[matched])
+    return replace(rays, sigmas=scaled(rays.sigmas, matched, own)), common
 
 
 def common_heights(surface: Surface, places: Array) -> tuple[Surface, CommonErrors | None]:
@@ -116,11 +116,11 @@ def common_heights(surface: Surface, places: Array) -> tuple[Surface, CommonErro
     and what they have in common: posts, as if a mean of those within a circle as large as a cell, and interpolation
     between laser tracks, as far as half the distance of these.
     """
-    mine, (posts, gaps) = np.flatnonzero(np.isfinite(surface.sigmas)), surface.grid.parts_of_sigmas(places)
-    whole = surface.sigmas[mine]
-    parts = [(sigmas[mine] / whole, SPHERE * reaches[mine]) for sigmas, reaches in (posts, gaps)]
-    common, own = common_errors(places[mine], parts, mine)
-    return replace(surface, sigmas=scaled(surface.sigmas, mine, own)), common
+    on_model, (posts, gaps) = np.flatnonzero(np.isfinite(surface.sigmas)), surface.grid.parts_of_sigmas(places)
+    total = surface.sigmas[on_model]
+    parts = [(sigmas[on_model] / total, SPHERE * reaches[on_model]) for sigmas, reaches in (posts, gaps)]
+    common, own = common_errors(places[on_model], parts, on_model)
+    return replace(surface, sigmas=scaled(surface.sigmas, on_model, own)), common
 
 
 def gap_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
@@ -135,36 +135,36 @@ def gap_variances(places: Array, sigmas: Array, reaches: Array) -> Array:
 
 def scaled(sigmas: Array, rows: Index, factors: Array) -> Array:
     """Sigmas (n, ...), those of some rows (m,) times factors (m,)."""
-    found = sigmas.copy()
-    found[rows] = (found[rows].T * factors).T
-    return found
+    result = sigmas.copy()
+    result[rows] = (result[rows].T * factors).T
+    return result
 
 
-def tent(apart: Array, sides: Array) -> Array:
-    """Correlation of means over windows that are `apart` (..., 2), line and sample: the share of their `sides` (...)
+def tent(offsets: Array, sides: Array) -> Array:
+    """Correlation of means over windows with `offsets` (..., 2), line and sample: the share of their `sides` (...)
     that they overlap.
     """
-    return np.asarray(np.prod(np.maximum(1.0 - np.abs(apart) / sides[..., None], 0.0), axis=-1))
+    return np.asarray(np.prod(np.maximum(1.0 - np.abs(offsets) / sides[..., None], 0.0), axis=-1))
 
 
-def sphere(apart: Array, ranges: Array) -> Array:
-    """Spherical model of correlation of places that are `apart` (..., 3), 0 from the distances `ranges` (...) on
+def sphere(offsets: Array, ranges: Array) -> Array:
+    """Spherical model of correlation of places with `offsets` (..., 3), 0 from the distances `ranges` (...) on
     (Wackernagel 2003).
     """
-    near = np.minimum(np.linalg.norm(apart, axis=-1) / ranges, 1.0)
+    near = np.minimum(np.linalg.norm(offsets, axis=-1) / ranges, 1.0)
     return np.asarray(1.0 - 1.5 * near + 0.5 * near**3)
 
 
-def correlation(places: Array, parts: Sequence[tuple[Array, Array]], one: Index, other: Index) -> Array:
-    """Correlation (...) of rows `one` with rows `other`, indices of any shapes that go together: at places (n, 2) in an
+def correlation(places: Array, parts: Sequence[tuple[Array, Array]], first: Index, second: Index) -> Array:
+    """Correlation (...) of rows `first` with rows `second`, indices of shapes that broadcast: at places (n, 2) in an
     image or (n, 3) on the ground; of each part the share of a row's sigma (n,), and how far it reaches (n,).
     """
-    apart, model = places[one] - places[other], tent if places.shape[1] == 2 else sphere
-    found = np.zeros(apart.shape[:-1])
+    offsets, model = places[first] - places[second], tent if places.shape[1] == 2 else sphere
+    total = np.zeros(offsets.shape[:-1])
     for shares, reaches in parts:
-        both = np.minimum(reaches[one], reaches[other])
-        found += shares[one] * shares[other] * model(apart, np.maximum(both, 1e-9)) * (both > 0.0)
-    return np.where(one == other, 1.0, found)
+        reach = np.minimum(reaches[first], reaches[second])
+        total += shares[first] * shares[second] * model(offsets, np.maximum(reach, 1e-9)) * (reach > 0.0)
+    return np.where(first == second, 1.0, total)
 
 
 def common_errors(
@@ -190,19 +190,19 @@ def common_errors(
         By what each row's sigma becomes its own.
     """
     own, groups, loads, pairs = np.ones(len(places)), list[Index](), list[Array](), _pairs(places, parts)
-    every = np.arange(len(places)) if point is None else point
-    for mine in _neighborhoods(places, pairs, every, np.zeros_like(every) if image is None else image):
-        of_group, sigmas = _factors(correlation(places, parts, mine[:, None], mine))
+    points = np.arange(len(places)) if point is None else point
+    for neighbors in _neighborhoods(places, pairs, points, np.zeros_like(points) if image is None else image):
+        of_group, sigmas = _factors(correlation(places, parts, neighbors[:, None], neighbors))
         if of_group.size:
-            own[mine] = sigmas
-            groups.append(mine)
+            own[neighbors] = sigmas
+            groups.append(neighbors)
             loads.append(of_group)
     if not groups:
         return None, own
-    widths = np.array([one.shape[1] for one in loads])
+    widths = np.array([load.shape[1] for load in loads])
     rows = np.concatenate(groups)
-    padded = np.concatenate([np.pad(one, ((0, 0), (0, widths.max() - one.shape[1]))) for one in loads])
-    group = np.repeat(np.arange(len(groups)), [mine.size for mine in groups])
+    padded = np.concatenate([np.pad(load, ((0, 0), (0, widths.max() - load.shape[1]))) for load in loads])
+    group = np.repeat(np.arange(len(groups)), [neighbors.size for neighbors in groups])
     shared = np.tile(correlation(places, parts, *pairs), 2)
     variances = 1.0 + np.bincount(np.concatenate(pairs), shared, len(places))
     links = _links(places, parts, groups, loads, pairs)
@@ -217,9 +217,9 @@ def _pairs(places: Array, parts: Sequence[tuple[Array, Array]]) -> tuple[Index, 
     farthest = max(float(reaches[shares > 0.0].max(initial=0.0)) for shares, reaches in parts)
     if farthest <= 0.0:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    one, other = cKDTree(places).query_pairs(farthest, p=np.inf, output_type="ndarray").T
-    near = correlation(places, parts, one, other) > _SLIGHT
-    return one[near], other[near]
+    first, second = cKDTree(places).query_pairs(farthest, p=np.inf, output_type="ndarray").T
+    near = correlation(places, parts, first, second) > _SLIGHT
+    return first[near], second[near]
 
 
 def _neighborhoods(
@@ -229,35 +229,35 @@ def _neighborhoods(
     from scipy.sparse import coo_array  # slow to import
     from scipy.sparse.csgraph import connected_components
 
-    one, other = pairs
-    if not one.size:
+    from_row, to_row = pairs
+    if not from_row.size:
         return []
     _, first, owner = np.unique(point, return_index=True, return_inverse=True)
-    links = coo_array((np.ones(one.size), (owner[one], owner[other])), (first.size,) * 2)
+    links = coo_array((np.ones(from_row.size), (owner[from_row], owner[to_row])), (first.size,) * 2)
     label = connected_components(links, directed=False)[1]
     order = np.argsort(label, kind="stable")
-    waiting = [mine for mine in np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if mine.size > 1]
+    waiting = [part for part in np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if part.size > 1]
     cluster, count = np.full(first.size, -1), 0
     while waiting:
-        mine = waiting.pop()
-        if mine.size <= MOST:
-            cluster[mine], count = count, count + 1
+        part = waiting.pop()
+        if part.size <= MOST:
+            cluster[part], count = count, count + 1
             continue
-        widest = int(np.argmax(np.ptp(places[first[mine]], axis=0)))
-        mine = mine[np.argsort(places[first[mine], widest], kind="stable")]
-        waiting += [mine[: mine.size // 2], mine[mine.size // 2 :]]
+        widest = int(np.argmax(np.ptp(places[first[part]], axis=0)))
+        part = part[np.argsort(places[first[part], widest], kind="stable")]
+        waiting += [part[: part.size // 2], part[part.size // 2 :]]
     rows = np.flatnonzero(cluster[owner] >= 0)
     number = cluster[owner[rows]] * (int(image.max()) + 1) + image[rows]
     rows = rows[np.argsort(number, kind="stable")]
-    return [mine for mine in np.split(rows, np.flatnonzero(np.diff(np.sort(number))) + 1) if mine.size > 1]
+    return [part for part in np.split(rows, np.flatnonzero(np.diff(np.sort(number))) + 1) if part.size > 1]
 
 
 def _factors(correlations: Array) -> tuple[Array, Array]:
     """Loads (n, q) of a group with such correlations, in whole sigmas, and the own sigma (n,) of each row."""
     values, vectors = np.linalg.eigh(correlations)
     least = max(float(values[0]), _LEAST)
-    kept = values - least > min(_SEEN, _AMID * (values[-1] - least))
-    loads = vectors[:, kept] * np.sqrt(values[kept] - least)
+    leading = values - least > min(_SEEN, _AMID * (values[-1] - least))
+    loads = vectors[:, leading] * np.sqrt(values[leading] - least)
     own = np.maximum(1.0 - np.sum(loads**2, axis=1), _LEAST)
     return loads * np.sqrt((1.0 - own) / np.maximum(np.sum(loads**2, axis=1), 1e-300))[:, None], np.sqrt(own)
 
@@ -268,28 +268,28 @@ def _links(
 ) -> tuple[LinearRows, ...]:  # fmt: skip
     """Of each group that has something in common with groups before it, its factors given theirs."""
     number = np.full(len(places), -1)
-    for g, mine in enumerate(groups):
-        number[mine] = g
+    for g, members in enumerate(groups):
+        number[members] = g
     ends = np.sort(np.stack([number[rows] for rows in pairs], axis=1), axis=1)
     before = dict[int, list[int]]()
     for earlier, later in np.unique(ends[(ends[:, 0] != ends[:, 1]) & (ends[:, 0] >= 0)], axis=0).tolist():
         before.setdefault(later, []).append(earlier)
-    linked = {g for later, known in before.items() for g in (later, *known)}
-    scores, found = {g: np.linalg.pinv(loads[g]) for g in linked}, list[LinearRows]()
-    for later, known in before.items():
-        every = [*known, later]
-        edges = np.cumsum([0, *(scores[g].shape[0] for g in every)])
+    linked = {g for later, earlier_groups in before.items() for g in (later, *earlier_groups)}
+    scores, links = {g: np.linalg.pinv(loads[g]) for g in linked}, list[LinearRows]()
+    for later, earlier_groups in before.items():
+        linked_groups = [*earlier_groups, later]
+        edges = np.cumsum([0, *(scores[g].shape[0] for g in linked_groups)])
         across = np.zeros((edges[-1], edges[-1]))
-        for k, g in enumerate(every):
-            for h, column in zip(every[:k], edges, strict=False):
+        for k, g in enumerate(linked_groups):
+            for h, column in zip(linked_groups[:k], edges, strict=False):
                 block = scores[g] @ correlation(places, parts, groups[g][:, None], groups[h]) @ scores[h].T
                 across[edges[k] : edges[k + 1], column : column + len(block.T)] = block
         across += across.T
         across *= min(1.0, (1.0 - _LEAST) / max(-float(np.linalg.eigvalsh(across)[0]), 1e-300))  # positive definite
-        joint, own = np.eye(edges[-1]) + across, edges[-2]
-        weights = np.linalg.solve(joint[:own, :own], joint[:own, own:]).T
-        left, turn = np.linalg.eigh(joint[own:, own:] - weights @ joint[:own, own:])
-        root = turn.T / np.sqrt(left)[:, None]
+        joint, begin = np.eye(edges[-1]) + across, edges[-2]
+        weights = np.linalg.solve(joint[:begin, :begin], joint[:begin, begin:]).T
+        eigenvalues, turn = np.linalg.eigh(joint[begin:, begin:] - weights @ joint[:begin, begin:])
+        root = turn.T / np.sqrt(eigenvalues)[:, None]
         blocks = np.split(np.hstack([-root @ weights, root]), edges[1:-1], axis=1)
-        found.append(LinearRows(tuple(every), tuple(blocks), np.zeros(len(root))))
-    return tuple(found)
+        links.append(LinearRows(tuple(linked_groups), tuple(blocks), np.zeros(len(root))))
+    return tuple(links)

@@ -78,7 +78,7 @@ class Process(Record):
         """Whether its covariance depends on the difference of times alone."""
         return self.kind != "integrated-wiener"
 
-    def covariance(self, one: Array, other: Array, origin: float) -> Array:
+    def covariance(self, first: Array, second: Array, origin: float) -> Array:
         """Covariance, for sigma = 1, between times of two arrays that broadcast, in their precision; times in s.
 
         Parameters
@@ -87,21 +87,21 @@ class Process(Record):
             s, when an integrated Wiener process is zero and at rest.
         """
         if self.kind == "integrated-wiener":
-            t, u = one - origin, other - origin
+            t, u = first - origin, second - origin
             low, high = np.minimum(np.abs(t), np.abs(u)), np.maximum(np.abs(t), np.abs(u))
             return np.asarray(np.where(t * u > 0.0, low**2 * (3.0 * high - low) / 6.0, 0.0))
-        return self._correlation(np.abs(one - other))
+        return self._correlation(np.abs(first - second))
 
-    def _correlation(self, apart: Array) -> Array:
-        """Of times `apart` (s, not negative)."""
+    def _correlation(self, intervals: Array) -> Array:
+        """Of time differences (s, not negative)."""
         if self.kind == "white":
-            return np.asarray(np.where(apart == 0.0, 1.0, 0.0).astype(apart.dtype))
-        r = apart / self.correlation_time
+            return np.asarray(np.where(intervals == 0.0, 1.0, 0.0).astype(intervals.dtype))
+        r = intervals / self.correlation_time
         if self.kind == "matern-3/2":
-            r = np.sqrt(apart.dtype.type(3.0)) * r
+            r = np.sqrt(intervals.dtype.type(3.0)) * r
             return np.asarray((1.0 + r) * np.exp(-r))
         if self.kind == "matern-5/2":
-            r = np.sqrt(apart.dtype.type(5.0)) * r
+            r = np.sqrt(intervals.dtype.type(5.0)) * r
             return np.asarray((1.0 + r + r**2 / 3.0) * np.exp(-r))
         return np.asarray(np.exp(-r))
 
@@ -149,15 +149,13 @@ class Conditionals:
 def variances(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Array:
     """(k,) variance of the coefficient at each node along one axis (0 .. 2): m^2 or rad^2."""
     times = nodes.times.astype(_FINE)
-    found = _covariance(processes, axis, nodes, times[:, None], times[:, None])[:, 0]
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(_covariance(processes, axis, nodes, times[:, None], times[:, None])[:, 0], dtype=np.float64)
 
 
 def dense_covariance(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Array:
     """(k, k) covariance of all nodes' coefficients along one axis, without nugget: m^2 or rad^2."""
     times = nodes.times.astype(_FINE)
-    found = _covariance(processes, axis, nodes, times[:, None], times[None, :])
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(_covariance(processes, axis, nodes, times[:, None], times[None, :]), dtype=np.float64)
 
 
 def conditionals(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> Conditionals:
@@ -168,24 +166,24 @@ def conditionals(processes: Sequence[Process], axis: int, nodes: OrientationImag
     InputError
         Where no number of neighbours is enough.
     """
-    kinds = {one.kind for one in processes}
+    kinds = {process.kind for process in processes}
     count = len(nodes)
     if kinds == {"white"}:
         return Conditionals(np.zeros((count, 0)), np.sqrt(variances(processes, axis, nodes)), 0.0)
     if len(processes) == 1 and kinds == {"gauss-markov"}:
         return _gauss_markov(processes[0], axis, nodes.times)
     memory, divergence = _memory(processes, axis, nodes)
-    root, along, own = _windows(processes, axis, nodes, np.arange(count), memory)
+    root, along, variance = _windows(processes, axis, nodes, np.arange(count), memory)
     weights = _solved_back(root, along)
-    left = own - np.sum(along**2, axis=1)
-    return Conditionals(weights.astype(np.float64), np.sqrt(left).astype(np.float64), divergence)
+    remaining = variance - np.sum(along**2, axis=1)
+    return Conditionals(weights.astype(np.float64), np.sqrt(remaining).astype(np.float64), divergence)
 
 
 def _gauss_markov(process: Process, axis: int, times: Array) -> Conditionals:
     """Each node given the one before it: exact, and without cancellation."""
-    apart = np.diff(times) / process.correlation_time
-    weights = np.append(0.0, np.exp(-apart))[:, None]
-    return Conditionals(weights, process.sigmas[axis] * np.append(1.0, np.sqrt(-np.expm1(-2.0 * apart))), 0.0)
+    intervals = np.diff(times) / process.correlation_time
+    weights = np.append(0.0, np.exp(-intervals))[:, None]
+    return Conditionals(weights, process.sigmas[axis] * np.append(1.0, np.sqrt(-np.expm1(-2.0 * intervals))), 0.0)
 
 
 def _memory(processes: Sequence[Process], axis: int, nodes: OrientationImages) -> tuple[int, float]:
@@ -193,15 +191,15 @@ def _memory(processes: Sequence[Process], axis: int, nodes: OrientationImages) -
     count, steps = len(nodes), np.diff(nodes.times)
     at = np.unique(np.linspace(1, count - 1, min(_SAMPLES, count - 1)).astype(np.int64))
     at = np.union1d(at, [int(steps.argmin()) + 1, int(steps.argmax()) + 1])
-    _, along, own = _windows(processes, axis, nodes, at, min(_WINDOW, count - 1))
-    left = own[:, None] - np.cumsum(along**2, axis=1)
-    lost = np.maximum(0.5 * np.log(left / left[:, -1:]), 0.0).mean(axis=0)
+    _, along, variance = _windows(processes, axis, nodes, at, min(_WINDOW, count - 1))
+    remaining = variance[:, None] - np.cumsum(along**2, axis=1)
+    lost = np.maximum(0.5 * np.log(remaining / remaining[:, -1:]), 0.0).mean(axis=0)
     for memory in _MEMORIES:
-        if memory >= left.shape[1] or lost[memory - 1] < DIVERGENCE:
-            used = min(memory, left.shape[1])
+        if memory >= remaining.shape[1] or lost[memory - 1] < DIVERGENCE:
+            used = min(memory, remaining.shape[1])
             return used, float(lost[used - 1])
     raise InputError(
-        f"process {' + '.join(one.kind for one in processes)}",
+        f"process {' + '.join(process.kind for process in processes)}",
         f"nodes {steps.min():.3g} s apart, of which {_MEMORIES[-1]} neighbours lose {lost[_MEMORIES[-1] - 1]:.2g} nats",
         f"less than {DIVERGENCE} nats a node (Kullback-Leibler divergence from the whole process)",
         "take a larger spacing, or a rougher process",
@@ -216,60 +214,60 @@ def _windows(
     have nothing to do with it.
     """
     number = at[:, None] - 1 - np.arange(size)
-    there = number >= 0
+    present = number >= 0
     times = nodes.times.astype(_FINE)
-    near, mine = times[np.maximum(number, 0)], times[at]
-    both = there[:, :, None] & there[:, None, :]
-    among = np.where(both, _covariance(processes, axis, nodes, near[:, :, None], near[:, None, :]), 0.0)
-    across = np.where(there, _covariance(processes, axis, nodes, near, mine[:, None]), 0.0)
-    own = _covariance(processes, axis, nodes, mine, mine)
+    near, moments = times[np.maximum(number, 0)], times[at]
+    both_present = present[:, :, None] & present[:, None, :]
+    among = np.where(both_present, _covariance(processes, axis, nodes, near[:, :, None], near[:, None, :]), 0.0)
+    across = np.where(present, _covariance(processes, axis, nodes, near, moments[:, None]), 0.0)
+    variance = _covariance(processes, axis, nodes, moments, moments)
     nugget = _nugget(processes, axis)
     diagonal = np.arange(size)
-    among[:, diagonal, diagonal] = np.where(there, among[:, diagonal, diagonal] + nugget, 1.0)
+    among[:, diagonal, diagonal] = np.where(present, among[:, diagonal, diagonal] + nugget, 1.0)
     root, along = _factorised(among, across)
-    return root, along, own + nugget
+    return root, along, variance + nugget
 
 
 def _nugget(processes: Sequence[Process], axis: int) -> float:
     """Variance, m^2 or rad^2, that is added."""
-    return float(NUGGET**2 * sum(one.sigmas[axis] ** 2 for one in processes if one.stationary))
+    return float(NUGGET**2 * sum(process.sigmas[axis] ** 2 for process in processes if process.stationary))
 
 
 def _factorised(matrices: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factors L of (n, m, m), and L^-1 times right sides (n, m), in their precision."""
-    left, right = matrices.copy(), right.copy()
-    root = np.zeros_like(left)
-    for j in range(left.shape[1]):
-        pivot = np.sqrt(left[:, j, j])
-        root[:, j:, j] = left[:, j:, j] / pivot[:, None]
+    rest, right = matrices.copy(), right.copy()
+    root = np.zeros_like(rest)
+    for j in range(rest.shape[1]):
+        pivot = np.sqrt(rest[:, j, j])
+        root[:, j:, j] = rest[:, j:, j] / pivot[:, None]
         right[:, j] = right[:, j] / pivot
         below = root[:, j + 1 :, j]
         right[:, j + 1 :] -= below * right[:, j, None]
-        left[:, j + 1 :, j + 1 :] -= below[:, :, None] * below[:, None, :]
+        rest[:, j + 1 :, j + 1 :] -= below[:, :, None] * below[:, None, :]
     return root, right
 
 
 def _solved_back(root: Array, right: Array) -> Array:
     """L'^-1 times right sides (n, m)."""
-    found = right.copy()
+    solution = right.copy()
     for j in reversed(range(right.shape[1])):
-        found[:, j] = (found[:, j] - np.sum(root[:, j + 1 :, j] * found[:, j + 1 :], axis=1)) / root[:, j, j]
-    return found
+        solution[:, j] = (solution[:, j] - np.sum(root[:, j + 1 :, j] * solution[:, j + 1 :], axis=1)) / root[:, j, j]
+    return solution
 
 
 def _covariance(
-    processes: Sequence[Process], axis: int, nodes: OrientationImages, one: Array, other: Array
+    processes: Sequence[Process], axis: int, nodes: OrientationImages, first: Array, second: Array
 ) -> Array:
     """Of the coefficients at times (s past the nodes' epoch) along one axis; the times broadcast."""
-    return np.asarray(sum(p.sigmas[axis] ** 2 * _of_values(p, nodes.trend_span, one, other) for p in processes))
+    return np.asarray(sum(p.sigmas[axis] ** 2 * _of_values(p, nodes.trend_span, first, second) for p in processes))
 
 
-def _of_values(process: Process, span: tuple[float, float], one: Array, other: Array) -> Array:
+def _of_values(process: Process, span: tuple[float, float], first: Array, second: Array) -> Array:
     """Covariance of a process of sigma 1 at times that broadcast; an integrated Wiener process has its origin amid the
     trend's span, where bias and drift say its value and its rate. So neither the spacing nor later nodes change it.
     """
-    found = process.covariance(one, other, 0.5 * (span[0] + span[1]))
+    covariance = process.covariance(first, second, 0.5 * (span[0] + span[1]))
     if process.stationary:
-        return found
+        return covariance
     # a node at the origin needs a variance: of a constant, so that no spacing is too small for it
-    return np.asarray(found + _AT_ORIGIN**2 * (0.5 * (span[1] - span[0])) ** 3 / 3.0)
+    return np.asarray(covariance + _AT_ORIGIN**2 * (0.5 * (span[1] - span[0])) ** 3 / 3.0)

@@ -34,8 +34,8 @@ def groups(images: int, pairs: Index) -> list[tuple[int, ...]]:
     from scipy.sparse.csgraph import connected_components  # slow to import
 
     number = connected_components(_graph(images, pairs, np.ones(len(pairs))), directed=False)[1]
-    found = np.split(np.argsort(number, kind="stable"), np.flatnonzero(np.diff(np.sort(number))) + 1)
-    return sorted(map(tuple, map(np.ndarray.tolist, sorted(found, key=lambda one: one[0]))), key=len, reverse=True)
+    parts = np.split(np.argsort(number, kind="stable"), np.flatnonzero(np.diff(np.sort(number))) + 1)
+    return sorted(map(tuple, map(np.ndarray.tolist, sorted(parts, key=lambda group: group[0]))), key=len, reverse=True)
 
 
 def spine(images: int, pairs: Index, points: Index) -> Index:
@@ -61,15 +61,15 @@ def bridges(images: int, pairs: Index, linked: Mask, tree: Index) -> Mask:
     branch = np.zeros(images + 1, dtype=np.int64)
     for side in pairs.T:
         np.bitwise_xor.at(branch, side, marks)
-    roots = [(one[0], images) for one in groups(images, pairs[tree])]  # of all islands in one tree
+    roots = [(group[0], images) for group in groups(images, pairs[tree])]  # of all islands in one tree
     edges = np.concatenate([pairs[tree], roots])
     order, parent = breadth_first_order(_graph(images + 1, edges, np.ones(len(edges))), images, directed=False)
     for image in order[:0:-1].tolist():
         branch[parent[image]] ^= branch[image]
-    found = np.zeros(len(pairs), dtype=bool)
-    one, other = pairs[tree].T
-    found[tree] = branch[np.where(parent[one] == other, one, other)] == 0
-    return found
+    splitting = np.zeros(len(pairs), dtype=bool)
+    first, second = pairs[tree].T
+    splitting[tree] = branch[np.where(parent[first] == second, first, second)] == 0
+    return splitting
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ class Connectivity:
     @property
     def names(self) -> tuple[str, ...]:
         """(images) their names."""
-        return tuple(one.name for one in self.footprints)
+        return tuple(footprint.name for footprint in self.footprints)
 
     @property
     def points(self) -> Index:
@@ -159,26 +159,26 @@ def connectivity(network: Network, footprints: Sequence["Footprint"], used: Mask
     used : (rays,), optional
         False for rays that don't count (rejected ones).
     """
-    if tuple(one.name for one in footprints) != tuple(image.name for image in network.images):
+    if tuple(footprint.name for footprint in footprints) != tuple(image.name for image in network.images):
         raise InputError("connectivity", f"footprints of {len(footprints)} images", "one of each image, in order")
     m = len(footprints)
     linked, shared = _common_by_class(network, used)
     from mgsgraph.geometry.footprint import gaps, overlaps  # shapely takes its time
 
-    found = overlaps(footprints)
-    meet = (found.pairs[:, 0] < found.pairs[:, 1]) & (found.areas > 0.0)
-    apart = linked[:, 0] < linked[:, 1]
-    codes, meeting = linked @ [m, 1], found.pairs[meet] @ [m, 1]
-    every = np.unique(np.concatenate([codes[apart], meeting]))
-    pairs = np.stack(np.divmod(every, m), axis=1)
-    areas, share, common = np.zeros(every.size), np.zeros(every.size), np.zeros((every.size, len(PointClass)), int)
-    at = np.searchsorted(every, meeting)
-    areas[at], share[at] = found.areas[meet], found.shares[meet]
-    common[np.searchsorted(every, codes[apart])] = shared[apart]
+    overlapping = overlaps(footprints)
+    meet = (overlapping.pairs[:, 0] < overlapping.pairs[:, 1]) & (overlapping.areas > 0.0)
+    different = linked[:, 0] < linked[:, 1]
+    codes, meeting = linked @ [m, 1], overlapping.pairs[meet] @ [m, 1]
+    union = np.unique(np.concatenate([codes[different], meeting]))
+    pairs = np.stack(np.divmod(union, m), axis=1)
+    areas, share, common = np.zeros(union.size), np.zeros(union.size), np.zeros((union.size, len(PointClass)), int)
+    at = np.searchsorted(union, meeting)
+    areas[at], share[at] = overlapping.areas[meet], overlapping.shares[meet]
+    common[np.searchsorted(union, codes[different])] = shared[different]
     distances = np.zeros(len(pairs))
     distances[areas == 0.0] = gaps(footprints, pairs[areas == 0.0])
     points, seen = common.sum(axis=1), np.zeros(m, dtype=np.int64)
-    seen[linked[~apart, 0]] = shared[~apart].sum(axis=1)
+    seen[linked[~different, 0]] = shared[~different].sum(axis=1)
     tree = spine(m, pairs, points)
     return Connectivity(
         footprints=tuple(footprints),
@@ -211,16 +211,16 @@ def network_footprints(
     from mgsgraph.geometry.footprint import footprint  # shapely takes its time
 
     heights = geodetic(places, network.images[0].body)[:, 2]
-    known = np.isfinite(heights)
-    everywhere = float(np.median(heights[known])) if np.any(known) else 0.0
-    found, order = [], np.argsort(network.rays.image, kind="stable")
+    finite = np.isfinite(heights)
+    everywhere = float(np.median(heights[finite])) if np.any(finite) else 0.0
+    footprints, order = [], np.argsort(network.rays.image, kind="stable")
     ends = np.cumsum(np.bincount(network.rays.image, minlength=len(network.images)))
     of_images = np.split(heights[network.rays.point[order]], ends[:-1])
-    for j, (image, mine) in enumerate(zip(network.images, of_images, strict=True)):
-        mine = mine[np.isfinite(mine)]
-        height = float(np.median(mine)) if mine.size else everywhere
-        found.append(footprint(image, height, correction(j) if correction else None))
-    return tuple(found)
+    for j, (image, of_image) in enumerate(zip(network.images, of_images, strict=True)):
+        of_image = of_image[np.isfinite(of_image)]
+        height = float(np.median(of_image)) if of_image.size else everywhere
+        footprints.append(footprint(image, height, correction(j) if correction else None))
+    return tuple(footprints)
 
 
 def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]:
@@ -240,13 +240,13 @@ def _common_by_class(network: Network, used: Mask | None) -> tuple[Index, Index]
         if not np.any(same):
             break
         pair = ((image[first] * m + image[second]) * classes + of_class[first])[same]
-        found, count = np.unique(pair, return_counts=True)
-        codes.append(found)
+        unique, count = np.unique(pair, return_counts=True)
+        codes.append(unique)
         counts.append(count)
-    every = np.concatenate(codes)
-    pairs, row = np.unique(every // classes, return_inverse=True)
+    union = np.concatenate(codes)
+    pairs, row = np.unique(union // classes, return_inverse=True)
     common = np.zeros((pairs.size, classes), dtype=np.int64)
-    np.add.at(common, (row, every % classes), np.concatenate(counts))
+    np.add.at(common, (row, union % classes), np.concatenate(counts))
     return np.stack(np.divmod(pairs, m), axis=1), common
 
 
@@ -294,17 +294,17 @@ def connectivity_statements(connected: Connectivity) -> list[str]:
 
 def connectivity_warnings(connected: Connectivity) -> list[str]:
     """Sentences about islands, and pairs of images whose points and footprints disagree."""
-    said, names = list[str](), connected.names
+    warnings, names = list[str](), connected.names
     if len(connected.islands) > 1:
-        parts = [f"({some([names[j] for j in one[:NAMED]], len(one))})" for one in connected.islands[:NAMED]]
-        said.append(
+        parts = [f"({some([names[j] for j in island[:NAMED]], len(island))})" for island in connected.islands[:NAMED]]
+        warnings.append(
             f"The block is split into {len(connected.islands)} parts without common points: "
             f"{some(parts, len(connected.islands))}. Measure tie points between them."
         )
     if (rows := worth_tying(connected)).size:
         overlap = [_overlap(connected, row).replace(" and overlap", "") for row in rows[:NAMED]]
         verb = "overlaps" if rows.size == 1 else "overlap"
-        said.append(
+        warnings.append(
             f"{many(rows.size, 'pair')} of images {verb} without any common point: "
             f"{_named(connected, rows, overlap)}. Measure ties there."
         )
@@ -313,11 +313,11 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
             f" ({many(int(connected.points[row]), 'point')}, {connected.gaps[row] / KM:.3g} km apart)"
             for row in rows[:NAMED]
         ]
-        said.append(
+        warnings.append(
             f"{many(rows.size, 'pair')} of images {'has' if rows.size == 1 else 'have'} common points, but separate "
             f"footprints: {_named(connected, rows, gaps_of)}. Check these points and the orientation."
         )
-    return said
+    return warnings
 
 
 def link_statement(connected: Connectivity) -> list[str]:
@@ -328,12 +328,12 @@ def link_statement(connected: Connectivity) -> list[str]:
     if links.size == 1:
         row = int(links[0])
         return [f"{_both(connected, row)} have {many(int(points[row]), 'point')} in common{_overlap(connected, row)}."]
-    whole = "the block" if len(connected.islands) == 1 else "an island"
+    what = "the block" if len(connected.islands) == 1 else "an island"
     row = int(connected.spine[0])
     return [
         f"{len(connected.names)} images, {links.size} pairs with {span(points[links])} common points (median "
         f"{np.median(points[links]):.0f}).",
-        f"Every split of {whole} is bridged by at least {many(int(points[row]), 'point')}; weakest link: "
+        f"Every split of {what} is bridged by at least {many(int(points[row]), 'point')}; weakest link: "
         f"{_weak(connected, row)}.",
     ]
 
@@ -351,9 +351,9 @@ def _both(connected: Connectivity, row: int) -> str:
     return " and ".join(connected.names[j] for j in connected.pairs[row])
 
 
-def _named(connected: Connectivity, rows: Index, said: Sequence[str]) -> str:
+def _named(connected: Connectivity, rows: Index, notes: Sequence[str]) -> str:
     """The first pairs of images, each with what is said of it."""
-    named = "; ".join(f"{_both(connected, row)}{more}" for row, more in zip(rows.tolist(), said, strict=False))
+    named = "; ".join(f"{_both(connected, row)}{more}" for row, more in zip(rows.tolist(), notes, strict=False))
     return named + (f" and {rows.size - NAMED} more" if rows.size > NAMED else "")
 
 

@@ -139,26 +139,26 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
         then come the nodes of the image's strip, and four of each vibration. (Of k nodes that makes k matrices of 6 k
         rows: `designs` needs none.)
     """
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
+    polynomials, number = _of_polynomial(network, image, angles), int(network.pass_of[image])
     vibrations, turn = _vibrations(network, image), _to_camera(network, image)
-    if strip < 0 and not vibrations:
+    if number < 0 and not vibrations:
         return polynomials
-    rows, first = _polynomial_rows(polynomials), int(network.first_of_passes[strip])
-    more = {first + k: turn for k in range(0 if strip < 0 else len(network.passes[strip].nodes))}
+    rows, first = _polynomial_rows(polynomials), int(network.first_of_passes[number])
+    more = {first + k: turn for k in range(0 if number < 0 else len(network.passes[number].nodes))}
     # of axis a and part k the column is 4 a + k, and the row 6 k + c of component c
     more |= {v: np.einsum("ca,kl->kcal", turn[:, 3:], np.eye(4)).reshape(24, 12) for v in vibrations}
     size, at = rows + sum(len(part) for part in more.values()), rows
-    found = {v: np.pad(part, ((0, size - len(part)), (0, 0))) for v, part in polynomials.items()}
+    parts = {v: np.pad(part, ((0, size - len(part)), (0, 0))) for v, part in polynomials.items()}
     for v, part in more.items():
-        found[v] = np.pad(part, ((at, size - at - len(part)), (0, 0)))
+        parts[v] = np.pad(part, ((at, size - at - len(part)), (0, 0)))
         at += len(part)
-    return found
+    return parts
 
 
 def _vibrations(network: Network, image: int) -> dict[int, SharedUnknown]:
     """Of an image, by variable."""
-    every = enumerate(network.shared, network.first_shared)
-    return {v: one for v, one in every if one.sine is not None and one.of(image)}
+    unknowns = enumerate(network.shared, network.first_shared)
+    return {v: unknown for v, unknown in unknowns if unknown.sine is not None and unknown.of(image)}
 
 
 def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Array]:
@@ -169,10 +169,10 @@ def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Ar
         for k, shared in enumerate(network.shared)
         if shared.kind.moves_pose and shared.sine is None and shared.of(image)
     }
-    own = 0 if network.pass_of[image] >= 0 else network.priors[image].sigmas.size
-    rows = max([own, *(int(part.shape[0]) for part in parts.values())])
-    every = {image: np.eye(rows, own)} if own else {}
-    return every | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in parts.items()}
+    own_size = 0 if network.pass_of[image] >= 0 else network.priors[image].sigmas.size
+    rows = max([own_size, *(int(part.shape[0]) for part in parts.values())])
+    blocks = {image: np.eye(rows, own_size)} if own_size else {}
+    return blocks | {v: np.pad(part, ((0, rows - part.shape[0]), (0, 0))) for v, part in parts.items()}
 
 
 def _to_camera(network: Network, image: int) -> Array:
@@ -208,18 +208,18 @@ def design(network: Network, image: int, angles: Angles, moments: Moments) -> li
     """How an image's whole correction at some moments follows from the variables it depends on, run by run of moments
     that depend on the same ones.
     """
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
+    polynomials, number = _of_polynomial(network, image, angles), int(network.pass_of[image])
     basis, _ = polynomial(moments.u, _polynomial_rows(polynomials) // 6 - 1)
     vibrations, turn = _vibrations(network, image), _to_camera(network, image)
     variables = (*polynomials, *vibrations)
     parts = (
         *(np.einsum("nd,dcw->ncw", basis, part.reshape(-1, 6, part.shape[1])) for part in polynomials.values()),
-        *(turn @ np.swapaxes(one.waves(moments)[0], 1, 2) for one in vibrations.values()),
+        *(turn @ np.swapaxes(vibration.waves(moments)[0], 1, 2) for vibration in vibrations.values()),
     )
-    if strip < 0:
+    if number < 0:
         return [Design(slice(0, moments.u.size), variables, parts)]
-    start = int(network.first_of_passes[strip])
-    first, values, _ = network.passes[strip].nodes.at(moments.times, moments.epoch)
+    start = int(network.first_of_passes[number])
+    first, values, _ = network.passes[number].nodes.at(moments.times, moments.epoch)
     edges = [0, *(np.flatnonzero(np.diff(first)) + 1).tolist(), first.size]
     return [
         Design(
@@ -240,27 +240,27 @@ def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[
         Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes those around it that
         count.
     """
-    first, found = int(network.first_of_passes[network.pass_of[image]]), list[dict[int, Array]]()
+    first, by_line = int(network.first_of_passes[network.pass_of[image]]), list[dict[int, Array]]()
     on_strip = network.pass_of[image] >= 0
     for run in design(network, image, angles, network.images[image].moments(lines)):
         for k in range(run.lines.stop - run.lines.start):
-            every = zip(run.variables, (part[k] for part in run.parts), strict=True)
-            found.append({v: part for v, part in every if not on_strip or v < first or np.any(part)})
-    return found
+            pairs = zip(run.variables, (part[k] for part in run.parts), strict=True)
+            by_line.append({v: part for v, part in pairs if not on_strip or v < first or np.any(part)})
+    return by_line
 
 
 def whole_correction(network: Network, image: int, values: Sequence[Array], angles: Angles) -> OrientationCorrection:
     """The whole correction of one image, `values` being those of all variables."""
-    polynomials, strip = _of_polynomial(network, image, angles), int(network.pass_of[image])
-    whole = sum((part @ values[v] for v, part in polynomials.items()), np.zeros(_polynomial_rows(polynomials)))
-    coefficients, nodes, turn = np.reshape(whole, (-1, 6)), None, _to_camera(network, image)
-    if strip >= 0:
-        nodes, first = network.passes[strip].nodes, int(network.first_of_passes[strip])
-        own = np.array(values[first : first + len(nodes)]) @ turn.T
-        coefficients = np.vstack([coefficients, own])
+    polynomials, number = _of_polynomial(network, image, angles), int(network.pass_of[image])
+    flat = sum((part @ values[v] for v, part in polynomials.items()), np.zeros(_polynomial_rows(polynomials)))
+    coefficients, nodes, turn = np.reshape(flat, (-1, 6)), None, _to_camera(network, image)
+    if number >= 0:
+        nodes, first = network.passes[number].nodes, int(network.first_of_passes[number])
+        of_nodes = np.array(values[first : first + len(nodes)]) @ turn.T
+        coefficients = np.vstack([coefficients, of_nodes])
     vibrations = _vibrations(network, image)
     amounts = [np.reshape(values[v], (3, 4)).T @ turn[:, 3:].T for v in vibrations]
-    sines = tuple(one.sine for one in vibrations.values() if one.sine is not None)
+    sines = tuple(vibration.sine for vibration in vibrations.values() if vibration.sine is not None)
     return OrientationCorrection(np.vstack([coefficients, *amounts]), angles, nodes, sines)
 
 
@@ -300,17 +300,17 @@ class PassRays:
 
 def pass_rays(network: Network, number: int) -> PassRays:
     """All rays of a pass's images."""
-    one = network.passes[number]
+    pass_ = network.passes[number]
     place = np.full(len(network.images), -1)
-    place[one.images] = np.arange(one.images.size)
+    place[pass_.images] = np.arange(pass_.images.size)
     rays = np.flatnonzero(place[network.rays.image] >= 0)
-    line, times, looks = place[network.rays.image[rays]], np.empty(rays.size), np.empty((one.images.size, 2))
-    for k, j in enumerate(one.images.tolist()):
-        image, mine = network.images[j], line == k
-        later = image.trajectory.epoch - one.nodes.epoch
-        times[mine] = image.timing.at(network.rays.places[rays[mine], 0])[0] + later
+    line, times, looks = place[network.rays.image[rays]], np.empty(rays.size), np.empty((pass_.images.size, 2))
+    for k, j in enumerate(pass_.images.tolist()):
+        image, of_image = network.images[j], line == k
+        later = image.trajectory.epoch - pass_.nodes.epoch
+        times[of_image] = image.timing.at(network.rays.places[rays[of_image], 0])[0] + later
         looks[k] = image.timing.at(np.array([0.0, float(image.lines)]))[0] + later
-    return PassRays(one.name, rays, line, times, looks)
+    return PassRays(pass_.name, rays, line, times, looks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -349,8 +349,8 @@ class Support:
     @property
     def gaps(self) -> Index:
         """Nodes with too few rays between others that have them; all where none has."""
-        seen, weak = np.flatnonzero(~self.unobserved), np.flatnonzero(self.unobserved)
-        return weak[(weak > seen[0]) & (weak < seen[-1])] if seen.size else weak
+        observed, weak = np.flatnonzero(~self.unobserved), np.flatnonzero(self.unobserved)
+        return weak[(weak > observed[0]) & (weak < observed[-1])] if observed.size else weak
 
 
 def useful_rays(network: Network, number: int, taken: Mask | None = None) -> PassRays:
@@ -359,8 +359,8 @@ def useful_rays(network: Network, number: int, taken: Mask | None = None) -> Pas
     used = np.ones(network.rays.point.size, dtype=bool) if used is None else used
     counts = np.bincount(network.rays.point, used, len(network.points))
     placed = (counts >= 2) | (network.points.kinds != PointKind.FREE)
-    mine = pass_rays(network, number)
-    return mine.only(used[mine.rays] & placed[network.rays.point[mine.rays]])
+    of_pass = pass_rays(network, number)
+    return of_pass.only(used[of_pass.rays] & placed[network.rays.point[of_pass.rays]])
 
 
 def support_of(nodes: OrientationImages, rays: PassRays, least: int = LEAST) -> Support:
@@ -409,33 +409,33 @@ def require_supported(
     """
     for k in range(len(network.passes)):
         rays = useful_rays(network, k, taken)
-        found = support_of(network.passes[k].nodes, rays, least)
-        weak = found.gaps if between else np.flatnonzero(found.weak)
+        support = support_of(network.passes[k].nodes, rays, least)
+        weak = support.gaps if between else np.flatnonzero(support.weak)
         if weak.size:
-            raise unsupported(found, rays, weak)
+            raise unsupported(support, rays, weak)
 
 
-def unsupported(found: Support, rays: PassRays, weak: Index) -> InputError:
+def unsupported(support: Support, rays: PassRays, weak: Index) -> InputError:
     """The error for nodes that are closer than the rays support: which ones, what is near them, what would do."""
-    spacing = supported_spacing(found.nodes, rays, found.least)
-    names = [_node(found, k) for k in weak[:NAMED].tolist()]
+    spacing = supported_spacing(support.nodes, rays, support.least)
+    names = [_node(support, k) for k in weak[:NAMED].tolist()]
     remedy = "leave the pass out, or match more points"
     if np.isfinite(spacing):
         remedy = f"a spacing of {_rounded_up(spacing)} s is what they support, or other times for the nodes"
     return InputError(
-        f"pass {found.of_pass!r}, nodes closer than the data supports",
-        f"of {len(found.nodes)} nodes (times in UTC, and from the pass's beginning) {some(names, weak.size)}",
-        f"{found.least} rays or more near each (up to the next node, of two images where two look)",
+        f"pass {support.of_pass!r}, nodes closer than the data supports",
+        f"of {len(support.nodes)} nodes (times in UTC, and from the pass's beginning) {some(names, weak.size)}",
+        f"{support.least} rays or more near each (up to the next node, of two images where two look)",
         remedy,
     )
 
 
-def _node(found: Support, node: int) -> str:
+def _node(support: Support, node: int) -> str:
     """A node by its number, its time and what is near it."""
-    time = float(found.nodes.times[node])
-    utc = utc_of_tdb(time + found.nodes.epoch).isoformat(timespec="milliseconds").removesuffix("+00:00")
-    since, rays = time - found.nodes.coverage[0], int(found.rays[node])
-    alone = ", all of one image" if rays > 1 and int(found.lines[node]) == 1 else ""
+    time = float(support.nodes.times[node])
+    utc = utc_of_tdb(time + support.nodes.epoch).isoformat(timespec="milliseconds").removesuffix("+00:00")
+    since, rays = time - support.nodes.coverage[0], int(support.rays[node])
+    alone = ", all of one image" if rays > 1 and int(support.lines[node]) == 1 else ""
     return f"{node + 1} at {utc}, {since:.4g} s ({many(rays, 'ray')} near it{alone})"
 
 

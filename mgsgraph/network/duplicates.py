@@ -93,7 +93,7 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
     since : int
         First ground point that is new; of the earlier ones, which were looked at before, nothing is said.
     """
-    points, found = network.points, list[Duplicates]()
+    points, records = network.points, list[Duplicates]()
     for kind, of_class, pairs in (
         (DuplicateKind.TIE, PointClass.TIE, _ties(network)), (DuplicateKind.SHOT, PointClass.LASER, _shots(network)),
         (DuplicateKind.CONTROL, PointClass.CONTROL, _control(network)),
@@ -101,12 +101,12 @@ def duplicates(network: Network, since: int = 0) -> tuple[Duplicates, ...]:
         first, again = joined_pairs(pairs)
         first, again = first[again >= since], again[again >= since]
         names = tuple(zip(points.ids[first[:NAMED]], points.ids[again[:NAMED]], strict=True))
-        found.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
+        records.append(Duplicates(kind, first, again, names, int(np.count_nonzero(points.classes == of_class))))
     images = [image.name for image in network.images]
     first, again = joined_pairs(np.array(duplicate_images(network.images), dtype=np.int64).reshape(-1, 2))
     names = tuple((images[j], images[k]) for j, k in zip(first[:NAMED].tolist(), again[:NAMED].tolist(), strict=True))
-    found.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
-    return tuple(one for one in found if one.count)
+    records.append(Duplicates(DuplicateKind.IMAGE, first, again, names, len(images)))
+    return tuple(record for record in records if record.count)
 
 
 def joined_pairs(pairs: Index) -> tuple[Index, Index]:
@@ -150,10 +150,10 @@ def measured_twice(point: Index, image: Index, places: Array) -> Index:
     while ahead.size:
         ahead = ahead[: np.searchsorted(ahead, order.size - step)]
         ahead = ahead[along[ahead + step] - along[ahead] <= _PIXELS * _SLANT.sum()]
-        one, other = order[ahead], order[ahead + step]
-        same = np.all(np.abs(places[one] - places[other]) <= _PIXELS, axis=1) & (point[one] != point[other])
-        ends = np.sort(np.stack([point[one[same]], point[other[same]]]), axis=0)
-        pairs.append((ends[0] * size + ends[1]) * images + image[one[same]])
+        first, second = order[ahead], order[ahead + step]
+        same = np.all(np.abs(places[first] - places[second]) <= _PIXELS, axis=1) & (point[first] != point[second])
+        ends = np.sort(np.stack([point[first[same]], point[second[same]]]), axis=0)
+        pairs.append((ends[0] * size + ends[1]) * images + image[first[same]])
         step += 1
     pair, common = np.unique(np.unique(np.concatenate(pairs or [point])) // images, return_counts=True)
     ends = np.stack(np.divmod(pair, size), axis=1)
@@ -166,11 +166,11 @@ def _shots(network: Network) -> Index:
     ranges, n = network.ranges, len(network.points)
     time, distance = np.full((2, n), np.nan)
     time[ranges.point], distance[ranges.point] = ranges.times, ranges.values
-    pairs, apart = _neighbors(network, PointClass.LASER, _PROCESSED, _SPARSE)
-    later, farther = (np.abs(one[pairs[:, 0]] - one[pairs[:, 1]]) for one in (time, distance))
-    placed = np.isnan(later) & (apart <= _ROUNDED / _PROCESSED)
+    pairs, ratios = _neighbors(network, PointClass.LASER, _PROCESSED, _SPARSE)
+    later, farther = (np.abs(values[pairs[:, 0]] - values[pairs[:, 1]]) for values in (time, distance))
+    placed = np.isnan(later) & (ratios <= _ROUNDED / _PROCESSED)
     if np.count_nonzero(placed) <= _CHANCE * np.count_nonzero(network.points.classes == PointClass.LASER):
-        placed &= apart == 0.0
+        placed &= ratios == 0.0
     return np.asarray(pairs[placed | ((later <= _SECONDS) & (farther <= _METERS))])
 
 
@@ -186,13 +186,13 @@ def _neighbors(network: Network, of_class: PointClass, share: float, most: float
     from scipy.spatial import cKDTree  # slow to import
 
     places = network.points.places
-    mine = np.flatnonzero((network.points.classes == of_class) & np.all(np.isfinite(places), axis=1))
-    if not mine.size:
+    members = np.flatnonzero((network.points.classes == of_class) & np.all(np.isfinite(places), axis=1))
+    if not members.size:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
-    tree = cKDTree(places[mine])
+    tree = cKDTree(places[members])
     # to the third neighbor: where all are given twice, or three times, that is still another one
-    third = tree.query(places[mine[:: -(-mine.size // _SAMPLE)]], 4)[0][:, 3]
+    third = tree.query(places[members[:: -(-members.size // _SAMPLE)]], 4)[0][:, 3]
     reach = share * min(float(np.median(third)), most)
-    apart, other = tree.query(places[mine], _NEIGHBORS, distance_upper_bound=np.nextafter(reach, np.inf))
-    one, column = np.nonzero((other < mine.size) & (other > np.arange(mine.size)[:, None]))
-    return np.stack([mine[one], mine[other[one, column]]], axis=1), apart[one, column] / max(reach, 1e-300)
+    distances, neighbor = tree.query(places[members], _NEIGHBORS, distance_upper_bound=np.nextafter(reach, np.inf))
+    row, column = np.nonzero((neighbor < members.size) & (neighbor > np.arange(members.size)[:, None]))
+    return np.stack([members[row], members[neighbor[row, column]]], axis=1), distances[row, column] / max(reach, 1e-300)

@@ -35,16 +35,16 @@ class SharedEffects:
         self.acting = {what: acting_on(network, what) for what in ("rays", "ranges")}
         """Of each image the shared unknowns that its rays, or its ranges, depend on."""
         self._kinds = {
-            what: [[network.shared[k].kind for k in mine] for mine in of_images]
+            what: [[network.shared[k].kind for k in numbers] for numbers in of_images]
             for what, of_images in self.acting.items()
         }
-        self._radii = {k: radius_of(network, one) for k, one in enumerate(network.shared) if one.kind.is_interior}
+        self._radii = {k: radius_of(network, item) for k, item in enumerate(network.shared) if item.kind.is_interior}
         self.of_instrument = {
-            (j, one.kind): _in_axes(network.axes_of(j), image_effect(network.images[j], one.kind, angles))
+            (j, unknown.kind): _in_axes(network.axes_of(j), image_effect(network.images[j], unknown.kind, angles))
             for of_images in self.acting.values()
-            for j, mine in enumerate(of_images)
-            for one in (network.shared[k] for k in mine)
-            if one.kind.moves_instrument and one.sine is None
+            for j, numbers in enumerate(of_images)
+            for unknown in (network.shared[k] for k in numbers)
+            if unknown.kind.moves_instrument and unknown.sine is None
         }
         """Of an image and a kind (width, degree + 1, 6): coefficients of the pose per unit, m and rad."""
 
@@ -54,41 +54,41 @@ class SharedEffects:
         """
         kinds = self._kinds["ranges"][image]
         longer = SharedKind.RANGE_BIAS in kinds or shares is not None
-        found = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + longer))
+        directions = np.zeros((u.size, sum(kind.width for kind in kinds), 3 + longer))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
         for kind in kinds:
             if kind.moves_instrument:
                 effect = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
-                found[:, column : column + kind.width, :3] = effect[:, :, :3]
+                directions[:, column : column + kind.width, :3] = effect[:, :, :3]
                 if kind.moves_footprints and shares is not None:
-                    found[:, column : column + kind.width, 3] = np.einsum("nca,na->nc", effect[:, :, :3], shares)
+                    directions[:, column : column + kind.width, 3] = np.einsum("nca,na->nc", effect[:, :, :3], shares)
             else:
-                found[:, column, 3] = 1.0
+                directions[:, column, 3] = 1.0
             column += kind.width
-        return found
+        return directions
 
     def of_rays(self, image: int, u: Array, samples: Array, common: Array | None = None) -> Array:
         """(n, columns, 6 or 9) directions in the states of an image's rays at normalised lines u (n,) and samples (n,):
         m and rad per unit, of what the pixel looks along in m per m; rotations and looks are in the axes of the image's
         pass. Last come the looks (n, 2, f) by factors of errors in `common` (`common_looks`).
         """
-        mine, kinds = self.acting["rays"][image], self._kinds["rays"][image]
+        numbers, kinds = self.acting["rays"][image], self._kinds["rays"][image]
         more = 0 if common is None else common.shape[2]
         width = 9 if more or any(kind.is_interior for kind in kinds) else 6
-        found = np.zeros((u.size, sum(kind.width for kind in kinds) + more, width))
+        directions = np.zeros((u.size, sum(kind.width for kind in kinds) + more, width))
         basis, column = polynomial(u if kinds else u[:0], DEGREE)[0], 0
-        for k, kind in zip(mine, kinds, strict=True):
+        for k, kind in zip(numbers, kinds, strict=True):
             columns = slice(column, column + kind.width)
             if kind is SharedKind.VIBRATION:
-                found[:, columns, :6] = self._waves(image, k, u)[0]
+                directions[:, columns, :6] = self._waves(image, k, u)[0]
             elif kind.moves_instrument:
-                found[:, columns, :6] = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
+                directions[:, columns, :6] = np.einsum("nd,cda->nca", basis, self.of_instrument[image, kind])
             else:
-                found[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
+                directions[:, columns, 6:] = np.swapaxes(self.of_interior(image, k, samples)[0], 0, 1)
             column += kind.width
         if common is not None and more:
-            found[:, column:, 6:8] = np.swapaxes(common, 1, 2)
-        return found
+            directions[:, column:, 6:8] = np.swapaxes(common, 1, 2)
+        return directions
 
     def _waves(self, image: int, shared: int, u: Array) -> tuple[Array, Array]:
         picture = self._network.images[image]
@@ -96,11 +96,11 @@ class SharedEffects:
 
     def turning(self, image: int, u: Array, values: Sequence[Array]) -> Array:
         """(n, 3) rad per line, by which vibrations turn an image's camera where all variables have `values`."""
-        found = np.zeros((u.size, 6))
+        rates = np.zeros((u.size, 6))
         for k in self.acting["rays"][image]:
             if self._network.shared[k].kind is SharedKind.VIBRATION:
-                found += np.einsum("nca,c->na", self._waves(image, k, u)[1], values[self._network.first_shared + k])
-        return found[:, 3:]
+                rates += np.einsum("nca,c->na", self._waves(image, k, u)[1], values[self._network.first_shared + k])
+        return rates[:, 3:]
 
     def acts_on_rays(self, image: int) -> bool:
         """Whether shared unknowns act on an image's rays."""
@@ -145,33 +145,33 @@ def common_looks(network: Network) -> list[tuple[Index, Array]]:
     """Rays (k,) that have errors in common with others, those of as many factors together, and by how much a unit of
     each has their pixels measured too far on, as m in the focal plane (k, 2, factors of line and sample).
     """
-    found, rays, common = list[tuple[Index, Array]](), network.rays, network.common_rays
+    looks, rays, common = list[tuple[Index, Array]](), network.rays, network.common_rays
     if common is None:
-        return found
-    for mine, loads in common.by_width():
-        members = common.members[mine]
-        pixel = np.empty((mine.size, 2, 2))
+        return looks
+    for rows, loads in common.by_width():
+        members = common.members[rows]
+        pixel = np.empty((rows.size, 2, 2))
         for j in np.unique(rays.image[members]).tolist():
-            own = np.flatnonzero(rays.image[members] == j)
-            lines, samples = rays.places[members[own]].T
-            pixel[own] = image_steps(network.images[j], lines, samples, network.axes_of(j))
+            of_image = np.flatnonzero(rays.image[members] == j)
+            lines, samples = rays.places[members[of_image]].T
+            pixel[of_image] = image_steps(network.images[j], lines, samples, network.axes_of(j))
         pixel *= rays.sigmas[members][:, None]
-        found.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (mine.size, 2, -1))))
-    return found
+        looks.append((members, np.reshape(pixel[:, :, None] * loads[:, None, :, None], (rows.size, 2, -1))))
+    return looks
 
 
 def common_lifts(network: Network, places: Array) -> list[tuple[Index, Array]]:
     """The same of points (k,) whose heights above the terrain model, near `places` (n, 3) in m, have errors in common:
     how far a unit of each factor lifts the model, m (k, factors, 3).
     """
-    found, common, surface = list[tuple[Index, Array]](), network.common_heights, network.surface
+    lifts, common, surface = list[tuple[Index, Array]](), network.common_heights, network.surface
     if common is None or surface is None:
-        return found
-    for mine, loads in common.by_width():
-        members = common.members[mine]
+        return lifts
+    for rows, loads in common.by_width():
+        members = common.members[rows]
         up = places[members] / np.maximum(np.linalg.norm(places[members], axis=1), 1.0)[:, None]
-        found.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
-    return found
+        lifts.append((members, surface.sigmas[members][:, None, None] * loads[:, :, None] * up[:, None]))
+    return lifts
 
 
 def bends(network: Network, shared: int, image: int) -> bool:
@@ -195,10 +195,10 @@ def known_motions(network: Network) -> Iterator[tuple[Index, Index, Array, bool]
         moved = np.flatnonzero(network.shifts.profile >= 0)
         variable = len(network.images) + network.shifts.profile[moved]
         yield moved, variable, east_north(network.points.places[moved]), False
-    for k, one in enumerate(network.shared):
-        if one.kind.moves_footprints:
-            points, motion = footprint_motion(network, one)
-            yield points, np.full(points.size, network.first_shared + k), motion, one.kind.acts_on_ranges
+    for k, unknown in enumerate(network.shared):
+        if unknown.kind.moves_footprints:
+            points, motion = footprint_motion(network, unknown)
+            yield points, np.full(points.size, network.first_shared + k), motion, unknown.kind.acts_on_ranges
 
 
 def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Array]:
@@ -216,12 +216,12 @@ def footprint_motion(network: Network, shared: SharedUnknown) -> tuple[Index, Ar
     points, chosen = network.beams(shared)
     ranges, motion = network.ranges.chosen(chosen), np.empty((points.size, 3, 3))
     for j in np.unique(ranges.image).tolist():
-        mine, image = ranges.image == j, network.images[j]
-        since = ranges.times[mine] - image.trajectory.epoch
+        of_image, image = ranges.image == j, network.images[j]
+        since = ranges.times[of_image] - image.trajectory.epoch
         if shared.kind is SharedKind.ALTIMETER_LEVER_ARM:
-            motion[mine] = image.trajectory.pose(since).matrix
+            motion[of_image] = image.trajectory.pose(since).matrix
         else:
-            motion[mine] = beam_motion(image, since, network.points.places[points[mine]])
+            motion[of_image] = beam_motion(image, since, network.points.places[points[of_image]])
     return points, motion
 
 
@@ -231,8 +231,8 @@ def along_track(places: Array) -> Array:
     """
     if len(places) < 2:
         return np.zeros(len(places))
-    apart = places - places.mean(axis=0)
-    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
+    offsets = places - places.mean(axis=0)
+    along = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0]
     along *= np.sign(along[-1] - along[0]) or 1.0
     low, high = along.min(), along.max()
     return np.asarray((2.0 * along - low - high) / max(high - low, 1.0))
@@ -246,8 +246,8 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
     effects, shots = dict[int, Array](), crossing.shots
     ways = east_north(places[shots.ravel()]).reshape(*shots.shape, 2, 3).swapaxes(2, 3)
     for p in np.unique(shifts.profile[shots]).tolist():
-        mine = (shifts.profile[shots] == p)[:, :, None, None]
-        effects[len(network.images) + p] = crossing.effect(places, np.where(mine, ways, 0.0))
+        of_profile = (shifts.profile[shots] == p)[:, :, None, None]
+        effects[len(network.images) + p] = crossing.effect(places, np.where(of_profile, ways, 0.0))
     for k, shared in enumerate(network.shared):
         if shared.kind.moves_footprints:
             points, motion = footprint_motion(network, shared)
@@ -256,6 +256,6 @@ def crossover_rows(network: Network) -> Iterator[LinearRows]:
             effects[network.first_shared + k] = crossing.effect(places, moved)
     differences = crossing.differences(places)
     for row, sigma in enumerate(crossing.sigmas.tolist()):
-        mine = [v for v in sorted(effects) if np.any(effects[v][row] != 0.0)]
-        blocks = tuple(effects[v][row][None] / sigma for v in mine)
-        yield LinearRows(tuple(mine), blocks, np.array([-differences[row] / sigma]))
+        variables = [v for v in sorted(effects) if np.any(effects[v][row] != 0.0)]
+        blocks = tuple(effects[v][row][None] / sigma for v in variables)
+        yield LinearRows(tuple(variables), blocks, np.array([-differences[row] / sigma]))

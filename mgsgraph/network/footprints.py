@@ -13,9 +13,9 @@ in the first image is cut at the height of that surface (a plane through the nea
 the second image, and moved by the ties' own misplacement there (measured minus transferred the same way; a low-order
 polynomial of line and sample, so that measuring noise averages out). An orientation error across the epipolar plane
 shows in the misplacement; one within it lifts the ties' surface off the footprints and shows by the parallax of that
-height. A horizontal error of the footprints moves both places alike and shows in neither: ties don't know it. Relief
-between the ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated
-sigmas hold it.
+height. A horizontal error of the footprints moves both places in the same way and stays invisible. Relief between the
+ties enters within the epipolar plane only (across the flight, for a pair taken from two orbits); the stated sigmas hold
+it.
 """
 
 from collections.abc import Sequence
@@ -87,11 +87,11 @@ class Registration(Record):
 
         Raises InputError with the remedy when there are several.
         """
-        found = np.flatnonzero(np.any(self.inside & self.simultaneous & usable, axis=1)).tolist()
-        if len(found) > 1:
-            names = " and ".join(self.images[j].name for j in found)
+        numbers = np.flatnonzero(np.any(self.inside & self.simultaneous & usable, axis=1)).tolist()
+        if len(numbers) > 1:
+            names = " and ".join(self.images[j].name for j in numbers)
             raise InputError(self.shots.source, f"shots simultaneous with {names}", "one image", remedy)
-        return found[0] if found else None
+        return numbers[0] if numbers else None
 
     def __repr__(self) -> str:
         counts = ", ".join(
@@ -191,31 +191,31 @@ def footprints_in_images(
     if len(given) != len(images):
         raise InputError("registration", f"{len(given)} corrections", f"one for each of {len(images)} images")
     ground = shots.footprints if points is None else points
-    places = np.stack([visible_places(image, ground, one) for image, one in zip(images, given, strict=True)])
-    inside = np.stack([_within(image, mine, margin) for image, mine in zip(images, places, strict=True)])
+    places = np.stack([visible_places(image, ground, change) for image, change in zip(images, given, strict=True)])
+    inside = np.stack([_within(image, pixels, margin) for image, pixels in zip(images, places, strict=True)])
     edges = [seconds(image) for image in images]
     beside = [np.minimum(shots.times - first, 0.0) + np.maximum(shots.times - last, 0.0) for first, last in edges]
     return Registration(tuple(images), shots, places, inside, np.stack(beside))
 
 
-def crossings(found: Registration) -> tuple[Crossing, ...]:
+def crossings(registration: Registration) -> tuple[Crossing, ...]:
     """Profiles that cross images, image by image: those taken along first, then by their times."""
-    every, names, orbits = list[Crossing](), found.shots.profile_names(), found.shots.orbits
-    for image, inside, since in zip(found.images, found.inside, found.seconds, strict=True):
-        mine = list[Crossing]()
+    all_crossings, names, orbits = list[Crossing](), registration.shots.profile_names(), registration.shots.orbits
+    for image, inside, since in zip(registration.images, registration.inside, registration.seconds, strict=True):
+        of_image = list[Crossing]()
         for orbit in np.unique(orbits[inside | (since == 0.0)]):
             members = np.flatnonzero(orbits == orbit)
             within, along = members[inside[members]], members[since[members] == 0.0]
             near = within if within.size else along
-            angles = found.shots.off_nadir[near]
-            mine.append(Crossing(
+            angles = registration.shots.off_nadir[near]
+            of_image.append(Crossing(
                 names[members[0]], image.name, members.size, within.size, along.size,
                 float(since[near][np.argmin(np.abs(since[near]))]),
                 float(np.nanmedian(angles)) if np.any(np.isfinite(angles)) else float("nan"),
-                float(found.shots.times[near].min()),
+                float(registration.shots.times[near].min()),
             ))  # fmt: skip
-        every += sorted(mine, key=lambda one: (not one.simultaneous, one.start))
-    return tuple(every)
+        all_crossings += sorted(of_image, key=lambda crossing: (not crossing.simultaneous, crossing.start))
+    return tuple(all_crossings)
 
 
 def points_in_images(
@@ -248,17 +248,17 @@ def _within(image: PushbroomImage, places: Array, margin: float = 0.0) -> Mask:
 def visible_places(image: PushbroomImage, points: Array, correction: OrientationCorrection | None = None) -> Array:
     """(n, 2) line and sample of points (n, 3) in m; NaN on the far side of the body, or far from the image's ground."""
     places, near = np.full((points.shape[0], 2), np.nan), _near(image, points, correction)
-    found, _ = image.ground_to_image(points[near], correction)
-    way = image.pose(found[:, 0], correction).position - points[near]
+    projected, _ = image.ground_to_image(points[near], correction)
+    way = image.pose(projected[:, 0], correction).position - points[near]
     facing = np.einsum("ni,ni->n", points[near], way) > 0.0
-    places[near[facing]] = found[facing]
+    places[near[facing]] = projected[facing]
     return places
 
 
 def _near(image: PushbroomImage, points: Array, correction: OrientationCorrection | None) -> Index:
     """Points that are near the image's own ground."""
     edge = np.array([0.0, 0.5, 1.0])
-    lines, samples = (one.ravel() for one in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
+    lines, samples = (part.ravel() for part in np.meshgrid(edge * image.lines, edge * image.samples, indexing="ij"))
     ground, _ = image.image_to_ground(lines, samples, correction=correction)
     if not np.all(np.isfinite(ground)):
         return np.arange(len(points))
@@ -291,11 +291,11 @@ def misregistration(
     """
     ground = shots.footprints if points is None else points
     projected, _ = image.ground_to_image(ground, correction, true_places[:, 0])
-    kept = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
-    off = projected[kept] - true_places[kept]
-    metres = on_ground(image, projected[kept], ground[kept], correction)
+    chosen = np.flatnonzero(np.all(np.isfinite(projected + true_places), axis=1))
+    off = projected[chosen] - true_places[chosen]
+    metres = on_ground(image, projected[chosen], ground[chosen], correction)
     return Misregistration(
-        image.name, "truth", kept, true_places[kept, 0], off, np.zeros_like(off),
+        image.name, "truth", chosen, true_places[chosen, 0], off, np.zeros_like(off),
         np.einsum("nij,nj->ni", metres, off), np.zeros_like(off), shots.spacing,
     )
 
@@ -325,8 +325,8 @@ def discrepancy(
     first, second = pair
     ground = shots.footprints if points is None else points
     places = footprints_in_images(pair, shots, corrections, ground).places
-    kept = np.flatnonzero(_within(first, places[0]) & _within(second, places[1]))
-    in_first, in_second = places[0, kept], places[1, kept]
+    chosen = np.flatnonzero(_within(first, places[0]) & _within(second, places[1]))
+    in_first, in_second = places[0, chosen], places[1, chosen]
     measured = _common_measures(pair, ties)
     heights = _tie_heights(pair, measured, corrections)
     surface, surface_sigma = _plane_heights(first, measured[0], heights, in_first)
@@ -335,10 +335,10 @@ def discrepancy(
     misplaced, sigmas = _smooth(first, measured[0], measured[1] - over_ties, in_first)
     off = in_second - transferred - misplaced
     lifted = by_height * surface_sigma[:, None]
-    metres = on_ground(second, in_second, ground[kept], corrections[1])
+    metres = on_ground(second, in_second, ground[chosen], corrections[1])
     variance = np.einsum("nij,nj->ni", metres**2, sigmas**2) + np.einsum("nij,nj->ni", metres, lifted) ** 2
     return Misregistration(
-        second.name, first.name, kept, in_second[:, 0], off, np.hypot(sigmas, lifted),
+        second.name, first.name, chosen, in_second[:, 0], off, np.hypot(sigmas, lifted),
         np.einsum("nij,nj->ni", metres, off), np.sqrt(variance), shots.spacing,
     )
 
@@ -359,14 +359,14 @@ def on_ground(
 def _common_measures(pair: tuple[PushbroomImage, PushbroomImage], ties: TiePoints) -> tuple[Array, Array]:
     """Places (k, 2) in the first and in the second image of the ties measured in both."""
     number = ties.measure_image.over([image.name for image in pair])
-    one, two = (np.flatnonzero(number == k) for k in range(2))
-    _, i, j = np.intersect1d(ties.measure_point[one], ties.measure_point[two], return_indices=True)
+    in_first, in_second = (np.flatnonzero(number == k) for k in range(2))
+    _, i, j = np.intersect1d(ties.measure_point[in_first], ties.measure_point[in_second], return_indices=True)
     if i.size < 3:
         raise InputError(
             f"{ties.source}, images {pair[0].name} and {pair[1].name}", f"{i.size} common tie points",
             "at least 3", "measure tie points in both images: without them their discrepancy can't be known",
         )
-    return ties.measures[one[i]], ties.measures[two[j]]
+    return ties.measures[in_first[i]], ties.measures[in_second[j]]
 
 
 def _tie_heights(
@@ -418,10 +418,10 @@ def _plane_heights(image: PushbroomImage, ties: Array, heights: Array, places: A
     normal = np.swapaxes(design, 1, 2) @ design
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)  # ties in one line make no plane
     inverse = np.linalg.inv(normal)
-    found = np.einsum("nij,nkj,nk->ni", inverse, design, heights[near])
-    left = heights[near] - np.einsum("nki,ni->nk", design, found)
-    spread = np.sum(left**2, axis=1) / (count - 3) if count > 3 else np.full(places.shape[0], np.nan)
-    return found[:, 0], np.sqrt(spread * (1.0 + inverse[:, 0, 0]))
+    planes = np.einsum("nij,nkj,nk->ni", inverse, design, heights[near])
+    rest = heights[near] - np.einsum("nki,ni->nk", design, planes)
+    spread = np.sum(rest**2, axis=1) / (count - 3) if count > 3 else np.full(places.shape[0], np.nan)
+    return planes[:, 0], np.sqrt(spread * (1.0 + inverse[:, 0, 0]))
 
 
 def _smooth(image: PushbroomImage, ties: Array, misplacement: Array, places: Array) -> tuple[Array, Array]:
@@ -434,9 +434,9 @@ def _smooth(image: PushbroomImage, ties: Array, misplacement: Array, places: Arr
 
     rows = design(ties)
     inverse = np.linalg.pinv(rows.T @ rows)
-    found = inverse @ rows.T @ misplacement
-    left = misplacement - rows @ found
-    spread = np.sum(left**2, axis=0) / (ties.shape[0] - len(terms))
+    coefficients = inverse @ rows.T @ misplacement
+    rest = misplacement - rows @ coefficients
+    spread = np.sum(rest**2, axis=0) / (ties.shape[0] - len(terms))
     at = design(places)
     share = np.einsum("ni,ij,nj->n", at, inverse, at)
-    return at @ found, np.sqrt(share[:, None] * spread)
+    return at @ coefficients, np.sqrt(share[:, None] * spread)

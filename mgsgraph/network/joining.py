@@ -56,7 +56,7 @@ def sine_over(images: Sequence[PushbroomImage], frequency: float) -> Sine:
 
 
 def straightest(images: Sequence[PushbroomImage]) -> int:
-    """The image that looks nearest along the optical axis, of several alike the first: HRSC's nadir line."""
+    """The image that looks nearest along the optical axis, of equal ones the first: HRSC's nadir line."""
     off = []
     for image in images:
         place, _ = image.interior.focal_plane(image.middle[1])
@@ -74,12 +74,12 @@ def nominal_poses(images: Sequence[PushbroomImage], times: Array, axes: Array | 
     owner = np.maximum(beyond, 0.0).argmin(axis=0)
     parts = [np.empty((times.size, *shape)) for shape in ((3,), (3,), (3, 3), (3,))]
     for j in np.unique(owner).tolist():
-        mine = np.flatnonzero(owner == j)
+        chosen = np.flatnonzero(owner == j)
         trajectory = images[j].trajectory
-        pose = trajectory.pose(np.clip(times[mine] - trajectory.epoch, *trajectory.coverage))
+        pose = trajectory.pose(np.clip(times[chosen] - trajectory.epoch, *trajectory.coverage))
         pose = pose.in_axes(None if axes is None else axes[j])
-        for whole, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.angular_rate), strict=True):
-            whole[mine] = part
+        for values, part in zip(parts, (pose.position, pose.velocity, pose.matrix, pose.angular_rate), strict=True):
+            values[chosen] = part
     return Pose(*parts)
 
 
@@ -107,28 +107,28 @@ def mountings(images: Sequence[PushbroomImage], where: str, one_camera: bool = F
         attitudes against each other change; for a camera that none of the others has a time in common with.
     """
     _require_close_in_time(images, where)
-    meetings = [(one, other, _mounted(images[one], images[other], times, where))
-                for one, other, times in _meetings(images)]  # fmt: skip
+    meetings = [(first, second, _mounted(images[first], images[second], times, where))
+                for first, second, times in _meetings(images)]  # fmt: skip
     axes: dict[int, Array] = {0: np.eye(3)}
     while len(axes) < len(images):
-        one, other, turn = next(_links(images, meetings, axes, one_camera), (-1, -1, np.eye(3)))
-        if one < 0:
+        first, second, turn = next(_links(images, meetings, axes, one_camera), (-1, -1, np.eye(3)))
+        if first < 0:
             alone = next(j for j in range(len(images)) if j not in axes)
             raise InputError(
                 where, f"image {images[alone].name} of a camera of its own, which shares no time with the others",
                 "images whose lines overlap in time: their attitudes say how the cameras are mounted",
                 "make them two passes",
             )  # fmt: skip
-        axes[other] = turn @ axes[one]
-    for one, other, turn in meetings:
-        off = _angle(turn @ axes[one] @ axes[other].T)
+        axes[second] = turn @ axes[first]
+    for first, second, turn in meetings:
+        off = _angle(turn @ axes[first] @ axes[second].T)
         if off > _LOOSE:
             raise InputError(
-                where, f"mountings of {images[one].name} and {images[other].name} that contradict by {off:.4f} rad "
+                where, f"mountings of {images[first].name} and {images[second].name} that contradict by {off:.4f} rad "
                 "when they are followed over other images", f"at most {_LOOSE} rad", "take one of them out",
             )  # fmt: skip
-    found = np.array([axes[j] for j in range(len(images))])
-    return found if max(_angle(one) for one in found) > _TURNED else None
+    rotations = np.array([axes[j] for j in range(len(images))])
+    return rotations if max(_angle(matrix) for matrix in rotations) > _TURNED else None
 
 
 def _links(
@@ -140,22 +140,22 @@ def _links(
     """Images whose mounting is known, others whose is not, and the rotation from the one's camera to the other's: of
     those that meet in time, then of one camera at several times.
     """
-    for one, other, turn in meetings:
-        if one in axes and other not in axes:
-            yield one, other, turn
-        if other in axes and one not in axes:
-            yield other, one, turn.T
-    for other in [j for j in range(len(images)) if j not in axes]:
-        alike = [one for one in axes if one_camera or same_camera(images[one], images[other])]
-        if alike:  # two cameras may be built alike: that which stands alike against the flight
-            against = [_angle(_against_flight(images[other]) @ _against_flight(images[one]).T) for one in alike]
-            yield alike[int(np.argmin(np.round(against, 3)))], other, np.eye(3)
+    for first, second, turn in meetings:
+        if first in axes and second not in axes:
+            yield first, second, turn
+        if second in axes and first not in axes:
+            yield second, first, turn.T
+    for second in [j for j in range(len(images)) if j not in axes]:
+        likely = [first for first in axes if one_camera or same_camera(images[first], images[second])]
+        if likely:  # of cameras of the same type, the one with the same attitude to the flight
+            against = [_angle(_against_flight(images[second]) @ _against_flight(images[first]).T) for first in likely]
+            yield likely[int(np.argmin(np.round(against, 3)))], second, np.eye(3)
 
 
-def same_camera(one: PushbroomImage, other: PushbroomImage) -> bool:
+def same_camera(first: PushbroomImage, second: PushbroomImage) -> bool:
     """Whether two images have the same lens and the same detector line, so far as their interiors say."""
-    mine, its = one.interior, other.interior
-    return mine.focal_length == its.focal_length and np.array_equal(mine.to_pixel, its.to_pixel)
+    a, b = first.interior, second.interior
+    return a.focal_length == b.focal_length and np.array_equal(a.to_pixel, b.to_pixel)
 
 
 def _against_flight(image: PushbroomImage) -> Array:
@@ -171,7 +171,7 @@ def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None
     """Raise InputError, naming `where`, unless images of one body follow upon each other."""
     for image in images:
         if image.body != images[0].body:
-            bodies = [f"{target_name(one.body)} ({one.body.equatorial / KM:.1f} km)" for one in (images[0], image)]
+            bodies = [f"{target_name(item.body)} ({item.body.equatorial / KM:.1f} km)" for item in (images[0], image)]
             found = f"images {images[0].name} of {bodies[0]} and {image.name} of {bodies[1]}"
             raise InputError(where, found, "images of one body", "make them two passes")
     order = sorted(images, key=lambda image: seconds(image)[0])
@@ -183,32 +183,32 @@ def _require_close_in_time(images: Sequence[PushbroomImage], where: str) -> None
                 where, f"images {last.name} and {image.name}, {pause / 60.0:.0f} minutes apart",
                 f"images of one pass, at most {LONGEST_PAUSE / 60.0:.0f} minutes apart", "make them two passes",
             )  # fmt: skip
-        last = max(last, image, key=lambda one: seconds(one)[1])
+        last = max(last, image, key=lambda item: seconds(item)[1])
 
 
 def _meetings(images: Sequence[PushbroomImage]) -> Iterator[tuple[int, int, Array]]:
     """Images that have a time in common, one < other, and moments of it, s TDB past J2000."""
     edges = np.array([seconds(image) for image in images])
-    for one in range(len(images)):
-        starts, stops = np.maximum(edges[one, 0], edges[:, 0]), np.minimum(edges[one, 1], edges[:, 1])
-        for other in (np.flatnonzero(stops[one + 1 :] > starts[one + 1 :]) + one + 1).tolist():
-            yield one, other, np.linspace(starts[other], stops[other], _MOMENTS)
+    for first in range(len(images)):
+        starts, stops = np.maximum(edges[first, 0], edges[:, 0]), np.minimum(edges[first, 1], edges[:, 1])
+        for second in (np.flatnonzero(stops[first + 1 :] > starts[first + 1 :]) + first + 1).tolist():
+            yield first, second, np.linspace(starts[second], stops[second], _MOMENTS)
 
 
-def _mounted(one: PushbroomImage, other: PushbroomImage, times: Array, where: str) -> Array:
+def _mounted(first_image: PushbroomImage, second_image: PushbroomImage, times: Array, where: str) -> Array:
     """(3, 3) from the axes of one camera to those of the other, by their nominal attitudes at some times."""
-    first, second = (image.trajectory.pose(times - image.trajectory.epoch) for image in (one, other))
-    apart = float(np.linalg.norm(first.position - second.position, axis=1).max())
-    pair = f"images {one.name} and {other.name}"
-    if (clocks := clocks_apart(first, second)) and apart > _OTHER_CLOCK:
+    first, second = (image.trajectory.pose(times - image.trajectory.epoch) for image in (first_image, second_image))
+    distance = float(np.linalg.norm(first.position - second.position, axis=1).max())
+    pair = f"images {first_image.name} and {second_image.name}"
+    if (clocks := clocks_apart(first, second)) and distance > _OTHER_CLOCK:
         raise InputError(
-            where, f"{pair}, whose clocks are {abs(clocks):.2f} s apart: at one time they are {apart:.0f} m apart "
+            where, f"{pair}, whose clocks are {abs(clocks):.2f} s apart: at one time they are {distance:.0f} m apart "
             "along the flight, on one path", "line times and tables by one clock",
-            "read both alike (the same kernels, the same kind of support data), or make them two passes",
+            "read both the same way (the same kernels, the same kind of support data), or make them two passes",
         )  # fmt: skip
-    if apart > _APART:
+    if distance > _APART:
         raise InputError(
-            where, f"{pair}, whose cameras at one time are {apart:.0f} m apart",
+            where, f"{pair}, whose cameras at one time are {distance:.0f} m apart",
             "images of one spacecraft", "make them two passes",
         )  # fmt: skip
     turns = second.matrix @ np.swapaxes(first.matrix, 1, 2)
@@ -229,8 +229,8 @@ def clocks_apart(first: Pose, second: Pose) -> float:
     away = second.position - first.position
     late = float(np.sum(away * first.velocity) / np.sum(first.velocity**2))
     size = np.linalg.norm(away, axis=1).max()
-    left = np.linalg.norm(away - late * first.velocity, axis=1).max()
-    return late if left < _ON_ONE_PATH * size else 0.0
+    rest = np.linalg.norm(away - late * first.velocity, axis=1).max()
+    return late if rest < _ON_ONE_PATH * size else 0.0
 
 
 def _angle(turn: Array) -> float:
@@ -248,28 +248,28 @@ def found_passes(images: Sequence[PushbroomImage]) -> list[list[int]]:
 
     Two images are of one pass if they show the same body, and either have a time in common at which they are at the
     same place, mounted against each other without change (`mountings`), or are of one camera, at most `LONGEST_PAUSE`
-    apart and flown in the same plane. All that are connected so are a pass; one that hangs with no other is its own.
+    apart and flown in the same plane. All that are connected so are a pass; an unconnected image is its own.
     """
     order = sorted(range(len(images)), key=lambda j: seconds(images[j]))
     passes = list[list[int]]()
     for j in order:
-        mine = [one for one in passes if any(_together(images[k], images[j]) for k in one)]
-        joined = sorted([*(k for one in mine for k in one), j], key=order.index)
+        connected = [members for members in passes if any(_connected(images[k], images[j]) for k in members)]
+        joined = sorted([*(k for members in connected for k in members), j], key=order.index)
         if not _mountable([images[k] for k in joined]):
-            joined, mine = [j], []
-        passes = [*(one for one in passes if one not in mine), joined]
-    return sorted(passes, key=lambda one: order.index(one[0]))
+            joined, connected = [j], []
+        passes = [*(members for members in passes if members not in connected), joined]
+    return sorted(passes, key=lambda members: order.index(members[0]))
 
 
-def _together(one: PushbroomImage, other: PushbroomImage) -> bool:
+def _connected(first: PushbroomImage, second: PushbroomImage) -> bool:
     """Whether two images are connected, as `found_passes` has it."""
-    if one.body != other.body:
+    if first.body != second.body:
         return False
-    (start, stop), (its_start, its_stop) = seconds(one), seconds(other)
+    (start, stop), (its_start, its_stop) = seconds(first), seconds(second)
     if min(stop, its_stop) > max(start, its_start):
-        return _mountable([one, other])
+        return _mountable([first, second])
     pause = max(start, its_start) - min(stop, its_stop)
-    return pause <= LONGEST_PAUSE and same_camera(one, other) and _same_plane(one, other)
+    return pause <= LONGEST_PAUSE and same_camera(first, second) and _same_plane(first, second)
 
 
 def _mountable(images: Sequence[PushbroomImage]) -> bool:
@@ -280,16 +280,16 @@ def _mountable(images: Sequence[PushbroomImage]) -> bool:
     return True
 
 
-def _same_plane(one: PushbroomImage, other: PushbroomImage) -> bool:
+def _same_plane(first: PushbroomImage, second: PushbroomImage) -> bool:
     """Whether two images were flown in one plane of inertial space; True where nobody knows how the body turns."""
     normals = []
-    for image in (one, other):
+    for image in (first, second):
         time, spin = np.mean(seconds(image)), image.trajectory.spin
         if spin is None:
             return True
         pose = image.trajectory.pose(np.array([time - image.trajectory.epoch]))
         normal = np.cross(pose.position[0], pose.velocity[0] + np.cross(spin, pose.position[0]))
-        since = time - np.mean(seconds(one))
+        since = time - np.mean(seconds(first))
         normals.append(rotation.exponential(spin * since) @ normal / np.linalg.norm(normal))
     return bool(np.arccos(np.clip(normals[0] @ normals[1], -1.0, 1.0)) < _SAME_PLANE)
 
@@ -325,15 +325,15 @@ class NamedPass:
         axes = None if self.axes is None else self.axes[chosen]
         return replace(self, images=tuple(self.images[k] for k in chosen), axes=axes) if chosen else None
 
-    def with_images(self, other: "NamedPass") -> "NamedPass":
+    def with_images(self, added: "NamedPass") -> "NamedPass":
         """The same with those images of another one that it has not."""
-        more = [k for k, name in enumerate(other.images) if name not in self.images]
+        more = [k for k, name in enumerate(added.images) if name not in self.images]
         if not more:
             return self
         axes = None
-        if self.axes is not None or other.axes is not None:
-            axes = np.concatenate([_axes(self), _axes(other)[more]])
-        return replace(self, images=(*self.images, *(other.images[k] for k in more)), axes=axes)
+        if self.axes is not None or added.axes is not None:
+            axes = np.concatenate([_axes(self), _axes(added)[more]])
+        return replace(self, images=(*self.images, *(added.images[k] for k in more)), axes=axes)
 
     def numbered(self, number: Mapping[str, int]) -> Pass:
         """In a network in which its images have these numbers."""
@@ -380,13 +380,13 @@ class Definitions:
     def of(self, names: Iterable[str]) -> "Definitions":
         """What of it concerns some images."""
         wanted = set(names)
-        passes = {name: one for name, every in self.passes.items() if (one := every.of(wanted)) is not None}
+        passes = {name: part for name, pass_ in self.passes.items() if (part := pass_.of(wanted)) is not None}
         shared = {name: few for name, all_of in self.shared.items() if (few := all_of.of(wanted)) is not None}
         return Definitions(passes, shared)
 
     def of_image(self, name: str) -> NamedPass | None:
         """The pass of an image; None for one on its own."""
-        return next((one for one in self.passes.values() if name in one.images), None)
+        return next((pass_ for pass_ in self.passes.values() if name in pass_.images), None)
 
 
 def definitions(network: Network) -> Definitions:
@@ -397,34 +397,34 @@ def definitions(network: Network) -> Definitions:
         return tuple(names[j] for j in images.tolist())
 
     passes = {
-        one.name: NamedPass(one.name, named(one.images), one.nodes, one.prior, one.axes, one.whole)
-        for one in network.passes
+        pass_.name: NamedPass(pass_.name, named(pass_.images), pass_.nodes, pass_.prior, pass_.axes, pass_.whole)
+        for pass_ in network.passes
     }
     shared = {
-        one.name: NamedShared(
-            one.name, one.kind, named(one.images), one.sigmas, one.name in network.considered, one.sine
+        item.name: NamedShared(
+            item.name, item.kind, named(item.images), item.sigmas, item.name in network.considered, item.sine
         )
-        for one in network.shared
+        for item in network.shared
     }
     return Definitions(passes, shared)
 
 
-def with_definitions(network: Network, known: Definitions) -> Network:
+def with_definitions(network: Network, named: Definitions) -> Network:
     """A network with these passes and shared unknowns in the place of its own, as far as its images have them."""
-    if not (known or network.passes or network.shared):
+    if not (named or network.passes or network.shared):
         return network
     number = {image.name: j for j, image in enumerate(network.images)}
-    mine = known.of(number)
+    present = named.of(number)
     considered = [name for name in network.considered if name in network.shift_names]
-    considered += [one.name for one in mine.shared.values() if one.considered]
+    considered += [item.name for item in present.shared.values() if item.considered]
     return replace(
         network,
-        passes=tuple(one.numbered(number) for one in mine.passes.values()),
+        passes=tuple(pass_.numbered(number) for pass_ in present.passes.values()),
         shared=tuple(
             SharedUnknown(
-                one.name, one.kind, np.array([number[name] for name in one.images]), one.sigmas, sine=one.sine
+                item.name, item.kind, np.array([number[name] for name in item.images]), item.sigmas, sine=item.sine
             )
-            for one in mine.shared.values()
+            for item in present.shared.values()
         ),
         considered=tuple(considered),
     )
@@ -437,63 +437,63 @@ def united(parts: Sequence[Definitions]) -> Definitions:
     """
     passes, shared, owner = dict[str, NamedPass](), dict[str, NamedShared](), dict[str, str]()
     for part in parts:
-        both: list[tuple[dict[str, Any], Mapping[str, Any]]] = [(passes, part.passes), (shared, part.shared)]
-        for every, own in both:
-            every |= {name: _united(every[name], one) if name in every else one for name, one in own.items()}
-    for name, one in passes.items():
-        for image in one.images:
+        pairs: list[tuple[dict[str, Any], Mapping[str, Any]]] = [(passes, part.passes), (shared, part.shared)]
+        for merged, of_part in pairs:
+            merged |= {name: _united(merged[name], item) if name in merged else item for name, item in of_part.items()}
+    for name, pass_ in passes.items():
+        for image in pass_.images:
             if owner.setdefault(image, name) != name:
                 raise InputError(f"image {image}", f"of the passes {owner[image]} and {name}", "one pass")
     return Definitions(passes, shared)
 
 
-def _united(one: Any, other: Any) -> Any:
+def _united(first: Any, second: Any) -> Any:
     """A pass, or a shared unknown, of two parts."""
-    where = f"{'pass' if isinstance(one, NamedPass) else 'shared unknown'} {one.name!r}"
-    for part in fields(one):
-        of_parts = getattr(one, part.name), getattr(other, part.name)
-        if part.name not in ("images", "axes", "whole") and not alike(*of_parts):
-            said = "" if is_dataclass(of_parts[0]) else f" ({of_parts[1]}, {of_parts[0]} before)"
-            found = f"{part.name} in one part other than in another{said}"
-            raise InputError(where, found, "the same", "give it another name, or state both alike")
-    if isinstance(one, NamedPass):
-        return replace(one.with_images(other), whole=one.whole and other.whole)
-    return replace(one, images=tuple(dict.fromkeys([*one.images, *other.images])))
+    where = f"{'pass' if isinstance(first, NamedPass) else 'shared unknown'} {first.name!r}"
+    for part in fields(first):
+        of_parts = getattr(first, part.name), getattr(second, part.name)
+        if part.name not in ("images", "axes", "whole") and not same_values(*of_parts):
+            values = "" if is_dataclass(of_parts[0]) else f" ({of_parts[1]}, {of_parts[0]} before)"
+            found = f"{part.name} in one part other than in another{values}"
+            raise InputError(where, found, "the same", "give it another name, or state both the same")
+    if isinstance(first, NamedPass):
+        return replace(first.with_images(second), whole=first.whole and second.whole)
+    return replace(first, images=tuple(dict.fromkeys([*first.images, *second.images])))
 
 
 def joining(
-    known: Definitions, image: str, of_pass: str = "", shares: Sequence[str] = (), where: str = "image"
+    defined: Definitions, image: str, of_pass: str = "", shares: Sequence[str] = (), where: str = "image"
 ) -> Definitions:
-    """Definitions by which an image joins a pass that is known, and shared unknowns; how its camera is mounted its
-    attitude says.
+    """Definitions by which an image joins a pass that is known, and shared unknowns; its attitude says how its
+    camera is mounted.
 
     Raises InputError, naming `where`, for an unknown name.
     """
-    wanted = [("pass", of_pass, list(known.passes))] if of_pass else []
-    for what, name, there in [*wanted, *(("shared unknown", one, list(known.shared)) for one in shares)]:
-        if name not in there:
-            names = ", ".join(there[:4]) or "there is none"
-            raise InputError(where, f"no {what} {name!r}", f"one that is there ({names})", "begin it in a case file")
-    passes = [replace(known.passes[of_pass], images=(image,), axes=None)] if of_pass else []
-    shared = [replace(known.shared[name], images=(image,)) for name in shares]
-    return Definitions({one.name: one for one in passes}, {one.name: one for one in shared})
+    wanted = [("pass", of_pass, list(defined.passes))] if of_pass else []
+    for what, name, names in [*wanted, *(("shared unknown", share, list(defined.shared)) for share in shares)]:
+        if name not in names:
+            known = ", ".join(names[:4]) or "there is none"
+            raise InputError(where, f"no {what} {name!r}", f"a known name ({known})", "define it in a case file")
+    passes = [replace(defined.passes[of_pass], images=(image,), axes=None)] if of_pass else []
+    shared = [replace(defined.shared[name], images=(image,)) for name in shares]
+    return Definitions({entry.name: entry for entry in passes}, {entry.name: entry for entry in shared})
 
 
-def _axes(one: NamedPass) -> Array:
+def _axes(pass_: NamedPass) -> Array:
     """(m, 3, 3)"""
-    return np.broadcast_to(np.eye(3), (len(one.images), 3, 3)) if one.axes is None else one.axes
+    return np.broadcast_to(np.eye(3), (len(pass_.images), 3, 3)) if pass_.axes is None else pass_.axes
 
 
-def alike(one: Any, other: Any) -> bool:
-    """Whether two records, arrays or plain values say the same."""
-    if one is other:
+def same_values(first: Any, second: Any) -> bool:
+    """Whether two records, arrays or plain values are equal."""
+    if first is second:
         return True
-    if type(one) is not type(other):
+    if type(first) is not type(second):
         return False
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other)
-    if is_dataclass(one):
-        return all(alike(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(alike, one, other))
-    return bool(one == other)
+    if isinstance(first, np.ndarray):
+        return np.array_equal(first, second)
+    if is_dataclass(first):
+        return all(same_values(getattr(first, part.name), getattr(second, part.name)) for part in fields(first))
+    if isinstance(first, tuple):
+        return len(first) == len(second) and all(map(same_values, first, second))
+    return bool(first == second)

@@ -129,12 +129,12 @@ class Network(Record):
         assign(self, held=held, rays=rays, ranges=ranges)
         self._require_shifts_and_surface()
         self._require_shots_covered()
-        require_names(tuple(one.name for one in self.shared), "shared unknowns")
-        for one in self.shared:
-            for j in one.images[one.images >= m][:1]:
-                raise InputError(f"shared unknown {one.name!r}, images", f"image {j}", f"0 .. {m - 1}")
-            if one.profile and one.profile not in (self.shifts.names if self.shifts else ()):
-                raise InputError(f"shared unknown {one.name!r}", f"profile {one.profile!r}", "one with a shift")
+        require_names(tuple(unknown.name for unknown in self.shared), "shared unknowns")
+        for unknown in self.shared:
+            for j in unknown.images[unknown.images >= m][:1]:
+                raise InputError(f"shared unknown {unknown.name!r}, images", f"image {j}", f"0 .. {m - 1}")
+            if unknown.profile and unknown.profile not in (self.shifts.names if self.shifts else ()):
+                raise InputError(f"shared unknown {unknown.name!r}", f"profile {unknown.profile!r}", "one with a shift")
         self._require_passes()
         self._require_stereo()
         self._require_considered()
@@ -151,11 +151,11 @@ class Network(Record):
 
     def _require_considered(self) -> None:
         require_names(self.considered, "considered unknowns")
-        known = (*self.shift_names, *(one.name for one in self.shared))
+        unknowns = (*self.shift_names, *(unknown.name for unknown in self.shared))
         for name in self.considered:
-            if name not in known:
-                there = some(known, len(known)) if known else "none: there are no such unknowns"
-                raise InputError("considered unknowns", f"{name!r}", f"a shift or a shared unknown ({there})")
+            if name not in unknowns:
+                expected = some(unknowns, len(unknowns)) if unknowns else "none: there are no such unknowns"
+                raise InputError("considered unknowns", f"{name!r}", f"a shift or a shared unknown ({expected})")
             terms = self.surface.terms if self.surface is not None and name == TERRAIN else ()
             if terms and not self.surface_shifts:
                 raise InputError("considered unknowns", f"{name!r}, whose horizontal position is known", "a shift")
@@ -181,8 +181,8 @@ class Network(Record):
 
     def considering(self, names: Iterable[str]) -> "Network":
         """The network with those of some names considered that are unknowns of its own."""
-        there = (*self.shift_names, *(one.name for one in self.shared))
-        considered = tuple(name for name in names if name in there)
+        present = (*self.shift_names, *(unknown.name for unknown in self.shared))
+        considered = tuple(name for name in names if name in present)
         return self if considered == self.considered else replace(self, considered=considered)
 
     def with_rejected(self, rays: Mask | None, ranges: Mask | None, stereo: Mask | None = None) -> "Network":
@@ -194,27 +194,27 @@ class Network(Record):
         return replace(self, rays=rays_of, ranges=ranges_of, stereo=control)
 
     def _require_passes(self) -> None:
-        require_names(tuple(strip.name for strip in self.passes), "passes")
-        every = [j for strip in self.passes for j in strip.images.tolist()]
-        for strip in self.passes:
-            where = f"pass {strip.name!r}"
-            start, stop = strip.nodes.coverage
-            for j in strip.images.tolist():
-                if j >= len(self.images) or every.count(j) > 1:
+        require_names(tuple(pass_.name for pass_ in self.passes), "passes")
+        members = [j for pass_ in self.passes for j in pass_.images.tolist()]
+        for pass_ in self.passes:
+            where = f"pass {pass_.name!r}"
+            start, stop = pass_.nodes.coverage
+            for j in pass_.images.tolist():
+                if j >= len(self.images) or members.count(j) > 1:
                     expected = "an image of the network, of one pass alone"
                     raise InputError(f"{where}, images", f"image {j}", expected)
                 image = self.images[j]
                 if self.held[j]:
                     raise InputError(f"{where}, image {image.name}", "it is held", "images that are adjusted")
                 edges, period = image.timing.at(np.array([0.0, float(image.lines)]))
-                if not strip.whole:
+                if not pass_.whole:
                     continue
-                since, slack = edges + (image.trajectory.epoch - strip.nodes.epoch), 2.0 * float(period.max())
+                since, slack = edges + (image.trajectory.epoch - pass_.nodes.epoch), 2.0 * float(period.max())
                 if since[0] < start - slack or since[1] > stop + slack:
                     raise InputError(
                         f"{where}, image {image.name}",
                         f"lines from {since[0]:.3f} to {since[1]:.3f} s",
-                        f"lines within its nodes' {start:.3f} to {stop:.3f} s past {strip.nodes.epoch:.3f} s TDB",
+                        f"lines within its nodes' {start:.3f} to {stop:.3f} s past {pass_.nodes.epoch:.3f} s TDB",
                     )  # fmt: skip
 
     def _require_shifts_and_surface(self) -> None:
@@ -240,11 +240,11 @@ class Network(Record):
 
     def _require_shots_covered(self) -> None:
         for j in np.unique(self.ranges.image):
-            mine = np.flatnonzero(self.ranges.image == j)
+            chosen = np.flatnonzero(self.ranges.image == j)
             trajectory = self.images[j].trajectory
-            since = self.ranges.times[mine] - trajectory.epoch
+            since = self.ranges.times[chosen] - trajectory.epoch
             start, stop = trajectory.coverage
-            worst = mine[np.argmax(np.maximum(start - since, since - stop))]
+            worst = chosen[np.argmax(np.maximum(start - since, since - stop))]
             where = f"laser shot {self.points.ids[self.ranges.point[worst]]}, image {self.images[j].name}"
             trajectory.require(self.ranges.times[[worst]] - trajectory.epoch, where)
 
@@ -252,34 +252,34 @@ class Network(Record):
         """Raise InputError unless some rows depend on each shared unknown, and tell it from vibrations like it; called
         before an adjustment.
         """
-        for one in self.shared:
-            where = f"shared unknown {one.name!r}"
-            if one.sine is not None:
-                self._require_resolved(one, one.sine, where)
-            if one.kind.moves_footprints:
-                rows = "shot" if one.profile else "laser footprint with a range"
-                observed = self.footprints_moved(one).size > 0
+        for unknown in self.shared:
+            where = f"shared unknown {unknown.name!r}"
+            if unknown.sine is not None:
+                self._require_resolved(unknown, unknown.sine, where)
+            if unknown.kind.moves_footprints:
+                rows = "shot" if unknown.profile else "laser footprint with a range"
+                observed = self.footprints_moved(unknown).size > 0
             else:
-                rows = "range" if one.kind is SharedKind.RANGE_BIAS else "measured point"
-                observed = one.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, one.images)))
-                observed |= one.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, one.images)))
+                rows = "range" if unknown.kind is SharedKind.RANGE_BIAS else "measured point"
+                observed = unknown.kind.acts_on_rays and bool(np.any(np.isin(self.rays.image, unknown.images)))
+                observed |= unknown.kind.acts_on_ranges and bool(np.any(np.isin(self.ranges.image, unknown.images)))
             if not observed:
                 raise InputError(where, f"no {rows} of its images", "some that depend on it", "take it out")
 
-    def _require_resolved(self, one: SharedUnknown, sine: Sine, where: str) -> None:
+    def _require_resolved(self, unknown: SharedUnknown, sine: Sine, where: str) -> None:
         """Raise InputError for a vibration that lines or rays don't sample, or nearer to another one than its time
         resolves.
         """
-        times = [self.images[j].timing.periods.max() for j in one.images.tolist()]
-        most, rays = 0.5 / max(times), int(np.isin(self.rays.image, one.images).sum())
+        times = [self.images[j].timing.periods.max() for j in unknown.images.tolist()]
+        most, rays = 0.5 / max(times), int(np.isin(self.rays.image, unknown.images).sum())
         if sine.frequency > min(most, rays / (4.0 * sine.half)):
             found = f"{sine.frequency:g} Hz, of lines {max(times):g} s apart and {rays} rays in {2.0 * sine.half:g} s"
             raise InputError(where, found, "two lines and two rays a period, at least", "a lower frequency")
-        for other in self.shared:
-            if other is not one and other.sine is not None and np.isin(other.images, one.images).any():
-                apart = abs(other.sine.frequency - sine.frequency)
-                if apart * 2.0 * sine.half < 1.0:
-                    found = f"{apart:g} Hz from {other.name!r}"
+        for another in self.shared:
+            if another is not unknown and another.sine is not None and np.isin(another.images, unknown.images).any():
+                difference = abs(another.sine.frequency - sine.frequency)
+                if difference * 2.0 * sine.half < 1.0:
+                    found = f"{difference:g} Hz from {another.name!r}"
                     raise InputError(where, found, f"{0.5 / sine.half:g} Hz, which its time resolves", "one of the two")
 
     def footprints_moved(self, shared: SharedUnknown) -> Index:
@@ -294,9 +294,9 @@ class Network(Record):
         each: the first that it has from one of the unknown's images.
         """
         constrained = self.points.kinds[self.ranges.point] == PointKind.CONSTRAINED
-        mine = np.flatnonzero(np.isin(self.ranges.image, shared.images) & constrained)
-        points, first = np.unique(self.ranges.point[mine], return_index=True)
-        return points, mine[first]
+        chosen = np.flatnonzero(np.isin(self.ranges.image, shared.images) & constrained)
+        points, first = np.unique(self.ranges.point[chosen], return_index=True)
+        return points, chosen[first]
 
     @property
     def shift_names(self) -> tuple[str, ...]:
@@ -342,7 +342,7 @@ class Network(Record):
     def _numbers(self) -> Mapping[str, Mapping[str, int]]:
         names = {
             "image": [image.name for image in self.images], "shift": list(self.shift_names),
-            "shared unknown": [one.name for one in self.shared], "pass": [one.name for one in self.passes],
+            "shared unknown": [owner.name for owner in self.shared], "pass": [owner.name for owner in self.passes],
         }  # fmt: skip
         return {what: {name: k for k, name in enumerate(several)} for what, several in names.items()}
 
@@ -384,44 +384,44 @@ class Network(Record):
         """Numbers of each variable: images, shifts, shared unknowns, orientation images, factors of common errors."""
         images = [prior.sigmas.size for prior in self.priors]
         shifts = [len(terms) for terms in self.shift_terms]
-        passes = [int(width) for one in self.passes for width in one.widths]
-        factors = [width * of_row for one, of_row, _ in self.common for width in one.widths.tolist()]
-        return (*images, *shifts, *(one.kind.width for one in self.shared), *passes, *factors)
+        passes = [int(width) for pass_ in self.passes for width in pass_.widths]
+        factors = [width * of_row for errors, of_row, _ in self.common for width in errors.widths.tolist()]
+        return (*images, *shifts, *(unknown.kind.width for unknown in self.shared), *passes, *factors)
 
     @property
     def common(self) -> list[tuple[CommonErrors, int, int]]:
         """Errors in common, of rays and of heights: how often a row has each factor, of line and sample or once, and
         the variable of the first group.
         """
-        found, first = list[tuple[CommonErrors, int, int]](), int(self.first_of_passes[-1])
-        for one, of_row in ((self.common_rays, 2), (self.common_heights, 1)):
-            if one is not None:
-                found.append((one, of_row, first))
-                first += one.widths.size
-        return found
+        result, first = list[tuple[CommonErrors, int, int]](), int(self.first_of_passes[-1])
+        for errors, of_row in ((self.common_rays, 2), (self.common_heights, 1)):
+            if errors is not None:
+                result.append((errors, of_row, first))
+                first += errors.widths.size
+        return result
 
     @property
     def common_variables(self) -> tuple[Index, Index]:
         """(k,) variable of the errors that each ray has in common with others, (n,) the same of each point's height
         above the terrain model; -1 for none.
         """
-        found = np.full(self.rays.point.size, -1), np.full(len(self.points), -1)
-        for one, of_row, first in self.common:
-            found[of_row == 1][one.members] = first + one.group
-        return found
+        variables = np.full(self.rays.point.size, -1), np.full(len(self.points), -1)
+        for errors, of_row, first in self.common:
+            variables[of_row == 1][errors.members] = first + errors.group
+        return variables
 
     def common_of(self, rays: Index, points: Index) -> tuple[CommonErrors | None, CommonErrors | None]:
         """Errors in common, of rays and of heights, where rays (k,) and points (n,) have other numbers, -1 for those
         that are left out.
         """
-        one, other = self.common_rays, self.common_heights
-        return one and one.renumbered(rays), other and other.renumbered(points)
+        of_rays, of_heights = self.common_rays, self.common_heights
+        return of_rays and of_rays.renumbered(rays), of_heights and of_heights.renumbered(points)
 
     @property
     def common_links(self) -> Iterator[LinearRows]:
         """Whitened rows on factors of errors in common; the last variable has no other prior."""
-        for one, of_row, first in self.common:
-            for row in one.links:
+        for errors, of_row, first in self.common:
+            for row in errors.links:
                 blocks = tuple(np.asarray(np.kron(block, np.eye(of_row)), dtype=np.float64) for block in row.blocks)
                 variables = tuple(first + group for group in row.variables)
                 yield LinearRows(variables, blocks, np.zeros(len(blocks[0])))
@@ -449,13 +449,13 @@ class Network(Record):
             return self
         rays, surface, (points, ranges) = self.rays, self.surface, self.ranges.independent(self.points)
         if self.common_rays is not None:
-            one = self.common_rays
-            rays = replace(rays, sigmas=scaled(rays.sigmas, one.members, one.independent))
+            errors = self.common_rays
+            rays = replace(rays, sigmas=scaled(rays.sigmas, errors.members, errors.independent))
         if self.common_heights is not None and surface is not None:
-            one = self.common_heights
-            surface = replace(surface, sigmas=scaled(surface.sigmas, one.members, one.independent))
-        found = replace(self, points=points, rays=rays, ranges=ranges, surface=surface)
-        return replace(found, common_rays=None, common_heights=None)
+            errors = self.common_heights
+            surface = replace(surface, sigmas=scaled(surface.sigmas, errors.members, errors.independent))
+        network = replace(self, points=points, rays=rays, ranges=ranges, surface=surface)
+        return replace(network, common_rays=None, common_heights=None)
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:
@@ -503,7 +503,7 @@ class Network(Record):
     @property
     def classes(self) -> list[PointClass]:
         """Classes of points that tables have: those measured in images, and others that occur."""
-        return [one for one in PointClass if one.measured or np.any(self.points.classes == one)]
+        return [kind for kind in PointClass if kind.measured or np.any(self.points.classes == kind)]
 
     def of_class(self) -> Iterator[tuple[PointClass, Index]]:
         """Each class that occurs, with the indices of its points."""

@@ -80,9 +80,9 @@ def build_network(
     Network(2 images, 28 points (20 tie, 8 laser), 56 rays, 8 ranges)
     """
     parts = [
-        _of_ties(images, one, tie_sigma) if isinstance(one, TiePoints) else _of_shots(images, one, shot_sigma)
-        for one in observations
-        if len(one.measure_image) or (isinstance(one, LaserProfile) and len(one.simultaneous_image))
+        _of_ties(images, given, tie_sigma) if isinstance(given, TiePoints) else _of_shots(images, given, shot_sigma)
+        for given in observations
+        if len(given.measure_image) or (isinstance(given, LaserProfile) and len(given.simultaneous_image))
     ]
     return joined(parts) if parts else None
 
@@ -120,16 +120,16 @@ def _numbered(images: Mapping[str, KnownImage], named: RepeatedNames, source: st
     used = named.used
     for name in used:
         if name not in images:
-            known = ", ".join(list(images)[:4])
-            found, expected = f"measures in the image {name!r}", f"known images ({known})"
+            listed = ", ".join(list(images)[:4])
+            found, expected = f"measures in the image {name!r}", f"known images ({listed})"
             raise InputError(source, found, expected, "add the image first")
     return list(used), named.over(used)
 
 
 def _network(
-    known: list[KnownImage], points: GroundPoints, rays: ImageRays, ranges: Ranges, source: str
+    images: list[KnownImage], points: GroundPoints, rays: ImageRays, ranges: Ranges, source: str
 ) -> Network:
-    columns = image_columns(known)
+    columns = image_columns(images)
     require_inside(columns[0], rays.image, rays.places, points.ids, rays.point, source)
     return Network(*columns, points, rays, ranges)
 
@@ -153,7 +153,7 @@ def require_inside(
     source : str
         What to call the measures in errors.
     """
-    size = np.array([(one.lines, one.samples) for one in images], dtype=np.float64)[image]
+    size = np.array([(picture.lines, picture.samples) for picture in images], dtype=np.float64)[image]
     for k in np.flatnonzero(np.any((places < 0.0) | (places > size), axis=1))[:1]:
         raise InputError(
             f"{source}, point {names[int(point[k])]}, image {images[image[k]].name}",
@@ -169,9 +169,9 @@ def nominal_ground(images: Sequence[PushbroomImage], rays: ImageRays, heights: A
     ground = np.empty((rays.point.size, 3))
     heights = np.zeros(rays.point.size) if heights is None else heights
     for j, image in enumerate(images):
-        mine = rays.image == j
-        lines, samples = rays.places[mine].T
-        ground[mine], _ = image.image_to_ground(lines, samples, heights[mine])
+        of_image = rays.image == j
+        lines, samples = rays.places[of_image].T
+        ground[of_image], _ = image.image_to_ground(lines, samples, heights[of_image])
     return ground
 
 
@@ -183,13 +183,13 @@ def require_ranges_of(profile: LaserProfile, images: Sequence[PushbroomImage], a
     `along` (r,) has the indices, or are of times beyond these; see `require_ranges`.
     """
     for j in dict.fromkeys(along.tolist()):
-        mine, image = profile.simultaneous_shot[along == j], images[j]
-        times, ground, ranges = profile.times[mine], profile.footprints[mine], profile.ranges[mine]
+        of_image, image = profile.simultaneous_shot[along == j], images[j]
+        times, ground, ranges = profile.times[of_image], profile.footprints[of_image], profile.ranges[of_image]
         past, (start, stop) = times - image.trajectory.epoch, image.trajectory.coverage
         worst = int(np.argmax(np.maximum(start - past, past - stop)))
-        where = f"{profile.source}, laser shot {profile.ids[int(mine[worst])]}, image {image.name}"
+        where = f"{profile.source}, laser shot {profile.ids[int(of_image[worst])]}, image {image.name}"
         image.trajectory.require(past[[worst]], where)
-        require_ranges(image, times, ground, ranges, profile.source, profile.ids[mine])
+        require_ranges(image, times, ground, ranges, profile.source, profile.ids[of_image])
 
 
 def require_ranges(
@@ -199,16 +199,16 @@ def require_ranges(
     unit, or one of the shots, which have these names. Times at which the trajectory isn't known pass.
     """
     past, (start, stop) = times - image.trajectory.epoch, image.trajectory.coverage
-    known = np.flatnonzero((past >= start) & (past <= stop))
-    if not known.size:
+    covered = np.flatnonzero((past >= start) & (past <= stop))
+    if not covered.size:
         return
-    distances = np.linalg.norm(footprints[known] - image.trajectory.pose(past[known]).position, axis=1)
-    require_lengths(ranges[known], distances, "ranges", source)
-    for k in np.flatnonzero(np.abs(ranges[known] / distances - 1.0) > _FAR_OFF)[:1].tolist():
-        found = f"a range of {ranges[known[k]] / KM:,.6g} km"
+    distances = np.linalg.norm(footprints[covered] - image.trajectory.pose(past[covered]).position, axis=1)
+    require_lengths(ranges[covered], distances, "ranges", source)
+    for k in np.flatnonzero(np.abs(ranges[covered] / distances - 1.0) > _FAR_OFF)[:1].tolist():
+        found = f"a range of {ranges[covered[k]] / KM:,.6g} km"
         expected = f"about {distances[k] / KM:,.6g} km, the way from the trajectory of {image.name}"
-        remedy = exchanged_units(ranges[known[k]] / distances[k]) or "mend it, or take the shot out"
-        raise InputError(f"{source}, shot {names[known[k]]}", found, expected, remedy)
+        remedy = exchanged_units(ranges[covered[k]] / distances[k]) or "mend it, or take the shot out"
+        raise InputError(f"{source}, shot {names[covered[k]]}", found, expected, remedy)
 
 
 def require_range_sigmas(profile: LaserProfile) -> None:
@@ -259,12 +259,12 @@ class Coverage(NamedTuple):
 
 def coverage(grid: TerrainGrid, places: Array) -> Coverage:
     """How a terrain model covers places (n, 3) in m, body-fixed; those that are NaN count as outside it."""
-    known = np.all(np.isfinite(places), axis=1)
-    inside = np.zeros(known.size, dtype=bool)
-    inside[known] = grid.holds(places[known])
+    sound = np.all(np.isfinite(places), axis=1)
+    inside = np.zeros(sound.size, dtype=bool)
+    inside[sound] = grid.holds(places[sound])
     on = int(np.count_nonzero(np.isfinite(grid.at(places[inside]))))
     within = int(np.count_nonzero(inside))
-    return Coverage(on, known.size - within, within - on, box_of(places[known], float(grid.box[:, 0].mean())), grid.box)
+    return Coverage(on, sound.size - within, within - on, box_of(places[sound], float(grid.box[:, 0].mean())), grid.box)
 
 
 def terrain_ground(images: Sequence[PushbroomImage], rays: ImageRays, grid: TerrainGrid) -> Array:
@@ -356,29 +356,29 @@ def posts_of(model: TerrainModel, least: float) -> Posts:
         Where a post's sigma is unknown, or there is no post.
     """
     lattice = model.lattice
-    known = np.isfinite(lattice.values)
-    if not np.any(known):
+    present = np.isfinite(lattice.values)
+    if not np.any(present):
         raise InputError(f"terrain {lattice.source}", "no post", "a model of the images' ground")
     sides = _sides(lattice)
     wanted = max(least, *sides.tolist())
     high, wide = np.maximum(np.rint(wanted / sides), 1.0).astype(int).tolist()
-    blocks = _blocks(known, high, wide)
-    there = blocks.sum(axis=(1, 3)) > _LEAST_SHARE * high * wide
-    count = blocks.sum(axis=(1, 3))[there]
-    first = np.argwhere(there) * [high, wide]
-    row = first[:, 0] + (blocks.sum(axis=3) * np.arange(high)[:, None]).sum(axis=1)[there] / count
-    column = first[:, 1] + (blocks.sum(axis=1) * np.arange(wide)).sum(axis=2)[there] / count
+    blocks = _blocks(present, high, wide)
+    filled = blocks.sum(axis=(1, 3)) > _LEAST_SHARE * high * wide
+    count = blocks.sum(axis=(1, 3))[filled]
+    first = np.argwhere(filled) * [high, wide]
+    row = first[:, 0] + (blocks.sum(axis=3) * np.arange(high)[:, None]).sum(axis=1)[filled] / count
+    column = first[:, 1] + (blocks.sum(axis=1) * np.arange(wide)).sum(axis=2)[filled] / count
 
     def mean(values: NDArray[Any]) -> Array:
         """(k,) of values (rows, columns) at posts, over the posts of each block that are there."""
-        posts = _blocks(np.where(known, values, 0.0), high, wide)
-        return np.asarray(posts.sum(axis=(1, 3), dtype=np.float64)[there] / count)
+        posts = _blocks(np.where(present, values, 0.0), high, wide)
+        return np.asarray(posts.sum(axis=(1, 3), dtype=np.float64)[filled] / count)
 
     if not lattice.vertical_sigma:
         raise InputError(f"terrain {lattice.source}", "no sigma of its heights", "metres, above zero")
     spread, points = lattice.vertical_sigma**2 / count, lattice.located(row, column, mean(lattice.values))
     if lattice.gaps is not None:
-        spread += gap_variances(np.nan_to_num(points), *(mean(one) for one in lattice.gaps))
+        spread += gap_variances(np.nan_to_num(points), *(mean(gap) for gap in lattice.gaps))
     names = Names.joined(*(first + 1).T).prefixed(f"{model.name}:")
     posts = Posts(names, points, np.sqrt(spread), _WIDTH * float(np.sqrt(np.prod(sides * [high, wide]))))
     return posts.chosen(np.flatnonzero(np.all(np.isfinite(points), axis=1)))
@@ -396,8 +396,8 @@ def _sides(lattice: PostLattice) -> Array:
 def _blocks(values: NDArray[Any], high: int, wide: int) -> NDArray[Any]:
     """(r, high, c, wide) values (rows, columns) of posts in blocks; zero beyond the last post."""
     rows, columns = values.shape
-    whole = np.pad(values, ((0, -rows % high), (0, -columns % wide)))
-    return whole.reshape(whole.shape[0] // high, high, whole.shape[1] // wide, wide)
+    padded = np.pad(values, ((0, -rows % high), (0, -columns % wide)))
+    return padded.reshape(padded.shape[0] // high, high, padded.shape[1] // wide, wide)
 
 
 def with_posts(network: Network, models: Sequence[tuple[TerrainModel, Posts]]) -> Network:
@@ -441,12 +441,12 @@ class Members(NamedTuple):
     """(m, 3, 3) how their cameras are mounted (`network.passes.Pass`)."""
 
 
-def carriers(found: Registration, usable: Mask, passes: Sequence[Members], remedy: str) -> Index:
+def carriers(registration: Registration, usable: Mask, passes: Sequence[Members], remedy: str) -> Index:
     """Image whose trajectory carries the range of each shot.
 
     Parameters
     ----------
-    found : Registration
+    registration : Registration
         Shots in all images, m of them.
     usable : (n,)
         False for shots that don't count.
@@ -465,52 +465,52 @@ def carriers(found: Registration, usable: Mask, passes: Sequence[Members], remed
     InputError
         For shots along images of several trajectories.
     """
-    along = np.flatnonzero(np.any(found.simultaneous & usable, axis=1)).tolist()
-    owners = np.full(found.shots.times.size, -1, dtype=np.int64)
-    of_all = [one for one in passes if set(along) & set(one.images)]
-    alone = [j for j in along if not any(j in one.images for one in passes)]
+    along = np.flatnonzero(np.any(registration.simultaneous & usable, axis=1)).tolist()
+    owners = np.full(registration.shots.times.size, -1, dtype=np.int64)
+    of_all = [members for members in passes if set(along) & set(members.images)]
+    alone = [j for j in along if not any(j in members.images for members in passes)]
     if len(of_all) + len(alone) > 1:
-        names = " and ".join(found.images[j].name for j in along)
-        raise InputError(found.shots.source, f"shots simultaneous with {names}", "images of one pass", remedy)
+        names = " and ".join(registration.images[j].name for j in along)
+        raise InputError(registration.shots.source, f"shots simultaneous with {names}", "images of one pass", remedy)
     if alone:
-        owners[found.simultaneous[alone[0]]] = alone[0]
+        owners[registration.simultaneous[alone[0]]] = alone[0]
     elif of_all:
-        owners = _along_pass(found, of_all[0])
+        owners = _along_pass(registration, of_all[0])
     return owners
 
 
-def shots_carried(found: Registration, owners: Index, passes: Sequence[Members]) -> Mask:
+def shots_carried(registration: Registration, owners: Index, passes: Sequence[Members]) -> Mask:
     """(n,) True for shots with a carrier that fall in an image of its trajectory, or between its images in time;
     without any carrier for those that fall in an image at all.
     """
     used = np.unique(owners[owners >= 0])
     if not used.size:
-        return np.asarray(np.any(found.inside, axis=0))
-    images = next((list(one.images) for one in passes if int(used[0]) in one.images), used.tolist())
-    between = ~np.any(found.simultaneous[images], axis=0)
-    return np.asarray((owners >= 0) & (between | np.any(found.inside[images], axis=0)))
+        return np.asarray(np.any(registration.inside, axis=0))
+    images = next((list(members.images) for members in passes if int(used[0]) in members.images), used.tolist())
+    between = ~np.any(registration.simultaneous[images], axis=0)
+    return np.asarray((owners >= 0) & (between | np.any(registration.inside[images], axis=0)))
 
 
-def _along_pass(found: Registration, one: Members) -> Index:
+def _along_pass(registration: Registration, pass_: Members) -> Index:
     """Carriers among the images of a pass: of the camera that covers most shots; an image's own shots by itself."""
-    times, members = found.shots.times, np.array(one.images)
-    edges = np.array([seconds(found.images[j]) for j in one.images])
+    times, members = registration.shots.times, np.array(pass_.images)
+    edges = np.array([seconds(registration.images[j]) for j in pass_.images])
     during = (times >= edges[:, 0].min()) & (times <= edges[:, 1].max())
     covered = np.zeros((members.size, times.size), dtype=bool)
-    for k, j in enumerate(one.images):
-        start, stop = np.array(found.images[j].trajectory.coverage) + found.images[j].trajectory.epoch
+    for k, j in enumerate(pass_.images):
+        start, stop = np.array(registration.images[j].trajectory.coverage) + registration.images[j].trajectory.epoch
         covered[k] = during & (times >= start) & (times <= stop)
-    cameras = [_same_axes(one, k) for k in range(members.size)]
+    cameras = [_same_axes(pass_, k) for k in range(members.size)]
     camera = max(cameras, key=lambda same: int(np.any(covered[same], axis=0).sum()))
     owners = np.full(times.size, -1, dtype=np.int64)
-    for shots in (covered, found.simultaneous[members]):
+    for shots in (covered, registration.simultaneous[members]):
         for k in np.flatnonzero(camera)[::-1].tolist():
             owners[shots[k]] = members[k]
     return owners
 
 
-def _same_axes(one: Members, member: int) -> Mask:
+def _same_axes(pass_: Members, member: int) -> Mask:
     """(m,) True for images whose camera has the axes of one member's."""
-    if one.axes is None:
-        return np.ones(len(one.images), dtype=np.bool_)
-    return np.asarray(np.abs(one.axes - one.axes[member]).max(axis=(1, 2)) < _TURNED)
+    if pass_.axes is None:
+        return np.ones(len(pass_.images), dtype=np.bool_)
+    return np.asarray(np.abs(pass_.axes - pass_.axes[member]).max(axis=(1, 2)) < _TURNED)

@@ -1,4 +1,4 @@
-"""Points whose rays are nearly parallel: nothing says how far away they are."""
+"""Points whose rays are nearly parallel: their distance is undetermined."""
 
 import numpy as np
 
@@ -32,19 +32,19 @@ def nearly_parallel(network: Network, points: Index) -> Mask:
     these part, they say no more of the point than that it is far away. `parallel` knows of directions alone, not of how
     well the cameras' positions are known.
     """
-    rays, found = network.rays, _held_by_rays(network)[points]
+    rays, held = network.rays, _held_by_rays(network)[points]
     order = np.argsort(points)
-    mine = np.flatnonzero(np.isin(rays.point, points[found]))
-    number, looks = order[np.searchsorted(points, rays.point[mine], sorter=order)], np.empty((mine.size, 3))
-    for j in np.unique(rays.image[mine]).tolist():
-        own = rays.image[mine] == j
-        looks[own] = network.images[j].sightlines(*rays.places[mine[own]].T)[1]
+    rows = np.flatnonzero(np.isin(rays.point, points[held]))
+    number, looks = order[np.searchsorted(points, rays.point[rows], sorter=order)], np.empty((rows.size, 3))
+    for j in np.unique(rays.image[rows]).tolist():
+        of_image = rays.image[rows] == j
+        looks[of_image] = network.images[j].sightlines(*rays.places[rows[of_image]].T)[1]
     looks /= np.linalg.norm(looks, axis=1)[:, None]
     first = np.zeros((points.size, 3))
     first[number[::-1]] = looks[::-1]
-    apart = np.linalg.norm(looks - first[number], axis=1)
-    found[number[apart > _MOST]] = False
-    return found
+    distances = np.linalg.norm(looks - first[number], axis=1)
+    held[number[distances > _MOST]] = False
+    return held
 
 
 def _held_by_rays(network: Network) -> Mask:
@@ -58,9 +58,9 @@ def _held_by_rays(network: Network) -> Mask:
 
 def _pointing(network: Network, image: int) -> float:
     """A-priori sigma of the direction of an image's rays, rad, as far as it is known: rotations across the axis."""
-    strip = int(network.pass_of[image])
+    number = int(network.pass_of[image])
     if network.held[image]:
         return 0.0
-    sigmas = (network.priors[image].sigmas if strip < 0 else network.passes[strip].sigmas[0][None])[0, 3:5]
-    known = sigmas[np.isfinite(sigmas)]
-    return float(known.max(initial=0.0))
+    sigmas = (network.priors[image].sigmas if number < 0 else network.passes[number].sigmas[0][None])[0, 3:5]
+    finite = sigmas[np.isfinite(sigmas)]
+    return float(finite.max(initial=0.0))

@@ -65,10 +65,10 @@ def known_images(network: Network) -> list[KnownImage]:
     ]
 
 
-def image_columns(known: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ...], tuple[OrientationPrior, ...], Mask]:
+def image_columns(given: Sequence[KnownImage]) -> tuple[tuple[PushbroomImage, ...], tuple[OrientationPrior, ...], Mask]:
     """Images, priors and marks of held ones, as a network has them; the way back from `known_images`."""
-    held = np.array([one.held for one in known], dtype=bool)
-    return tuple(one.image for one in known), tuple(one.prior for one in known), held
+    held = np.array([image.held for image in given], dtype=bool)
+    return tuple(image.image for image in given), tuple(image.prior for image in given), held
 
 
 Members = tuple[Unknown, ...]
@@ -80,24 +80,24 @@ def unknowns(network: Network) -> Members:
     """Shared unknowns of a network, in the order of a layout's variables."""
     images = (Unknown("image", image.name) for image in network.images)
     shifts = (Unknown("shift", name) for name in network.shift_names)
-    shared = (Unknown("shared", one.name) for one in network.shared)
-    return (*images, *shifts, *shared, *(unknown for one in network.passes for unknown in pass_unknowns(one)))
+    shared = (Unknown("shared", item.name) for item in network.shared)
+    return (*images, *shifts, *shared, *(unknown for pass_ in network.passes for unknown in pass_unknowns(pass_)))
 
 
-def pass_unknowns(one: Pass | NamedPass) -> Members:
+def pass_unknowns(pass_: Pass | NamedPass) -> Members:
     """Orientation images of a pass and, where it has one, its trend; a node is known by its time, which stays."""
-    nodes = (Unknown("node", f"{one.name} at {time!r} s") for time in one.nodes.times.tolist())
-    return (*nodes, *([Unknown("trend", one.name)] if one.prior.trend_sigmas.size else []))
+    nodes = (Unknown("node", f"{pass_.name} at {time!r} s") for time in pass_.nodes.times.tolist())
+    return (*nodes, *([Unknown("trend", pass_.name)] if pass_.prior.trend_sigmas.size else []))
 
 
 def require_separable(network: Network) -> None:
     """Raise InputError for what can't be kept bundle by bundle: rows of several profiles, a user's own factors,
     unknowns that depend on all points of a profile, and heights and tilts of a terrain model.
     """
-    for one in network.shared:
-        if one.kind.of_profile:
+    for unknown in network.shared:
+        if unknown.kind.of_profile:
             raise InputError(
-                f"shared unknown {one.name!r}", f"{one.kind} in what is adjusted image by image",
+                f"shared unknown {unknown.name!r}", f"{unknown.kind} in what is adjusted image by image",
                 "unknowns of images, and horizontal shifts",
                 "adjust such a case as a whole (`mgsgraph adjust`), or take it out",
             )
@@ -119,12 +119,12 @@ def require_separable(network: Network) -> None:
         )
 
 
-def alone(known: KnownImage) -> Network:
+def alone(image: KnownImage) -> Network:
     """A network of one image without any point."""
     nothing, none = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     points = GroundPoints(Names.of(()), nothing, nothing, none, np.zeros((0, 3, 3)))
     rays = ImageRays(nothing, nothing, np.zeros((0, 2)), np.zeros((0, 2)))
-    return Network(*image_columns([known]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
+    return Network(*image_columns([image]), points, rays, Ranges(nothing, nothing, *np.zeros((3, 0))))
 
 
 def select_points(network: Network, points: Index | Sequence[str]) -> Network:
@@ -168,15 +168,15 @@ def thinned(network: Network, points: Index, rays: Mask, ranges: Mask) -> Networ
     """
     place = np.full(len(network.points), -1)
     place[points] = np.arange(points.size)
-    own, shifts, surface = network.points, network.shifts, network.surface
+    old, shifts, surface = network.points, network.shifts, network.surface
     chosen, number = np.flatnonzero((place[network.rays.point] >= 0) & rays), np.full(network.rays.point.size, -1)
-    seen, number[chosen] = network.rays.chosen(chosen), np.arange(chosen.size)
+    measured, number[chosen] = network.rays.chosen(chosen), np.arange(chosen.size)
     shot = network.ranges.chosen(np.flatnonzero((place[network.ranges.point] >= 0) & ranges))
-    covariances, (of_rays, of_heights) = chosen_rows(own.covariances, points), network.common_of(number, place)
+    covariances, (of_rays, of_heights) = chosen_rows(old.covariances, points), network.common_of(number, place)
     return replace(
         network,
-        points=GroundPoints(own.ids[points], own.classes[points], own.kinds[points], own.places[points], covariances),
-        rays=replace(seen, point=place[seen.point]),
+        points=GroundPoints(old.ids[points], old.classes[points], old.kinds[points], old.places[points], covariances),
+        rays=replace(measured, point=place[measured.point]),
         ranges=replace(shot, point=place[shot.point]),
         shifts=None if shifts is None else replace(shifts, profile=shifts.profile[points]),
         surface=None if surface is None else replace(surface, sigmas=surface.sigmas[points]),
@@ -194,19 +194,19 @@ def _part(network: Network, points: Index, rays: Index, ranges: Index, place: In
     stereo = None if network.stereo is None else network.stereo.chosen(points)
     pairs = [] if stereo is None else [stereo.images.ravel()]
     images, image = _renumbered(network.rays.image[rays], network.ranges.image[ranges], *pairs)
-    own, seen, shot = network.points, network.rays.chosen(rays), network.ranges.chosen(ranges)
-    found = Network(
+    old, measured, shot = network.points, network.rays.chosen(rays), network.ranges.chosen(ranges)
+    part = Network(
         tuple(network.images[j] for j in images),
         tuple(network.priors[j] for j in images),
         network.held[images],
         GroundPoints(
-            own.ids[points],
-            own.classes[points],
-            own.kinds[points],
-            own.places[points],
-            chosen_rows(own.covariances, points),
+            old.ids[points],
+            old.classes[points],
+            old.kinds[points],
+            old.places[points],
+            chosen_rows(old.covariances, points),
         ),
-        replace(seen, point=place[seen.point], image=image[seen.image]),
+        replace(measured, point=place[measured.point], image=image[measured.image]),
         replace(shot, point=place[shot.point], image=image[shot.image]),
         _shifts_of(network, points),
         _surface_of(network, points),
@@ -214,16 +214,16 @@ def _part(network: Network, points: Index, rays: Index, ranges: Index, place: In
         stereo=None if stereo is None else replace(stereo, images=image[stereo.images]),
     )
     if network.passes or network.shared:
-        return with_definitions(found.considering(network.considered), definitions(network))
-    return found.considering(network.considered) if network.considered else found
+        return with_definitions(part.considering(network.considered), definitions(network))
+    return part.considering(network.considered) if network.considered else part
 
 
 def _renumbered(*used: Index) -> tuple[Index, Index]:
     """The images used, ascending, and (images,) the new number of each."""
-    kept = np.unique(np.concatenate(used))
-    number = np.full(int(kept.max(initial=-1)) + 1, -1)
-    number[kept] = np.arange(kept.size)
-    return kept, number
+    present = np.unique(np.concatenate(used))
+    number = np.full(int(present.max(initial=-1)) + 1, -1)
+    number[present] = np.arange(present.size)
+    return present, number
 
 
 def _shifts_of(network: Network, points: Index) -> ProfileShifts | None:
@@ -232,9 +232,9 @@ def _shifts_of(network: Network, points: Index) -> ProfileShifts | None:
     profile = network.shifts.profile[points]
     if not np.any(profile >= 0):
         return None
-    kept, number = _renumbered(profile[profile >= 0])
+    profiles, number = _renumbered(profile[profile >= 0])
     renamed = np.where(profile >= 0, number[profile], -1)
-    return ProfileShifts(tuple(network.shifts.names[p] for p in kept), renamed, network.shifts.sigmas[kept])
+    return ProfileShifts(tuple(network.shifts.names[p] for p in profiles), renamed, network.shifts.sigmas[profiles])
 
 
 def _surface_of(network: Network, points: Index) -> Surface | None:
@@ -247,14 +247,14 @@ def bundles(network: Network) -> dict[Members, Network]:
     """A network by bundle; points that no ray, no range and no stereo surface holds are left out."""
     require_separable(network)
     network = network.independent
-    found = points_of_bundles(network)
+    by_bundle = points_of_bundles(network)
     place, of_point = np.full((2, len(network.points)), -1)
-    for number, mine in enumerate(found.values()):
-        place[mine], of_point[mine] = np.arange(mine.size), number
-    rays, ranges = (_by_bundle(of_point[rows.point], len(found)) for rows in (network.rays, network.ranges))
+    for number, points in enumerate(by_bundle.values()):
+        place[points], of_point[points] = np.arange(points.size), number
+    rays, ranges = (_by_bundle(of_point[rows.point], len(by_bundle)) for rows in (network.rays, network.ranges))
     return {
-        members: _part(network, mine, ray, shot, place)
-        for (members, mine), ray, shot in zip(found.items(), rays, ranges, strict=True)
+        members: _part(network, points, ray, shot, place)
+        for (members, points), ray, shot in zip(by_bundle.items(), rays, ranges, strict=True)
     }
 
 
@@ -267,19 +267,19 @@ def _by_bundle(bundle: Index, count: int) -> list[Index]:
 def points_of_bundles(network: Network) -> dict[Members, Index]:
     """Points (n,) of each bundle; those that no ray, no range and no stereo surface holds are in none."""
     names = unknowns(network)
-    unknown, owner, seen = _unknowns_of_points(network)
+    unknown, owner, measured = _unknowns_of_points(network)
     marks = np.random.default_rng(0).integers(0, 2**64, len(names), dtype=np.uint64)
     signature = np.zeros(len(network.points), dtype=np.uint64)
     np.add.at(signature, owner, marks[unknown])
     order = np.argsort(signature, kind="stable")
-    order = order[seen[order]]
+    order = order[measured[order]]
     edges = np.flatnonzero(np.diff(signature[order])) + 1
     first = np.searchsorted(owner, np.arange(len(network.points) + 1))
-    found = dict[Members, Index]()
-    for mine in np.split(order, edges) if order.size else []:
-        members = unknown[first[mine[0]] : first[mine[0] + 1]]
-        found[tuple(sorted(names[v] for v in members.tolist()))] = mine
-    return found
+    by_bundle = dict[Members, Index]()
+    for points in np.split(order, edges) if order.size else []:
+        members = unknown[first[points[0]] : first[points[0] + 1]]
+        by_bundle[tuple(sorted(names[v] for v in members.tolist()))] = points
+    return by_bundle
 
 
 def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
@@ -287,8 +287,8 @@ def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
     point has a ray, a range or a height above a stereo surface.
     """
     m, count = len(network.images), int(network.first_of_passes[-1])
-    seen = np.zeros(len(network.points), dtype=bool)
-    seen[network.rays.point] = seen[network.ranges.point] = True
+    measured = np.zeros(len(network.points), dtype=bool)
+    measured[network.rays.point] = measured[network.ranges.point] = True
     pairs = [*_of_orientation(network, count), *_of_shared(network, count)]
     if network.shifts is not None:
         moved = np.flatnonzero(network.shifts.profile >= 0)
@@ -299,10 +299,10 @@ def _unknowns_of_points(network: Network) -> tuple[Index, Index, Mask]:
     if network.stereo is not None:
         on = np.flatnonzero(network.stereo.surface >= 0)
         pairs += [on * count + side for side in network.stereo.images[network.stereo.surface[on]].T]
-        seen[on] = True
+        measured[on] = True
     point, unknown = np.divmod(np.unique(np.concatenate(pairs)), count)
     free = np.append(network.with_polynomial, np.ones(count - m, dtype=bool))[unknown]
-    return unknown[free], point[free], seen
+    return unknown[free], point[free], measured
 
 
 def _of_orientation(network: Network, count: int) -> Iterator[Index]:
@@ -310,28 +310,29 @@ def _of_orientation(network: Network, count: int) -> Iterator[Index]:
     rays, ranges = network.rays, network.ranges
     yield rays.point * count + rays.image
     yield ranges.point * count + ranges.image
-    for one, first in network.numbered_passes:
-        for j in one.images.tolist():
+    for pass_, first in network.numbered_passes:
+        for j in pass_.images.tolist():
             image = network.images[j]
-            seen, shot = np.flatnonzero(rays.image == j), np.flatnonzero(ranges.image == j)
-            times, _ = image.timing.at(rays.places[seen, 0])
+            measured, shot = np.flatnonzero(rays.image == j), np.flatnonzero(ranges.image == j)
+            times, _ = image.timing.at(rays.places[measured, 0])
             node = np.concatenate([
-                one.nodes.first_of_four(times, image.trajectory.epoch), one.nodes.first_of_four(ranges.times[shot], 0.0)
+                pass_.nodes.first_of_four(times, image.trajectory.epoch),
+                pass_.nodes.first_of_four(ranges.times[shot], 0.0),
             ])  # fmt: skip
-            point = np.concatenate([rays.point[seen], ranges.point[shot]])
+            point = np.concatenate([rays.point[measured], ranges.point[shot]])
             yield ((point * count + first + node)[:, None] + np.arange(SUPPORT)).ravel()
 
 
 def _of_shared(network: Network, count: int) -> Iterator[Index]:
     """The same of unknowns that images share."""
-    for k, one in enumerate(network.shared, network.first_shared):
+    for k, shared_unknown in enumerate(network.shared, network.first_shared):
         rays, ranges = network.rays, network.ranges
-        if one.kind.acts_on_rays:
-            yield rays.point[np.isin(rays.image, one.images)] * count + k
-        if one.kind.acts_on_ranges:
-            yield ranges.point[np.isin(ranges.image, one.images)] * count + k
-        if one.kind.moves_footprints:
-            yield network.footprints_moved(one) * count + k
+        if shared_unknown.kind.acts_on_rays:
+            yield rays.point[np.isin(rays.image, shared_unknown.images)] * count + k
+        if shared_unknown.kind.acts_on_ranges:
+            yield ranges.point[np.isin(ranges.image, shared_unknown.images)] * count + k
+        if shared_unknown.kind.moves_footprints:
+            yield network.footprints_moved(shared_unknown) * count + k
 
 
 def joined(networks: Sequence[Network]) -> Network:
@@ -349,37 +350,37 @@ def joined(networks: Sequence[Network]) -> Network:
         require_separable(net)
     if len(networks) == 1:
         return networks[0]
-    images = {one.image.name: one for net in networks for one in known_images(net)}
+    images = {image.image.name: image for net in networks for image in known_images(net)}
     number = {name: j for j, name in enumerate(images)}
     image_of = [np.array([number[image.name] for image in net.images], dtype=np.int64) for net in networks]
     place_of, points = _joined_points(networks)
     rays = ImageRays(*_columns(
-        (p[one.point], j[one.image], one.places, one.sigmas, one.back_projected, one.rejected)
-        for one, p, j in zip((net.rays for net in networks), place_of, image_of, strict=True)
+        (p[rows.point], j[rows.image], rows.places, rows.sigmas, rows.back_projected, rows.rejected)
+        for rows, p, j in zip((net.rays for net in networks), place_of, image_of, strict=True)
     ))  # fmt: skip
     ranges = Ranges(*_columns(
-        (p[one.point], j[one.image], one.times, one.values, one.sigmas, one.rejected)
-        for one, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
+        (p[rows.point], j[rows.image], rows.times, rows.values, rows.sigmas, rows.rejected)
+        for rows, p, j in zip((net.ranges for net in networks), place_of, image_of, strict=True)
     ))  # fmt: skip
     _require_once(points.ids, tuple(images), "measured there before", rays.point, rays.image)
     keys = ranges.point, ranges.image, ranges.times, ranges.values
     _require_once(points.ids, tuple(images), "the same range twice", *keys)
     areoid = next((net.areoid for net in networks if net.areoid is not None), None)
-    found = Network(
+    network = Network(
         *image_columns(list(images.values())), points, rays, ranges,
         _joined_shifts(networks, place_of, len(points)), _joined_surface(networks, place_of, len(points)), areoid,
         stereo=joined_control([net.stereo for net in networks], place_of, image_of, len(points)),
     )  # fmt: skip
-    found = found.considering(_joined_considered(networks))
-    return with_definitions(found, united([definitions(net) for net in networks]))
+    network = network.considering(_joined_considered(networks))
+    return with_definitions(network, united([definitions(net) for net in networks]))
 
 
 def _joined_considered(networks: Sequence[Network]) -> tuple[str, ...]:
     """Unknowns that all parts which have them consider; InputError where one considers what another estimates."""
     names = dict.fromkeys(name for net in networks for name in net.considered)
     for name in names:
-        there = [{*net.shift_names, *(one.name for one in net.shared)} for net in networks]
-        if any(name in some and name not in net.considered for net, some in zip(networks, there, strict=True)):
+        names_of = [{*net.shift_names, *(unknown.name for unknown in net.shared)} for net in networks]
+        if any(name in some and name not in net.considered for net, some in zip(networks, names_of, strict=True)):
             remedy = "name it in `considered` (of a terrain model: shift = false) for both, or for neither"
             raise InputError(f"unknown {name!r}", "considered in one part, estimated in another", "one of them", remedy)
     return tuple(names)
@@ -401,14 +402,14 @@ def _joined_points(networks: Sequence[Network]) -> tuple[list[Index], GroundPoin
     np.maximum.at(best, where, kinds)
     # of the parts that know the point best, the last; the others must not contradict it
     source = np.full(len(ids), -1)
-    mine = np.flatnonzero(kinds == best[where])
-    source[where[mine]] = mine
+    best_known = np.flatnonzero(kinds == best[where])
+    source[where[best_known]] = best_known
     for k in np.flatnonzero(classes != classes[source[where]])[:1]:
         found = "of two classes (tie, laser shot, ground control)"
         raise InputError(f"point {ids[where[k]]}", found, "one", "give one of them another name")
     stated = (kinds == best[where]) & (kinds != PointKind.FREE)
-    apart = stated & np.any(places != places[source[where]], axis=1)
-    for k in np.flatnonzero(apart)[:1]:
+    deviating = stated & np.any(places != places[source[where]], axis=1)
+    for k in np.flatnonzero(deviating)[:1]:
         found = f"two a-priori places, {np.linalg.norm(places[k] - places[source[where[k]]]):.3g} m apart"
         raise InputError(f"point {ids[where[k]]}", found, "one", "give new points other names")
     return place_of, GroundPoints(ids, classes[source], kinds[source], places[source], chosen_rows(covariances, source))
@@ -418,7 +419,7 @@ def _require_once(ids: Names, images: tuple[str, ...], found: str, point: Index,
     """Raise InputError where the same row is there twice."""
     keys = (point, image, *more)
     order = np.lexsort(keys[::-1])
-    again = np.all([one[order][1:] == one[order][:-1] for one in keys], axis=0)
+    again = np.all([key[order][1:] == key[order][:-1] for key in keys], axis=0)
     for k in order[:-1][again][:1].tolist():
         where = f"point {ids[int(point[k])]}, image {images[int(image[k])]}"
         raise InputError(where, found, "one measure per image and point", "take one of the measures out")
@@ -436,18 +437,18 @@ def _joined_shifts(networks: Sequence[Network], place_of: list[Index], count: in
     number, profile = {name: p for p, name in enumerate(sigmas)}, np.full(count, -1)
     for net, place in zip(networks, place_of, strict=True):
         if net.shifts is not None:
-            mine = net.shifts.profile >= 0
-            own = np.array([number[name] for name in net.shifts.names])
-            profile[place[mine]] = own[net.shifts.profile[mine]]
+            shifted = net.shifts.profile >= 0
+            numbers = np.array([number[name] for name in net.shifts.names])
+            profile[place[shifted]] = numbers[net.shifts.profile[shifted]]
     return ProfileShifts(tuple(sigmas), profile, np.array(list(sigmas.values())))
 
 
 def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: int) -> Surface | None:
-    known = [(net.surface, place) for net, place in zip(networks, place_of, strict=True) if net.surface is not None]
-    if not known:
+    surfaces = [(net.surface, place) for net, place in zip(networks, place_of, strict=True) if net.surface is not None]
+    if not surfaces:
         return None
-    first, sigmas = known[0][0], np.full(count, np.inf)
-    for surface, place in known:
+    first, sigmas = surfaces[0][0], np.full(count, np.inf)
+    for surface, place in surfaces:
         if surface.grid is not first.grid or surface.shift_sigma != first.shift_sigma:
             raise InputError(surface.grid.source, f"another terrain model than {first.grid.source}", "one for all")
         sigmas[place] = np.minimum(sigmas[place], surface.sigmas)
@@ -457,11 +458,11 @@ def _joined_surface(networks: Sequence[Network], place_of: list[Index], count: i
 def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
     """A network with all of these images, in their order; those that no measure names are in it, too."""
     require_separable(network)
-    place = {one.image.name: j for j, one in enumerate(images)}
+    place = {image.image.name: j for j, image in enumerate(images)}
     number = np.array([place[image.name] for image in network.images], dtype=np.int64)
     rays, ranges, (pictures, priors, held) = network.rays, network.ranges, image_columns(images)
-    stereo, known = network.stereo, definitions(network)
-    found = replace(
+    stereo, named = network.stereo, definitions(network)
+    changed = replace(
         network,
         passes=(),
         shared=(),
@@ -473,7 +474,7 @@ def with_images(network: Network, images: Sequence[KnownImage]) -> Network:
         rays=replace(rays, image=number[rays.image]),
         ranges=replace(ranges, image=number[ranges.image]),
     )
-    return with_definitions(found, known)
+    return with_definitions(changed, named)
 
 
 def without_images(network: Network, names: Iterable[str]) -> Network | None:
@@ -481,23 +482,23 @@ def without_images(network: Network, names: Iterable[str]) -> Network | None:
 
     Points that no ray and no range is left of go, too: the images had brought them.
     """
-    network, gone = network.independent, np.isin([image.name for image in network.images], list(names))
-    rays, ranges = ~gone[network.rays.image], ~gone[network.ranges.image]
-    seen = np.zeros(len(network.points), dtype=bool)
-    seen[network.rays.point[rays]] = seen[network.ranges.point[ranges]] = True
-    if not np.any(seen):
+    network, removed = network.independent, np.isin([image.name for image in network.images], list(names))
+    rays, ranges = ~removed[network.rays.image], ~removed[network.ranges.image]
+    measured = np.zeros(len(network.points), dtype=bool)
+    measured[network.rays.point[rays]] = measured[network.ranges.point[ranges]] = True
+    if not np.any(measured):
         return None
-    left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
-    if left.stereo is not None:
-        control = left.stereo.without(gone)
-        left = replace(left, stereo=control)
-        seen[control.surface >= 0] = True
-    return select_points(left, np.flatnonzero(seen))
+    rest = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    if rest.stereo is not None:
+        control = rest.stereo.without(removed)
+        rest = replace(rest, stereo=control)
+        measured[control.surface >= 0] = True
+    return select_points(rest, np.flatnonzero(measured))
 
 
 def without_points(network: Network, ids: Sequence[str]) -> Network | None:
     """A network without some points and their rows; None where no other is left."""
-    there = network.points.ids.find(ids)
-    kept = np.ones(len(network.points), dtype=bool)
-    kept[there[there >= 0]] = False
-    return select_points(network, np.flatnonzero(kept)) if np.any(kept) else None
+    numbers = network.points.ids.find(ids)
+    remaining = np.ones(len(network.points), dtype=bool)
+    remaining[numbers[numbers >= 0]] = False
+    return select_points(network, np.flatnonzero(remaining)) if np.any(remaining) else None

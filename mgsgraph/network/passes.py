@@ -9,9 +9,9 @@ corrections to the observed exterior orientation): of a node at time t, s = -1 .
     c(t) = bias + drift s + e(t),
 
 where e has the node's own sigma and, between nodes, the correlation exp(-|dt| / correlation time) of a Gauss-Markov
-process. So a node hangs on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and sigma
-root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it. Closer
-nodes then don't say more than the trajectory knows (`NodePrior`).
+process. So a node depends on the one before it by a smoothness factor, e_k - a e_{k-1} with a = exp(-dt / time) and
+sigma root(1 - a^2) times the node's; without correlation time nodes are observed independently, as Spiegel has it.
+Closer nodes then don't say more than the trajectory knows (`NodePrior`).
 
 Other departures: any Gaussian process (`ProcessPrior`, `network.conditioning`), its rows between neighbouring nodes by
 sequential conditioning (`network.conditioning`). Or none, and the corrections polynomials of time (`PolynomialPrior`):
@@ -136,22 +136,22 @@ class NodePrior(BiasAndDrift):
 
     def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
         """Whitened rows on the nodes and the trend."""
-        known = np.flatnonzero(np.isfinite(self.sigmas))
+        finite = np.flatnonzero(np.isfinite(self.sigmas))
         s, count = normalised(nodes), len(nodes)
-        trend, weight = self.trend(s)[:, known], np.diag(1.0 / self.sigmas)[known]
+        trend, weight = self.trend(s)[:, finite], np.diag(1.0 / self.sigmas)[finite]
         with np.errstate(divide="ignore"):
-            apart = np.diff(nodes.times) / self.correlation_time
-        memory, forgotten = np.exp(-apart), np.sqrt(-np.expm1(-2.0 * apart))
+            intervals = np.diff(nodes.times) / self.correlation_time
+        memory, forgotten = np.exp(-intervals), np.sqrt(-np.expm1(-2.0 * intervals))
         has_trend = trend.shape[2] > 0
-        for k in range(count if known.size else 0):
+        for k in range(count if finite.size else 0):
             before = float(memory[k - 1]) if k else 0.0
             scale = 1.0 / float(forgotten[k - 1]) if k else 1.0
             parts = {k - 1: -before * scale * weight} if before > 0.0 else {}
             parts[k] = scale * weight
             if has_trend:
                 follow = trend[k] - before * trend[k - 1] if k else trend[k]
-                parts[count] = -scale * follow / self.sigmas[known][:, None]
-            yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, known))
+                parts[count] = -scale * follow / self.sigmas[finite][:, None]
+            yield LinearFactor(tuple(parts), tuple(parts.values()), _about(k, finite))
         yield from _on_trend(count, self.trend_sigmas)
 
 
@@ -186,12 +186,12 @@ class PolynomialPrior(BiasAndDrift):
     @property
     def coefficient_sigmas(self) -> Array:
         """(4, 6) m and rad of the coefficients of s^0 .. s^3, those held at a sigma so small that it is nothing."""
-        found = np.zeros((SUPPORT, 6))
-        found[: self.position_sigmas.shape[0], :3] = self.position_sigmas
-        found[: self.attitude_sigmas.shape[0], 3:] = self.attitude_sigmas
-        largest = np.where(np.isfinite(found), found, 0.0).max(axis=0)
+        sigmas = np.zeros((SUPPORT, 6))
+        sigmas[: self.position_sigmas.shape[0], :3] = self.position_sigmas
+        sigmas[: self.attitude_sigmas.shape[0], 3:] = self.attitude_sigmas
+        largest = np.where(np.isfinite(sigmas), sigmas, 0.0).max(axis=0)
         held = _HELD * np.where(largest > 0.0, largest, _NOTHING)
-        return np.where(found > 0.0, found, held)
+        return np.where(sigmas > 0.0, sigmas, held)
 
     @property
     def bias(self) -> Array:  # type: ignore[override]
@@ -260,10 +260,10 @@ class ProcessPrior(BiasAndDrift):
         assign(self, drift=frozen(self.drift, "process prior, drift", (6,)))
         if min(self.bias.min(), self.drift.min()) < 0.0:
             raise InputError("process prior, bias and drift", "a negative sigma", "sigmas, or 0 for none")
-        for name, part, mine in (("position", self.position, slice(0, 3)), ("attitude", self.attitude, slice(3, 6))):
+        for name, part, axes in (("position", self.position, slice(0, 3)), ("attitude", self.attitude, slice(3, 6))):
             if not isinstance(part, tuple):
                 raise InputError(f"process prior, {name}", "no tuple", "processes, of which the sum is meant, or none")
-            if any(not one.stationary for one in part) and min(self.bias[mine].min(), self.drift[mine].min()) == 0.0:
+            if any(not p.stationary for p in part) and min(self.bias[axes].min(), self.drift[axes].min()) == 0.0:
                 found = "an integrated Wiener process without bias or drift"
                 raise InputError(f"process prior, {name}", found, "both, large where nothing is known")
 
@@ -272,57 +272,57 @@ class ProcessPrior(BiasAndDrift):
         depends on the time from the middle of the pass (`own_sigmas` has it).
         """
         parts = (self._parts(0), self._parts(3))
-        own = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in parts]
-        return np.sqrt(np.concatenate(own) + self.bias**2 + (s[:, None] * self.drift) ** 2)
+        of_processes = [sum(p.sigmas**2 for p in part if p.stationary) + np.zeros(3) for part in parts]
+        return np.sqrt(np.concatenate(of_processes) + self.bias**2 + (s[:, None] * self.drift) ** 2)
 
     def own_sigmas(self, nodes: OrientationImages) -> Array:
         """(k, 6) a-priori sigma of the coefficient of each of some nodes, with the trend's."""
-        own = np.stack([variances(self._parts(c), c % 3, nodes) for c in range(6)], axis=1)
-        return np.asarray(np.sqrt(own + self.bias**2 + (normalised(nodes)[:, None] * self.drift) ** 2))
+        of_processes = np.stack([variances(self._parts(c), c % 3, nodes) for c in range(6)], axis=1)
+        return np.asarray(np.sqrt(of_processes + self.bias**2 + (normalised(nodes)[:, None] * self.drift) ** 2))
 
     def scaled(self, nodes: Array, trend: Array) -> "ProcessPrior":
         """With the strengths of processes times factors (6,), the sigmas of the trend's unknowns times factors (w,)."""
         bias, drift = self.scaled_trend(trend)
         return replace(
             self,
-            position=tuple(one.scaled(nodes[:3]) for one in self.position),
-            attitude=tuple(one.scaled(nodes[3:]) for one in self.attitude),
+            position=tuple(process.scaled(nodes[:3]) for process in self.position),
+            attitude=tuple(process.scaled(nodes[3:]) for process in self.attitude),
             bias=bias,
             drift=drift,
         )
 
     def _parts(self, component: int) -> tuple[Process, ...]:
         """Processes of a component (0 .. 5); where there are none, white noise that is nothing."""
-        mine = slice(0, 3) if component < 3 else slice(3, 6)
-        largest = np.maximum(self.bias, self.drift)[mine]
-        held = np.where(largest > 0.0, largest, _NOTHING[mine])
+        axes = slice(0, 3) if component < 3 else slice(3, 6)
+        largest = np.maximum(self.bias, self.drift)[axes]
+        held = np.where(largest > 0.0, largest, _NOTHING[axes])
         return (self.position if component < 3 else self.attitude) or (Process("white", _HELD * held),)
 
     def conditionals(self, nodes: OrientationImages) -> tuple[Conditionals, ...]:
         """Of each of the six components: how a node follows from those before it, and what is lost by taking few."""
-        found, seen = list[Conditionals](), dict[tuple[float, ...], Conditionals]()
+        result, computed = list[Conditionals](), dict[tuple[float, ...], Conditionals]()
         for c in range(6):
             part = self._parts(c)
             size = float(part[0].sigmas[c % 3])
-            key = (c // 3, *(float(one.sigmas[c % 3]) / size for one in part[1:]))
-            if key not in seen:
-                unit = tuple(one.scaled(np.full(3, 1.0 / size)) for one in part)
-                seen[key] = conditionals(unit, c % 3, nodes)
-            found.append(replace(seen[key], sigmas=size * seen[key].sigmas))
-        return tuple(found)
+            key = (c // 3, *(float(process.sigmas[c % 3]) / size for process in part[1:]))
+            if key not in computed:
+                unit = tuple(process.scaled(np.full(3, 1.0 / size)) for process in part)
+                computed[key] = conditionals(unit, c % 3, nodes)
+            result.append(replace(computed[key], sigmas=size * computed[key].sigmas))
+        return tuple(result)
 
     def divergence(self, nodes: OrientationImages) -> float:
         """Nats a node and component that rows between neighbours lose of the processes; see `network.conditioning`."""
-        return max(one.divergence for one in self.conditionals(nodes))
+        return max(component.divergence for component in self.conditionals(nodes))
 
     def factors(self, nodes: OrientationImages) -> Iterator[LinearFactor]:
         """Whitened rows between neighbouring nodes, and on the trend."""
-        every, count, components = self.conditionals(nodes), len(nodes), np.arange(6)
-        memory = max(one.memory for one in every)
-        sigmas = np.stack([one.sigmas for one in every], axis=1)
+        of_components, count, components = self.conditionals(nodes), len(nodes), np.arange(6)
+        memory = max(component.memory for component in of_components)
+        sigmas = np.stack([component.sigmas for component in of_components], axis=1)
         weights = np.zeros((count, memory, 6))
-        for c, one in enumerate(every):
-            weights[:, : one.memory, c] = one.weights
+        for c, component in enumerate(of_components):
+            weights[:, : component.memory, c] = component.weights
         trend = self.trend(normalised(nodes))
         for k in range(count):
             parts, follow = dict[int, Array](), trend[k].copy()
@@ -411,14 +411,14 @@ class Pass(Record):
     @property
     def sigmas(self) -> list[Array]:
         """A-priori sigmas of each of them, m and rad, by itself."""
-        own = list(self.prior.own_sigmas(self.nodes))
-        return own + ([self.prior.trend_sigmas] if self.prior.trend_sigmas.size else [])
+        of_nodes = list(self.prior.own_sigmas(self.nodes))
+        return of_nodes + ([self.prior.trend_sigmas] if self.prior.trend_sigmas.size else [])
 
     @property
     def asks_for_strengths(self) -> bool:
         """Whether the strength of one of its processes is to be estimated."""
         prior = self.prior
-        return isinstance(prior, ProcessPrior) and any(one.estimated for one in (*prior.position, *prior.attitude))
+        return isinstance(prior, ProcessPrior) and any(p.estimated for p in (*prior.position, *prior.attitude))
 
     def part(self, unknown: int, inside: int) -> tuple[str, int]:
         """What a column of one of its unknowns belongs to, in words, and its component."""
@@ -433,7 +433,7 @@ class Pass(Record):
     @property
     def angular(self) -> list[Mask]:
         """True for a column in rad, of each of them."""
-        every = [np.arange(6) >= 3 for _ in range(len(self.nodes))]
+        masks = [np.arange(6) >= 3 for _ in range(len(self.nodes))]
         if self.prior.trend_sigmas.size:
-            every.append(self.prior.trend_components >= 3)
-        return every
+            masks.append(self.prior.trend_components >= 3)
+        return masks

@@ -91,8 +91,8 @@ class GroundPoints(Record):
             raise InputError("ground points, places", f"an array of shape {places.shape}", f"shape ({n}, 3)")
         for i in np.flatnonzero(np.any(np.isinf(places), axis=1))[:1]:
             raise InputError(f"ground point {self.ids[i]}", "an infinite place", "metres, or NaN where unknown")
-        known = np.all(np.isfinite(places), axis=1)
-        for i in np.flatnonzero((kinds != PointKind.FREE) & ~known)[:1]:
+        located = np.all(np.isfinite(places), axis=1)
+        for i in np.flatnonzero((kinds != PointKind.FREE) & ~located)[:1]:
             raise InputError(f"ground point {self.ids[i]}", "no a-priori place", "one for a constrained or fixed point")
         covariances = frozen(self.covariances, "ground points, covariances", (n, 3, 3))
         require_covariances(covariances, kinds == PointKind.CONSTRAINED, self.ids, "ground points")
@@ -281,9 +281,9 @@ class Surface(Record):
     @property
     def terms(self) -> tuple[ShiftTerm, ...]:
         """Unknowns of the model itself, in the order of its variable's columns; none where it stays as it is."""
-        every = (*_horizontal(self.shift_sigma), ShiftTerm("upward shift", "m", self.height_sigma))
+        shifts = (*_horizontal(self.shift_sigma), ShiftTerm("upward shift", "m", self.height_sigma))
         tilts = (ShiftTerm(f"tilt about {way}", "rad", self.tilt_sigma) for way in ("east", "north"))
-        return tuple(term for term in (*every, *tilts) if term.sigma > 0.0)
+        return tuple(term for term in (*shifts, *tilts) if term.sigma > 0.0)
 
     def scaled(self, heights: Array, own: Array) -> "Surface":
         """With the sigmas of its rows times factors (n,), those of its own unknowns times factors (w,)."""
@@ -356,9 +356,9 @@ class Crossovers(Record):
 
     def without(self, out: Mask) -> "Crossovers | None":
         """Those on which none of some ground points (n,) lies; None without any."""
-        left = ~np.any(out[self.shots], axis=1)
-        parts = (getattr(self, name)[left] for name in self.__slots__)
-        return Crossovers(*parts) if np.any(left) else None
+        remaining = ~np.any(out[self.shots], axis=1)
+        parts = (getattr(self, name)[remaining] for name in self.__slots__)
+        return Crossovers(*parts) if np.any(remaining) else None
 
     def profiles(self, shifts: ProfileShifts) -> Index:
         """(m, 2) which cross."""
@@ -401,21 +401,21 @@ def crossovers(
     places = points.places.copy()
     ways = east_north_up(places[used])[:, :2]
     places[used] += np.einsum("nk,nkj->nj", moved[shifts.profile[used]], ways)
-    boxes = [(places[mine].min(axis=0), places[mine].max(axis=0)) if mine.size else None for mine in members]
+    boxes = [(places[part].min(axis=0), places[part].max(axis=0)) if part.size else None for part in members]
     rows = list[tuple[Index, Array, Array, Array, float]]()
-    for k, other in combinations(range(len(members)), 2):
-        one, two = boxes[k], boxes[other]
-        if one is None or two is None or np.any(one[0] > two[1]) or np.any(two[0] > one[1]):
+    for k, m in combinations(range(len(members)), 2):
+        box, second_box = boxes[k], boxes[m]
+        if box is None or second_box is None or np.any(box[0] > second_box[1]) or np.any(second_box[0] > box[1]):
             continue
-        noise = float(np.median(sigmas[members[k]])), float(np.median(sigmas[members[other]]))
-        found = crossing(places[members[k]], places[members[other]], noise)
-        if found is not None:
-            shots = np.concatenate([members[k][found[0].shots], members[other][found[1].shots]])
-            shares = np.concatenate([found[0].shares, -found[1].shares])
-            slope, doubt = gradient(found), shifts.sigmas[[k, other]][unsure[[k, other]]]
+        noise = float(np.median(sigmas[members[k]])), float(np.median(sigmas[members[m]]))
+        pair = crossing(places[members[k]], places[members[m]], noise)
+        if pair is not None:
+            shots = np.concatenate([members[k][pair[0].shots], members[m][pair[1].shots]])
+            shares = np.concatenate([pair[0].shares, -pair[1].shares])
+            slope, doubt = gradient(pair), shifts.sigmas[[k, m]][unsure[[k, m]]]
             vague = float(np.linalg.norm(slope) * np.linalg.norm(doubt))
-            sigma = float(np.linalg.norm(np.array([found[0].sigma, found[1].sigma, vague])))
-            rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[other], sigma))
+            sigma = float(np.linalg.norm(np.array([pair[0].sigma, pair[1].sigma, vague])))
+            rows.append((shots, shares, slope * (not doubt.size), moved[k] - moved[m], sigma))
     return _as_record(rows) if rows else None
 
 
@@ -447,16 +447,16 @@ class StereoControl(Record):
 
     def chosen(self, points: Index) -> "StereoControl | None":
         """Some points (n,) and the surfaces on which they lie, the images' numbers kept; None where there are none."""
-        mine = self.surface[points]
-        kept, inside = np.unique(mine[mine >= 0], return_inverse=True)
-        if not kept.size:
+        surfaces = self.surface[points]
+        present, inside = np.unique(surfaces[surfaces >= 0], return_inverse=True)
+        if not present.size:
             return None
-        surface = np.full(mine.size, -1)
-        surface[mine >= 0] = inside
-        rejected, level = (None if one is None else one[points] for one in (self.rejected, self.level))
+        surface = np.full(surfaces.size, -1)
+        surface[surfaces >= 0] = inside
+        rejected, level = (None if values is None else values[points] for values in (self.rejected, self.level))
         starts = None if self.starts is None else self.starts[points]
-        shown = tuple(self.surfaces[s] for s in kept.tolist())
-        return StereoControl(shown, self.images[kept], surface, self.sigmas[points], starts, rejected, level)
+        shown = tuple(self.surfaces[s] for s in present.tolist())
+        return StereoControl(shown, self.images[present], surface, self.sigmas[points], starts, rejected, level)
 
     def without(self, images: Mask) -> "StereoControl":
         """The same with no point on the surfaces that some images (m,) show."""
@@ -485,14 +485,14 @@ def joined_control(
     for control, place, image in zip(controls, place_of, image_of, strict=True):
         if control is None:
             continue
-        for one, pair in zip(control.surfaces, control.images, strict=True):
-            if id(one) not in number:
-                number[id(one)] = len(surfaces)
-                surfaces.append(one)
+        for record, pair in zip(control.surfaces, control.images, strict=True):
+            if id(record) not in number:
+                number[id(record)] = len(surfaces)
+                surfaces.append(record)
                 images.append(image[pair])
         on = np.flatnonzero(control.surface >= 0)
-        own = np.array([number[id(one)] for one in control.surfaces])
-        surface[place[on]], sigmas[place[on]] = own[control.surface[on]], control.sigmas[on]
+        numbers = np.array([number[id(record)] for record in control.surfaces])
+        surface[place[on]], sigmas[place[on]] = numbers[control.surface[on]], control.sigmas[on]
         starts[place[on]] = np.nan if control.starts is None else control.starts[on]
         rejected[place[on]] = control.rejected is not None and control.rejected[on]
         level[place[on]] = control.level is not None and control.level[on]

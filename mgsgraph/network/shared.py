@@ -109,12 +109,12 @@ class SharedKind(StrEnum):
 
     def __new__(cls, name: str, unit: str = "", components: str = "", effects: str = "") -> "SharedKind":
         """A kind by its name, unit, components and what it acts on, in words."""
-        one = str.__new__(cls, name)
-        one._value_, one.unit, one.components = name, unit, tuple(components.split()) or ("",)
-        one.width, one.moves_pose, one.is_interior = len(one.components), "pose" in effects, "interior" in effects
-        one.acts_on_rays, one.acts_on_ranges = "rays" in effects, "ranges" in effects
-        one.moves_footprints, one.of_profile = "footprints" in effects, "profile" in effects
-        return one
+        kind = str.__new__(cls, name)
+        kind._value_, kind.unit, kind.components = name, unit, tuple(components.split()) or ("",)
+        kind.width, kind.moves_pose, kind.is_interior = len(kind.components), "pose" in effects, "interior" in effects
+        kind.acts_on_rays, kind.acts_on_ranges = "rays" in effects, "ranges" in effects
+        kind.moves_footprints, kind.of_profile = "footprints" in effects, "profile" in effects
+        return kind
 
     @property
     def reported(self) -> tuple[float, str]:
@@ -321,7 +321,7 @@ def _fitted(image: PushbroomImage, kind: SharedKind, u: Array, effect: Array) ->
 def _powers_of_legendre() -> Array:
     """(DEGREE + 1, DEGREE + 1) coefficients of u^0, u^1, ... of Legendre's polynomials, a column each."""
     columns = [np.polynomial.legendre.leg2poly(row) for row in np.eye(DEGREE + 1)]
-    return np.stack([np.pad(one, (0, DEGREE + 1 - one.size)) for one in columns], axis=1)
+    return np.stack([np.pad(column, (0, DEGREE + 1 - column.size)) for column in columns], axis=1)
 
 
 def beam_motion(image: PushbroomImage, times: Array, footprints: Array) -> Array:

@@ -12,7 +12,7 @@ from mgsgraph.adjustment.rounds import unmarked
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_values
 from mgsgraph.analysis.places import View
-from mgsgraph.analysis.posterior import Posterior, posterior_of, stands_alone
+from mgsgraph.analysis.posterior import Posterior, is_self_contained, posterior_of
 from mgsgraph.case.case_file import decode, read_image, read_images
 from mgsgraph.case.passes import members
 from mgsgraph.case.schema import CaseInput, TerrainInput
@@ -179,14 +179,14 @@ def read_posterior(path: Path) -> tuple[str, Posterior, str]:
 def posterior_near(path: Path, point: str) -> Posterior | None:
     """Posterior of a project's points that depend on the same unknowns as a point: their rows, and the covariance of
     these unknowns from iSAM2, so that no other point is read. None without such a point or an adjustment, and where
-    they don't stand alone (`stands_alone`).
+    they don't stand alone (`is_self_contained`).
     """
     with open_project(path) as opened:
         members = opened.store.bundles_of([point]).get(point)
         if members is None or not is_solved(opened):
             return None
         bundle, adjustment = opened.store.bundle(members), _adjusted(opened, str(path))
-        if opened.store.considered or not stands_alone(bundle.network):
+        if opened.store.considered or not is_self_contained(bundle.network):
             return None
         with errors_from(str(path)):
             return posterior_of(

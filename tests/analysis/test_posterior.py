@@ -25,7 +25,7 @@ from mgsgraph.analysis.estimates import correlation
 from mgsgraph.analysis.likelihood import LEVELS, Likelihood, linearity_of
 from mgsgraph.analysis.linearised import at_solution, at_values
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.posterior import Pixel, Posterior, cross_covariances, posterior_of_points, stands_alone
+from mgsgraph.analysis.posterior import Pixel, Posterior, cross_covariances, is_self_contained, posterior_of_points
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import OrientationCorrection
@@ -376,7 +376,7 @@ def test_considered_unknowns_need_the_whole() -> None:
     considered = adjust_network(
         small().network.considering(small().network.shift_names), SolverSettings(starts=0)
     )
-    assert stands_alone(small().network)
+    assert is_self_contained(small().network)
     assert posterior_of_points(considered, np.arange(4)) is None
 
 

@@ -25,7 +25,7 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory, tdb_of_utc
 from mgsgraph.network import NodePrior, Pass, ProcessPrior, SharedKind, SharedUnknown
-from mgsgraph.network.joining import alike, found_passes, mountings, seconds, straightest
+from mgsgraph.network.joining import found_passes, mountings, same_values, seconds, straightest
 from mgsgraph.network.passes import normalised
 from mgsgraph.network.shared import image_effect
 from mgsgraph.project.addition import images_of_case
@@ -574,4 +574,4 @@ def test_projects_keep_them(block_folder: Path, tmp_path: Path) -> None:
     for one, other in zip(kept.passes, wanted.passes, strict=True):
         assert [kept.images[j].name for j in one.images] == [wanted.images[j].name for j in other.images]
         np.testing.assert_array_equal(one.nodes.times, other.nodes.times)
-        assert alike(one.prior, other.prior)
+        assert same_values(one.prior, other.prior)

@@ -166,24 +166,24 @@ _ROOM, _PRODUCTS = PART * PART * PADDED, NINE * PADDED
 
 
 @on_device
-def put_pair(numbers, t, result, stride, one, other, columns, others, rows, one_rows, other_rows):
-    """Numbers of a point's pair of parts: -Y Y', and J J' of an observation with itself; its columns begin at `one` and
-    `other`, their rows at `one_rows` and `other_rows` (none where `rows` is 0).
+def put_pair(numbers, t, result, stride, begin_i, begin_j, columns, columns_j, rows, one_rows, other_rows):
+    """Numbers of a point's pair of parts: -Y Y', and J J' of an observation with itself; its columns begin at `begin_i`
+    and `begin_j`, their rows at `one_rows` and `other_rows` (none where `rows` is 0).
     """
     y = cuda.local.array(18, np.float64)
     for b in range(18):
-        y[b] = result[other + b * stride] if b < 3 * others else 0.0
+        y[b] = result[begin_j + b * stride] if b < 3 * columns_j else 0.0
     for a in range(6):
         if a < columns:
-            k = one + 3 * a * stride
+            k = begin_i + 3 * a * stride
             y0, y1, y2 = result[k], result[k + stride], result[k + 2 * stride]
             for b in range(6):
-                if b < others:
+                if b < columns_j:
                     value = -(y0 * y[3 * b] + y1 * y[3 * b + 1] + y2 * y[3 * b + 2])
                     for row in range(rows):
                         left = result[one_rows + (a * rows + row) * stride]
                         value += left * result[other_rows + (b * rows + row) * stride]
-                    numbers[(a * others + b) * PADDED + t] = value
+                    numbers[(a * columns_j + b) * PADDED + t] = value
 
 
 @on_device
@@ -207,16 +207,16 @@ def accumulate(numbers, products, slice_of, slices, quad, total):
 
 
 @on_device
-def add_number(tables, pattern, same, one, a, other, b, value, mirrored, blocks):
+def add_number(tables, pattern, same, entry_i, a, entry_j, b, value, mirrored, blocks):
     """Add a sum to the block of two columns (entries and columns within them); if `mirrored`, its mirror image alone,
     where one variable's block holds both triangles. Of a part with itself either is among the sums.
     """
-    start, down, across, own = block_of(tables, pattern, one, other)
+    start, down, across, one_variable = block_of(tables, pattern, entry_i, entry_j)
     if mirrored:
-        if own and not same:
-            start, down, across, _ = block_of(tables, pattern, other, one)
+        if one_variable and not same:
+            start, down, across, _ = block_of(tables, pattern, entry_j, entry_i)
             cuda.atomic.add(blocks, start + b * down + a * across, value)
-    elif own or (not same) or one < other:
+    elif one_variable or (not same) or entry_i < entry_j:
         cuda.atomic.add(blocks, start + a * down + b * across, value)
 
 
@@ -241,13 +241,13 @@ def add_up(tables, table, edges, result, gradient, blocks):
         first, columns, terms, entry = part(tables, i, table[job, ONE_PART])
         rows_i, right_i, basis_i = rows_at(tables, i)
         alone = j == NONE
-        other, others, terms_j, entry_j, basis_j, rows_j = 0, 1, 0, 0, 0, 0
+        first_j, columns_j, terms_j, entry_j, basis_j, rows_j = 0, 1, 0, 0, 0, 0
         if not alone:
-            other, others, terms_j, entry_j = part(tables, j, table[job, OTHER_PART])
+            first_j, columns_j, terms_j, entry_j = part(tables, j, table[job, OTHER_PART])
             rows_j, _, basis_j = rows_at(tables, j)
         rows = row_count(tables.observation[i, KIND])
         same = i == j and table[job, ONE_PART] == table[job, OTHER_PART]
-        count, width = columns * others, max(terms_j, 1)
+        count, width = columns * columns_j, max(terms_j, 1)
         quads = (count + FOUR - 1) // FOUR
         slices = THREADS // quads
         for begin in range(0, max(terms, 1) * width, NINE):
@@ -258,22 +258,22 @@ def add_up(tables, table, edges, result, gradient, blocks):
                 cuda.syncthreads()
                 if chunk + t < points:
                     at, stride = left_at(tables, piece, i, chunk + t)
-                    there = at
+                    at_j = at
                     if alone:
                         for a in range(columns):
                             numbers[a * PADDED + t] = result[at + (right_i + first + a) * stride]
                     else:
-                        there, _ = left_at(tables, piece, j, chunk + t)
+                        at_j, _ = left_at(tables, piece, j, chunk + t)
                         put_pair(
-                            numbers, t, result, stride, at + 3 * first * stride, there + 3 * other * stride, columns,
-                            others, rows if i == j else 0, at + (rows_i + first * rows) * stride,
-                            there + (rows_j + other * rows) * stride,
+                            numbers, t, result, stride, at + 3 * first * stride, at_j + 3 * first_j * stride, columns,
+                            columns_j, rows if i == j else 0, at + (rows_i + first * rows) * stride,
+                            at_j + (rows_j + first_j * rows) * stride,
                         )  # fmt: skip
                     for v in range(NINE):
                         value = 0.0
                         if v < pairs:
                             value = basis_of(result, at, stride, basis_i, terms, (begin + v) // width)
-                            value *= basis_of(result, there, stride, basis_j, terms_j, (begin + v) % width)
+                            value *= basis_of(result, at_j, stride, basis_j, terms_j, (begin + v) % width)
                         products[v * PADDED + t] = value
                 else:
                     for a in range(count):
@@ -296,14 +296,14 @@ def add_up(tables, table, edges, result, gradient, blocks):
                     value, k = 0.0, c // FOUR * SUMS + c % FOUR * NINE + v
                     for s in range(slices):
                         value += numbers[k + s * quads * SUMS]
-                    a, b, p, q = c // others, c % others, (begin + v) // width, (begin + v) % width
-                    one = entry + (p if terms > 0 else a)
+                    a, b, p, q = c // columns_j, c % columns_j, (begin + v) // width, (begin + v) % width
+                    row = entry + (p if terms > 0 else a)
                     a = a if terms > 0 else 0
                     if alone:
-                        cuda.atomic.add(gradient, tables.entry[one, RIGHT] + a, value)
+                        cuda.atomic.add(gradient, tables.entry[row, RIGHT] + a, value)
                     else:
-                        two = entry_j + (q if terms_j > 0 else b)
+                        column = entry_j + (q if terms_j > 0 else b)
                         add_number(
-                            tables, pattern, same, one, a, two, b if terms_j > 0 else 0, value, mirrored > 0, blocks
+                            tables, pattern, same, row, a, column, b if terms_j > 0 else 0, value, mirrored > 0, blocks
                         )
                 cuda.syncthreads()

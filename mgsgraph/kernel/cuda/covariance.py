@@ -29,10 +29,10 @@ from mgsgraph.kernel.rows import OUT, WEAK
 
 
 @on_device
-def joint_part(tables, pattern, result, joint, i, at, one, j, there, other, stride, pair):
+def joint_part(tables, pattern, result, joint, i, at, part_i, j, at_j, part_j, stride, pair):
     """S_ij between two parts, to `pair` (6 x 6)."""
-    _, columns, terms, entry = one
-    _, others, terms_j, entry_j = other
+    _, columns, terms, entry = part_i
+    _, columns_j, terms_j, entry_j = part_j
     _, _, basis_i = rows_at(tables, i)
     _, _, basis_j = rows_at(tables, j)
     for a in range(36):
@@ -40,18 +40,18 @@ def joint_part(tables, pattern, result, joint, i, at, one, j, there, other, stri
     for p in range(max(terms, 1)):
         for q in range(max(terms_j, 1)):
             weight = basis_of(result, at, stride, basis_i, terms, p)
-            weight *= basis_of(result, there, stride, basis_j, terms_j, q)
+            weight *= basis_of(result, at_j, stride, basis_j, terms_j, q)
             if terms > 0 and terms_j > 0:
                 start, down, across, _ = block_of(tables, pattern, entry + p, entry_j + q)
                 for a in range(columns):
-                    for b in range(others):
+                    for b in range(columns_j):
                         pair[6 * a + b] += weight * joint[start + a * down + b * across]
             else:
                 for a in range(columns):
-                    for b in range(others):
-                        mine = entry + (p if terms > 0 else a)
-                        yours = entry_j + (q if terms_j > 0 else b)
-                        start, down, across, _ = block_of(tables, pattern, mine, yours)
+                    for b in range(columns_j):
+                        entry_a = entry + (p if terms > 0 else a)
+                        entry_b = entry_j + (q if terms_j > 0 else b)
+                        start, down, across, _ = block_of(tables, pattern, entry_a, entry_b)
                         inside = (a * down if terms > 0 else 0) + (b * across if terms_j > 0 else 0)
                         pair[6 * a + b] += weight * joint[start + inside]
 
@@ -64,15 +64,15 @@ def coupling_of(result, at, stride, column):
 
 
 @on_device
-def add_through(result, at, one, there, other, stride, pair, g):
+def add_through(result, at, part_i, at_j, part_j, stride, pair, g):
     """A matrix g (3 x 3) plus Y_i' S_ij Y_j of two parts."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
-    first, columns, _, _ = one
-    second, others, _, _ = other
+    first, columns, _, _ = part_i
+    second, columns_j, _, _ = part_j
     for a in range(columns):
         u0 = u1 = u2 = 0.0
-        for b in range(others):
-            z0, z1, z2 = coupling_of(result, there, stride, second + b)
+        for b in range(columns_j):
+            z0, z1, z2 = coupling_of(result, at_j, stride, second + b)
             u0 += pair[6 * a + b] * z0
             u1 += pair[6 * a + b] * z1
             u2 += pair[6 * a + b] * z2
@@ -99,14 +99,14 @@ def through_shared(tables, result, joint, piece, lane):
     for i in range(tables.pattern[pattern, BEGIN], end):
         at, stride = left_at(tables, piece, i, lane)
         for j in range(i, end):
-            there, _ = left_at(tables, piece, j, lane)
+            at_j, _ = left_at(tables, piece, j, lane)
             g = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             for first in range(parts_of(tables, i)):
-                one = part(tables, i, first)
+                part_i = part(tables, i, first)
                 for second in range(parts_of(tables, j)):
-                    other = part(tables, j, second)
-                    joint_part(tables, pattern, result, joint, i, at, one, j, there, other, stride, pair)
-                    g = add_through(result, at, one, there, other, stride, pair, g)
+                    part_j = part(tables, j, second)
+                    joint_part(tables, pattern, result, joint, i, at, part_i, j, at_j, part_j, stride, pair)
+                    g = add_through(result, at, part_i, at_j, part_j, stride, pair, g)
             twice = 0.5 if i == j else 1.0
             m = (
                 m[0] + twice * (g[0] + g[0]), m[1] + twice * (g[1] + g[3]), m[2] + twice * (g[2] + g[6]),
@@ -171,26 +171,26 @@ def shares(tables, result, joint, piece, i, lane, ju, own):
         ju[e] = 0.0
         own[e] = 0.0
     for j in range(tables.pattern[pattern, BEGIN], tables.pattern[pattern, END]):
-        there, _ = left_at(tables, piece, j, lane)
+        at_j, _ = left_at(tables, piece, j, lane)
         for one_part in range(parts_of(tables, i)):
-            one = part(tables, i, one_part)
+            part_i = part(tables, i, one_part)
             for other_part in range(parts_of(tables, j)):
-                other = part(tables, j, other_part)
-                joint_part(tables, pattern, result, joint, i, at, one, j, there, other, stride, pair)
-                for b in range(other[1]):
+                part_j = part(tables, j, other_part)
+                joint_part(tables, pattern, result, joint, i, at, part_i, j, at_j, part_j, stride, pair)
+                for b in range(part_j[1]):
                     s0 = s1 = s2 = 0.0  # J S, a column of it
-                    for a in range(one[1]):
-                        j0, j1, j2 = rows_of_column(result, at, stride, first_row, rows, one[0] + a)
+                    for a in range(part_i[1]):
+                        j0, j1, j2 = rows_of_column(result, at, stride, first_row, rows, part_i[0] + a)
                         s0 += j0 * pair[6 * a + b]
                         s1 += j1 * pair[6 * a + b]
                         s2 += j2 * pair[6 * a + b]
-                    y = coupling_of(result, there, stride, other[0] + b)
+                    y = coupling_of(result, at_j, stride, part_j[0] + b)
                     for e in range(3):
                         ju[e] += s0 * y[e]
                         ju[3 + e] += s1 * y[e]
                         ju[6 + e] += s2 * y[e]
                     if i == j:
-                        z = rows_of_column(result, at, stride, first_row, rows, other[0] + b)
+                        z = rows_of_column(result, at, stride, first_row, rows, part_j[0] + b)
                         for e in range(3):
                             own[e] += s0 * z[e]
                             own[3 + e] += s1 * z[e]
@@ -212,7 +212,7 @@ def judge(tables, model, data, weight, kind, x, states, left, result, joint, mid
     ju, own = cuda.local.array(9, np.float64), cuda.local.array(9, np.float64)
     errors, through = cuda.local.array(9, np.float64), cuda.local.array(9, np.float64)
     shares(tables, result, joint, piece, i, lane, ju, own)
-    known = (kind[p] != OUT) & (states[p] != WEAK)
+    valid = (kind[p] != OUT) & (states[p] != WEAK)
     m00, m01, m02 = middle[0, p], middle[1, p], middle[2, p]
     m11, m12, m22 = middle[3, p], middle[4, p], middle[5, p]
     rows = row_count(tables.observation[i, KIND])
@@ -228,14 +228,14 @@ def judge(tables, model, data, weight, kind, x, states, left, result, joint, mid
     for row in range(rows):
         for c in range(rows, 3):
             values[k, row, 1 + c] = 0.0
-        values[k, row, 0] = root * r[row] if known else math.nan
-        for other in range(row, rows):
-            value = own[3 * row + other]
+        values[k, row, 0] = root * r[row] if valid else math.nan
+        for column in range(row, rows):
+            value = own[3 * row + column]
             for c in range(3):
-                value += through[3 * row + c] * errors[3 * other + c] - ju[3 * row + c] * through[3 * other + c]
-            value = value if known else math.nan
-            values[k, row, 1 + other] = value
-            values[k, other, 1 + row] = value
+                value += through[3 * row + c] * errors[3 * column + c] - ju[3 * row + c] * through[3 * column + c]
+            value = value if valid else math.nan
+            values[k, row, 1 + column] = value
+            values[k, column, 1 + row] = value
         moved = back(factor, (errors[3 * row], errors[3 * row + 1], errors[3 * row + 2]))
         for c in range(3):
-            values[k, row, 4 + c] = -moved[c] if known else math.nan
+            values[k, row, 4 + c] = -moved[c] if valid else math.nan

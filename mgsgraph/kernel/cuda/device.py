@@ -71,8 +71,8 @@ def why_not() -> str:
     if SIMULATED:
         return ""
     if not cuda.is_available():
-        said = " ".join(str(cuda.cuda_error() or "").split())
-        return f"there is no GPU ({said})" if said else "there is no GPU"
+        reason = " ".join(str(cuda.cuda_error() or "").split())
+        return f"there is no GPU ({reason})" if reason else "there is no GPU"
     try:
         cuda.current_context()
     except Exception as error:  # whatever a driver says of a GPU that is another's alone, or full

@@ -138,11 +138,11 @@ class Partition:
         self._arrays = None
         self._jobs.clear()
 
-    def _jobs_of(self, whole: bool) -> Any:
-        if whole not in self._jobs:
-            jobs = make_jobs(self._rows, self._groups, self._target, whole, self._deterministic)
-            self._jobs[whole] = Jobs(*map(to_device, jobs)), jobs.edges.size - 1
-        return self._jobs[whole]
+    def _jobs_of(self, with_matrix: bool) -> Any:
+        if with_matrix not in self._jobs:
+            jobs = make_jobs(self._rows, self._groups, self._target, with_matrix, self._deterministic)
+            self._jobs[with_matrix] = Jobs(*map(to_device, jobs)), jobs.edges.size - 1
+        return self._jobs[with_matrix]
 
     def reduce(
         self, work: Workspace, x: Any, task: int, begin: Any, points: Any, states: Any, gradient: Any, blocks: Any

@@ -100,7 +100,7 @@ def make_tables(rows: Rows, groups: Groups, target: NormalBlocks, model: Model) 
     pattern_of, sizes = rows.piece[:, 0], rows.piece[:, 2]
     owner = np.repeat(np.arange(count.size), count)
     scratch = np.bincount(owner, left, count.size).astype(np.int64)[pattern_of] * sizes
-    every = np.arange(sizes.size, dtype=np.int32)
+    numbers = np.arange(sizes.size, dtype=np.int32)
     tables = Tables(
         piece=np.column_stack([rows.piece, np.cumsum(scratch) - scratch]),
         pattern=_patterns(rows, groups, owner),
@@ -108,8 +108,8 @@ def make_tables(rows: Rows, groups: Groups, target: NormalBlocks, model: Model) 
         optics=np.stack([rows.observation_focal, rows.observation_rate], axis=1),
         entry=_entries(rows, groups, target, owner),
         pair=target.pair,
-        piece_of_point=np.repeat(every, sizes),
-        piece_of_observation=np.repeat(every, sizes * count[pattern_of]),
+        piece_of_point=np.repeat(numbers, sizes),
+        piece_of_observation=np.repeat(numbers, sizes * count[pattern_of]),
         terrain=rows.terrain,
         terrain_frame=rows.terrain_frame,
     )
@@ -161,12 +161,12 @@ def parts(rows: Rows) -> Index:
     return (rows.observation_terms > 0) + -(-rows.observation_shared // PART)
 
 
-def make_jobs(rows: Rows, groups: Groups, target: NormalBlocks, whole: bool, deterministic: bool) -> Jobs:
-    """Who sums a partition's gradient and, if `whole`, its normal matrix.
+def make_jobs(rows: Rows, groups: Groups, target: NormalBlocks, with_matrix: bool, deterministic: bool) -> Jobs:
+    """Who sums a partition's gradient and, if `with_matrix`, its normal matrix.
 
     If `deterministic`, whatever is added to the same numbers is one block's task, and so has an order.
     """
-    of_pattern = _pattern_jobs(rows, whole)
+    of_pattern = _pattern_jobs(rows, with_matrix)
     pattern_of = rows.piece[:, 0]
     first = np.searchsorted(of_pattern[:, 0], np.arange(rows.pattern_group.size + 1))
     count = np.diff(first)[pattern_of]
@@ -176,29 +176,29 @@ def make_jobs(rows: Rows, groups: Groups, target: NormalBlocks, whole: bool, det
     table[:, PIECE_OF] = piece
     edges = np.arange(table.shape[0] + 1)
     if deterministic and table.size:
-        owner = _together(rows, groups, target, table)
+        owner = _job_sets(rows, groups, target, table)
         order = np.argsort(owner, kind="stable")
         table, owner = table[order], owner[order]
         edges = np.append(np.flatnonzero(np.append(True, owner[1:] != owner[:-1])), owner.size)
     return Jobs(np.ascontiguousarray(table, dtype=np.int32), edges.astype(np.int64))
 
 
-def _pattern_jobs(rows: Rows, whole: bool) -> Index:
+def _pattern_jobs(rows: Rows, with_matrix: bool) -> Index:
     """Jobs of each pattern, which stands in place of the piece, in the order of patterns."""
     count, each = np.diff(rows.pattern_observation), parts(rows)
-    one = np.repeat(np.arange(each.size), each)
-    part = np.arange(one.size) - np.repeat(np.cumsum(each) - each, each)
-    owner = np.repeat(np.arange(count.size), count)[one]
-    none = np.full(one.size, NONE)
-    jobs = [np.stack([owner, one, part, none, none], axis=1)]
-    if whole and one.size:
+    observation = np.repeat(np.arange(each.size), each)
+    part = np.arange(observation.size) - np.repeat(np.cumsum(each) - each, each)
+    owner = np.repeat(np.arange(count.size), count)[observation]
+    none = np.full(observation.size, NONE)
+    jobs = [np.stack([owner, observation, part, none, none], axis=1)]
+    if with_matrix and observation.size:
         ends = np.searchsorted(owner, np.arange(count.size), side="right")[owner]
-        more = ends - np.arange(one.size)  # parts of the pattern from this one on
-        left = np.repeat(np.arange(one.size), more)
+        more = ends - np.arange(observation.size)  # parts of the pattern from this one on
+        left = np.repeat(np.arange(observation.size), more)
         right = left + np.arange(left.size) - np.repeat(np.cumsum(more) - more, more)
-        meet = (rows.pattern_fixed[owner[left]] == 0) | (one[left] == one[right])
+        meet = (rows.pattern_fixed[owner[left]] == 0) | (observation[left] == observation[right])
         left, right = left[meet], right[meet]
-        jobs.append(np.stack([owner[left], one[left], part[left], one[right], part[right]], axis=1))
+        jobs.append(np.stack([owner[left], observation[left], part[left], observation[right], part[right]], axis=1))
     table = np.concatenate(jobs)
     return table[np.argsort(table[:, 0], kind="stable")]
 
@@ -212,20 +212,20 @@ def entries_of_part(rows: Rows, observation: Index, part: Index) -> tuple[Index,
     return rows.observation_entry[observation] + before, count
 
 
-def _together(rows: Rows, groups: Groups, target: NormalBlocks, table: Index) -> Index:
+def _job_sets(rows: Rows, groups: Groups, target: NormalBlocks, table: Index) -> Index:
     """(j,) a number that jobs share which add, or whose companions add, to the same block or the same gradient."""
     group = rows.pattern_group[rows.piece[table[:, PIECE_OF], 0]]
     alone, second = table[:, OTHER] == NONE, np.maximum(table[:, OTHER:], 0)
     first, count = entries_of_part(rows, table[:, ONE], table[:, ONE_PART])
-    other, others = entries_of_part(rows, second[:, 0], second[:, 1])
-    others = np.where(alone, 1, others)
-    job = np.repeat(np.arange(count.size), count * others)
-    inside = np.arange(job.size) - np.repeat(np.cumsum(count * others) - count * others, count * others)
-    one = rows.entry_member[first[job] + inside // others[job]]
-    two = np.where(alone[job], one, rows.entry_member[other[job] + inside % others[job]])
+    first_j, count_j = entries_of_part(rows, second[:, 0], second[:, 1])
+    count_j = np.where(alone, 1, count_j)
+    job = np.repeat(np.arange(count.size), count * count_j)
+    inside = np.arange(job.size) - np.repeat(np.cumsum(count * count_j) - count * count_j, count * count_j)
+    row = rows.entry_member[first[job] + inside // count_j[job]]
+    column = np.where(alone[job], row, rows.entry_member[first_j[job] + inside % count_j[job]])
     begin, members = groups.member_first[group[job]], np.diff(groups.member_first)[group[job]]
-    pair = target.pair[groups.pair_first[group[job]] + np.minimum(one, two) * members + np.maximum(one, two)]
-    place = np.where(alone[job], target.size + target.right[begin + one], pair)
+    pair = target.pair[groups.pair_first[group[job]] + np.minimum(row, column) * members + np.maximum(row, column)]
+    place = np.where(alone[job], target.size + target.right[begin + row], pair)
     _, block = np.unique(place, return_inverse=True)
     return _companions(job, block.reshape(-1), count.size)
 
@@ -321,7 +321,7 @@ def correction(tables, data, x, i, at, stride, rates):
     d0 = d1 = d2 = d3 = d4 = d5 = 0.0
     r0 = r1 = r2 = r3 = r4 = r5 = 0.0
     entry, value = tables.observation[i, ENTRY], 1.0
-    whole = tables.observation[i, COMPONENTS] == PART
+    of_pose = tables.observation[i, COMPONENTS] == PART
     for t in range(tables.observation[i, TERMS]):
         value, rate = basis_value(tables, data, i, at, stride, t, rates, value)
         c = tables.entry[entry + t, COLUMN]
@@ -331,7 +331,7 @@ def correction(tables, data, x, i, at, stride, rates):
         r0 += rate * x[c]
         r1 += rate * x[c + 1]
         r2 += rate * x[c + 2]
-        if whole:
+        if of_pose:
             d3 += value * x[c + 3]
             d4 += value * x[c + 4]
             d5 += value * x[c + 5]
@@ -395,14 +395,14 @@ def rows_at(tables, i):
 
 
 @on_device
-def block_of(tables, pattern, one, other):
+def block_of(tables, pattern, entry_i, entry_j):
     """Where two entries' variables meet: index of the first number, steps from row to row and from column to column,
     and whether it is one variable's block with itself, which holds both triangles.
     """
-    first, second = tables.entry[one, MEMBER], tables.entry[other, MEMBER]
+    first, second = tables.entry[entry_i, MEMBER], tables.entry[entry_j, MEMBER]
     low, high = min(first, second), max(first, second)
     start = tables.pair[tables.pattern[pattern, PAIRS] + low * tables.pattern[pattern, MEMBERS] + high]
-    width = tables.entry[other if second >= first else one, ACROSS]
+    width = tables.entry[entry_j if second >= first else entry_i, ACROSS]
     down, across = (1, width) if first > second else (width, 1)
-    start += tables.entry[one, INSIDE] * down + tables.entry[other, INSIDE] * across
+    start += tables.entry[entry_i, INSIDE] * down + tables.entry[entry_j, INSIDE] * across
     return start, down, across, first == second
