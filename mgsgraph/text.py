@@ -67,7 +67,7 @@ def some_of(names: Sequence[str], index: NDArray[np.int64], most: int = NAMED) -
     return some([names[i] for i in index[:most].tolist()], index.size, most)
 
 
-def short(name: str, width: int) -> str:
+def short(name: str, width: int = 40) -> str:
     """A name cut in its middle: serial numbers differ at their ends."""
     if len(name) <= width:
         return name

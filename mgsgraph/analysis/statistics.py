@@ -302,12 +302,14 @@ def worst_first(solution: Solution) -> Index:
 
 
 def span(values: Array) -> tuple[float, float]:
-    """Ends of a colour scale from the 2 % to the 98 % quantile of the finite values; 0 and 1 where there are none."""
+    """Ends of a color scale: zero, or the 2 % quantile where that is less, for small differences should look small; the
+    98 % quantile of the finite values. 0 and 1 where there are none.
+    """
     sound = values[np.isfinite(values)]
     if not sound.size:
         return 0.0, 1.0
     low, high = np.quantile(sound, [1.0 - SHARE, SHARE]).tolist()
-    return low, max(high, low + 1e-12 + 1e-6 * abs(low))
+    return min(low, 0.0), max(high, 1e-12)
 
 
 

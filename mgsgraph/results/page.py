@@ -14,8 +14,7 @@ from mgsgraph.case.reading import Case
 from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import NONE, Column, Table, cut, picked
 from mgsgraph.files.writing import page_of, require_free, write_page
-from mgsgraph.network import PointClass
-from mgsgraph.registration.case import CaseRegistration, register_case
+from mgsgraph.registration.case import register_case
 from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
 from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
@@ -91,7 +90,7 @@ def _content(
     solution: Solution, case: Case | None, earlier: Solution | None, inputs: Mapping[str, str | None]
 ) -> dict[str, Any]:
     """Everything that the template shows."""
-    from mgsgraph.results.figures.page import comparison_figures, solution_figures
+    from mgsgraph.results.figures.page import comparison_figures, registration_figures, solution_figures
 
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
@@ -106,7 +105,8 @@ def _content(
         "solution": solution,
         "statements": sentences_of(found),
         "key_figures": _key_figures(solution),
-        **_registered(solution, registration),
+        "registered": None if registration is None else registration_section(registration),
+        "footprints": [] if registration is None else registration_figures(registration),
         "tables": tables(solution, found),
         "compared": compared,
         "settings": _settings_tables(solution),
@@ -117,21 +117,6 @@ def _content(
         "version": solution.versions.get("mgsgraph", NONE),
         "figures": figures,
     }
-
-
-def _registered(solution: Solution, registration: CaseRegistration | None) -> dict[str, Any]:
-    """Laser footprints on the images, or why there are none."""
-    if registration is None:
-        laser = np.any(solution.network.points.classes == PointClass.LASER)
-        none = "This solution has no laser points." if not laser else (
-            "Footprints are shown on the images with the case file (--case), if the case names profiles of MOLA."
-        )
-        return {"registered": None, "footprints": [], "unregistered": none}
-    from mgsgraph.results.figures.page import registration_figures
-
-    drawn = registration_figures(registration)
-    none = "" if drawn else "No footprint falls in an image."
-    return {"registered": registration_section(registration), "footprints": drawn, "unregistered": none}
 
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:

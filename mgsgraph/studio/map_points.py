@@ -138,7 +138,7 @@ class MapPoints:
         return record | self._cells(chosen, values, box, size)
 
     def _scale(self, value: str, kinds: Mask) -> tuple[float, float]:
-        """Ends of the colour scale, 2 % and 98 % of all points of these classes: the same in every window."""
+        """Ends of the color scale, by all points of these classes: the same in every window."""
         key = f"scale {value} {kinds.tolist()}"
         return self.opened.once(key, lambda: span(self.value(value)[kinds[self.classes]]))
 

@@ -18,6 +18,7 @@ import mgsgraph
 from mgsgraph.analysis.posterior import Posterior
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
+from mgsgraph.network import PointClass
 from mgsgraph.project import relief as project_relief
 from mgsgraph.project.project import open_project
 from mgsgraph.registration import relief
@@ -25,7 +26,7 @@ from mgsgraph.registration.minima import (
     ReliefRegistration,
 )
 from mgsgraph.registration.relief_surfaces import cells_of
-from mgsgraph.results.figures.relief import relief_sheets
+from mgsgraph.results.figures.relief import relief_sheets, vertical
 from mgsgraph.results.figures.sheet import save
 from mgsgraph.results.relief import (
     profiles_table,
@@ -284,6 +285,24 @@ def test_profiles_that_are_not_tied_or_take_no_part(registration: ReliefRegistra
     assert (table["plain"]["misplacement_before_m"], table["plain"]["tied"]) == ([None, None], False)
     assert table["profile 0"]["tied"]
     assert len(save(relief_sheets(made), tmp_path)) == 1 + 4 + 1
+
+
+def test_differences_of_posts_are_a_map_and_a_histogram_of_all(registration: ReliefRegistration) -> None:
+    """Profiles are drawn by lines that no axis cuts off; posts, which would bury them, by bars that count each."""
+    first = registration.profiles[0]
+    posts = replace(first, point_class=PointClass.POST)
+    sheets = list(relief_sheets(replace(registration, profiles=(posts, registration.profiles[1]))))
+    counted = [bars.get_xy() for bars in sheets[1].figure.axes[1].patches]
+    for state, corners in zip((posts.after, posts.before), counted, strict=True):
+        heights = vertical(state)[posts.taken & state.heights.covered]
+        assert corners[1:-1:2, 1].sum() == heights.size
+        assert corners[:, 0].min() <= heights.min() <= heights.max() <= corners[:, 0].max()
+    other = registration.profiles[1]
+    for state, panel in zip((other.before, other.after), sheets[2].figure.axes[2:4], strict=True):
+        heights = vertical(state)[other.taken & state.heights.covered]
+        assert panel.get_ylim()[0] < heights.min() <= heights.max() < panel.get_ylim()[1]
+    after = sheets[-1].figure.axes[0].lines[1].get_xydata()
+    assert after == pytest.approx(np.array([one.after.misplacement for one in registration.profiles[:2]]))
 
 
 def test_shots_beside_the_surface_have_no_height(registration: ReliefRegistration) -> None:

@@ -36,7 +36,7 @@ from mgsgraph.simulation.files import write_pair
 LINES, SAMPLES = (3000, 3400), (100, 250)
 """Of the bright field in the pictures."""
 FIGURES = {
-    "map", "connectivity", "overlay_1", "overlay_2", "discrepancy", "orientation", "residuals",
+    "map", "overlay_1", "overlay_2", "discrepancy", "orientation", "residuals",
     "comparison",
 }
 

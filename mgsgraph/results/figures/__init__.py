@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.network.connectivity import Connectivity
-from mgsgraph.results.figures.connectivity import links_sheet
+from mgsgraph.results.figures.connectivity import links_sheets
 from mgsgraph.results.figures.map import map_sheets
 from mgsgraph.results.figures.orientation import orientation_sheets
 from mgsgraph.results.figures.residuals import residual_sheets
@@ -38,7 +38,7 @@ def draw_figures(solution: Solution, connected: Connectivity | None = None) -> I
     """
     for section, sheets in (
         ("orientation", orientation_sheets(solution)), ("residuals", residual_sheets(solution)),
-        ("map", map_sheets(solution, connected)), ("map", [links_sheet(solution, connected)]),
+        ("map", map_sheets(solution, connected)), ("map", links_sheets(solution, connected)),
     ):  # fmt: skip
         yield from ((section, sheet) for sheet in sheets)
 

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from mgsgraph.analysis.places import SigmaGrid
 from mgsgraph.analysis.residual_spectrum import FALSE_ALARMS, TURNS, ImageSpectrum, ResidualVibrations
@@ -17,8 +16,8 @@ from mgsgraph.analysis.residual_tests import ResidualStatistics
 from mgsgraph.analysis.systematic import EffectKind
 from mgsgraph.analysis.unexplained import Pattern, Unexplained
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.sheet import AFTER, BEFORE, INK, SOFT, Sheet, new_sheet, number, plain_style, short
-from mgsgraph.text import many
+from mgsgraph.results.figures.sheet import AFTER, BEFORE, FLAT, INK, SOFT, Sheet, new_sheet, number, plain_style
+from mgsgraph.text import many, short
 from mgsgraph.units import DEG
 
 _ACROSS = 4
@@ -33,18 +32,18 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
     shown = [one for one in statistics if one.values.size]
     across = min(max(len(shown), 1), _ACROSS)
     down = -(-max(len(shown), 1) // across)
-    title = f"Normalised residuals against the normal law: {short(name)}"
+    title = f"Normalized residuals against the normal distribution: {short(name)}"
     sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _caption(shown))
     drawn = sheet.panels(down, across).ravel().tolist()
     for k, (panel, one) in enumerate(zip(drawn, shown, strict=False)):
         _draw(panel, one)
         panel.set_title(short(one.name, 38))
-        panel.set_xlabel("promised by a normal law (sigmas)" if k + across >= len(shown) else "")
+        panel.set_xlabel("expected if normal (sigmas)" if k + across >= len(shown) else "")
         panel.set_ylabel("found (sigmas)" if k % across == 0 else "")
     for panel in drawn[len(shown) :]:
         panel.set_axis_off()
     sheet.legend([
-        Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalised residuals"),
+        Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalized residuals"),
         Line2D([], [], color=INK, lw=1.0, label="consistent sigmas, normal errors"),
         Patch(color=SOFT, alpha=0.3, lw=0.0, label="pointwise 95% band"),
     ])  # fmt: skip
@@ -59,7 +58,7 @@ def _draw(panel: Axes, one: ResidualStatistics) -> None:
     panel.plot(plot.promised, plot.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
     panel.locator_params(nbins=6)
     panel.text(
-        0.05, 0.95, f"rms {number(one.rms)}\n{one.values.size} residuals\nworth {number(one.effective)}",
+        0.05, 0.95, f"rms {number(one.rms)}\n{one.values.size} residuals\n{number(one.effective)} independent",
         transform=panel.transAxes, va="top", size=7.5, linespacing=1.35,
     )  # fmt: skip
 
@@ -70,10 +69,9 @@ def _caption(shown: Sequence[ResidualStatistics]) -> str:
         return "No residual is controlled by other rows."
     off = [one.name for one in shown if one.as_promised is False]
     return (
-        "Residuals over their own sigmas should lie on the line: steeper means sigmas that are too small, flatter too "
-        "large ones, bent ends long tails; law or rms inconsistent with the stated sigmas (1% tests): "
-        f"{', '.join(off) or 'no group'}; bands count correlated residuals as the number of independent ones that they "
-        "are worth."
+        f"Inconsistent with the stated sigmas (1% tests): {', '.join(off) or 'no group'}. Residuals over their own "
+        "sigmas should lie on the line: steeper means sigmas that are too small, flatter too large ones, bent ends "
+        "long tails. Correlated residuals count as fewer independent ones."
     )
 
 
@@ -150,9 +148,9 @@ def _percent(share: float) -> str:
 
 def _vibration_caption(found: ResidualVibrations, left_out: int) -> str:
     return (
-        f"{many(len(found.vibrations), 'vibration')} above the noise, which crosses the dashed level somewhere in "
-        f"{100.0 * FALSE_ALARMS:g} % of such panels; marks say Hz and px. Panels without a curve: points take such "
-        f"turns up as heights. {many(left_out, 'more image')} not drawn."
+        f"{many(len(found.vibrations), 'vibration')} above the dashed level, which noise alone crosses somewhere in "
+        f"{100.0 * FALSE_ALARMS:g} % of such panels. Panels without a curve: residuals don't show such rotations, "
+        "which heights of points absorb." + f" {many(left_out, 'more image')} not drawn." * bool(left_out)
     )
 
 
@@ -227,6 +225,10 @@ def _pattern_caption(found: Unexplained, drawn: int) -> str:
 
 
 
+_TOP = 5.0
+"""Times the median sigma where colors end: cells at the rim of the overlap may have any."""
+
+
 @plain_style()
 def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
     """Maps of the sigmas that new points would have."""
@@ -234,17 +236,18 @@ def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
     ratio = rows / columns  # cells are square on the ground
     height = float(np.clip(2.4 * ratio, 1.6, 6.0)) + 1.2
     statement = grid.sentence[0].upper() + grid.sentence[1:]
-    sheet = new_sheet(name, 9.4, height, "Sigmas of new points over the overlap", f"{statement}.")
+    bands = grid.values[:3]
+    low, middle, high = (one(bands, axis=(1, 2)) for one in (np.nanmin, np.nanmedian, np.nanmax))
+    title = "Sigmas of new points over the overlap" + ": nearly the same everywhere" * bool(np.all(high < FLAT * low))
+    sheet = new_sheet(name, 9.4, height, title, f"{statement}.", band=0.0)
     west, north = grid.west / DEG, grid.north / DEG
     extent = (west, west + columns * grid.steps[0] / DEG, north - rows * grid.steps[1] / DEG, north)
-    for k, (panel, what) in enumerate(zip(sheet.panels(1, 3)[0], ("east", "north", "up"), strict=True)):
-        band = np.ma.masked_invalid(grid.values[k])
-        low, high = float(band.min()), float(band.max())
-        norm = LogNorm(low, high) if high > 5.0 * low else None
-        shown = panel.imshow(band, extent=extent, aspect="auto", cmap="viridis", norm=norm, interpolation="nearest")
-        ticks = LogLocator(subs=(1.0, 2.0, 5.0)) if norm is not None else MaxNLocator(4)
-        sheet.colour_bar(shown, panel, f"sigma {what} (m)", ticks)
+    panels, tops = sheet.panels(1, 3)[0], np.minimum(high, _TOP * middle).tolist()
+    for panel, band, top, what in zip(panels, bands, tops, ("east", "north", "up"), strict=True):
+        shown = panel.imshow(band, extent=extent, aspect="auto", vmin=0.0, vmax=top, interpolation="nearest")
+        sheet.colour_bar(shown, panel, f"sigma {what} (m)", MaxNLocator(4), "max")
         panel.grid(visible=False)
         panel.locator_params(axis="both", nbins=4)
-        panel.set(xlabel="east longitude (deg)", ylabel="latitude (deg)" if k == 0 else "")
+        panel.set_xlabel("east longitude (deg)")
+    panels[0].set_ylabel("latitude (deg)")
     return sheet

@@ -3,29 +3,31 @@
 Few images have their names and numbers of points written into the matrix, many share rows (`sheet.image_rows`).
 """
 
+from collections.abc import Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, worth_tying
-from mgsgraph.results.figures.sheet import INK, MOST_ROWS, Sheet, image_rows, new_sheet, plain_style, short
+from mgsgraph.results.figures.sheet import INK, MOST_ROWS, Sheet, image_rows, new_sheet, plain_style
+from mgsgraph.text import short
 
-_NUMBERED, _NAMED = 15, 40
-"""Images up to which numbers of points are written into the cells, and names beside them."""
+_FEWEST, _NUMBERED, _NAMED = 3, 15, 40
+"""Images from which on the matrix is drawn, up to which cells have numbers of points, and rows names beside them."""
 _MARKS = (
     ("weakest links", "s", "#D55E00"), ("overlap without common points", "o", "#777777"),
     ("common points without overlap", "X", "#AA0000"), ("image without links", "x", "#222222"),
 )  # fmt: skip
 
 
-def links_sheet(solution: Solution, connected: Connectivity | None = None) -> Sheet:
-    """The figure of a solution; `connected` saves finding it anew."""
-    return connectivity_sheet(connected or solution_connectivity(solution))
+def links_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
+    """The figure of a solution; `connected` saves finding it anew. None of two images, of which one number says all."""
+    if len(solution.network.images) >= _FEWEST:
+        yield connectivity_sheet(connected or solution_connectivity(solution))
 
 
 @plain_style()
@@ -37,13 +39,12 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
     panel: Axes = sheet.panels()[0, 0]
     panel.grid(visible=False)
     known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (1.0, 2.0)
+    high = float(known.max()) if known.size else 1.0
     drawn = panel.imshow(
-        np.ma.masked_invalid(values), cmap="viridis", norm=LogNorm(low, max(high, 1.1 * low)), interpolation="nearest",
+        np.ma.masked_invalid(values), cmap="viridis", vmin=0.0, vmax=high, interpolation="nearest",
         extent=(-0.5, count - 0.5, count - 0.5, -0.5), aspect="auto",
     )  # fmt: skip
-    if high > low:
-        sheet.colour_bar(drawn, panel, "points that two images share (logarithmic)", LogLocator(subs=(1.0, 2.0, 5.0)))
+    sheet.colour_bar(drawn, panel, "points that two images share", MaxNLocator(6, integer=True))
     if count > _NAMED:
         panel.set(ylabel="image")
     else:
@@ -52,7 +53,7 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
         panel.set_xticks(range(count), names, size=7.0, rotation=90.0 if count > 3 else 0.0)
     if count <= _NUMBERED:
         for j, k in np.argwhere(np.isfinite(values)).tolist():
-            ink = INK if values[j, k] > np.sqrt(low * high) else "white"
+            ink = INK if values[j, k] > 0.5 * high else "white"
             panel.annotate(f"{values[j, k]:.0f}", (k, j), ha="center", va="center", size=7.5, color=ink)
     weakest: Index = connected.spine[: min(WEAKEST, connected.spine.size // 2)]
     marked = [connected.pairs[rows[:MOST_ROWS]] for rows in (weakest, worth_tying(connected), connected.apart)]

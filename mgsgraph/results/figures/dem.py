@@ -29,9 +29,8 @@ from mgsgraph.results.figures.sheet import (
     number,
     plain_style,
     sheet_name,
-    short,
 )
-from mgsgraph.text import many, some
+from mgsgraph.text import many, short, some
 from mgsgraph.units import KM
 
 _MOST_POSTS = 1200
@@ -99,11 +98,11 @@ def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> 
 
 def _sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
     sigmas = np.ma.masked_invalid(np.where(np.isfinite(dem.heights), dem.model.sigmas, np.nan)[::step, ::step])
-    norm = _norm(sigmas.filled(np.nan))
+    norm = Normalize(0.0, _norm(sigmas.filled(np.nan)).vmax)
     shown = panel.imshow(
         sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal"
     )
-    sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "both")
+    sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "max")
     _axes(panel)
 
 
@@ -121,6 +120,7 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     if len(checks):
         sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
     _axes(panel)
+    panel.set_title("ortho image")
 
 
 def _axes(panel: Axes, north: str = "") -> None:

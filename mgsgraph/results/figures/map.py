@@ -8,26 +8,26 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.estimates import CommonPoints
-from mgsgraph.analysis.statistics import medians, solution_connectivity, span
+from mgsgraph.analysis.statistics import SHARE, medians, solution_connectivity, span
 from mgsgraph.geometry.body import centre_of, east_north_up, error_ellipses, plane_coordinates, planetocentric
 from mgsgraph.geometry.records import Array, Index, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import Connectivity
 from mgsgraph.results.figures.sheet import (
-    BEFORE,
     CLASS_MARKER,
     CLASS_NAME,
+    FLAT,
     INK,
     MOST_MARKS,
     SOFT,
@@ -37,22 +37,22 @@ from mgsgraph.results.figures.sheet import (
     number,
     plain_style,
     round_figure,
-    short,
 )
-from mgsgraph.text import many
+from mgsgraph.text import many, short
 from mgsgraph.units import DEG, KM
 
-_MOST = 150
-"""Ellipses and corrections that are drawn, evenly chosen: more hide the points."""
+_MOST = 40
+"""Ellipses and corrections that are drawn, spread over the map: more hide the points."""
 _FEWEST, _FEW = 3, 12
-"""Points of which a comparison is drawn; images up to which outlines bear names."""
+"""Points of which a comparison is drawn; images up to which outlines bear numbers."""
+_MOVED = "#D55E00"
 CELLS = 100
 """Cells along the longer side of a block of many points."""
-_LONG = 8.0
+_LONG = 6.0
 """Length over width from which on a map has two scales."""
 _WIDEST, _TALLEST, LEAST = 7.2, 7.4, 3.0
 """inch: bounds of a map."""
-_ELLIPSE, _ARROW = 0.03, 0.06
+_ELLIPSE, _ARROW = 0.02, 0.06
 """Lengths of large ellipses and corrections, as shares of the map's longer side."""
 
 
@@ -89,8 +89,6 @@ class MapWindow:
     """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
-    noun: str = "point"
-    """What is drawn, for the caption."""
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
@@ -100,10 +98,15 @@ def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Ite
 
 
 def block_window(solution: Solution, connected: Connectivity | None = None) -> MapWindow:
-    """The whole block: 3-D sigmas of its points, or of cells, and their corrections."""
+    """The whole block: 3-D sigmas of its points, or of cells, and their corrections; posts of terrain models, which
+    move as a whole, only where there is nothing else.
+    """
     centre = centre_of(solution.places)
     outlines = outlines_of(solution, centre, connected)
-    known = np.flatnonzero(solution.determined)
+    classes = solution.network.points.classes
+    known = np.flatnonzero(solution.determined & (classes != PointClass.POST))
+    if not known.size:
+        known = np.flatnonzero(solution.determined)
     places, covariances = plane_coordinates(solution.places[known], centre), solution.covariances[known]
     axes = east_north_up(solution.places[known])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
@@ -111,26 +114,27 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
-    return points_window(about, places, sigmas, ("3-D sigma", "m"), solution.network.points.classes[known], flat, moved)
+    return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[known], flat, moved)
 
 
 def points_window(
     about: tuple[str, Array, Array, dict[str, Array]], places: Array, values: Array, quantity: tuple[str, str],
     classes: Index, covariances: Array | None = None, moved: Array | None = None,
-    scale: tuple[float, float] | None = None, noun: str = "point",
+    scale: tuple[float, float] | None = None,
 ) -> MapWindow:  # fmt: skip
     """Points (n, 2), or cells of many, with a quantity (n,) and movements (n, 2); `about`: name, centre, places (k, 2)
-    that the map holds, and outlines.
+    that the map holds, and outlines. Colors begin at zero: small differences look small.
     """
     name, centre, corners, outlines = about
-    box, scale = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)]), scale or span(values)
+    box = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)])
+    scale = scale or span(values)
     if len(places) <= MOST_MARKS:
         return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
-                         covariances, moved, None, 0.0, noun)  # fmt: skip
+                         covariances, moved, None, 0.0)  # fmt: skip
     middles, (cells, *ways) = cell_medians(box, places, values, *(() if moved is None else moved.T))
     arrows = np.column_stack([one.ravel() for one in ways]) if ways else None
     return MapWindow(name, centre, box, outlines, middles, cells, quantity, scale, len(places), None, None, arrows,
-                     None, 0.0, noun)  # fmt: skip
+                     None, 0.0)  # fmt: skip
 
 
 def outlines_of(solution: Solution, centre: Array, connected: Connectivity | None = None) -> dict[str, Array]:
@@ -179,9 +183,9 @@ def _is_long(size: Array) -> bool:
     return bool(size.max() > _LONG * size.min())
 
 
-def frame(corners: Array, least: tuple[float, float] = (LEAST, LEAST)) -> tuple[Array, Array, tuple[float, float]]:
+def frame(corners: Array) -> tuple[Array, Array, tuple[float, float]]:
     """South-west and north-east corner (2,) of a map that holds places (n, 2), and its width and height in inches, no
-    less than `least`; of one scale unless the block is long.
+    less than LEAST; of one scale unless the block is long.
     """
     low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
     margin = 0.03 * np.maximum(high - low, 1e-3 if _is_long(high - low) else max(float((high - low).max()), 1e-3))
@@ -189,9 +193,9 @@ def frame(corners: Array, least: tuple[float, float] = (LEAST, LEAST)) -> tuple[
     scale = np.array([_WIDEST, _TALLEST]) / (high - low)
     if not _is_long(high - low):
         scale[:] = scale.min()
-        lack = np.maximum(np.array(least) / scale - (high - low), 0.0)
+        lack = np.maximum(LEAST / scale - (high - low), 0.0)
         low, high = low - 0.5 * lack, high + 0.5 * lack
-    size = np.maximum((high - low) * scale.min(), least)
+    size = np.maximum((high - low) * scale.min(), LEAST)
     width, height = size.tolist()
     return low, high, (width, height)
 
@@ -203,16 +207,17 @@ def window_sheet(shown: MapWindow) -> Sheet:
     longest = float((shown.box[2:] - shown.box[:2]).max())
     factors = _factor(shown, _radii(shown), _ELLIPSE * longest), _factor(shown, _lengths(shown), _ARROW * longest)
     title, unit = shown.quantity
-    name = f"{short(shown.name, 40)}: {title}"
+    name = f"{short(shown.name, int(8.5 * width) + 20 - len(title))}: {title}"
     sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(shown, factors), band=0.0)
     panel: Axes = sheet.panels()[0, 0]
     map_axes(panel, low, high, shown.centre)
     if shown.relief is not None:
         x0, y0, x1, y1 = (shown.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(shown.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1
+            np.ma.masked_invalid(shown.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1,
+            aspect=panel.get_aspect(),
         )
-    _draw_outlines(panel, shown.outlines, low, high)
+    named = _draw_outlines(panel, shown.outlines, low, high)
     norm, cmap = Normalize(*shown.scale), "coolwarm" if shown.scale[0] == -shown.scale[1] else "viridis"
     handles = _draw_points(panel, shown, norm, cmap)
     if shown.covariances is not None:
@@ -221,24 +226,33 @@ def window_sheet(shown: MapWindow) -> Sheet:
         handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
     if shown.moved is not None:
         _arrows(panel, shown, factors[1])
-        handles.append(Line2D([], [], color=INK, label=f"movements × {factors[1]:g}"))
+        handles.append(Line2D([], [], color=_MOVED, label=f"movements × {factors[1]:g}"))
     place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
-    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend="both", ticks=MaxNLocator(5))
+    ends = "both" if shown.scale[0] else "max"
+    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend=ends, ticks=MaxNLocator(5))
     bar.set_label(f"{title} ({unit})")
-    panel.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0)
+    panel.legend(handles=handles + named, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0)
     return sheet
 
 
-def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Array) -> None:
+def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Array) -> list[Line2D]:
+    """Outlines; of few images each bears its number where it is farthest from the others, and handles say the names."""
     lines = [outline / KM for outline in outlines.values() if len(outline)]
     panel.add_collection(LineCollection(lines, colors=INK, linewidths=0.8, zorder=2), autolim=False)
-    if len(outlines) > _FEW:
-        return
-    for k, (name, outline) in enumerate(outlines.items()):
-        inside = np.all((outline / KM > low) & (outline / KM < high), axis=1)
-        if np.any(inside):
-            top = outline[inside][np.argmax(outline[inside, 1])] / KM
-            panel.annotate(name, tuple(top), (2, 2 + 9 * (k % 3)), textcoords="offset points", size=7, clip_on=True)
+    handles: list[Line2D] = []
+    for k, (name, outline) in enumerate(outlines.items(), 1):
+        corners = outline[np.all((outline / KM > low) & (outline / KM < high), axis=1)] / KM
+        if not len(corners) or len(outlines) > _FEW:
+            continue
+        others = np.concatenate([np.full((1, 2), np.inf), *(one / KM for key, one in outlines.items() if key != name)])
+        apart = np.linalg.norm((corners[:, None] - others) / (high - low), axis=2)
+        place = corners[np.argmax(np.nanmin(apart, axis=1))].tolist()
+        panel.annotate(
+            f"{k}", place, size=7.5, weight="bold", ha="center", va="center", zorder=8,
+            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": INK, "lw": 0.6},
+        )  # fmt: skip
+        handles.append(Line2D([], [], color="none", label=f"{k}: {short(name, 20)}"))
+    return handles
 
 
 def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> list[Line2D]:
@@ -247,29 +261,32 @@ def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> l
         x0, y0, x1, y1 = (shown.box / KM).tolist()
         panel.imshow(
             np.ma.masked_invalid(shown.values), extent=(x0, x1, y0, y1), origin="lower", cmap=cmap,
-            norm=norm, interpolation="nearest", zorder=3,
+            norm=norm, interpolation="nearest", zorder=3, aspect=panel.get_aspect(),
         )  # fmt: skip
         return []
     handles = []
     for kind in PointClass:
         mine = np.flatnonzero(shown.classes == kind)
         if mine.size:
-            known = np.isfinite(shown.values[mine])
             x, y = shown.places[mine].T / KM
             marker, size = CLASS_MARKER[kind], 14.0 if len(shown.places) <= 1500 else 5.0
-            panel.scatter(x[~known], y[~known], c=SOFT, s=size, marker=marker, lw=0.0, zorder=3)
             panel.scatter(
-                x[known], y[known], c=shown.values[mine[known]], s=size, marker=marker, cmap=cmap,
-                norm=norm, lw=0.25, edgecolors=INK, zorder=3,
+                x, y, c=shown.values[mine], s=size, marker=marker, cmap=colormaps[cmap].with_extremes(bad=SOFT),
+                norm=norm, lw=0.25, ec=INK, zorder=3, plotnonfinite=True,
             )  # fmt: skip
             handles.append(Line2D([], [], ls="", marker=marker, ms=4.5, color=SOFT, label=CLASS_NAME[kind]))
     return handles
 
 
-def _some(values: Array) -> Index:
-    """Rows of values (n, ...) that are known, not too many of them."""
+def _some(shown: MapWindow, values: Array) -> Index:
+    """Rows of values (n, ...) that are known, not too many of them, one after the other along the map's longer side."""
     known = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
-    return known[thinned(known.size, _MOST)]
+    return known[np.argsort(shown.places[known, _longer(shown)], kind="stable")][thinned(known.size, _MOST)]
+
+
+def _longer(shown: MapWindow) -> int:
+    """0 where the map is wider than high, 1 otherwise: ellipses and arrows take the scale of that axis."""
+    return int(np.argmax(shown.box[2:] - shown.box[:2]))
 
 
 def _radii(shown: MapWindow) -> Array:
@@ -294,51 +311,50 @@ def _factor(shown: MapWindow, lengths: Array, wanted: float) -> float:
 
 def _ellipses(panel: Axes, shown: MapWindow, factor: float) -> EllipseCollection:
     assert shown.covariances is not None
-    known = _some(shown.covariances)
+    known = _some(shown, shown.covariances)
     semi_axes, ways = error_ellipses(shown.covariances[known])
     shorter, longer = 2.0 * factor * semi_axes.T / KM
     angles = np.degrees(np.arctan2(ways[:, 1, 1], ways[:, 0, 1]))  # of the longer one, from the east
     return EllipseCollection(
-        longer, shorter, angles, units="xy", offsets=shown.places[known] / KM,
+        longer, shorter, angles, units="y" if _longer(shown) else "x", offsets=shown.places[known] / KM,
         offset_transform=panel.transData, facecolors="none", edgecolors=INK, linewidths=0.7, zorder=4,
     )  # fmt: skip
 
 
 def _arrows(panel: Axes, shown: MapWindow, factor: float) -> Quiver:
     assert shown.moved is not None
-    known = _some(shown.moved)
+    known = _some(shown, shown.moved)
     east, north = factor * shown.moved[known].T / KM
     return panel.quiver(
-        *(shown.places[known].T / KM), east, north, angles="xy", scale_units="xy", scale=1.0, width=0.002, color=INK,
-        zorder=5,
+        *(shown.places[known].T / KM), east, north, angles="uv", scale_units="xy"[_longer(shown)], scale=1.0,
+        width=0.003, color=_MOVED, zorder=5,
     )  # fmt: skip
 
 
+def message(shown: MapWindow) -> str:
+    """The one thing that the map says."""
+    (title, unit), values = shown.quantity, shown.values[np.isfinite(shown.values)]
+    if not values.size:
+        return f"{title} of no point is known."
+    middle, (low, high) = number(float(np.median(values))), np.quantile(values, [1.0 - SHARE, SHARE])
+    if low > 0.0 and high < FLAT * low:
+        return f"{title} is nearly the same everywhere: {middle} {unit}."
+    return f"{title}: {middle} {unit} (median), {number(float(values[np.argmax(np.abs(values))]))} {unit} at most."
+
+
 def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
-    title, unit = shown.quantity
-    cells = int(np.isfinite(shown.values).sum())
-    what = f"medians of {cells} cells" if shown.classes is None else "one by one"
+    what = "one by one" if shown.classes is not None else f"medians of {np.isfinite(shown.values).sum()} cells"
     words = [
-        f"{many(shown.count, shown.noun)}, {what}, colored by {title} in {unit}. Colors end at the 2 % and 98 % "
-        f"quantiles of the block, {number(shown.scale[0])} and {number(shown.scale[1])}. Sigmas are for sigma0 = 1."
-    ]
-    if shown.covariances is not None:
-        drawn = _some(shown.covariances).size
-        words.append(f"Error ellipses of {many(drawn, shown.noun)} hold 95 %, {factors[0]:g} times enlarged.")
-    if shown.moved is not None:
-        what = "cell" if shown.classes is None else shown.noun
-        of = many(_some(shown.moved).size, what)
-        words.append(f"Movements of {of}, east and north, {factors[1]:g} times enlarged.")
+        message(shown), f"{many(shown.count, 'point')}, {what}; colors reach from {number(shown.scale[0])} to "
+        f"{number(shown.scale[1])} {shown.quantity[1]}. Sigmas are for sigma0 = 1."
+    ]  # fmt: skip
+    for values, drawn, factor in zip((shown.covariances, shown.moved), ("95 % error ellipses", "Movements"), factors,
+                                     strict=True):  # fmt: skip
+        if values is not None:
+            of = many(_some(shown, values).size, "cell" if shown.classes is None else "point")
+            words.append(f"{drawn} of {of}, {factor:g} times true size.")
     if shown.relief is not None:
         words.append("Shaded relief of the terrain model, light from the north-west.")
+    if _is_long(shown.box[2:] - shown.box[:2]):
+        words.append("The map has two scales; ellipses and arrows take that of its longer side.")
     return " ".join(words)
-
-
-def draw_ellipse(panel: Axes, middle: Array, covariance: Array, stroke: str) -> None:
-    """One standard deviation about a position, in the units of the panel."""
-    values, ways = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0))
-    angle = float(np.degrees(np.arctan2(ways[1, 0], ways[0, 0])))
-    panel.add_patch(
-        Ellipse((middle[0], middle[1]), width, height, angle=angle, fill=False, ls=stroke, lw=1.1, ec=BEFORE, zorder=7)
-    )

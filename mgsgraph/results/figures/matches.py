@@ -23,7 +23,7 @@ def matches_sheet(matches: Matches, scene: Scene, name: str) -> Sheet:
         f"{number(across)} m off across the plane of the two rays and {number(along)} m along it (medians)."
     )
     sheet = new_sheet("matches", 9.0, 4.6, f"Matches between images: {name}", caption)
-    where, contradiction = sheet.panels(1, 2)[0]
+    where, contradiction = sheet.panels(1, 2, sharey=True)[0]
     some = thinned(len(plane), MOST_MARKS)
     for one in footprints(scene):
         where.plot(*(scene.ground.chart.plane(one.outline) / KM).T, color=INK, lw=0.8)
@@ -31,7 +31,7 @@ def matches_sheet(matches: Matches, scene: Scene, name: str) -> Sheet:
     where.set(xlabel="across the flight (km)", ylabel="along the flight (km)", title="where")
     for k, color in enumerate((AFTER, BEFORE)):
         contradiction.plot(nominal[some, k], plane[some, 1] / KM, ".", ms=2.5, color=color)
-    contradiction.set(xlabel="second minus first (m on the ground)", title="nominal orientation")
+    contradiction.set(xlabel="second minus first (m on the ground)", title="contradiction of the nominal orientations")
     sheet.legend([
         Line2D([], [], color=INK, lw=1.0, label="footprints"),
         Line2D([], [], color=SOFT, marker="o", ls="", ms=3.5, label="tie points"),

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
 from mgsgraph.analysis.statistics import node_times, strip_corrections
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style, short
-from mgsgraph.text import many
+from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style
+from mgsgraph.text import many, short
 from mgsgraph.units import ARCSEC
 
 _PLACES, _FEWEST, _PER_INTERVAL = 800, 3, 6
@@ -39,8 +39,6 @@ class Curve:
     """(n, 6) in the units of the panels: three of position, three of attitude."""
     sigmas: Array
     """(n, 6) of these, for sigma0 = 1."""
-    coupling: float
-    """Largest correlation between a position and a rotation, in the middle."""
     node_shares: Array
     """(k,) places of orientation images; none of an image."""
     node_values: Array
@@ -53,12 +51,7 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
     if count := len(network.passes):
         curves = [pass_curve(solution, k, count) for k in range(count)]
         pictures = sum(len(one.images) for one in network.passes)
-        seconds = sum(float(np.ptp(node_times(solution, k))) for k in range(count))
-        nodes = sum(one.node_shares.size for one in curves)
-        head = (
-            f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, "
-            f"{many(nodes, 'orientation image')} over {number(seconds, 4)} s, without unknowns that images share"
-        )
+        head = f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, without shared unknowns"
         yield _sheet("passes", curves, _PASSES, head, "passes, each from its first orientation image to its last")
     own = np.flatnonzero(network.pass_of < 0).tolist()
     if own:
@@ -70,11 +63,11 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
 
 def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
     """Position along the body-fixed axes in m, rotations about the camera's own axes in arcsec."""
-    places, none = max(_PLACES // curves, _FEWEST), np.zeros(0)
+    places = max(_PLACES // curves, _FEWEST)
     values, sigmas = components(orientation_profile(solution, image, places))
     return Curve(
         solution.network.images[image].name, np.linspace(0.0, 1.0, places), values, sigmas,
-        largest_correlation(solution.image_covariance(image)[:6, :6]), none, np.zeros((0, 6)),
+        np.zeros(0), np.zeros((0, 6)),
     )  # fmt: skip
 
 
@@ -84,10 +77,9 @@ def pass_curve(solution: Solution, strip: int, curves: int = 1) -> Curve:
     start, stop = np.array(one.nodes.coverage) + one.nodes.epoch
     times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
     along, at_nodes = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
-    units, middle = np.repeat([1.0, ARCSEC], 3), int(solution.network.first_of_passes[strip]) + len(one.nodes) // 2
+    units = np.repeat([1.0, ARCSEC], 3)
     return Curve(
         one.name, (times - start) / (stop - start), along.values / units, along.sigmas / units,
-        largest_correlation(solution.joint_covariance.block(middle, middle)),
         (nodes - start) / (stop - start), at_nodes.values / units,
     )  # fmt: skip
 
@@ -99,14 +91,6 @@ def components(profile: OrientationProfile) -> tuple[Array, Array]:
         np.hstack([shift, profile.rotation / ARCSEC]),
         np.hstack([profile.position_sigma, profile.rotation_sigma / ARCSEC]),
     )
-
-
-def largest_correlation(covariance: Array) -> float:
-    """Between one of the first three unknowns, a position's, and one of the others; 0 where one has no sigma."""
-    sigmas = np.sqrt(np.diagonal(covariance))
-    if not np.all(sigmas > 0.0):
-        return 0.0
-    return float(np.abs(covariance / np.outer(sigmas, sigmas))[:3, 3:].max())
 
 
 @plain_style()
@@ -122,7 +106,7 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
     heights = np.concatenate([one.node_values for one in curves])
     sheet = new_sheet(
         name, 11.0 if count > 4 or dots.size else 7.2, 8.4, "Corrections of the exterior orientation",
-        _caption(head, curves),
+        _caption(head, curves, rows),
     )  # fmt: skip
     grid = sheet.panels(6, 1, sharex="col")[:, 0]
     for n, panel in enumerate(grid):
@@ -131,7 +115,7 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
         panel.fill_between(at, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
         panel.plot(at, value, color=AFTER)
         panel.plot(dots, heights[:, n], color=INK, ls="", marker="o", ms=_MARK if dots.size < 60 else 0.5 * _MARK)
-        low, high = np.nanquantile(np.concatenate([value - sigma, value + sigma]), [0.01, 0.99]).tolist()
+        low, high = float(np.nanmin(value - sigma)), float(np.nanmax(value + sigma))
         room = 0.12 * max(high - low, 1e-9)
         panel.set(ylabel=rows[n], ylim=(low - room, high + room), xlim=(0.0, count))
         panel.locator_params(axis="y", nbins=5)
@@ -151,14 +135,14 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
     return sheet
 
 
-def _caption(head: str, curves: Sequence[Curve]) -> str:
+def _caption(head: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
     """What one sees, with figures."""
-    (shift, turn), (spread, twist) = (
-        np.max([np.abs(getattr(one, part)).max(axis=0).reshape(2, 3).max(axis=1) for one in curves], axis=0).tolist()
-        for part in ("values", "sigmas")
-    )
+    moved = np.max([np.abs(one.values).max(axis=0) for one in curves], axis=0)
+    ratios = [np.abs(one.values) / np.where(one.sigmas > 0.0, one.sigmas, np.inf) for one in curves]
+    k = int(np.argmax([one.max() for one in ratios]))
+    row = rows[int(np.argmax(ratios[k].max(axis=0)))].split("(")[0].strip()
     return (
-        f"{head}: positions moved by up to {number(shift)} m, attitudes rotated by up to {number(turn)} arcsec; sigmas "
-        f"reach {number(spread)} m and {number(twist)} arcsec. Position and rotation correlate by up to "
-        f"{max(one.coupling for one in curves):.3f}."
+        f"{head}: the largest correction is {number(float(ratios[k].max()), 2)} sigmas ({row} of "
+        f"{short(curves[k].name)}). Positions moved by up to {number(moved[:3].max())} m, attitudes by up to "
+        f"{number(moved[3:].max())} arcsec."
     )

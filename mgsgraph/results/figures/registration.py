@@ -6,7 +6,6 @@ edge, as in Figure 4 of Yoon & Shan (2005).
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -32,15 +31,13 @@ from mgsgraph.results.figures.sheet import (
     MOST_SHEETS,
     SOFT,
     Sheet,
-    left_out,
     new_sheet,
     number,
     plain_style,
     save,
     sheet_name,
-    short,
 )
-from mgsgraph.text import root_mean_square
+from mgsgraph.text import root_mean_square, short
 
 _ON_IMAGES = {"nominal": BEFORE, "adjusted": LIGHT}
 _COLORS = {"nominal": BEFORE, "adjusted": AFTER}
@@ -51,8 +48,8 @@ _WIDTH, _TALL, _HEIGHTS, _MOST_STRIPS = 10.6, 1.45, 0.8, 4
 """inch: width of a strip of an image, its least height, that of an elevation panel; strips of an image."""
 _ACROSS = 300
 """Pixels across a strip; more only take time."""
-_ROOM = 0.19
-"""inch that a number of three digits needs."""
+_EVERY, _ROOM = 10, 300
+"""Every so many-th footprint has its number; of more footprints in a strip than this, fewer."""
 _WAYS = ("along the flight", "across the flight")
 
 
@@ -82,7 +79,7 @@ def overlay_sheets(registration: CaseRegistration) -> Iterator[Sheet]:
     """One sheet for each of the images with most footprints."""
     counts = np.sum([profile.found.inside.sum(axis=1) for profile in registration.before], axis=0)
     chosen = sorted(np.argsort(-counts, kind="stable")[: min(MOST_SHEETS, np.count_nonzero(counts))].tolist())
-    omitted = left_out(int(np.count_nonzero(counts)), len(chosen), f"{len(chosen)} with most footprints")
+    omitted = "; images with fewer footprints are not drawn" if np.count_nonzero(counts) > len(chosen) else ""
     for n, j in enumerate(chosen):
         pixels = pixels_of(registration.pictures[j])
         yield _overlay(registration, j, pixels, sheet_name("overlay", n + 1, len(chosen)), omitted)
@@ -104,7 +101,7 @@ def _overlay(registration: CaseRegistration, j: int, pixels: Pixels | None, name
         _picture(strip, pixels, image)
         strip.set(xlim=ends, ylim=(0.0, image.samples), ylabel="sample (px)")
         strip.locator_params(axis="y", nbins=4)
-        _marks(strip, registration, j, order, (ends[1] - ends[0]) / width)
+        _marks(strip, registration, j, order)
         relief.plot(lines, heights[track], color=INK, lw=0.8, marker="*", ms=3.6, mew=0.0)
         relief.set(xlim=ends, ylabel="height (m)")
         relief.tick_params(labelbottom=False, bottom=False)
@@ -186,9 +183,7 @@ def averaged(pixels: NDArray[Any], down: int, across: int) -> NDArray[np.float32
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
-def _marks(
-    panel: Axes, registration: CaseRegistration, j: int, order: Sequence[int], lines_per_inch: float
-) -> None:
+def _marks(panel: Axes, registration: CaseRegistration, j: int, order: Sequence[int]) -> None:
     """Footprints of all profiles; the first one's with their numbers, before below them and after above them."""
     low, high = panel.get_xlim()
     for state, profiles in registration.states():
@@ -199,12 +194,12 @@ def _marks(
             panel.plot(*places[shown].T, ls="", marker=_MARKERS[k], ms=2.8 if k else 3.8, mew=0.8, mec=color,
                        mfc=color if after else "none", zorder=5 - bool(k))  # fmt: skip
             if k == 0 and shown.size:
-                gap = float(np.ptp(places[shown, 0])) / max(shown.size - 1, 1) / lines_per_inch
-                step = next((step for step in (1, 2, 5, 10, 20, 50) if step * gap > _ROOM), 100)
+                step = _EVERY * -(-shown.size // _ROOM)
                 for shot in shown[(shown + 1) % step == 0].tolist():
-                    panel.annotate(f"{shot + 1}", places[shot], (0.0, 3.5 if after else -3.5), color=color, size=6.0,
-                                   textcoords="offset points", ha="center", va="bottom" if after else "top",
-                                   zorder=6, path_effects=[withStroke(linewidth=1.4, foreground="black")])  # fmt: skip
+                    panel.annotate(f"{shot + 1}", places[shot], (0.0, 3.5 if after else -3.5), color=color, size=8.0,
+                                   weight="bold", textcoords="offset points", ha="center", zorder=6,
+                                   va="bottom" if after else "top",
+                                   path_effects=[withStroke(linewidth=1.4, foreground="black")])  # fmt: skip
 
 
 def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int], drawn: bool) -> str:
@@ -216,7 +211,7 @@ def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int
         said = f"{int(inside.sum())} of {inside.size} shots of {profile.name} fall in the image"
         if registration.after:
             lines, samples = np.nanmean((registration.after[p].found.places[j] - profile.found.places[j])[inside], 0)
-            said += f" and move by {number(lines)} lines and {number(samples)} samples on the average"
+            said += f" and move by {number(lines)} lines and {number(samples)} samples on average"
         parts.append(said)
     first = registration.before[order[0]].name
     text = f"{'; '.join(parts)}; numbers count the shots of {first} from its first in the case"
@@ -248,15 +243,12 @@ def _discrepancies(registration: CaseRegistration, pair: tuple[str, str], name: 
     parts = []
     for state in states:
         metres = np.concatenate([one.metres for other, _, one in found if other == state])
-        (along, across), (rms_along, rms_across) = metres.mean(axis=0), root_mean_square(metres, 0)
-        parts.append(
-            f"{'before' if state == 'nominal' else 'after'} the adjustment {number(along)} m (rms {number(rms_along)}) "
-            f"along the flight and {number(across)} m (rms {number(rms_across)}) across it"
-        )
+        along, across = (number(rms) for rms in root_mean_square(metres, 0))
+        when = "before" if state == "nominal" else "after"
+        parts.append(f"{along} m along and {across} m across the flight {when} the adjustment")
     caption = (
-        f"The places of footprints in {second} are off from where {first} has them, on the average "
-        f"{' and '.join(parts)}; bands are one standard deviation of this comparison, which rests on the tie points; a "
-        f"MOLA spacing is the distance between footprints{omitted}."
+        f"{first} and {second} disagree about the footprints by {', by '.join(parts)} (rms). Bands: one standard "
+        f"deviation of this comparison, which rests on the tie points{omitted}."
     )
     sheet = new_sheet(name, 9.6, 5.6, f"Discrepancy between {first} and {second} at the footprints", caption)
     grid = sheet.panels(2, 1, sharex="col")[:, 0]
@@ -266,11 +258,7 @@ def _discrepancies(registration: CaseRegistration, pair: tuple[str, str], name: 
             _along_lines(panel, one, k, _COLORS[state], _MARKERS[p % len(_MARKERS)])
         panel.set_ylabel(f"{_WAYS[k]} (m)")
         panel.margins(y=0.1)
-        spacing = found[0][2].spacing
-        if np.isfinite(spacing):  # the same axis in distances between footprints
-            scales = partial(np.multiply, 1.0 / spacing), partial(np.multiply, spacing)
-            panel.secondary_yaxis("right", functions=scales).set_ylabel("MOLA spacings", size=8.0)
-    grid[0].set_title(f"{second}: projected place minus the one that {first} and the tie points give")
+    grid[0].set_title(f"{second}: projected position minus the one that {first} and the tie points give")
     grid[1].set_xlabel(f"line of {second} (px)")
     sheet.legend([
         *(Line2D([], [], color=_COLORS[s], marker="o", ms=4, lw=0.9, label=_WORDS[s]) for s in states),

@@ -1,21 +1,20 @@
 """A registration by relief drawn: misfit over shifts with its minima, profiles and terrain models against the stereo
-surface (Figure 4 of Yoon & Shan (2005) made a test), and a map of the misplacements; before the adjustment with stereo
+surface (Figure 4 of Yoon & Shan (2005) made a test), and the shifts onto it; before the adjustment with stereo
 rows and after it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
-from mgsgraph.geometry.records import Array, Index
+from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.minima import CostSurface, ProfileState, ReliefProfile, ReliefRegistration
-from mgsgraph.results.figures.map import draw_ellipse, outlines_of, points_window, window_sheet
 from mgsgraph.results.figures.sheet import (
     AFTER,
     BEFORE,
@@ -23,16 +22,17 @@ from mgsgraph.results.figures.sheet import (
     CLASS_MARKER,
     CLASS_NAME,
     INK,
+    MOST_MARKS,
     MOST_SHEETS,
     SOFT,
     Sheet,
+    limit,
     new_sheet,
     number,
     plain_style,
     sheet_name,
-    short,
 )
-from mgsgraph.text import many
+from mgsgraph.text import many, short
 from mgsgraph.units import KM
 
 _NAMED_MINIMA = 1e-3
@@ -47,7 +47,7 @@ _MISFIT = "root of the misfit above the best (sigmas)"
 
 def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     """Cost surfaces and heights of the profiles that most need a look, those without a clear minimum first, then by
-    how far they were off; and the map of all.
+    how far they were off; and the shifts of all.
     """
     profiles = registration.profiles
     off = [float(np.nan_to_num(np.linalg.norm(one.before.misplacement))) for one in profiles]
@@ -55,8 +55,9 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     shown = sorted(order[:MOST_SHEETS])
     yield _costs(registration, shown)
     for k, p in enumerate(shown):
-        yield _profile(registration, profiles[p], sheet_name("profiles", k + 1, len(shown)))
-    yield _map(registration)
+        name = sheet_name("profiles", k + 1, len(shown))
+        yield _posts(profiles[p], name) if profiles[p].of_posts else _profile(registration, profiles[p], name)
+    yield _shifts(registration)
 
 
 # --- cost surfaces
@@ -77,16 +78,13 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
     top = _top([profiles[p].before.cost for p in chosen])
     shown = None
     for c, p in enumerate(chosen):
-        one, prior = profiles[p], float(shifts.sigmas[p])
+        one = profiles[p]
         for row, state in enumerate((one.before, one.after)):
             panel = grid[row, c]
             shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
-            if state.cost.minima and row == 0:
-                draw_ellipse(panel, np.zeros(2), np.eye(2) * prior**2, "--")
-            elif state.cost.minima:
-                draw_ellipse(panel, state.cost.minima[0].shift, state.cost.minima[0].covariance, "-")
             panel.set_title(f"{short(one.name, 24)}, {_STATES[row]}")
             panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if c == 0 else "")
+        grid[0, c].add_patch(Circle((0.0, 0.0), float(shifts.sigmas[p]), fill=False, ls="--", ec=BEFORE))
     if shown is not None:
         sheet.colour_bar(shown, grid.ravel().tolist(), _MISFIT, MaxNLocator(6), "max")
     sheet.legend(_cost_handles())
@@ -99,7 +97,6 @@ def _cost_handles() -> list[Line2D]:
         Line2D([], [], ls="", marker="X", ms=7, mfc="white", mec=INK, label="best shift"),
         Line2D([], [], ls="", marker="o", ms=6, mfc="none", mec="#CC79A7", mew=1.4, label="other minima"),
         Line2D([], [], ls="--", lw=1.1, color=BEFORE, label="a-priori sigma"),
-        Line2D([], [], ls="-", lw=1.1, color=BEFORE, label="sigma of the best shift"),
     ]
 
 
@@ -142,9 +139,9 @@ def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
     profiles = registration.profiles
     clear = sum(one.after.cost.clear for one in profiles)
     return (
-        "How badly each profile fits the stereo surface when it is shifted as a whole, level and slope along the track "
-        "removed: above where the images were adjusted without relief, below with it, where zero is agreement; "
-        f"{clear} of {many(len(profiles), 'profile')} have one clear minimum, {shown} are drawn."
+        f"{clear} of {many(len(profiles), 'profile')} have one clear minimum; {shown} are drawn. Colors: how badly a "
+        "profile fits the stereo surface when it is shifted as a whole, level and slope along the track removed; above "
+        "where the images were adjusted without relief, below with it, where zero is agreement."
     )
 
 
@@ -154,55 +151,63 @@ def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
 @plain_style()
 def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) -> Sheet:
     """Heights of the shots and of the surface under them along the track, and their difference, before and after."""
-    what, colour, marker = "Laser profile", CLASS_COLOUR[one.point_class], CLASS_MARKER[one.point_class]
-    if one.of_posts:
-        what = "Terrain model"
-    sheet = new_sheet(
-        name, 10.0, 4.6, f"{what} {short(one.name, 30)} against the stereo surface", _profile_caption(one)
-    )
+    colour, marker = CLASS_COLOUR[one.point_class], CLASS_MARKER[one.point_class]
+    title = f"Laser profile {short(one.name, 30)} against the stereo surface"
+    sheet = new_sheet(name, 10.0, 4.6, title, _profile_caption(one))
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    (order, along), stroke = _along(one), "" if one.of_posts else "-"
-    body = registration.solution.network.images[0].body
-    up, covariances = east_north_up(one.before.points)[:, 2], registration.solution.network.points.covariances[one.mine]
-    sigmas = np.hypot(one.sigmas, np.sqrt(np.einsum("ni,nij,nj->n", up, covariances, up)))
-    sigmas = np.where(one.taken, sigmas, np.nan)[order]
-    widest = 0.0
-    for c, state in enumerate((one.before, one.after)):
-        upper, lower = grid[:, c]
-        heights, off = geodetic(state.points, body)[:, 2], vertical(state)
-        off = np.where(one.taken & state.heights.covered, off, np.nan)
-        heights, off = heights[order], off[order]
-        upper.plot(along, heights - off, color=AFTER, ls=stroke, lw=1.0, marker=".", ms=2.5, zorder=2)
+    along = _sides(one)[:, 0]
+    order = np.argsort(along, kind="stable")
+    along, body = along[order], registration.solution.network.images[0].body
+    for (upper, lower), state, words in zip(grid.T, (one.before, one.after), _states(one), strict=True):
+        heights, off = geodetic(state.points, body)[order, 2], _differences(one, state)[order]
+        upper.plot(along, heights - off, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
         upper.plot(along, heights, ls="", marker=marker, ms=3.0, mfc="none", mew=0.7, color=colour, zorder=3)
-        upper.set_title(_STATES[c])
+        upper.set_title(words)
         lower.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
-        lower.fill_between(along, -sigmas, sigmas, color=SOFT, alpha=0.35, lw=0.0, zorder=1)
-        lower.plot(along, off, color=INK, ls=stroke, lw=0.7, marker=".", ms=3.0, zorder=2)
-        lower.set_xlabel("along the longer side (km)")
-        known = np.abs(off[np.isfinite(off)])
-        if known.size:
-            widest = max(widest, min(float(known.max()), _CLIPPED * float(np.quantile(known, 0.95))))
+        lower.plot(along, off, color=INK, lw=0.7, marker=".", ms=3.0, zorder=2)
+        lower.set_xlabel("along the track (km)")
     grid[0, 0].set_ylabel("height above the ellipsoid (m)")
-    grid[1, 0].set_ylabel(f"{one.unit} minus surface (m)")
-    grid[1, 0].set_ylim(-1.15 * max(widest, 1.0), 1.15 * max(widest, 1.0))
+    grid[1, 0].set_ylabel("shot minus surface (m)")
     sheet.legend([
         Line2D([], [], ls="", marker=marker, ms=5, mfc="none", color=colour, label=CLASS_NAME[one.point_class]),
-        Line2D([], [], color=AFTER, ls=stroke, lw=1.0, marker=".", ms=4, label=f"stereo surface at the {one.unit}s"),
-        Line2D([], [], color=SOFT, lw=6.0, alpha=0.35, label="a-priori sigma of a difference"),
+        Line2D([], [], color=AFTER, lw=1.0, marker=".", ms=4, label="stereo surface at the shots"),
     ])  # fmt: skip
     return sheet
 
 
-_CLIPPED = 4.0
-"""Times the 95 % quantile of differences, beyond which single ones are cut off."""
+@plain_style()
+def _posts(one: ReliefProfile, name: str) -> Sheet:
+    """A terrain model's posts minus the stereo surface: a map after, and histograms before and after."""
+    off = np.array([_differences(one, state) for state in (one.before, one.after)])
+    most, reach, sides = limit(off), float(np.nanmax(np.abs(off), initial=1.0)), _sides(one)
+    title = f"Terrain model {short(one.name, 30)} minus the stereo surface"
+    sheet = new_sheet(name, 10.0, 3.4, title, _profile_caption(one), band=0.0)
+    where, many_of = sheet.panels(1, 2)[0]
+    some = np.flatnonzero(one.taken)[thinned(int(one.taken.sum()), MOST_MARKS)]
+    shown = where.scatter(*sides[some].T, c=off[1, some], s=9.0, cmap="RdBu_r", vmin=-most, vmax=most, lw=0.2, ec=INK)
+    where.set(xlabel="along the longer side (km)", ylabel="across (km)")
+    sheet.colour_bar(shown, where, "post minus surface, after (m)", MaxNLocator(5), "both")
+    many_of.hist(off.T, 40, range=(-reach, reach), histtype="step", color=[BEFORE, AFTER], label=_states(one))
+    many_of.set(xlabel="post minus surface (m)", ylabel="posts")
+    many_of.legend()
+    return sheet
 
 
-def _along(one: ReliefProfile) -> tuple[Index, Array]:
-    """Order (n,) of points along the longer side of a profile or model, and where they lie in this order, km."""
+def _sides(one: ReliefProfile) -> Array:
+    """(n, 2) km, where the points of a profile or model lie along its longer side and across."""
     apart = one.before.points - one.before.points.mean(axis=0)
-    along = apart @ np.linalg.svd(apart, full_matrices=False)[2][0]
-    order = np.argsort(along, kind="stable")
-    return order, (along[order] - along[order[0]]) / KM
+    sides = apart @ np.linalg.svd(apart, full_matrices=False)[2][:2].T
+    return np.asarray((sides - sides.min(axis=0)) / KM)
+
+
+def _differences(one: ReliefProfile, state: ProfileState) -> Array:
+    """(n,) m, heights of what lies on the surface above it; NaN elsewhere."""
+    return np.where(one.taken & state.heights.covered, vertical(state), np.nan)
+
+
+def _states(one: ReliefProfile) -> list[str]:
+    """Titles of the panels before and after."""
+    return [f"{s}: {number(rms)} m rms" for s, rms in zip(_STATES, (one.rms_before, one.rms_after), strict=True)]
 
 
 def vertical(state: ProfileState) -> Array:
@@ -214,30 +219,26 @@ def vertical(state: ProfileState) -> Array:
 def _profile_caption(one: ReliefProfile) -> str:
     east, north = (number(size) for size in one.before.misplacement.tolist())
     return (
-        f"{int(one.taken.sum())} of {many(one.mine.size, one.unit)} lie on the surface that the images show; "
-        f"{one.unit} minus surface {number(one.rms_before)} m rms before, {number(one.rms_after)} m after; before, "
-        f"it had to move {east} m east and {north} m north to fit."
+        f"{one.unit.capitalize()} minus surface: {number(one.rms_before)} m rms before, {number(one.rms_after)} m "
+        f"after; before, it had to move {east} m east and {north} m north to fit. {many(one.taken.sum(), one.unit)}."
     )
 
 
-# --- the map
+# --- shifts of all
 
 
-def _map(registration: ReliefRegistration) -> Sheet:
-    """On each profile by how much it has to move onto the stereo surface: before an arrow, after a color and an
-    ellipse; of neighbors at different parts of their tracks.
-    """
-    solution, profiles = registration.solution, registration.profiles
-    centre = centre_of(solution.places)
-    shares = 0.3 + 0.1 * (2 * np.arange(len(profiles)) % 5)
-    marked = [one.before.points[int(share * one.mine.size)] for one, share in zip(profiles, shares, strict=True)]
-    marks = plane_coordinates(np.array(marked), centre)
-    before, after = (np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES)
-    covariances = np.array([one.after.misplacement_covariance for one in profiles])
-    outlines, classes = outlines_of(solution, centre), np.array([one.point_class for one in profiles])
-    about = registration.name, centre, np.concatenate([marks, *outlines.values()]), outlines
-    quantity = "misplacement after (arrows: before)", "m"
-    shown = points_window(
-        about, marks, np.linalg.norm(after, axis=1), quantity, classes, covariances, before, noun="profile"
-    )
-    return replace(window_sheet(shown), name="shifts")
+@plain_style()
+def _shifts(registration: ReliefRegistration) -> Sheet:
+    """By how much each profile had to move onto the stereo surface before, and has to after."""
+    profiles = registration.profiles
+    shifts = [np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES]
+    most = [number(float(np.nanmax(np.linalg.norm(one, axis=1), initial=0.0))) for one in shifts]
+    caption = f"The largest shift onto the stereo surface is {most[0]} m before and {most[1]} m after."
+    sheet = new_sheet("shifts", 6.4, 4.4, f"Shifts onto the stereo surface: {short(registration.name, 24)}", caption)
+    panel = sheet.panels()[0, 0]
+    for values, label, colour in zip(shifts, _STATES, (BEFORE, AFTER), strict=True):
+        panel.plot(*values.T, ls="", marker="o", ms=5.0, color=colour, label=label)
+    panel.plot(0.0, 0.0, "+", ms=10, color=INK)
+    panel.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", adjustable="datalim")
+    sheet.legend(panel.get_legend_handles_labels()[0])
+    return sheet

@@ -6,6 +6,7 @@ share a row.
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -15,6 +16,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures.sheet import (
     AFTER,
+    BEFORE,
     CLASS_NAME,
     Sheet,
     image_rows,
@@ -23,9 +25,8 @@ from mgsgraph.results.figures.sheet import (
     new_sheet,
     number,
     plain_style,
-    short,
 )
-from mgsgraph.text import many
+from mgsgraph.text import many, short
 
 _PER_BIN = 25
 """Measures of an image in a bin of lines, of the image in the middle."""
@@ -35,6 +36,8 @@ _SHOWN = (PointClass.TIE, PointClass.LASER, PointClass.CONTROL)
 _NAMED = 12
 """Rows that have their image's name beside them."""
 _EMPTY = "#D9D9D9"
+_PALE = 0.05
+"""Share of the scale below which all looks white."""
 
 
 def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None:
@@ -57,61 +60,72 @@ def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None
 
 @plain_style()
 def residual_sheets(solution: Solution) -> list[Sheet]:
-    """Medians of the residuals of all images along their lines, and rms beside robust sigma of each image."""
+    """Medians of the residuals of all images along their lines, and the rms and largest residual of each image."""
     names, row = [one.name for one in solution.network.images], image_rows(len(solution.network.images))
     found = [(c, one) for c in _SHOWN if (one := residual_matrix(solution, c)) is not None]
-    spreads = _spreads(solution, row)
+    spreads, largest = _spreads(solution, row)
     count, several = spreads.size, -(-len(names) // spreads.size)
     widths = [1.25] * (2 * len(found)) + [1.0]
     sheet = new_sheet(
         "residuals", max(7.2, 1.6 + 1.9 * len(widths)), min(2.0 + 0.35 * count, 7.0), "Image residuals",
-        _residual_caption(solution, spreads),
+        _residual_caption(solution, spreads, largest),
     )  # fmt: skip
     panels = sheet.panels(1, len(widths), widths=widths, sharey="all")[0]
     for n, (point_class, one) in enumerate(found):
         _draw_matrix(sheet, panels[2 * n : 2 * n + 2].tolist(), point_class, one)
     panels[-1].barh(np.arange(count), spreads, height=0.7, color=AFTER, lw=0.0)
-    panels[-1].set(xlabel="px", title="rms of an image")
+    panels[-1].plot(largest, np.arange(count), ls="", marker="o", ms=3.0, color=BEFORE)
+    panels[-1].set(xlabel="px", xlim=(0.0, None), title="rms and largest")
     ticks = np.unique(np.linspace(0, count - 1, min(count, _NAMED)).round().astype(int)).tolist()
     panels[0].set_yticks(ticks, [short(names[int(np.searchsorted(row, k))], 20) for k in ticks], size=7.0)
     panels[0].set(ylabel="image" if several == 1 else f"images, up to {several} in a row", ylim=(count - 0.5, -0.5))
     for panel in panels[1:]:
         panel.tick_params(labelleft=False)
-    sheet.legend([Patch(color=_EMPTY, lw=0.0, label="no measurement")])
+    sheet.legend([
+        Patch(color=_EMPTY, lw=0.0, label="no measurement"), Patch(color=AFTER, lw=0.0, label="rms of an image"),
+        Line2D([], [], ls="", marker="o", ms=4.0, color=BEFORE, label="largest residual of an image"),
+    ])  # fmt: skip
     return [sheet]
 
 
 def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, found: Array) -> None:
     """Line and sample residuals side by side, on one scale."""
-    most = limit(found)
+    most, largest = limit(found), float(np.nanmax(np.abs(found)))
     shown: ScalarMappable
     for panel, values, what in zip(panels, found, ("line", "sample"), strict=True):
         panel.set_facecolor(_EMPTY)
         panel.grid(visible=False)
-        rows = values.shape[0]
+        rows, reach = values.shape[0], float(np.nanmax(np.abs(values)))
         shown = panel.imshow(
             np.ma.masked_invalid(values), cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto",
             interpolation="nearest", extent=(0.0, 100.0, rows - 0.5, -0.5),
         )  # fmt: skip
-        panel.set(xlabel="% of the lines", title=what)
-    sheet.colour_bar(shown, panels, f"{CLASS_NAME[point_class]}: median residual (px)", MaxNLocator(4), extend="both")
+        panel.set(xlabel="% of the lines", title=what + f" (below {number(reach, 1)} px)" * (reach < _PALE * most))
+    label = f"{CLASS_NAME[point_class]}: median residual, up to {number(largest)} px"
+    sheet.colour_bar(shown, panels, label, MaxNLocator(4), extend="both")
 
 
-def _spreads(solution: Solution, row: Index) -> Array:
-    """(rows,) px, rms of the residuals of line and sample together, of tie points where there are any."""
+def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
+    """(rows,) px, rms of the residuals of line and sample together, and the largest of either, of tie points where
+    there are any.
+    """
     rays, used = solution.network.rays, used_rays(solution)
     ties = used & (solution.network.points.classes[rays.point] == PointClass.TIE)
     mine = np.flatnonzero(ties if np.any(ties) else used)
-    return np.sqrt(means(np.mean(solution.residuals[mine] ** 2, axis=1), row[rays.image[mine]], int(row[-1]) + 1))
+    squares, rows = solution.residuals[mine] ** 2, row[rays.image[mine]]
+    largest = np.full(int(row[-1]) + 1, np.nan)
+    np.fmax.at(largest, rows, squares.max(axis=1))
+    return np.sqrt(means(squares.mean(axis=1), rows, largest.size)), np.sqrt(largest)
 
 
-def _residual_caption(solution: Solution, spreads: Array) -> str:
+def _residual_caption(solution: Solution, spreads: Array, largest: Array) -> str:
     """What one sees, with figures."""
     rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
-    middle, largest = (number(float(value)) for value in (np.nanmedian(spreads), np.nanmax(spreads)))
+    said = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
+    middle, most, worst = (number(float(one)) for one in said)
     return (
-        f"Median residual (measured minus predicted) along the lines of {many(len(solution.network.images), 'image')}. "
-        f"Colors end where 98 % of the medians lie. The rms of an image is {middle} px (median), {largest} px at most. "
-        f"Rejected measurements: {rejected}. Stripes over many images come from the camera, single rows from the "
-        "orientation of an image."
+        f"The rms of an image is {middle} px (median), {most} px at most; the largest residual is {worst} px. Rejected "
+        f"measurements: {rejected}. Colors: median residual (measured minus predicted) along the lines of "
+        f"{many(len(solution.network.images), 'image')}; stripes over many images come from the camera, single rows "
+        "from the orientation of an image."
     )

@@ -23,7 +23,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import Locator, LogLocator
+from matplotlib.ticker import Locator
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -36,6 +36,9 @@ MOST_SHEETS = 4
 """Sheets of one kind that are drawn; the tables have the rest."""
 MOST_MARKS = 2000
 """Marks of one kind in a panel; more make an SVG slow and a panel black."""
+
+FLAT = 1.1
+"""Largest over smallest value up to which a map says that they are nearly the same everywhere."""
 
 BEFORE, AFTER, INK, SOFT = "#E69F00", "#0072B2", "#222222", "#8A8A8A"
 LIGHT = "#56B4E9"
@@ -134,7 +137,6 @@ class Sheet(Record):
         """A horizontal colour bar above one panel or several."""
         bar = self.figure.colorbar(
             shown, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend,
-            format="%g" if isinstance(ticks, LogLocator) else None,
         )
         bar.minorticks_off()
         bar.set_label(label)
@@ -209,17 +211,12 @@ def sheet_name(kind: str, number: int, sheets: int) -> str:
     return kind if sheets == 1 else f"{kind}_{number}"
 
 
-def left_out(images: int, shown: int, which: str) -> str:
-    """Words for a caption when not all images are drawn; `which` says which ones are."""
-    return "" if shown >= images else f"; of {images} images the {which} are drawn, the tables have all"
-
-
 def number(value: float, digits: int = 3) -> str:
     """Three significant digits for a caption or label; an en dash for what is not known."""
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}g}"
-    return (f"{value:.0f}" if "e+" in text else text).replace("-", "\N{MINUS SIGN}")
+    return (f"{float(text):.0f}" if "e+" in text else text).replace("-", "\N{MINUS SIGN}")
 
 
 def round_figure(value: float) -> float:
@@ -228,15 +225,6 @@ def round_figure(value: float) -> float:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
     return float(next(step for step in (5.0, 2.0, 1.0, 0.5) if step * power <= value * (1.0 + 1e-9)) * power)
-
-
-def short(name: str, letters: int = 40) -> str:
-    """A name that fits, with its middle left out where it is too long."""
-    if len(name) <= letters:
-        return name
-    half = (letters - 1) // 2
-    return f"{name[:half]}…{name[-half:]}"
-
 
 
 MOST_ROWS = 500

@@ -34,9 +34,9 @@ export class MapPanel {
 
   build() {
     const tools = make('div', {className: 'tools'});
-    this.value = make('select', {title: 'What points are coloured by'});
+    this.value = make('select', {title: 'What points are colored by'});
     this.value.addEventListener('change', () => this.ask());
-    tools.append(make('label', {}, 'Colour ', this.value));
+    tools.append(make('label', {}, 'Color ', this.value));
     this.classBox = make('fieldset', {}, make('legend', {textContent: 'Points'}));
     const layers = make('fieldset', {}, make('legend', {textContent: 'Layers'}));
     for (const [key, words, on] of LAYERS) {

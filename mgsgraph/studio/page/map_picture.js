@@ -235,7 +235,7 @@ export class MapPicture {
     return [
       make('strong', {textContent: `${points.title} (${points.unit})`}), bar,
       make('div', {className: 'legend-ends'}, make('span', {textContent: short(ends[0])}), make('span', {textContent: short(ends[1])})),
-      make('p', {className: 'caption', textContent: `${form}; colours end at the 2 % and 98 % quantiles of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${factors ? ` ${factors}.` : ''}`}),
+      make('p', {className: 'caption', textContent: `${form}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${factors ? ` ${factors}.` : ''}`}),
     ];
   }
 }

@@ -9,7 +9,7 @@ export class MapSelection {
     this.words = make('p', {className: 'caption'});
     this.names = make('ul', {className: 'names'});
     this.names.setAttribute('aria-label', 'Selected points');
-    this.least = make('input', {type: 'number', step: 'any', title: 'Least value of the colour'});
+    this.least = make('input', {type: 'number', step: 'any', title: 'Least value of the color'});
     this.form = make('form', {}, make('label', {}, 'at least ', this.least), ' ', make('button', {type: 'submit', textContent: 'Select'}));
     this.form.addEventListener('submit', event => { event.preventDefault(); this.above(); });
   }

@@ -25,11 +25,16 @@ from mgsgraph.geometry.records import thinned
 from mgsgraph.network import PointClass
 from mgsgraph.results.figures import draw_figures, write_figures
 from mgsgraph.results.figures.connectivity import adjacency
-from mgsgraph.results.figures.map import MapWindow, cell_medians, window_sheet
-from mgsgraph.results.figures.orientation import components, image_curve
+from mgsgraph.results.figures.map import MapWindow, cell_medians, message, points_window, window_sheet
+from mgsgraph.results.figures.orientation import components
 from mgsgraph.results.figures.residuals import residual_matrix
-from mgsgraph.results.figures.sheet import image_rows, means, round_figure
+from mgsgraph.results.figures.sheet import FLAT, image_rows, means, round_figure
 from mgsgraph.units import ARCSEC, KM
+
+
+@pytest.fixture(scope="module")
+def block_solution() -> Solution:
+    return adjust_network(block().network, SolverSettings())
 
 
 def captions(solution: Solution) -> dict[str, str]:
@@ -46,7 +51,6 @@ def test_orientation_components_are_the_coefficients(pair_solution: Solution) ->
     assert np.abs(shown * unit - pair_solution.coefficients[0][0])[3:].max() < 1e-9
     want = np.sqrt(np.diagonal(pair_solution.image_covariance(0))[:6])
     assert np.allclose(spread * unit, want, rtol=1e-3)
-    assert 0.5 < image_curve(pair_solution, 0).coupling <= 1.0
 
 
 def test_points_lie_inside_the_footprints_of_the_images_that_measure_them(pair_solution: Solution) -> None:
@@ -73,7 +77,7 @@ def test_files_of_the_pair_whatever_the_users_style(
     with caplog.at_level(logging.WARNING):
         names = write_figures(pair_solution, first)
     assert sorted(path.name for path in first.iterdir()) == sorted(names)
-    assert {Path(name).stem for name in names} == {"residuals", "orientation", "map", "connectivity"}
+    assert {Path(name).stem for name in names} == {"residuals", "orientation", "map"}
     for name in names:
         data = (first / name).read_bytes()
         assert len(data) > 10_000
@@ -100,9 +104,7 @@ def one_image(solution: Solution) -> Solution:
 
 
 def held(solution: Solution) -> Solution:
-    found = adjust_network(replace(solution.network, held=np.array([True, True])), SolverSettings())
-    assert image_curve(found, 0).coupling == 0.0
-    return found
+    return adjust_network(replace(solution.network, held=np.array([True, True])), SolverSettings())
 
 
 def lossy(solution: Solution) -> Solution:
@@ -122,10 +124,35 @@ def test_odd_solutions_have_all_sheets(
 ) -> None:
     found = change(pair_solution)
     names = write_figures(found, tmp_path)
-    assert {Path(name).stem for name in names} == {"residuals", "orientation", "map", "connectivity"}
+    assert {Path(name).stem for name in names} == {"residuals", "orientation", "map"}
     said = captions(found)
     assert f"{np.count_nonzero(found.determined)} points" in said["map"]
     assert ("Rejected measurements: 1." in said["residuals"]) == (change is lossy)
+
+
+@pytest.mark.usefixtures("light_figures")
+def test_the_matrix_of_common_points_is_of_three_images_or_more(block_solution: Solution) -> None:
+    """Of two, one number says all: the sheets of a pair, above, have none."""
+    names = [sheet.name for _, sheet in draw_figures(block_solution)]
+    assert sorted(names) == ["connectivity", "map", "passes", "residuals"]
+
+
+def test_nothing_is_cut_off(block_solution: Solution) -> None:
+    """The largest residual of each image, by its own mark, and every correction with its band lie within the axes."""
+    sheets = {sheet.name: sheet.figure.axes for _, sheet in draw_figures(block_solution)}
+    network, used = block_solution.network, block_solution.rays_used
+    (marks,) = [line for panel in sheets["residuals"] for line in panel.lines]
+    of_ties = used & (network.points.classes[network.rays.point] == PointClass.TIE)
+    largest = [
+        np.abs(block_solution.residuals[of_ties & (network.rays.image == j)]).max() for j in range(len(network.images))
+    ]
+    assert marks.get_xdata() == pytest.approx(largest)
+    assert marks.axes.get_xlim()[1] > max(largest)
+    for panel in sheets["passes"]:
+        low, high = panel.get_ylim()
+        for band in panel.collections:
+            heights = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
+            assert low < heights.min() <= heights.max() < high
 
 
 @pytest.mark.usefixtures("light_figures")
@@ -164,8 +191,8 @@ def test_means_and_medians_are_those_of_a_loop(pairs: list[tuple[float, int]]) -
             assert found[k] == pytest.approx(of(mine) if mine.size else np.nan, rel=1e-6, abs=1e-6, nan_ok=True)
 
 
-def test_the_residual_matrix_has_the_medians_of_images_and_lines() -> None:
-    solution = adjust_network(block().network, SolverSettings())
+def test_the_residual_matrix_has_the_medians_of_images_and_lines(block_solution: Solution) -> None:
+    solution = block_solution
     rays, network = solution.network.rays, solution.network
     found = residual_matrix(solution, PointClass.TIE)
     assert found is not None
@@ -209,8 +236,8 @@ def test_rows_are_all_used_and_in_order(images: int, most: int) -> None:
     assert np.ptp(np.bincount(row)) <= 1
 
 
-def test_cells_of_links_have_the_most_points_of_their_pairs() -> None:
-    connected = solution_connectivity(adjust_network(block().network, SolverSettings()))
+def test_cells_of_links_have_the_most_points_of_their_pairs(block_solution: Solution) -> None:
+    connected = solution_connectivity(block_solution)
     count, most = len(connected.names), 3
     found, row = adjacency(connected, most), image_rows(count, most)
     want = np.full((most, most), np.nan)
@@ -301,3 +328,31 @@ def test_cells_lie_where_they_are() -> None:
     assert picture.get_array().count() == 1
     assert picture.origin == "lower"
     assert picture.get_extent() == [-10.0, 10.0, -10.0, 10.0]
+
+
+@given(st.floats(0.5, 1e5), st.floats(0.0, 10.0))
+def test_colors_begin_at_zero_and_only_what_varies_is_said_to(least: float, spread: float) -> None:
+    values = least * np.linspace(1.0, 1.0 + spread, 50)
+    shown = window(50)
+    about = shown.name, shown.centre, shown.places, shown.outlines
+    assert shown.classes is not None
+    made = points_window(about, shown.places, values, shown.quantity, shown.classes)
+    assert made.scale == (0.0, pytest.approx(np.quantile(values, 0.98)))
+    low, high = np.quantile(values, [0.02, 0.98])
+    assert ("the same" in message(made)) == (high < FLAT * low)
+
+
+@pytest.mark.parametrize("width", [1e4, 2e3])
+def test_names_of_outlines_do_not_collide(width: float) -> None:
+    """Each number lies on its own outline. Ellipses keep their shape on a long map."""
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]]) * [width, 2e4]
+    outlines = {"one": corners, "other": corners * 0.97, "third": corners * 0.5}
+    shown = replace(window(), box=np.array([-width, -2e4, width, 2e4]), outlines=outlines)
+    panel = window_sheet(shown).figure.axes[0]
+    labels = [one for one in panel.texts if one.get_text() in "123"]
+    assert len(labels) == 3
+    for label, outline in zip(labels, outlines.values(), strict=True):
+        assert np.linalg.norm(outline / KM - label.xy, axis=1).min() < 1e-9
+    (ellipses,) = [one for one in panel.collections if isinstance(one, EllipseCollection)]
+    assert (panel.get_aspect() == "auto") == (width < 5e3)
+    assert ellipses._units == "y"  # the scale of the longer side
