@@ -247,7 +247,7 @@ def test_no_room_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_renewed_as_laid_out_anew(net: Network) -> None:
     made = lay_out(net, SolverSettings())
     lines = made.lines + np.random.default_rng(1).normal(0.0, 20.0, made.lines.size)
-    anew = made._sorted_anew(lines, made.bent)
+    anew = made._sorted_again(lines, made.bent)
     before = made.rows.data.copy()
     apart = made.about(lines)
     np.testing.assert_array_equal(made.rows.data, before)
