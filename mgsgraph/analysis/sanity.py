@@ -74,18 +74,18 @@ class Loss(NamedTuple):
 def losses(solution: Solution) -> tuple[Loss, ...]:
     """Kinds of observations of which many are left out, the most first."""
     network, rays = solution.network, ray_statistics(solution)
-    lost, kinds = rejected_points(solution), list[Loss]()
+    lost, table = rejected_points(solution), list[Loss]()
     for point_class, kind in _OF_CLASS.items():
         members = network.points.classes == point_class
-        kinds.append(Loss(kind, "", int(np.count_nonzero(lost & members)), int(np.count_nonzero(members))))
+        table.append(Loss(kind, "", int(np.count_nonzero(lost & members)), int(np.count_nonzero(members))))
     ranges = solution.ranges_used
-    kinds.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
+    table.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
     if network.stereo is not None:
         on = network.stereo.surface >= 0
-        kinds.append(Loss(Kind.SHOTS, "", int(np.count_nonzero(on & ~solution.stereo_used)), int(np.count_nonzero(on))))
+        table.append(Loss(Kind.SHOTS, "", int(np.count_nonzero(on & ~solution.stereo_used)), int(np.count_nonzero(on))))
     for j, (total, used) in enumerate(zip(rays.total.tolist(), rays.count.sum(axis=1).tolist(), strict=True)):
-        kinds.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
-    worth = [loss for loss in kinds if loss.total and (loss.fatal or loss.large)]
+        table.append(Loss(Kind.IMAGE, network.images[j].name, total - used, total))
+    worth = [loss for loss in table if loss.total and (loss.fatal or loss.large)]
     return tuple(sorted(worth, key=lambda loss: -loss.share))
 
 
@@ -126,7 +126,7 @@ def unexplained_residuals(network: Network, residuals: Array) -> tuple[Unexplain
     sigma = np.sqrt(total**2 + noise**2 + (control / scale[:, 0]) ** 2)
     beyond = np.flatnonzero((counts(image, images) >= _FEWEST_MEASURES) & (size > _BEYOND * sigma))
     images_beyond = [Unexplained(j, float(size[j]), float(sigma[j])) for j in beyond.tolist()]
-    return tuple(sorted(images_beyond, key=lambda image_beyond: -image_beyond.size))
+    return tuple(sorted(images_beyond, key=lambda image: -image.size))
 
 
 def unexplained_ranges(network: Network, residuals: Array) -> tuple[Unexplained, ...]:

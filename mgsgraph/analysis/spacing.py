@@ -297,7 +297,7 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
     candidates = dict[tuple[int, ...], tuple[float, Network]]()
     for spacing in sorted(set(spacings)):
         network_at = respaced(network, spacing)
-        candidates.setdefault(tuple(len(strip.nodes) for strip in network_at.passes), (spacing, network_at))
+        candidates.setdefault(tuple(len(pass_.nodes) for pass_ in network_at.passes), (spacing, network_at))
     if len(candidates) < 2:
         asked = ", ".join(f"{spacing:g}" for spacing in spacings) or "none"
         expected = "two or more that differ in their nodes (a strip has four at least)"

@@ -300,7 +300,7 @@ class _Search:
         for effect, course in last:
             if effect.p_value <= self._level and (effect.where not in _CONFOUNDED or effect.where == confounded[0][1]):
                 self._patterns.append(Pattern(effect, *(np.array(part) for part in zip(*course, strict=True))))
-        self._patterns.sort(key=lambda effect: effect.effect.p_value)
+        self._patterns.sort(key=lambda pattern: pattern.effect.p_value)
         others = [self._effect(test, count, *self._estimate(test)) for test in tests if test.degrees]
         others += [effect for effect, _ in last if effect not in [pattern.effect for pattern in self._patterns]]
         number = sum(len(judged.family.hypotheses) for judged in self._judged) + len(last)
@@ -399,7 +399,7 @@ class _Search:
         width = columns[0].shape[1]
         shown = self._shown(family.rows, np.concatenate(columns, axis=1)).reshape(-1, _FINE, width).swapaxes(0, 1)
         score = np.array([column.T @ self._residuals[family.rows] for column in columns])
-        inner = np.array([column.T @ image[family.rows] for column, image in zip(columns, shown, strict=True)])
+        inner = np.array([column.T @ effect[family.rows] for column, effect in zip(columns, shown, strict=True)])
         inverse, _ = solved(inner, np.array([np.sum(column**2, axis=0) for column in columns]))
         k = int(np.argmax(np.einsum("td,tde,te->t", score, inverse, score)))
         return best.hypothesis._replace(period=float(tried[k])), columns[k], shown[k]

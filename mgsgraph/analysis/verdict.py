@@ -317,8 +317,8 @@ def _of_common_sense(solution: Solution) -> Iterator[Reason]:
         (unexplained_residuals, solution.residuals_before, "px"),
         (unexplained_ranges, solution.range_residuals_before, "m"),
     ):
-        for image in exceeding(network, before):
-            yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[image.image].name, image.size, unit)
+        for excess in exceeding(network, before):
+            yield Reason(State.SUSPECT, Cause.NOMINAL, network.images[excess.image].name, excess.size, unit)
     for twice in duplicates(network):
         yield Reason(State.SUSPECT, Cause.DUPLICATE, twice.sentence, twice.count / twice.total, "share", twice.count)
     for profile in misplaced_profiles(network):

@@ -207,7 +207,7 @@ def require_ranges(
     for k in np.flatnonzero(np.abs(ranges[covered] / distances - 1.0) > _FAR_OFF)[:1].tolist():
         found = f"a range of {ranges[covered[k]] / KM:,.6g} km"
         expected = f"about {distances[k] / KM:,.6g} km, the way from the trajectory of {image.name}"
-        remedy = exchanged_units(ranges[covered[k]] / distances[k]) or "mend it, or take the shot out"
+        remedy = exchanged_units(ranges[covered[k]] / distances[k]) or "fix it, or take the shot out"
         raise InputError(f"{source}, shot {names[covered[k]]}", found, expected, remedy)
 
 
