@@ -105,6 +105,7 @@ Products
     make_dem                terrain model with sigmas, ortho image, check by laser shots
     DemSettings             grid and matching of that
     export_solution         SPICE, CSM, ISIS, ASP, GIS
+    write_spice             SPICE kernels with ids of the mission
     ExportSettings          how
     to_pandas               a table of a solution as a DataFrame
     to_geopandas            the same with shapes
@@ -166,6 +167,9 @@ if TYPE_CHECKING:
     from mgsgraph.export.frames import to_xarray as to_xarray
     from mgsgraph.export.solution_export import ExportSettings as ExportSettings
     from mgsgraph.export.solution_export import export_solution as export_solution
+    from mgsgraph.export.spice import NaifIds as NaifIds
+    from mgsgraph.export.spice import SpiceNaming as SpiceNaming
+    from mgsgraph.export.spice import write_spice as write_spice
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud as read_altimetry_cloud
@@ -241,6 +245,7 @@ _HOME = {
     "MatchSettings": "mgsgraph.matching.settings",
     "MeasureKind": "mgsgraph.analysis.measures",
     "MgsgraphError": "mgsgraph.errors",
+    "NaifIds": "mgsgraph.export.spice",
     "Network": "mgsgraph.network",
     "open_cluster": "mgsgraph.adjustment.cluster.connection",
     "open_project": "mgsgraph.project.project",
@@ -271,6 +276,7 @@ _HOME = {
     "solution_of": "mgsgraph.adjustment.optimized",
     "solve_project": "mgsgraph.project.changes",
     "SolverSettings": "mgsgraph.adjustment.settings",
+    "SpiceNaming": "mgsgraph.export.spice",
     "TiePoints": "mgsgraph.files.networks.tie_points",
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
@@ -284,6 +290,7 @@ _HOME = {
     "write_report": "mgsgraph.results.page",
     "write_results": "mgsgraph.results.results",
     "write_review": "mgsgraph.studio.match_review",
+    "write_spice": "mgsgraph.export.spice",
 }
 __all__ = sorted(_HOME)
 

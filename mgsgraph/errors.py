@@ -139,7 +139,7 @@ class WeakNetwork(MgsgraphError, ArithmeticError):
         else:
             found = f"nothing determines {others}"
             remedy = "give these a finite a-priori sigma, or give ground control or laser rows"
-        super().__init__(f"the network is underdetermined ({count} unknowns): {found}; {remedy}")
+        super().__init__(f"the network is underdetermined (unknowns: {count}): {found}; {remedy}")
         whole = (f"{datum} of the whole network",) if datum else ()
         self.directions, self.count, self.of_datum = (*whole, *directions), count, of_datum
 

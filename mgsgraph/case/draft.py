@@ -118,7 +118,7 @@ def _control(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -
 
 def _lidar(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:
     for path in _of(kinds, Kind.LIDAR):
-        sigma = commented("image_sigma_px = 30.0", "of the shots' pixels")
+        sigma = commented("image_sigma_px = 30.0", "of shots; a convention: state your own, heights follow it")
         yield path, f"[laser]\nfile = {place(path, out)}\n{sigma}", True
 
 
