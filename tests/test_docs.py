@@ -83,7 +83,7 @@ def test_pages_are_few_and_each_stands_in_the_index() -> None:
     assert len(pages) <= 45
     kinds = re.findall(r"^## (Tutorials|How-to guides|Reference|Explanation|Evidence)$", index, re.MULTILINE)
     assert len(kinds) == 5
-    listed = re.findall(r"^\| \[\]\((\w+)\.md\) \|", index, re.MULTILINE)
+    listed = re.findall(r"^\| \[[\w ]+\]\((\w+)\.md\) \|", index, re.MULTILINE)
     assert sorted([*listed, "index"]) == pages
     trees = re.findall(r"```\{toctree\}\n(?::[^\n]*\n)+\n(.*?)```", index, re.DOTALL)
     assert [line.split("<")[-1].rstrip(">") for line in "".join(trees).split("\n") if line] == listed

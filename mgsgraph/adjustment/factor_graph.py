@@ -281,9 +281,7 @@ def prior_factors(network: Network, keys: Keys) -> Iterator[gtsam.NonlinearFacto
 
 
 def _movers(network: Network, keys: Keys, of_ranges: bool = False) -> dict[int, list[PolynomialEffect]]:
-    """For points the unknowns that move their a-priori positions: shifts of profiles, and those shared by lasers;
-    `of_ranges`: without those that act on ranges themselves.
-    """
+    """Of each point the unknowns that move its a-priori position; `of_ranges`: without those that act on ranges."""
     movers: dict[int, list[PolynomialEffect]] = {}
     for points, variables, motions, on_ranges in known_motions(network):
         if not (of_ranges and on_ranges):

@@ -262,7 +262,7 @@ def components(solution: Solution | Linearised, grouping: Grouping | None = None
     Examples
     --------
     >>> print(mgsgraph.components(solution).sentences[0])
-    tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
+    tie image points: no inconsistency found, but the test is weak (factor 1.2, 0.86 to 2.1 with 99%)
     """
     at = (solution if isinstance(solution, Linearised) else at_solution(solution)).of_estimator()
     by_group = group_redundancy(at, grouping or group_rows(at.network))
@@ -302,7 +302,7 @@ def iterated_components(
     Examples
     --------
     >>> print(mgsgraph.iterated_components(network, mgsgraph.SolverSettings()).sentences[0])
-    tie image points: nothing wrong to be seen, with little to see it by (factor 1.2, 0.86 to 2.1 with 99%)
+    tie image points: no inconsistency found, but the test is weak (factor 1.2, 0.86 to 2.1 with 99%)
     """
     if most < 1 or not tolerance > 0.0:
         raise InputError("variance components", f"{most} passes, tolerance {tolerance}", "at least 1, above zero")

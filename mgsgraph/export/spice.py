@@ -67,7 +67,13 @@ _REMEDY = "free some space, or choose another --out, where you may write"
 
 @dataclass(frozen=True, slots=True)
 class NaifIds:
-    """The mission's ids for one image; its camera's frame then has attitude of its own, not a mount's."""
+    """The mission's ids for one image; its camera's frame then has attitude of its own, not a mount's.
+
+    Examples
+    --------
+    >>> mgsgraph.NaifIds(spacecraft=-85, camera=-85600).camera
+    -85600
+    """
 
     spacecraft: int
     """Such as -94."""
@@ -87,7 +93,14 @@ class MissionClock:
 
 @dataclass(frozen=True, slots=True)
 class SpiceNaming:
-    """Ids of the mission, which a solution lacks. They are optional: without them every image has ids of its own."""
+    """Ids of the mission, which a solution lacks. They are optional: without them every image has ids of its own.
+
+    Examples
+    --------
+    >>> naming = mgsgraph.SpiceNaming(images={"SIM/A": mgsgraph.NaifIds(-94, -94031)})
+    >>> naming.images["SIM/A"].spacecraft
+    -94
+    """
 
     images: Mapping[str, NaifIds] = field(default_factory=dict)
     """By image; those of the same ids must not overlap in time."""
@@ -123,6 +136,13 @@ def write_spice(solution: Solution, folder: Path, naming: SpiceNaming | None = N
     ------
     InputError
         When a name, a distortion, a body or ids can't be held, or SPICE can't write.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> naming = mgsgraph.SpiceNaming(images={"SIM/A": mgsgraph.NaifIds(-94, -94031)})
+    >>> mgsgraph.write_spice(solution, Path("."), naming)[0].suffix
+    '.tm'
     """
     export = _exported(solution, naming or SpiceNaming())
     clocks, texts = _texts(folder, export)

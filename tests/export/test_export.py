@@ -25,6 +25,7 @@ from mgsgraph.files.networks.asp_text import read_ground_control
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.network import PointClass
 from mgsgraph.results.results import write_results
+from mgsgraph.text import many
 
 FINE = 0.01
 """pixels, that a product may be off."""
@@ -53,7 +54,7 @@ def test_an_export_says_its_files(target: Target, solution: Path, tmp_path: Path
 
     there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     assert there == {"export.json", *done.files}
-    assert done.sentence == f"{len(done.files)} files for {target.value}."
+    assert done.sentence == f"{many(len(done.files), 'file')} for {target.value}."
     record = json.loads((tmp_path / "out" / "export.json").read_text())
     assert (record["target"], record["files"]) == (target.value, list(done.files))
 

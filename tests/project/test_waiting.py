@@ -231,7 +231,7 @@ def test_an_image_file_joins_a_pass_by_option(
     call("project", "init", project, "--case", block_folder / "case.toml")
     call("project", "remove", project, LAST)
     isd = f"{LAST}={block_folder / LAST.replace('/', '_')}.isd"
-    with pytest.raises(InputError, match="no pass 'x'; expected one that is there"):
+    with pytest.raises(InputError, match="no pass 'x'; expected a known name"):
         call("project", "add", project, isd, "--ties", block_folder / "network.pvl", "--pass", "x")
     call("project", "add", project, isd, "--ties", block_folder / "network.pvl", "--dry-run")
     assert "--pass 'HRSC/01' puts it on that trajectory" in capsys.readouterr().out

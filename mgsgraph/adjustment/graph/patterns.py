@@ -319,9 +319,7 @@ def _moved(network: Network) -> Index:
 
 
 def _footprints(network: Network) -> list[tuple[Index, int, bool]]:
-    """For each shared unknown that moves footprints: (n,) its variable where it moves a point's a-priori position, -1
-    elsewhere; the number of its columns; and whether it acts on ranges, too.
-    """
+    """Of each shared unknown that moves footprints: (n,) its variable, -1 elsewhere; its width; acts on ranges, too."""
     footprints = []
     for k, shared in enumerate(network.shared):
         if shared.kind.moves_footprints:

@@ -229,7 +229,7 @@ def _profile_caption(one: ReliefProfile) -> str:
 
 @plain_style()
 def _shifts(registration: ReliefRegistration) -> Sheet:
-    """By how much each profile had to move onto the stereo surface before, and has to after."""
+    """Shift of each profile onto the stereo surface, before and after."""
     profiles = registration.profiles
     shifts = [np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES]
     most = [number(float(np.nanmax(np.linalg.norm(one, axis=1), initial=0.0))) for one in shifts]
