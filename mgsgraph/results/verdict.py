@@ -139,9 +139,9 @@ def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> li
     level = level_of_groups(found.groups)
     factors = [(one.hidden_factor(level, POWER), one.name) for one in found.groups if one.tested]
     factors = sorted((one for one in factors if one[0] > _LOOSE), reverse=True)[:most]
-    hidden = [f"{name} ({two(factor)} times)" for factor, name in factors]
+    hidden = [f"{name} (up to {two(factor)} times)" for factor, name in factors]
     said = [f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
-    said += [f"Stated sigmas that may be too small undetected: {', '.join(hidden)}."] if hidden else []
+    said += [f"These sigmas could be too small, and no test would show it: {', '.join(hidden)}."] if hidden else []
     return said + hidden_sentences(found.undetected, most)
 
 

@@ -106,13 +106,9 @@ def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, foun
 
 
 def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
-    """(rows,) px, rms of the residuals of line and sample together, and the largest of either, of tie points where
-    there are any.
-    """
-    rays, used = solution.network.rays, used_rays(solution)
-    ties = used & (solution.network.points.classes[rays.point] == PointClass.TIE)
-    mine = np.flatnonzero(ties if np.any(ties) else used)
-    squares, rows = solution.residuals[mine] ** 2, row[rays.image[mine]]
+    """(rows,) px, rms of the residuals of line and sample together, and the largest of either."""
+    used = np.flatnonzero(used_rays(solution))
+    squares, rows = solution.residuals[used] ** 2, row[solution.network.rays.image[used]]
     largest = np.full(int(row[-1]) + 1, np.nan)
     np.fmax.at(largest, rows, squares.max(axis=1))
     return np.sqrt(means(squares.mean(axis=1), rows, largest.size)), np.sqrt(largest)
