@@ -106,6 +106,8 @@ Products
     DemSettings             grid and matching of that
     export_solution         SPICE, CSM, ISIS, ASP, GIS
     write_spice             SPICE kernels with ids of the mission
+    SpiceNaming             ids of the mission, and its clock
+    NaifIds                 those of an image
     ExportSettings          how
     to_pandas               a table of a solution as a DataFrame
     to_geopandas            the same with shapes

@@ -50,6 +50,7 @@ from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import target_name
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.trajectory import Trajectory
+from mgsgraph.record import Record
 from mgsgraph.units import KM
 
 _DEGREE = 3
@@ -66,7 +67,7 @@ _REMEDY = "free some space, or choose another --out, where you may write"
 
 
 @dataclass(frozen=True, slots=True)
-class NaifIds:
+class NaifIds(Record):
     """The mission's ids for one image; its camera's frame then has attitude of its own, not a mount's.
 
     Examples
@@ -92,7 +93,7 @@ class MissionClock:
 
 
 @dataclass(frozen=True, slots=True)
-class SpiceNaming:
+class SpiceNaming(Record):
     """Ids of the mission, which a solution lacks. They are optional: without them every image has ids of its own.
 
     Examples
