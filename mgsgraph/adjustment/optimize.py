@@ -180,8 +180,7 @@ def _inverted_blocks(diagonal: Any, blocks: list[tuple[int, NDArray[np.int64]]])
         rows.append(places[0].ravel())
         columns.append(places[1].ravel())
         entries.append(np.linalg.inv(dense).ravel())
-    at = np.concatenate(rows), np.concatenate(columns)
-    return csr_array((np.concatenate(entries), at), shape=diagonal.shape)
+    return csr_array((np.concatenate(entries), (np.concatenate(rows), np.concatenate(columns))), shape=diagonal.shape)
 
 
 class _Linearized:
