@@ -27,7 +27,7 @@ class LaserInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     file: str
     """ISIS lidar JSON."""
     image_sigma_px: Sigma = 30.0
-    """Sigma of the shots' image coordinates."""
+    """Sigma of the shots' image coordinates. Heights of tie points may follow it in proportion: state your own."""
     range_sigma_m: Sigma | None = None
     """Sigma of the ranges; the file's own when absent."""
     ground_sigma_m: Sigma | None = None
