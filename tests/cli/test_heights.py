@@ -45,11 +45,11 @@ def out(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("made") / "dem"
     done = run("dem", site.parent / "result", "--case", site, "--out", out, "--spacing", 25)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.split(" ...\n")[:-1] == ["dense matching", "intersecting", "gridding", "ortho image", "figure"]
+    assert not done.stderr  # no terminal, no bar
     record = json.loads((out / "dem.json").read_text(encoding="utf-8"))
     said = done.stdout.splitlines()
     assert [line[2:] for line in said if line.startswith("- ")] == record["statements"]
-    assert said[-1] == f"The terrain model is {out / 'dem.tif'}"
+    assert said[-1].startswith(f"The terrain model is {out / 'dem.tif'} (")
     return out
 
 
