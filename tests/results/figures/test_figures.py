@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -26,7 +27,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.results.figures import draw_figures, write_figures
 from mgsgraph.results.figures.connectivity import adjacency
 from mgsgraph.results.figures.map import MapWindow, cell_medians, message, points_window, window_sheet
-from mgsgraph.results.figures.orientation import components
+from mgsgraph.results.figures.orientation import Curve, components, pass_curve
 from mgsgraph.results.figures.residuals import residual_matrix
 from mgsgraph.results.figures.sheet import FLAT, image_rows, means, round_figure
 from mgsgraph.units import ARCSEC, KM
@@ -137,8 +138,14 @@ def test_the_matrix_of_common_points_is_of_three_images_or_more(block_solution: 
     assert sorted(names) == ["connectivity", "map", "passes", "residuals"]
 
 
-def test_nothing_is_cut_off(block_solution: Solution) -> None:
+def test_nothing_is_cut_off(block_solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """The largest residual of each image, by its own mark, and every correction with its band lie within the axes."""
+
+    def with_spike(*asked: Any) -> Curve:
+        curve = pass_curve(*asked)
+        return replace(curve, values=curve.values * np.where(np.arange(len(curve.values)) == 5, 1e3, 1.0)[:, None])
+
+    monkeypatch.setattr("mgsgraph.results.figures.orientation.pass_curve", with_spike)
     sheets = {sheet.name: sheet.figure.axes for _, sheet in draw_figures(block_solution)}
     network, used = block_solution.network, block_solution.rays_used
     (marks,) = [line for panel in sheets["residuals"] for line in panel.lines]
