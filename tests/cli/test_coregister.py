@@ -289,8 +289,7 @@ def test_profiles_that_are_not_tied_or_take_no_part(registration: ReliefRegistra
 
 def test_differences_of_posts_are_a_map_and_a_histogram_of_all(registration: ReliefRegistration) -> None:
     """Profiles are drawn by lines that no axis cuts off; posts, which would bury them, by bars that count each."""
-    first = registration.profiles[0]
-    posts = replace(first, point_class=PointClass.POST)
+    posts = replace(registration.profiles[0], point_class=PointClass.POST)
     sheets = list(relief_sheets(replace(registration, profiles=(posts, registration.profiles[1]))))
     counted = [bars.get_xy() for bars in sheets[1].figure.axes[1].patches]
     for state, corners in zip((posts.after, posts.before), counted, strict=True):

@@ -26,7 +26,7 @@ from mgsgraph.network import PointClass
 from mgsgraph.results.figures import draw_figures, write_figures
 from mgsgraph.results.figures.connectivity import adjacency
 from mgsgraph.results.figures.map import MapWindow, cell_medians, message, points_window, window_sheet
-from mgsgraph.results.figures.orientation import components
+from mgsgraph.results.figures.orientation import components, pass_curve
 from mgsgraph.results.figures.residuals import residual_matrix
 from mgsgraph.results.figures.sheet import FLAT, image_rows, means, round_figure
 from mgsgraph.units import ARCSEC, KM
@@ -130,16 +130,14 @@ def test_odd_solutions_have_all_sheets(
     assert ("Rejected measurements: 1." in said["residuals"]) == (change is lossy)
 
 
-@pytest.mark.usefixtures("light_figures")
-def test_the_matrix_of_common_points_is_of_three_images_or_more(block_solution: Solution) -> None:
-    """Of two, one number says all: the sheets of a pair, above, have none."""
-    names = [sheet.name for _, sheet in draw_figures(block_solution)]
-    assert sorted(names) == ["connectivity", "map", "passes", "residuals"]
-
-
-def test_nothing_is_cut_off(block_solution: Solution) -> None:
+def test_nothing_is_cut_off(block_solution: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     """The largest residual of each image, by its own mark, and every correction with its band lie within the axes."""
+    spike = 999 * np.eye(900, 1)
+    monkeypatch.setattr("mgsgraph.results.figures.orientation.pass_curve", lambda *asked: replace(
+        one := pass_curve(*asked), values=one.values * spike[: len(one.values)]
+    ))
     sheets = {sheet.name: sheet.figure.axes for _, sheet in draw_figures(block_solution)}
+    assert "connectivity" in sheets  # of more than two images
     network, used = block_solution.network, block_solution.rays_used
     (marks,) = [line for panel in sheets["residuals"] for line in panel.lines]
     of_ties = used & (network.points.classes[network.rays.point] == PointClass.TIE)
@@ -147,7 +145,7 @@ def test_nothing_is_cut_off(block_solution: Solution) -> None:
         np.abs(block_solution.residuals[of_ties & (network.rays.image == j)]).max() for j in range(len(network.images))
     ]
     assert marks.get_xdata() == pytest.approx(largest)
-    assert marks.axes.get_xlim()[1] > max(largest)
+    assert max(largest) < marks.axes.get_xlim()[1]
     for panel in sheets["passes"]:
         low, high = panel.get_ylim()
         for band in panel.collections:
@@ -337,8 +335,8 @@ def test_colors_begin_at_zero_and_only_what_varies_is_said_to(least: float, spre
     about = shown.name, shown.centre, shown.places, shown.outlines
     assert shown.classes is not None
     made = points_window(about, shown.places, values, shown.quantity, shown.classes)
-    assert made.scale == (0.0, pytest.approx(np.quantile(values, 0.98)))
     low, high = np.quantile(values, [0.02, 0.98])
+    assert made.scale == (0.0, pytest.approx(high))
     assert ("the same" in message(made)) == (high < FLAT * low)
 
 
@@ -350,7 +348,6 @@ def test_names_of_outlines_do_not_collide(width: float) -> None:
     shown = replace(window(), box=np.array([-width, -2e4, width, 2e4]), outlines=outlines)
     panel = window_sheet(shown).figure.axes[0]
     labels = [one for one in panel.texts if one.get_text() in "123"]
-    assert len(labels) == 3
     for label, outline in zip(labels, outlines.values(), strict=True):
         assert np.linalg.norm(outline / KM - label.xy, axis=1).min() < 1e-9
     (ellipses,) = [one for one in panel.collections if isinstance(one, EllipseCollection)]
