@@ -64,7 +64,7 @@ def test_fetch_and_init_from_a_served_archive(tmp_path: Path) -> None:
     assert fetch == "mgsgraph fetch E02/00665 E02/01453 --out DATA"
     with serving(archive) as address:
         done = whole_road.step(fetch, ["--mirror", address, "--terrain", "4"], tmp_path)
-    assert "The case is DATA/case.toml" in done.said
+    assert "The case is DATA/case.toml" in done.output
     assert done.megabytes > 10.0
     assert "Its images wait for tie points" in whole_road.step(init, [], tmp_path).output
     with pytest.raises(SystemExit, match="exit status 2"):
