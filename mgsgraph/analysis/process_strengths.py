@@ -146,7 +146,7 @@ class Evidence:
         mean = np.log(np.array([strength.begin for strength in wanted]) / strength_sigmas(network, wanted))
         return cls(0.5 * (start + start.T), push, before, tuple(variables), parts, mean, spread_beforehand(wanted))
 
-    def apart(self, wanted: Sequence[Strength]) -> tuple["Evidence", list[Strength], Index]:
+    def by_pass(self, wanted: Sequence[Strength]) -> tuple["Evidence", list[Strength], Index]:
         """With strengths of each pass; these; and which each was before."""
         each, of = of_each_pass(wanted)
         parts = tuple((block,) for part in self.parts for block in part)
@@ -361,7 +361,7 @@ def estimated_strengths(
         # a strength that is known to a tenth only need not be at rest to a hundredth
         errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
-        if converged and not in_common:
+        if converged and several and not in_common:
             in_common, (evidence, sought, steps) = True, where_passes_differ(evidence, sought, steps)
             converged = steps.size == errors.size
         if converged or done == most:
@@ -391,10 +391,10 @@ def where_passes_differ(
     """
     from scipy.stats import chi2  # slow to import
 
-    wide, each, of = evidence.apart(sought)
-    best = wide.maximum() if len(each) > len(sought) else steps
+    wide, each, of = evidence.by_pass(sought)
+    best = wide.maximum()
     gain = 2.0 * (wide.logarithm(best) - wide.logarithm(steps[of]))
-    if gain <= float(chi2.ppf(_RANGE, max(len(each) - len(sought), 1))):
+    if gain <= float(chi2.ppf(_RANGE, len(each) - len(sought))):
         return evidence, sought, steps
     return wide, each, best
 

@@ -243,7 +243,6 @@ def _tested(solution: Solution) -> Verdict:
     """What the tests find; nothing of a solution that did not converge or has no redundancy."""
     if not solution.converged or solution.fit.degrees_of_freedom < 1:
         return _UNTESTED
-    require_covariance(solution)
     small = len(solution.network.points) <= MOST_POINTS
     at = at_solution(solution).of_estimator() if small else _sampled(solution)
     rows, priors = residual_rows(at, np.arange(len(at.network.points))), prior_rows(at)
@@ -284,6 +283,7 @@ def _critical(level: float) -> float:
 
 def _sampled(solution: Solution) -> Linearised:
     """Some of the points where they were solved, with the covariance that all of them gave."""
+    require_covariance(solution)
     network, determined = solution.network, np.flatnonzero(solution.determined)
     chosen = np.sort(np.random.default_rng(0).choice(determined, min(_SAMPLE, determined.size), replace=False))
     part = thinned(network, chosen, solution.rays_used, solution.ranges_used)

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -24,30 +25,37 @@ _SHORTLY = 2.0
 """s before a bar appears: what is done sooner needs none."""
 _BEAT = 0.5
 """s between two looks at the clock."""
-
-
 _SMALL = 1e-6
 """Posterior sigmas that the last step is shorter than."""
 
 
 @contextmanager
+def _beside(watch: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Call a function in a thread of its own, with an event that is set when the work is over."""
+    over = threading.Event()
+    watching = threading.Thread(target=watch, args=(over,), daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watching.join()
+
+
+@contextmanager
 def _ticking(bar: Callable[[], "tqdm[None]"]) -> Iterator[None]:
     """Show a bar from two seconds on, and its clock running, however long the part takes that is under way."""
-    over = threading.Event()
 
-    def tick() -> None:
+    def tick(over: threading.Event) -> None:
         wait = _SHORTLY
         while not over.wait(wait):
             bar().refresh()
             wait = _BEAT
 
-    ticking = threading.Thread(target=tick, daemon=True)
-    ticking.start()
     try:
-        yield
+        with _beside(tick):
+            yield
     finally:
-        over.set()
-        ticking.join()
         bar().close()
 
 
@@ -65,13 +73,8 @@ def counting_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
     unit B, with their rate. The number may grow as more becomes known.
     """
     bar = _bar(desc=what, unit=unit, unit_scale=unit == "B")
-
-    def show(done: int, most: int) -> None:
-        bar.total = most
-        bar.update(done - bar.n)
-
     with _ticking(lambda: bar):
-        yield show
+        yield partial(_count, bar)
 
 
 @contextmanager
@@ -84,11 +87,15 @@ def counting_bars() -> Iterator[Callable[[str, int, int], None]]:
         if shown != what:
             bar.close()
             bar, shown = _bar(desc=what), what
-        bar.total = most
-        bar.update(done - bar.n)
+        _count(bar, done, most)
 
     with _ticking(lambda: bar):
         yield show
+
+
+def _count(bar: "tqdm[None]", done: int, most: int) -> None:
+    bar.total = most
+    bar.update(done - bar.n)
 
 
 def _bar(**given: Any) -> "tqdm[None]":
@@ -98,9 +105,8 @@ def _bar(**given: Any) -> "tqdm[None]":
 @contextmanager
 def word_of_compiling() -> Iterator[None]:
     """Say what takes long where nothing shows it, once: that numeric kernels are being compiled, where they are."""
-    over = threading.Event()
 
-    def watch() -> None:
+    def watch(over: threading.Event) -> None:
         compiling = 0.0
         while compiling < _EXPLAIN_AFTER:
             if over.wait(_BEAT):
@@ -108,13 +114,8 @@ def word_of_compiling() -> Iterator[None]:
             compiling += _BEAT * is_compiling()
         click.echo("compiling the numeric kernel, once after an installation: one to two minutes", err=True)
 
-    watching = threading.Thread(target=watch, daemon=True)
-    watching.start()
-    try:
+    with _beside(watch):
         yield
-    finally:
-        over.set()
-        watching.join()
 
 
 @contextmanager

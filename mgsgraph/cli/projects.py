@@ -1,9 +1,10 @@
 """Verbs for a project, a folder to which images come one after the other; and the studio."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
     from mgsgraph.project.edits import Edited
+    from mgsgraph.project.project import Project
     from mgsgraph.results.tables import TableForm
 
 _PAGES = (".html", ".htm")
@@ -99,7 +101,7 @@ def add(
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     _require_writable(table, project)
-    wanted = [parse_image(text) for text in images]
+    wanted, impact = [parse_image(text) for text in images], None
     with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
         with stages.stage("reading"):
             addition = read_addition(opened, wanted, ties, shots, of_pass, shares)
@@ -108,14 +110,13 @@ def add(
 
             with stages.stage("adjusting"):
                 impact = put(opened, addition)
-    alone = ", ".join(addition.unconnected)
+    alone = ", ".join(addition.unconnected) if impact is None else ""
     warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
+    notes = items((*addition.notes, warning))
     if dry_run:
-        first = f"{project}: would add {_words(addition)}; nothing was changed"
-        print_brief(first, *items((*addition.notes, warning)), more=0)
+        print_brief(f"{project}: would add {_words(addition)}; nothing was changed", *notes, more=0)
         return
-    said = [f"{project}: added {_words(addition)}", *items((*addition.notes, warning if impact is None else ""))]
-    _print_impact(ctx, project, impact, table, said)
+    _print_impact(ctx, project, impact, table, [f"{project}: added {_words(addition)}", *notes])
 
 
 def _words(addition: "Addition") -> str:
@@ -218,7 +219,9 @@ def undo(ctx: click.Context, project: Path, change: int | None, table: Path | No
 
     Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
-    _reverse(ctx, project, table, lambda edits, opened: edits.undo(opened, change))
+    from mgsgraph.project import edits
+
+    _reverse(ctx, project, table, partial(edits.undo, change=change))
 
 
 @click.command()
@@ -232,16 +235,17 @@ def redo(ctx: click.Context, project: Path, table: Path | None) -> None:
 
     Exit status: 0 redone, 1 redone and not converged, 2 bad input, or nothing to redo (nothing has changed).
     """
-    _reverse(ctx, project, table, lambda edits, opened: edits.redo(opened))
-
-
-def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Any, Any], Edited]") -> None:
     from mgsgraph.project import edits
+
+    _reverse(ctx, project, table, edits.redo)
+
+
+def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Edited]") -> None:
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
     with open_project(project, write=True) as opened:
-        done = act(edits, opened)
+        done = act(opened)
     _print_edits(ctx, project, [done], table)
 
 

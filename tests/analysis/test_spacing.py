@@ -373,7 +373,7 @@ def test_passes_that_do_not_differ_have_none() -> None:
 
 def test_a_strength_that_is_taken_over_is_as_uncertain_as_its_source() -> None:
     """Of a pass that rays don't show: the other's error, and the deviation of passes."""
-    wide, _, _ = evidence(1.0, 2, (0.1, 1e4)).apart(STRENGTHS)
+    wide, _, _ = evidence(1.0, 2, (0.1, 1e4)).by_pass(STRENGTHS)
     joint = np.linalg.inv(wide.density(wide.maximum()).information)
     seen, unseen = np.diagonal(joint).reshape(3, 2).T
     assert np.all(seen < 0.4**2)
