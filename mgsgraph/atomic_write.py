@@ -1,11 +1,12 @@
 """What is made beside its place: held while its process lives, put in place in one step, swept where a kill left it.
 
-`.NAME.HEX.unfinished` becomes NAME. Its process holds a lock (flock) on it, which the system lets go with the process,
-however that ends: what can be locked is a leftover, and the next command that writes into the same folder takes it
-away. Where the file system knows no exchange of two folders, NAME steps aside as `.NAME.HEX.replaced`; one whose new
-folder never took its place goes back. A lock may be known to one host alone (NFS, Lustre, folders shared with
-containers): HEX begins with four digits of the host's name, and only that host sweeps it. Links and files of other
-users are left alone. Where folders can't be locked (NFS), nothing is swept.
+`.NAME.HEX.unfinished` becomes NAME once all of it is on the disk; what was there before is kept until the new NAME is
+on the disk, too (fsync of files and folders before and after the rename). Its process holds a lock (flock) on it, which
+the system lets go with the process, however that ends: what can be locked is a leftover, and the next command that
+writes into the same folder takes it away. Where the file system knows no exchange of two folders, NAME steps aside as
+`.NAME.HEX.replaced`; one whose new folder never took its place goes back. A lock may be known to one host alone (NFS,
+Lustre, folders shared with containers): HEX begins with four digits of the host's name, and only that host sweeps it.
+Links and files of other users are left alone. Where folders can't be locked (NFS), nothing is swept.
 """
 
 import ctypes
@@ -77,16 +78,55 @@ def scratch() -> Iterator[Path]:
         yield place
 
 
+def put_file(new: Path, target: Path) -> None:
+    """Let a file made by `made_beside` take its place in one step. In a folder that is itself unfinished, the folder
+    brings it to the disk.
+    """
+    whole = not any(map(is_aside, target.parts[:-1]))
+    if whole:
+        _to_disk(new)
+    new.replace(target)
+    if whole:
+        _to_disk(target.parent)
+
+
 def put_in_place(new: Path, target: Path) -> None:
-    """Let a folder made by `made_beside` take its place in one step; an earlier one is at `new` then.
+    """Let a folder made by `made_beside` take its place in one step; an earlier one is at `new` then."""
+    for folder, _, files in os.walk(new, topdown=False):
+        for name in files:
+            _to_disk(Path(folder, name))
+        _to_disk(Path(folder))
+    _rename_folder(new, target)
+
+
+def _to_disk(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk. OSError where that fails; a system that can't do so with
+    folders (Windows, some network disks) is left as it is.
+    """
+    descriptor = -1
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+        os.fsync(descriptor)
+    except OSError as error:
+        if not path.is_dir() or error.errno in (errno.EIO, errno.ENOSPC, errno.EDQUOT):
+            raise
+    finally:
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+def _rename_folder(new: Path, target: Path) -> None:
+    """Let one folder take the place of another.
 
     Without such a step the earlier one is renamed first, comes back should the second rename fail, and is taken back by
     `sweep` should the process end between the two.
     """
     if not target.exists():
         new.rename(target)
+        _to_disk(target.parent)
         return
     if _exchanged(new, target):
+        _to_disk(target.parent)
         return
     old = new.with_suffix(".replaced")
     target.rename(old)
@@ -95,6 +135,7 @@ def put_in_place(new: Path, target: Path) -> None:
     except BaseException:
         old.rename(target)
         raise
+    _to_disk(target.parent)
     shutil.rmtree(old, ignore_errors=True)
 
 

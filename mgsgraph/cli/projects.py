@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.impact import Impact
     from mgsgraph.adjustment.settings import Device
     from mgsgraph.project.addition import Addition
-    from mgsgraph.project.edits import Edited
+    from mgsgraph.project.changes import Changed
     from mgsgraph.project.project import Project
     from mgsgraph.results.tables import TableForm
 
 _PAGES = (".html", ".htm")
 _NETWORKS = (".pvl", ".net", ".csv")
+_WHY = click.option("--why", default="", metavar="TEXT", help="Reason, for the history.")
 _IMPACT = click.option(
     "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."
 )
@@ -75,13 +76,14 @@ def init(project: Path, case: Path | None, settings: Path | None, name: str) -> 
 @click.option("--shots", type=PATH, multiple=True, metavar="FILE", help="ISIS lidar (.json) or PEDR; may be repeated.")
 @click.option("--pass", "of_pass", default="", metavar="NAME", help="Pass of PROJECT that they are images of.")
 @click.option("--share", "shares", multiple=True, metavar="NAME", help="Shared unknown that they share; repeatable.")
+@_WHY
 @_IMPACT
 @DETAILS
-@click.option("--dry-run", is_flag=True, help="Read everything and say what would be added; change nothing.")
+@click.option("--dry-run", is_flag=True, help="Add and adjust, say what would move, and change nothing.")
 @click.pass_context
 def add(
     ctx: click.Context, project: Path, images: tuple[str, ...], ties: tuple[Path, ...], shots: tuple[Path, ...],
-    of_pass: str, shares: tuple[str, ...], table: Path | None, dry_run: bool,
+    of_pass: str, shares: tuple[str, ...], why: str, table: Path | None, dry_run: bool,
 ) -> None:  # fmt: skip
     """Add each IMAGE to PROJECT, with the measures of --ties and --shots, and adjust what it touches.
 
@@ -96,27 +98,23 @@ def add(
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
     from mgsgraph.project.addition import parse_image, read_addition
+    from mgsgraph.project.changes import add as add_to
     from mgsgraph.project.project import open_project
 
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     _require_writable(table, project)
-    wanted, impact = [parse_image(text) for text in images], None
-    with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
+    arguments = [parse_image(text) for text in images]
+    with stage_bar(2) as stages, open_project(project, write=True, discard=dry_run) as opened:
         with stages.stage("reading"):
-            addition = read_addition(opened, wanted, ties, shots, of_pass, shares)
-        if not dry_run:
-            from mgsgraph.project.changes import add as put
-
-            with stages.stage("adjusting"):
-                impact = put(opened, addition)
+            addition = read_addition(opened, arguments, ties, shots, of_pass, shares)
+        with stages.stage("adjusting"):
+            impact = add_to(opened, addition, why)
     alone = ", ".join(addition.unconnected) if impact is None else ""
     warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
     notes = items((*addition.notes, warning))
-    if dry_run:
-        print_brief(f"{project}: would add {_words(addition)}; nothing was changed", *notes, more=0)
-        return
-    _print_impact(ctx, project, impact, table, [f"{project}: added {_words(addition)}", *notes])
+    done = f"would add {_words(addition)}; nothing was changed" if dry_run else f"added {_words(addition)}"
+    _print_impact(ctx, project, impact, table, [f"{project}: {done}", *notes])
 
 
 def _words(addition: "Addition") -> str:
@@ -132,10 +130,11 @@ def _words(addition: "Addition") -> str:
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("images", nargs=-1, required=True, metavar="IMAGE...")
+@_WHY
 @_IMPACT
 @DETAILS
 @click.pass_context
-def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Path | None) -> None:
+def remove(ctx: click.Context, project: Path, images: tuple[str, ...], why: str, table: Path | None) -> None:
     """Take each IMAGE (by its name or a unique part of it) out of PROJECT with its measures, and adjust the rest.
 
     Exit status: 0 removed, 1 removed and not converged, 2 bad input (nothing has changed).
@@ -147,7 +146,7 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
     _require_writable(table, project)
     with stage("adjusting"), open_project(project, write=True) as opened:
         names = opened.images_named(images)
-        impact = remove_images(opened, names)
+        impact = remove_images(opened, names, why)
     _print_impact(ctx, project, impact, table, [f"{project}: removed {', '.join(names)}"])
 
 
@@ -163,24 +162,28 @@ def remove(ctx: click.Context, project: Path, images: tuple[str, ...], table: Pa
 @click.option("--sigma-px", type=float, help="Of line and sample; when absent the project's, or that which is there.")
 @click.option("--reject", "rejected", multiple=True, metavar="IMAGE", help="Set its measure in IMAGE aside.")
 @click.option("--accept", "accepted", multiple=True, metavar="IMAGE", help="Take a rejected measure in again.")
-@click.option("--remove", "gone", is_flag=True, help="Take POINT out.")
+@click.option("--remove", "gone", is_flag=True, help="Remove POINT.")
+@_WHY
 @_IMPACT
 @DETAILS
 @click.pass_context
 def measure(
     ctx: click.Context, project: Path, point: str, new: bool, pixels: tuple[tuple[str, float, float], ...],
-    sigma_px: float | None, rejected: tuple[str, ...], accepted: tuple[str, ...], gone: bool, table: Path | None,
+    sigma_px: float | None, rejected: tuple[str, ...], accepted: tuple[str, ...], gone: bool, why: str,
+    table: Path | None,
 ) -> None:  # fmt: skip
     """Measure POINT in images of PROJECT, or reject what is measured, and adjust what it touches.
 
-    All of it is done or nothing; each step is a change of the history, which `mgsgraph project undo` takes back. A
-    rejected measure stays out of `mgsgraph project solve`, too, until it is accepted again.
+    All of it is done or nothing; each step is a change of the history, which `mgsgraph project undo` takes back. They
+    are decisions: a rejected measurement and a removed point stay out, a moved measurement keeps its position, also
+    when a network is given again or an image comes back.
 
     Exit status: 0 done, 1 done and not converged, 2 bad input (nothing has changed).
     """
     from mgsgraph.errors import InputError
     from mgsgraph.project import edits
-    from mgsgraph.project.project import Measure, open_project
+    from mgsgraph.project.decisions import Measure
+    from mgsgraph.project.project import open_project
 
     if not (pixels or rejected or accepted or gone):
         raise click.UsageError("one of --pixel, --reject, --accept and --remove")
@@ -197,50 +200,52 @@ def measure(
         wanted = [Measure(name, *pixel[1:], sigma, sigma) for name, pixel in zip(names, pixels, strict=True)]
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
-        done = [edits.measure(opened, point, wanted)] if new else []
-        done += [] if new else [edits.set_measure(opened, point, one) for one in wanted]
-        done += [edits.reject(opened, point, image) for image in opened.images_named(rejected)]
-        done += [edits.accept(opened, point, image) for image in opened.images_named(accepted)]
-        done += [edits.remove_point(opened, point)] if gone else []
+        done = [edits.measure(opened, point, wanted, why)] if new else []
+        done += [] if new else [edits.set_measure(opened, point, one, why) for one in wanted]
+        done += [edits.reject(opened, point, image, why) for image in opened.images_named(rejected)]
+        done += [edits.accept(opened, point, image, why) for image in opened.images_named(accepted)]
+        done += [edits.remove_point(opened, point, why)] if gone else []
     _print_edits(ctx, project, done, table)
 
 
 @click.command()
 @click.argument("project", type=PATH)
 @click.argument("change", type=int, required=False)
+@_WHY
 @_IMPACT
 @DETAILS
 @click.pass_context
-def undo(ctx: click.Context, project: Path, change: int | None, table: Path | None) -> None:
-    """Take the last edit of a point of PROJECT back, or that with the number CHANGE, and adjust what it touches.
+def undo(ctx: click.Context, project: Path, change: int | None, why: str, table: Path | None) -> None:
+    """Undo the last change of PROJECT (add, remove, measure, match, align), and adjust; once more for the one before.
 
-    Edits are the changes that `mgsgraph project measure` makes; `mgsgraph project status` shows their numbers.
-    `mgsgraph project redo` makes them again.
+    With CHANGE, a number that `mgsgraph project status` shows, a change of a point that no later change has touched.
+    What the change had decided about points no longer holds. `mgsgraph project redo` carries it out again.
 
     Exit status: 0 undone, 1 undone and not converged, 2 bad input (nothing has changed).
     """
-    from mgsgraph.project import edits
+    from mgsgraph.project import history
 
-    _reverse(ctx, project, table, partial(edits.undo, change=change))
+    _reverse(ctx, project, table, partial(history.undo, number=change, why=why))
 
 
 @click.command()
 @click.argument("project", type=PATH)
+@_WHY
 @_IMPACT
 @DETAILS
 @click.pass_context
-def redo(ctx: click.Context, project: Path, table: Path | None) -> None:
-    """Make the last edit of a point of PROJECT again that `mgsgraph project undo` took back, and adjust what it
-    touches; once more for the one before it. A new change of PROJECT ends what can be redone.
+def redo(ctx: click.Context, project: Path, why: str, table: Path | None) -> None:
+    """Carry out again the last change of PROJECT that `mgsgraph project undo` took back, and adjust; once more for the
+    next one. A new change of PROJECT ends what can be redone.
 
     Exit status: 0 redone, 1 redone and not converged, 2 bad input, or nothing to redo (nothing has changed).
     """
-    from mgsgraph.project import edits
+    from mgsgraph.project import history
 
-    _reverse(ctx, project, table, edits.redo)
+    _reverse(ctx, project, table, partial(history.redo, why=why))
 
 
-def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Edited]") -> None:
+def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Changed]") -> None:
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
@@ -256,7 +261,7 @@ def _require_writable(table: Path | None, project: Path) -> None:
         require_writable(table, project)
 
 
-def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Edited]", table: Path | None) -> None:
+def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Changed]", table: Path | None) -> None:
     """Each in a sentence; what the last one did to the rest in full."""
     said = list[str]()
     for one in done:

@@ -16,7 +16,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from mgsgraph.atomic_write import lock, made_beside
+from mgsgraph.atomic_write import lock, made_beside, put_file
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import head_of, json_object, read_bytes
 
@@ -72,7 +72,7 @@ def fresh_file(path: Path, expected: str = "", remedy: str = "", over: Output | 
         with made_beside(path) as temporary:
             yield temporary
             require_free(path, over, expected, remedy)
-            temporary.replace(path)
+            put_file(temporary, path)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Additions to a project: images from their files, and the measurements of tie points and laser shots in them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,7 +29,8 @@ from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
-from mgsgraph.project.project import Measure, Project, rejected_measurements
+from mgsgraph.project.decisions import Decisions, decided, measured_by_users, standing
+from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 
@@ -121,7 +122,9 @@ def read_addition(
     cases = [case for _, case in contents if case is not None]
     _require_no_options(cases, of_pass, shares)
     case_images = [image for images_, _ in contents for image in images_]
-    networks = [with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases]
+    decisions = standing(project.decisions())
+    given = (with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases)
+    networks = [network for case in given if (network := decided(case, decisions)) is not None]
     stored_passes, stored_names = store.definitions(), store.image_names()
     notes = [note for case in cases for note in case.notes]
     body = next((known.image.body for known in ImagesByName(store, _known(case_images)).values()), None)
@@ -139,7 +142,10 @@ def read_addition(
     if not {name for file_ties in tie_points for name in file_ties.measure_image}.issuperset(_names(single_images)):
         # an image that the ties don't name may be one that they call otherwise
         _require_known(tie_points, [*stored_names, *_names(new_images)])
-    networks += _new_measurements(project, new_images, tie_points, shots, notes)
+    networks += _new_measurements(project, new_images, tie_points, shots, notes, decisions)
+    by_name = ImagesByName(store, _known(new_images))
+    for returning in measured_by_users(decisions, _names(new_images), by_name, networks):
+        networks += _new_in_project(returning, store)
     network, connected_names = None, set[str]()
     if networks:
         network = joined(networks)
@@ -156,7 +162,7 @@ def read_addition(
 
 def _new_measurements(
     project: Project, new_images: Sequence[NewImage], tie_points: Sequence[TiePoints], shots: Sequence[Path],
-    notes: list[str],
+    notes: list[str], decisions: Decisions,
 ) -> list[Network]:  # fmt: skip
     """Tie points and shots that the project does not have yet, as one network (none without any); sentences about ties
     that are left out go to `notes`.
@@ -171,9 +177,14 @@ def _new_measurements(
     observations += [_read_profile(path, project.settings, images, store) for path in shots]
     by_name = ImagesByName(store, _known(new_images))
     network = build_network(by_name, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
-    if network is not None:
-        network = new_measurements_only(network, store, rejected_measurements(project))
-    return [] if network is None else [on_terrain(network, store)]
+    network = None if network is None else decided(network, decisions)
+    return [] if network is None else _new_in_project(network, store)
+
+
+def _new_in_project(network: Network, store: ProjectStore) -> list[Network]:
+    """What of a network the project does not have yet, tie points on its terrain model; none where it has all."""
+    remaining = new_measurements_only(network, store)
+    return [] if remaining is None else [on_terrain(remaining, store)]
 
 
 def _notes_on_passes(stored: Definitions, images: Sequence[PushbroomImage], store: ProjectStore) -> list[str]:
@@ -361,12 +372,9 @@ def _read_profile(
 # --- points that the project already has
 
 
-def new_measurements_only(
-    network: Network, store: ProjectStore, rejected: Mapping[str, Sequence[Measure]] | None = None
-) -> Network | None:
-    """The network without the measurements that are stored already (or `rejected` by the user, by name of the
-    point) and without points that have no other measurement; None where nothing is left. Stored points become free
-    points, unless the network has a stronger a-priori position.
+def new_measurements_only(network: Network, store: ProjectStore) -> Network | None:
+    """The network without the measurements that are stored already and without points that have no other measurement;
+    None where nothing is left. Stored points become free points, unless the network has a stronger a-priori position.
 
     A measurement of the same point in the same image with other coordinates stays: it contradicts, and is refused
     later.
@@ -386,7 +394,7 @@ def new_measurements_only(
         places=np.where(is_known[:, None], old_points.places[old_row], points.places),
         covariances=np.where(is_known[:, None, None], 0.0, points.covariances),
     )
-    rays = ~_repeated_rays(network, old, old_rows, rejected or {})
+    rays = ~_repeated_rays(network, old, old_rows)
     ranges = ~_repeated_ranges(network, old, old_rows)
     if not (np.any(rays) or np.any(ranges)):
         return None
@@ -398,11 +406,9 @@ def new_measurements_only(
     return select_points(replace(remaining, points=points, shifts=shifts), measured_points)
 
 
-def _repeated_rays(network: Network, old: Network, old_rows: Index, rejected: Mapping[str, Sequence[Measure]]) -> Mask:
-    """(k,) True for rays that are stored or rejected with the same line and sample."""
+def _repeated_rays(network: Network, old: Network, old_rows: Index) -> Mask:
+    """(k,) True for rays that are stored with the same line and sample."""
     known = set(_ray_rows(old, old.rays.point))
-    row_of_point = dict(zip(rejected, old.points.ids.find(list(rejected)).tolist(), strict=True))
-    known |= {(row_of_point[name], ray.image, ray.line, ray.sample) for name, rays in rejected.items() for ray in rays}
     return np.array([row in known for row in _ray_rows(network, old_rows[network.rays.point])], dtype=bool)
 
 

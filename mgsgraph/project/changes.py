@@ -10,7 +10,7 @@ import numpy as np
 
 from mgsgraph.adjustment.incremental.impact import Closing, Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
-from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with_addition, without
+from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with_addition, with_points, without
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
 from mgsgraph.adjustment.settings import Device, SolverSettings
 from mgsgraph.case.case_file import decode
@@ -18,8 +18,10 @@ from mgsgraph.errors import InputError, errors_from
 from mgsgraph.network import Network
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions
-from mgsgraph.network.parts import Members, Unknown
+from mgsgraph.network.parts import KnownImage, Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage, images_of_case, images_without_ties
+from mgsgraph.project.decisions import decided, standing
+from mgsgraph.project.former import former_content
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
@@ -54,9 +56,26 @@ def incremental(project: Project, settings: SolverSettings | None = None) -> Inc
     return project.kept.resumed(next(iter(project.changes(1)), None), chosen_settings, project.store)
 
 
-def add(project: Project, addition: Addition) -> Impact | None:
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """Result of a change of a point, or of undo or redo."""
+
+    kind: str
+    """measure, move, reject, accept, hold, release, remove, undo or redo."""
+    point: str
+    """Name of the point; empty for undo and redo."""
+    sentence: str
+    """Description of the change."""
+    impact: Impact | None
+    """Effect on other unknowns and points; None in a project that was never solved."""
+    change: int
+    """Number of the change in the project's history."""
+
+
+def add(project: Project, addition: Addition, why: str = "") -> Impact | None:
     """Add images and measurements, and adjust; a project that was never solved only stores them and returns None."""
     store, network = project.store, addition.network
+    former = former_content(project, () if network is None else network.points.ids, absent=addition.names)
     impact: Impact | None = None
     if not is_solved(project):
         store_unadjusted(store, addition)
@@ -70,11 +89,11 @@ def add(project: Project, addition: Addition) -> Impact | None:
     what = ", ".join(addition.names) or "measures"
     files = [str(file) for file in addition.files]
     summary = {"images": list(addition.names), "rays": rays, "ranges": ranges, "files": files}
-    record_change(project, "add", what, summary, impact)
+    record_change(project, "add", what, summary, impact, why, former)
     return impact
 
 
-def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
+def remove_images(project: Project, images: Sequence[str], why: str = "") -> Impact | None:
     """Remove images with their measurements, and adjust (not in a project that was never solved: None).
 
     Parameters
@@ -83,6 +102,8 @@ def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
         Opened with `write=True`.
     images : sequence of str
         Names, or parts of names that no other has.
+    why : str
+        Reason, for the history.
 
     Raises
     ------
@@ -97,12 +118,15 @@ def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
     None ['pair/case.toml', 'SIM/B']
     """
     store, images = project.store, project.images_named(images)
+    bundles = dict.fromkeys(members for image in images for members in store.seen_by(image))
+    points = (point for members in bundles for point in store.bundle(members).network.points.ids)
+    former = former_content(project, points, removed=images)
     impact: Impact | None = None
     if is_solved(project):
         impact = incremental(project).remove(*images)
     else:
         _remove_unadjusted(store, images)
-    record_change(project, "remove", ", ".join(images), {"images": list(images)}, impact)
+    record_change(project, "remove", ", ".join(images), {"images": list(images)}, impact, why, former)
     return impact
 
 
@@ -208,6 +232,27 @@ def replace_unadjusted(store: ProjectStore, replaced: Sequence[Members], network
     store.replace(replaced, unadjusted)
 
 
+def apply_content(
+    project: Project, verb: str, points: Sequence[str], network: Network | None, new: Sequence[KnownImage],
+    removed: Sequence[str], definitions: Definitions,
+) -> Impact | None:  # fmt: skip
+    """Replace points by those of a network, with images that come and go, and adjust (not in a project that was never
+    solved: None).
+    """
+    store = project.store
+    if is_solved(project):
+        return incremental(project).replace_points(points, network, verb, new, removed, definitions)
+    for known in new:
+        store.add_image(known)
+    turned = turned_bundles(store, store.definitions(), definitions)
+    bundles = with_points(store, points, network, definitions, turned)
+    store.set_definitions(definitions)
+    replace_unadjusted(store, *bundles)
+    for name in removed:
+        store.drop_image(name)
+    return None
+
+
 def _record_files(project: Project, images: Sequence[NewImage], networks: Sequence[Path]) -> None:
     for new_image in images:
         if new_image.picture is not None:
@@ -215,13 +260,17 @@ def _record_files(project: Project, images: Sequence[NewImage], networks: Sequen
     project.add_networks(networks)
 
 
-def record_change(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> int:
+def record_change(
+    project: Project, verb: str, what: str, summary: Mapping[str, Any], impact: Impact | None, why: str = "",
+    former: bytes | None = None, undoes: int | None = None,
+) -> int:  # fmt: skip
     """Record a change in the history, with its effect on images and points; its number."""
     if impact is None:
-        return project.record(verb, what, summary)
+        return project.record(verb, what, summary, why, former, undoes)
     moved_points = int(np.count_nonzero(~impact.points.new))
-    counts = {"images_reached": len(impact.images.names), "points_moved": moved_points, "updates": impact.updates}
-    number = project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
+    counts = {"images_reached": len(impact.images.names), "points_moved": moved_points, "updates": impact.updates,
+              "seconds": round(impact.seconds, 3)}  # fmt: skip
+    number = project.record(verb, what, {**summary, **counts}, why, former, undoes)
     message = "All unknowns converged." if impact.converged else "It did not converge; solve the project."
     project.record_incremental(impact.converged, message)
     if project.kept is not None:
@@ -321,13 +370,16 @@ def take_ties(project: Project, network: Path) -> str:
     """Store tie points in a project that waits for them, with all else of its case as it is now; a description."""
     case = waiting_case(project)
     images, contents = images_of_case(case, network)
+    former = former_content(project, contents.network.points.ids)
     project.take_settings(settings_of_case(case))
-    return _store_contents(project, "match", str(network), images, contents.network, contents.networks)
+    kept = decided(contents.network, standing(project.decisions()))
+    return _store_contents(project, "match", str(network), images, kept, contents.networks, former)
 
 
 def _store_contents(
-    project: Project, verb: str, what: str, images: list[NewImage], network: Network | None, files: Sequence[Path]
-) -> str:
+    project: Project, verb: str, what: str, images: list[NewImage], network: Network | None, files: Sequence[Path],
+    former: bytes | None = None,
+) -> str:  # fmt: skip
     """Store images and measurements, and record the change; a description of them."""
     case_definitions = Definitions() if network is None else definitions(network)
     store_unadjusted(project.store, Addition(tuple(images), network, definitions=case_definitions))
@@ -336,7 +388,8 @@ def _store_contents(
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )
     names = [new_image.known.image.name for new_image in images]
-    project.record(verb, what, {"images": names, "points": points, "rays": rays, "ranges": ranges})
+    summary = {"images": names, "points": points, "rays": rays, "ranges": ranges}
+    project.record(verb, what, summary, former=former)
     if network is None:
         return f"{len(images)} images, no tie points yet"
     return f"{len(images)} images, {points} points, {rays} image measures, {ranges} laser ranges"

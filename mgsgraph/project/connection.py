@@ -33,7 +33,7 @@ _FORMAT_NUMBER = re.compile(r"[1-9][0-9]{0,5}")
 
 
 @contextmanager
-def connected(folder: Path, write: bool) -> Iterator[sqlite3.Connection]:
+def connected(folder: Path, write: bool, discard: bool = False) -> Iterator[sqlite3.Connection]:
     """Connection to the project's file in one transaction: committed at the end, rolled back on any exception.
 
     Compares the checksum first; a change writes a new one.
@@ -44,6 +44,8 @@ def connected(folder: Path, write: bool) -> Iterator[sqlite3.Connection]:
         The project.
     write : bool
         Lock the file for changes, at once or not at all. Readers continue, and see the state before the change.
+    discard : bool
+        Roll the changes back at the end.
 
     Raises
     ------
@@ -65,9 +67,10 @@ def connected(folder: Path, write: bool) -> Iterator[sqlite3.Connection]:
                     # a read-only file lets even a transaction for writing begin, and complains at its first change
                     store_checksum(connection, 0)
             yield connection
-            if write:
+            if write and not discard:
                 store_checksum(connection, checksum(connection))
-            _commit(connection, folder)
+            if not discard:
+                _commit(connection, folder)
         finally:
             with suppress(sqlite3.Error):
                 if connection.in_transaction:

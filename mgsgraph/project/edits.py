@@ -1,53 +1,42 @@
 """Changes of single points by the user (measure, move, reject, hold ...): each is one transaction and can be undone.
 
-A change replaces the state of a point: its a-priori position and its image measurements. The journal (table `edit`)
-keeps the states before and after the change. Undo restores the former state and is itself a change of the history.
+A change replaces the state of a point: its a-priori position and its image measurements. It is recorded as decisions
+(`project.decisions`), which hold for networks and images that are added later, too.
 
 No adjustment uses a measurement that the user rejects, also not `solve`, until the user accepts it again. (Blunders
 that an adjustment finds are tested again in each batch adjustment.)
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 
-from mgsgraph.adjustment.incremental.impact import Impact
-from mgsgraph.adjustment.incremental.state import with_points
+from mgsgraph.adjustment.incremental.state import ImagesByName
 from mgsgraph.errors import InputError, errors_from, one_line
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.names import Names
-from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges, Surface
-from mgsgraph.network.parts import image_columns, joined, select_points
+from mgsgraph.network import Network, PointClass, Surface
+from mgsgraph.network.parts import joined, select_points
 from mgsgraph.project.addition import on_terrain
-from mgsgraph.project.changes import incremental, is_solved, record_change, replace_unadjusted
-from mgsgraph.project.project import EditRow, Measure, PointState, Project, last_state, state_of
+from mgsgraph.project.changes import Changed, apply_content, record_change
+from mgsgraph.project.decisions import (
+    FREE_TIE,
+    DecisionKind,
+    Measure,
+    PointDecisions,
+    PointState,
+    ground_point,
+    network_of_rays,
+    standing,
+)
+from mgsgraph.project.former import former_content
+from mgsgraph.project.project import Project
 from mgsgraph.units import DEG
 
-Kind = Literal["measure", "move", "reject", "accept", "hold", "release", "remove", "undo", "redo"]
 _LONGEST_NAME = 200
-_SAME = 1e-9
-"""px, m: tolerance for numbers that went through JSON."""
-
-
-@dataclass(frozen=True, slots=True)
-class Edited:
-    """Result of a change of a point."""
-
-    kind: Kind
-    """measure, move, reject, accept, hold, release, remove, undo or redo."""
-    point: str
-    """Name of the point."""
-    sentence: str
-    """Description of the change."""
-    impact: Impact | None
-    """Effect on other unknowns and points; None in a project that was never solved."""
-    change: int
-    """Number of the change in the project's history."""
 
 
 # --- present state
@@ -55,9 +44,11 @@ class Edited:
 
 def point_state(project: Project, point: str) -> PointState | None:
     """Present state of a point; None where the project has no point of this name."""
-    network, last = _network_of(project, point), last_state(project, point)
+    network, decisions = _network_of(project, point), standing(project.decisions(point)).get(point, PointDecisions())
+    names = set(project.store.image_names())
+    set_aside = tuple(measure for image, measure in decisions.rejected.items() if image in names)
     if network is None:  # the user has rejected all its measurements
-        return msgspec.structs.replace(last, measures=()) if last is not None and last.set_aside else None
+        return msgspec.structs.replace(decisions.state, set_aside=set_aside) if set_aside else None
     points, rays = network.points, network.rays
     has_position = bool(np.all(np.isfinite(points.places[0])))
     flags = [np.zeros(rays.point.size, bool) if mark is None else mark for mark in (rays.back_projected, rays.rejected)]
@@ -67,7 +58,7 @@ def point_state(project: Project, point: str) -> PointState | None:
         tuple(points.places[0].tolist()) if has_position else None, tuple(points.covariances[0].ravel().tolist()),
         tuple(Measure(network.images[j].name, *place, *sigmas, *mark)
               for j, place, sigmas, *mark in zip(*columns, strict=True)),
-        () if last is None else last.set_aside, _surface_sigma(network),
+        set_aside, _surface_sigma(network),
     )  # fmt: skip
 
 
@@ -90,7 +81,7 @@ def _network_of(project: Project, point: str) -> Network | None:
 # --- changes
 
 
-def measure(project: Project, point: str, places: Sequence[Measure]) -> Edited:
+def measure(project: Project, point: str, places: Sequence[Measure], why: str = "") -> Changed:
     """Add measurements of a point: a new tie point, or further images of a known point.
 
     Parameters
@@ -119,29 +110,29 @@ def measure(project: Project, point: str, places: Sequence[Measure]) -> Edited:
         if before is not None and before.of(ray.image) is not None:
             remedy = "move that measure, or reject it first"
             raise InputError(f"point {point}, image {ray.image}", "measured there before", "another image", remedy)
-    empty_state = PointState(int(PointClass.TIE), int(PointKind.FREE), None, (0.0,) * 9, ())
-    old_state = before or empty_state
+    old_state = before or FREE_TIE
     rejected = tuple(ray for ray in old_state.set_aside if ray.image not in images)
     after = msgspec.structs.replace(old_state, measures=(*old_state.measures, *new_rays), set_aside=rejected)
     if before is None:
         after = _with_terrain_sigma(project, point, after)
-    return _store_state(project, "measure", point, before, after, f"measured in {', '.join(images)}")
+    return _store_state(project, "measure", point, after, f"measured in {', '.join(images)}", why, new_rays)
 
 
-def set_measure(project: Project, point: str, wanted: Measure) -> Edited:
+def set_measure(project: Project, point: str, wanted: Measure, why: str = "") -> Changed:
     """`move` the measurement of a known point in an image, or `measure` it if there is none. A sigma of 0 px means the
     present sigma, or that of the project's settings.
     """
     current = _existing_state(project, point).of(wanted.image)
     if current is None:
-        return measure(project, point, (wanted,))
+        return measure(project, point, (wanted,), why)
     sigmas = (wanted.sigma_line, wanted.sigma_sample) if wanted.sigma_line else None
-    return move(project, point, wanted.image, wanted.line, wanted.sample, sigmas)
+    return move(project, point, wanted.image, wanted.line, wanted.sample, sigmas, why)
 
 
 def move(
-    project: Project, point: str, image: str, line: float, sample: float, sigmas: tuple[float, float] | None = None
-) -> Edited:
+    project: Project, point: str, image: str, line: float, sample: float, sigmas: tuple[float, float] | None = None,
+    why: str = "",
+) -> Changed:  # fmt: skip
     """Move a measurement to a line and sample (px); its sigmas (px) stay unless given. It is no longer a blunder."""
     before = _existing_state(project, point)
     old = _existing_measurement(before, point, image)
@@ -150,19 +141,19 @@ def move(
     rays = tuple(new if ray.image == image else ray for ray in before.measures)
     after = msgspec.structs.replace(before, measures=rays)
     description = f"moved in {image} to line {line:.2f}, sample {sample:.2f}"
-    return _store_state(project, "move", point, before, after, description)
+    return _store_state(project, "move", point, after, description, why, [new])
 
 
-def reject(project: Project, point: str, image: str) -> Edited:
+def reject(project: Project, point: str, image: str, why: str = "") -> Changed:
     """Reject a measurement; `accept` reverses it."""
     before = _existing_state(project, point)
     rejected = _existing_measurement(before, point, image)
     rest = tuple(ray for ray in before.measures if ray is not rejected)
     after = msgspec.structs.replace(before, measures=rest, set_aside=(*before.set_aside, rejected))
-    return _store_state(project, "reject", point, before, after, f"rejected in {image}")
+    return _store_state(project, "reject", point, after, f"rejected in {image}", why, [rejected])
 
 
-def accept(project: Project, point: str, image: str) -> Edited:
+def accept(project: Project, point: str, image: str, why: str = "") -> Changed:
     """Use a rejected measurement again. If the last batch adjustment rejected it as a blunder, the next one tests it
     again.
     """
@@ -176,10 +167,10 @@ def accept(project: Project, point: str, image: str) -> Edited:
     accepted = msgspec.structs.replace(candidates[0], rejected=False)
     rejected, rest = (tuple(ray for ray in rays if ray.image != image) for rays in (before.set_aside, before.measures))
     after = msgspec.structs.replace(before, measures=(*rest, accepted), set_aside=rejected)
-    return _store_state(project, "accept", point, before, after, f"accepted in {image}")
+    return _store_state(project, "accept", point, after, f"accepted in {image}", why, [accepted])
 
 
-def hold(project: Project, point: str, place: Array, sigmas: Array) -> Edited:
+def hold(project: Project, point: str, place: Array, sigmas: Array, why: str = "") -> Changed:
     """Make a tie point a ground control point at a known position; it leaves the terrain model.
 
     Parameters
@@ -208,10 +199,10 @@ def hold(project: Project, point: str, place: Array, sigmas: Array) -> Edited:
     )  # fmt: skip
     longitude, latitude, _ = planetocentric(place[None])[0]
     description = f"held at longitude {longitude / DEG % 360.0:.6f} deg, latitude {latitude / DEG:.6f} deg"
-    return _store_state(project, "hold", point, before, after, description)
+    return _store_state(project, "hold", point, after, description, why)
 
 
-def release(project: Project, point: str) -> Edited:
+def release(project: Project, point: str, why: str = "") -> Changed:
     """Make a control point a tie point again, on the terrain model if the project has one at this position."""
     before = _existing_state(project, point)
     _require_tie(before, point)
@@ -220,10 +211,10 @@ def release(project: Project, point: str) -> Edited:
     free = msgspec.structs.replace(
         before, class_=int(PointClass.TIE), kind=int(PointKind.FREE), place=None, covariance=(0.0,) * 9
     )
-    return _store_state(project, "release", point, before, _with_terrain_sigma(project, point, free), "released")
+    return _store_state(project, "release", point, _with_terrain_sigma(project, point, free), "released", why)
 
 
-def remove_point(project: Project, point: str) -> Edited:
+def remove_point(project: Project, point: str, why: str = "") -> Changed:
     """Remove a tie or control point with all its measurements."""
     before = _existing_state(project, point)
     _require_tie(before, point)
@@ -231,116 +222,55 @@ def remove_point(project: Project, point: str) -> Edited:
     if network is not None and _has_range_or_surface(network):
         found, remedy = "a laser range or a stereo surface holds it", "reject its image measures instead"
         raise InputError(f"point {point}", found, "a point of image measures alone", remedy)
-    return _store_state(project, "remove", point, before, None, "taken out")
-
-
-def undo(project: Project, change: int | None = None) -> Edited:
-    """Undo the last change of a point that is not undone, or the change with a number in the history.
-
-    Raises
-    ------
-    InputError
-        No such change; a point that another change has altered since.
-    """
-    edit, where = project.last_edit() if change is None else project.edit(change), str(project.folder)
-    if edit is None or edit.kind == "undo":
-        found = "no change of a point to undo" if change is None else f"change {change} is none of a point to undo"
-        raise InputError(where, found, "a measure, move, rejection, ... of a point")
-    if (undoing_change := project.undone_by(edit.number)) is not None:
-        raise InputError(where, f"change {change} was undone by change {undoing_change}", "a change that stands")
-    return _reverse(project, edit, "undo", f"{edit.kind} undone")
-
-
-def redo(project: Project) -> Edited:
-    """Reverse the last `undo` that is not redone; `undo` can reverse this again.
-
-    Raises
-    ------
-    InputError
-        No undo, or a new change after it.
-    """
-    undone = project.last_edit(undone=True)
-    if undone is None:
-        raise InputError(str(project.folder), "no change to redo", "an undo that no new change follows")
-    return _reverse(project, undone, "redo", "the change that was undone is made again")
-
-
-def _reverse(project: Project, edit: EditRow, kind: Kind, description: str) -> Edited:
-    """Restore the state before a change, as a new change of the history."""
-    where, current = str(project.folder), point_state(project, edit.point)
-    before, after = (None if text is None else state_of(project, text) for text in (edit.before, edit.after))
-    if not _same_measurements(current, after):
-        found = f"point {edit.point} is not as that change ({edit.kind}) left it: it has changed since"
-        raise InputError(where, found, remedy="undo its later changes first, or change the point itself")
-    stored_names = set(project.store.image_names())
-    for ray in () if before is None else (*before.measures, *before.set_aside):
-        if ray.image not in stored_names:
-            raise InputError(where, f"a measure of point {edit.point} in {ray.image}, which was removed since")
-    return _store_state(project, kind, edit.point, current, before, description, undoes=edit.number)
+    return _store_state(project, "remove", point, None, "removed", why)
 
 
 def _store_state(
-    project: Project, kind: Kind, point: str, before: PointState | None, after: PointState | None, description: str,
-    undoes: int | None = None,
-) -> Edited:  # fmt: skip
-    """Replace the state of a point, adjust, and record the change."""
-    network = _network_in_state(project, point, after)
-    impact: Impact | None = None
+    project: Project, kind: DecisionKind, point: str, after: PointState | None, description: str, why: str,
+    decided: Sequence[Measure] = (),
+) -> Changed:  # fmt: skip
+    """Replace the state of a point, adjust, and record the change; its decision is about some measurements, or about
+    the point itself where these are none.
+    """
+    network, former = _network_in_state(project, point, after), former_content(project, [point], whole=False)
     with errors_from(str(project.folder)):
-        if is_solved(project):
-            impact = incremental(project).replace_points([point], network, kind)
-        else:
-            store = project.store
-            replace_unadjusted(store, *with_points(store, [point], network, store.definitions()))
-    number = record_change(project, "edit", f"point {point}: {description}", {"point": point, "kind": kind}, impact)
-    texts = [None if state is None else msgspec.json.encode(state).decode() for state in (before, after)]
-    project.record_edit(number, kind, point, *texts, undoes)
-    return Edited(kind, point, f"Point {point}: {description}.", impact, number)
+        impact = apply_content(project, kind, [point], network, (), (), project.store.definitions())
+    summary = {"point": point, "kind": kind}
+    number = record_change(project, "edit", f"point {point}: {description}", summary, impact, why, former)
+    for measure in decided or (None,):
+        image = "" if measure is None else measure.image
+        project.record_decision(number, kind, point, image, measure, None if after is None else after.bare)
+    return Changed(kind, point, f"Point {point}: {description}.", impact, number)
 
 
 def _network_in_state(project: Project, point: str, state: PointState | None) -> Network | None:
     """Network of a point in a state, with its present ranges and stereo surfaces; None where nothing is left."""
     if state is None:
         return None
-    current, points = _network_of(project, point), _point_in_state(point, state)
+    current, points = _network_of(project, point), ground_point(point, state)
     bare = None
     if current is not None and _has_range_or_surface(current):
         no_rays = current.rays.chosen(np.zeros(current.rays.point.size, dtype=bool))
         bare = replace(current, points=points, rays=no_rays)
-    parts = [*([] if bare is None else [bare]), *([_network_of_rays(project, points, state)] if state.measures else [])]
+    parts = [*([] if bare is None else [bare]), *([_network_of_rays(project, point, state)] if state.measures else [])]
     return joined(parts) if parts else None
 
 
-def _point_in_state(point: str, state: PointState) -> GroundPoints:
-    position = np.full(3, np.nan) if state.place is None else np.array(state.place, dtype=np.float64)
-    return GroundPoints(
-        Names.of([point]), np.array([state.class_]), np.array([state.kind]), position[None],
-        np.array(state.covariance, dtype=np.float64).reshape(1, 3, 3),
-    )  # fmt: skip
-
-
-def _network_of_rays(project: Project, points: GroundPoints, state: PointState) -> Network:
+def _network_of_rays(project: Project, point: str, state: PointState) -> Network:
     """Network of a point with its image measurements and, if it lies on it, the terrain model."""
-    known = [project.store.image(ray.image) for ray in state.measures]
-    zeros, no_rows = np.zeros(len(known), dtype=np.int64), np.zeros(0, dtype=np.int64)
-    rays = ImageRays(
-        zeros, np.arange(len(known)), np.array([(ray.line, ray.sample) for ray in state.measures]),
-        np.array([(ray.sigma_line, ray.sigma_sample) for ray in state.measures]),
-        np.array([ray.back_projected for ray in state.measures]), np.array([ray.rejected for ray in state.measures]),
-    )  # fmt: skip
-    network = Network(*image_columns(known), points, rays, Ranges(no_rows, no_rows, *np.zeros((3, 0))))
-    terrain = project.store.terrain
+    network, store = network_of_rays(point, state, ImagesByName(project.store, ())), project.store
+    terrain = store.terrain
     if state.surface_sigma is None or terrain is None:
         return network
     surface = Surface(terrain[0], np.array([state.surface_sigma]), terrain[1])
-    return replace(network, surface=surface).considering(project.store.considered)
+    return replace(network, surface=surface).considering(store.considered)
 
 
 def _with_terrain_sigma(project: Project, point: str, state: PointState) -> PointState:
     """State of a tie point on the project's terrain model, if this covers it: like new points of `project add`."""
     if not state.measures:
         return state
-    network = on_terrain(_network_of_rays(project, _point_in_state(point, state), state), project.store)
+    network = on_terrain(_network_of_rays(project, point, state), project.store)
     return msgspec.structs.replace(state, surface_sigma=_surface_sigma(network))
 
 
@@ -348,15 +278,6 @@ def _has_range_or_surface(network: Network) -> bool:
     """Whether a single point has a laser range or lies on a stereo surface."""
     is_on_surface = network.stereo is not None and bool(np.any(network.stereo.surface >= 0))
     return bool(network.ranges.point.size) or is_on_surface
-
-
-def _same_measurements(first: PointState | None, second: PointState | None) -> bool:
-    """Whether two states have the same image measurements and kind of point."""
-    if first is None or second is None:
-        return first is second or (second is not None and not second.measures and not second.set_aside)
-    pairs = [{ray.image: (ray.line, ray.sample) for ray in state.measures} for state in (first, second)]
-    is_same = pairs[0].keys() == pairs[1].keys() and first.kind == second.kind
-    return is_same and all(np.allclose(pairs[0][image], pairs[1][image], rtol=0.0, atol=_SAME) for image in pairs[0])
 
 
 def _require_tie(state: PointState, point: str) -> None:

@@ -1,7 +1,9 @@
 """A project: a folder with an SQLite file (one transaction for each change) and the products of solutions."""
 
+import getpass
 import importlib.metadata
 import json
+import os
 import re
 import shutil
 import sqlite3
@@ -14,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.atomic_write import made_beside, resolved
+from mgsgraph.atomic_write import made_beside, put_in_place, resolved
 from mgsgraph.errors import InputError, errors_from
 from mgsgraph.files.opening import understood
 from mgsgraph.files.output.folders import PROJECT
@@ -23,6 +25,7 @@ from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.names import image_names
 from mgsgraph.project.connection import EXPECTED_PROJECT, RESTORE_COPY, connected, new_file
+from mgsgraph.project.decisions import Decision, Measure, PointState, standing
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.record import Record
@@ -70,8 +73,10 @@ MATCHES = "matches"
 _ANOTHER = "choose another one"
 _TIMES = {"image.trajectory.epoch": float, "image.timing": LineTiming}
 """Parts of an image's record that contain the time of the image."""
-CHANGING = ("add", "remove", "edit")
+CHANGING = ("add", "remove", "edit", "match", "undo", "redo")
 """Verbs of changes that add or remove measurements."""
+_UNDOABLE = "former IS NOT NULL AND verb NOT IN ('undo', 'redo')"
+"""SQL: changes of content that undo can take back."""
 _Kind = TypeVar("_Kind")
 _RESULT = re.compile(r"\d{4,}|\.\d{4,}\.[0-9a-f]{8}\.(unfinished|replaced)")
 """Names of result folders, complete or left by a killed process."""
@@ -85,23 +90,19 @@ class Change(msgspec.Struct, frozen=True):
     at: str
     """UTC, ISO 8601."""
     verb: str
-    """init, match, add, remove, edit, solve, check or align (coregister up to version 0.2)."""
+    """init, match, add, remove, edit, align, undo, redo, solve or check."""
     what: str
     """Short description of the change."""
     summary: Mapping[str, Any]
     """Numbers, with units in their names."""
-
-
-class EditRow(msgspec.Struct, frozen=True):
-    """A row of the journal: one change of a point."""
-
-    number: int
-    kind: str
-    point: str
-    before: str | None
-    """JSON (`PointState`); None where there was no such point."""
-    after: str | None
-    """JSON; None where the point was removed."""
+    who: str
+    """Account of the user."""
+    why: str
+    """Reason that the user gave; empty for none."""
+    stands: bool
+    """False for a change that is undone."""
+    undoes: int | None
+    """Number of the change that an undo or redo is about."""
 
 
 class SolutionRow(msgspec.Struct, frozen=True):
@@ -176,7 +177,7 @@ class Project(Record):
                 yield project
             with writing_to(shown, remedy=remedy):
                 _require_free(target, shown)
-                temporary.rename(target)
+                put_in_place(temporary, target)
 
     def _introduce(self, name: str, settings: ProjectSettings, case: Path | None) -> None:
         version = importlib.metadata.version("mgsgraph")
@@ -225,6 +226,16 @@ class Project(Record):
         network = self.matches / "network.pvl"
         return network if network.is_file() else None
 
+    def content_facts(self) -> dict[str, str]:
+        """Settings and paths of networks, as the file has them."""
+        rows = "SELECT key, value FROM meta WHERE key IN ('settings', 'networks')"
+        return dict(self._connection.execute(rows).fetchall())
+
+    def restore_facts(self, facts: Mapping[str, str]) -> None:
+        """Replace them by those of an earlier time."""
+        self._connection.execute("DELETE FROM meta WHERE key IN ('settings', 'networks')")
+        self._connection.executemany("INSERT INTO meta VALUES (?, ?)", facts.items())
+
     def take_settings(self, settings: ProjectSettings) -> None:
         """Replace the settings, before any adjustment has used them."""
         self._connection.execute("UPDATE meta SET value = ? WHERE key = 'settings'", (settings_to_json(settings),))
@@ -262,53 +273,71 @@ class Project(Record):
         with errors_from(str(self.folder)):
             return image_names(asked, self.store.image_names())
 
-    def record(self, verb: str, what: str, summary: Mapping[str, Any]) -> int:
-        """Record a change; its number."""
-        row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False))
-        found = self._connection.execute("INSERT INTO change (at, verb, what, summary) VALUES (?, ?, ?, ?)", row)
+    def record(
+        self, verb: str, what: str, summary: Mapping[str, Any], why: str = "", former: bytes | None = None,
+        undoes: int | None = None,
+    ) -> int:  # fmt: skip
+        """Record a change, with the content that it replaced (`project.history`), if any; its number."""
+        row = (_now(), verb, what, json.dumps(summary, ensure_ascii=False), _account(), why, undoes, former)
+        columns = "at, verb, what, summary, who, why, undoes, former"
+        found = self._connection.execute(f"INSERT INTO change ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", row)
         return int(found.lastrowid or 0)
 
     def changes(self, last: int | None = None) -> list[Change]:
         """The last changes, or all, in their order."""
         return self._rows(Change, "change", "ORDER BY number DESC LIMIT ?", -1 if last is None else last)[::-1]
 
-    # --- changes of single points
+    def change(self, number: int) -> Change | None:
+        """A change by its number; None where there is none."""
+        return next(iter(self._rows(Change, "change", "WHERE number = ?", number)), None)
 
-    def record_edit(self, *row: int | str | None) -> None:
-        """Add a change of a point (`project.edits`) to the journal: change, kind, point, before, after, undoes."""
-        columns = "change, kind, point, before, after, undoes"
-        self._connection.execute(f"INSERT INTO edit ({columns}) VALUES (?, ?, ?, ?, ?, ?)", row)
+    def former(self, number: int) -> bytes | None:
+        """The content that a change replaced; None where it replaced none."""
+        row = self._connection.execute("SELECT former FROM change WHERE number = ?", (number,)).fetchone()
+        return None if row is None else row[0]
 
-    def last_edit(self, undone: bool = False) -> EditRow | None:
-        """The last change of a point that is not undone; or (`undone`) the last undo that is not redone and that only
-        undo, redo and solve follow. None where there is none.
-        """
-        is_no_reversal = "number NOT IN (SELECT change FROM edit WHERE kind IN ('undo', 'redo'))"
-        newest = f"SELECT max(number) FROM change WHERE verb <> 'solve' AND {is_no_reversal}"
-        kind = f"kind = 'undo' AND change > ({newest})" if undone else "kind <> 'undo'"
-        stands = "number NOT IN (SELECT undoes FROM edit WHERE undoes IS NOT NULL)"
-        return next(iter(self._rows(EditRow, "edit", f"WHERE {kind} AND {stands} ORDER BY number DESC LIMIT 1")), None)
+    def mark(self, number: int, stands: bool) -> None:
+        """Mark a change as undone, or as one that stands again; its decisions follow."""
+        self._connection.execute("UPDATE change SET stands = ? WHERE number = ?", (int(stands), number))
 
-    def edit(self, change: int) -> EditRow | None:
-        """The change of a point with a number in the history; None where that is no change of a point."""
-        return next(iter(self._rows(EditRow, "edit", "WHERE change = ?", change)), None)
+    def standing_changes(self) -> list[int]:
+        """Numbers of the changes that undo can take back, in their order."""
+        return self._numbers(f"SELECT number FROM change WHERE {_UNDOABLE} AND stands ORDER BY number")
 
-    def undone_by(self, number: int) -> int | None:
-        """Number in the history of the change that undid a change of a point (`number` in the journal), or None."""
-        row = self._connection.execute("SELECT change FROM edit WHERE undoes = ?", (number,)).fetchone()
-        return None if row is None else int(row[0])
+    def last_undo(self) -> int | None:
+        """Number of the last undo that redo can take back: no new change follows it; None where there is none."""
+        undone = "undoes IN (SELECT number FROM change WHERE NOT stands)"
+        later = f"number > coalesce((SELECT max(number) FROM change WHERE {_UNDOABLE}), 0)"
+        rest = f"verb = 'undo' AND {undone} AND {later} ORDER BY number DESC LIMIT 1"
+        return next(iter(self._numbers(f"SELECT number FROM change WHERE {rest}")), None)
 
-    def edited_points(self) -> list[str]:
-        """Names of the points that the user has changed."""
-        rows = self._connection.execute("SELECT DISTINCT point FROM edit ORDER BY point")
-        return [point for (point,) in rows]
+    def _numbers(self, statement: str) -> list[int]:
+        return [number for (number,) in self._connection.execute(statement)]
 
-    def last_edit_of(self, point: str) -> tuple[int, str | None] | None:
-        """Number of the last change of a point, and the state after it; None where it was never changed."""
-        row = self._connection.execute(
-            "SELECT number, after FROM edit WHERE point = ? ORDER BY number DESC LIMIT 1", (point,)
-        ).fetchone()
-        return None if row is None else (int(row[0]), row[1])
+    # --- decisions of users about points
+
+    def record_decision(
+        self, change: int, kind: str, point: str, image: str, measure: Measure | None, state: PointState | None
+    ) -> None:
+        """Record a decision about a point, or about its measurement in an image."""
+        texts = (None if value is None else msgspec.json.encode(value).decode() for value in (measure, state))
+        self._connection.execute(
+            "INSERT INTO decision (change, kind, point, image, measure, state) VALUES (?, ?, ?, ?, ?, ?)",
+            (change, kind, point, image, *texts),
+        )
+
+    def decisions(self, point: str | None = None) -> list[Decision]:
+        """Decisions of changes that stand, about one point or about all, the latest last."""
+        rows = self._connection.execute(
+            "SELECT change, at, who, why, kind, point, image, measure, state FROM decision JOIN change "
+            "ON change.number = decision.change WHERE stands AND point = coalesce(?, point) ORDER BY decision.number",
+            (point,),
+        )
+        names, records = Decision.__struct_fields__, list[Decision]()
+        for *values, measure, state in rows:
+            parts = [None if text is None else self._from_json(text, dict[str, Any]) for text in (measure, state)]
+            records.append(self._record(dict(zip(names, (*values, *parts), strict=True)), Decision))
+        return records
 
     def last_solution(self, kind: str | None = None) -> SolutionRow | None:
         """The latest solution, of one kind or of any; None where there is none."""
@@ -409,7 +438,9 @@ class Project(Record):
 
 
 @contextmanager
-def open_project(folder: str | Path, write: bool = False, kept: KeptAdjustment | None = None) -> Iterator[Project]:
+def open_project(
+    folder: str | Path, write: bool = False, kept: KeptAdjustment | None = None, discard: bool = False
+) -> Iterator[Project]:
     """Open a project for one change, or for reading, in a `with` statement. An exception inside rolls the change back.
 
     Parameters
@@ -420,6 +451,8 @@ def open_project(folder: str | Path, write: bool = False, kept: KeptAdjustment |
         Open it for a change: no other process may change it in the meantime.
     kept : KeptAdjustment, optional
         Keeps the adjustment in memory for the next change of this process.
+    discard : bool
+        At the end nothing has changed, as after an exception.
 
     Raises
     ------
@@ -435,7 +468,7 @@ def open_project(folder: str | Path, write: bool = False, kept: KeptAdjustment |
     """
     path = Path(folder)
     try:
-        with connected(path, write) as connection:
+        with connected(path, write, discard) as connection:
             project = Project(path, connection, kept)
             with understood(str(folder), EXPECTED_PROJECT, RESTORE_COPY):
                 project.store.require_whole()
@@ -453,70 +486,22 @@ def _require_free(target: Path, shown: str) -> None:
         raise InputError(shown, "exists and is not empty", "an absent or empty folder", _ANOTHER)
 
 
+def _account() -> str:
+    """Name of the user's account, or its number."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
+
+
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-class Measure(msgspec.Struct, frozen=True):
-    """A measurement of a point in an image."""
-
-    image: str
-    line: float
-    """px, the first pixel's centre at 0.5."""
-    sample: float
-    """px."""
-    sigma_line: float
-    """px."""
-    sigma_sample: float
-    """px."""
-    back_projected: bool = False
-    """Whether it was computed with the nominal orientation instead of measured."""
-    rejected: bool = False
-    """Whether the last batch adjustment rejected it as a blunder."""
-
-
-class PointState(msgspec.Struct, frozen=True):
-    """Prior and image measurements of a point."""
-
-    class_: int
-    """PointClass."""
-    kind: int
-    """PointKind."""
-    place: tuple[float, float, float] | None
-    """m, body-fixed, a-priori position; None where unknown."""
-    covariance: tuple[float, ...]
-    """(9) m^2, covariance of the position, row by row."""
-    measures: tuple[Measure, ...]
-    """Image measurements that adjustments use."""
-    set_aside: tuple[Measure, ...] = ()
-    """Image measurements that the user has rejected."""
-    surface_sigma: float | None = None
-    """m, sigma of its height above the terrain model; None for a point that does not lie on one."""
-
-    def of(self, image: str) -> Measure | None:
-        """The used measurement in an image; None where there is none."""
-        return next((measurement for measurement in self.measures if measurement.image == image), None)
-
-
-def state_of(project: Project, text: str) -> PointState:
-    """State of a point from the journal's JSON; InputError where it is damaged."""
-    try:
-        return msgspec.json.decode(text, type=PointState)
-    except msgspec.MsgspecError as error:
-        raise InputError(str(project.folder), f"{PROJECT} is damaged ({error})", remedy=RESTORE_COPY) from None
-
-
-def last_state(project: Project, point: str) -> PointState | None:
-    """State of a point after its last change, with rejected measurements in stored images only; None without one."""
-    last_edit = project.last_edit_of(point)
-    if last_edit is None or last_edit[1] is None:
-        return None
-    state, stored_names = state_of(project, last_edit[1]), set(project.store.image_names())
-    still_there = tuple(measurement for measurement in state.set_aside if measurement.image in stored_names)
-    return msgspec.structs.replace(state, set_aside=still_there)
-
-
-def rejected_measurements(project: Project) -> dict[str, tuple[Measure, ...]]:
-    """Image measurements that the user has rejected, by name of the point."""
-    states = {point: last_state(project, point) for point in project.edited_points()}
-    return {point: state.set_aside for point, state in states.items() if state is not None and state.set_aside}
+def rejected_measurements(project: Project) -> list[tuple[str, Measure]]:
+    """Point and image measurement of all that users have rejected, in images of the project."""
+    names = set(project.store.image_names())
+    return [
+        (point, measure) for point, of in standing(project.decisions()).items()
+        for image, measure in of.rejected.items() if image in names
+    ]  # fmt: skip

@@ -9,6 +9,8 @@ from typing import NamedTuple
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.case.reading import Case, read_case
 from mgsgraph.errors import InputError
+from mgsgraph.network import PointClass
+from mgsgraph.project.former import former_content
 from mgsgraph.project.project import Project
 from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import profile_names, register_by_relief
@@ -45,11 +47,13 @@ def align(
     case, shown_images = _case_of_project(project, settings)
     settings = replace(settings, images=settings.images or shown_images, crossovers=False)
     result = register_by_relief(case, settings, workers=workers, progress=progress)
+    points = case.network.points
+    former = former_content(project, points.ids[points.classes == PointClass.LASER])
     IncrementalAdjustment(case.settings, project.store).adopt(result.solution)
     shots = int(result.solution.stereo_used.sum())
     what = f"{len(result.profiles)} laser profiles"
     summary = {"cost": result.solution.cost_final, "converged": result.solution.converged, "shots": shots}
-    project.record("align", what, summary)
+    project.record("align", what, summary, former=former)
     progress("tables and figures" if figures else "tables", 0, 1)
     folder = project.keep_solution(
         result.solution, write=lambda to: write_coregistration(result, to, figures, case.path, project.networks)

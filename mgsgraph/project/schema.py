@@ -8,7 +8,7 @@ Blobs named so hold float64, little-endian, row by row; the others are NumPy arc
 Points, rays, ranges and stereo heights, of which there are millions, stand in packed columns (`columns.py`).
 """
 
-FORMAT = 9
+FORMAT = 10
 """Number of the layout; raised with every change of a table."""
 APPLICATION = 0x4D475347
 """SQLite's application id ("MGSG"): by it the file is known as ours."""
@@ -100,9 +100,14 @@ TABLES = (
     """CREATE TABLE change ( -- history
     number INTEGER PRIMARY KEY AUTOINCREMENT,
     at TEXT NOT NULL, -- UTC
-    verb TEXT NOT NULL, -- init, match, add, remove, solve, check, coregister, edit
+    verb TEXT NOT NULL, -- init, match, add, remove, edit, align, undo, redo, solve, check
     what TEXT NOT NULL,
-    summary TEXT NOT NULL -- JSON
+    summary TEXT NOT NULL, -- JSON
+    who TEXT NOT NULL, -- account of the user
+    why TEXT NOT NULL, -- reason that the user gave; empty for none
+    stands INTEGER NOT NULL DEFAULT 1, -- 0: undone
+    undoes INTEGER REFERENCES change, -- of undo and redo: the change that no longer stands, or stands again
+    former BLOB -- .npz: the content that the change replaced (`project.history`); NULL where it replaced none
 )""",
     """CREATE TABLE solution (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -124,15 +129,15 @@ TABLES = (
     -- what is shared, and a-priori sigmas
     PRIMARY KEY (kind, name)
 ) WITHOUT ROWID""",
-    """CREATE TABLE edit ( -- measures and a-priori places that a person has changed, one point each
+    """CREATE TABLE decision ( -- decisions of users about points; they hold for what is added later
     number INTEGER PRIMARY KEY AUTOINCREMENT,
-    change INTEGER NOT NULL REFERENCES change,
-    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove, undo, redo
+    change INTEGER NOT NULL REFERENCES change, -- who, when and why; it stands or is undone
+    kind TEXT NOT NULL, -- measure, move, reject, accept, hold, release, remove
     point TEXT NOT NULL,
-    before TEXT, -- JSON: kind, a-priori place, measures; NULL where there was no such point
-    after TEXT, -- the same afterwards
-    undoes INTEGER REFERENCES edit -- of kinds undo and redo (the undo that it reverses)
+    image TEXT NOT NULL, -- empty for a decision about the point itself
+    measure TEXT, -- JSON: the image measurement
+    state TEXT -- JSON: the point without its measurements; NULL for a removed one
 )""",
-    "CREATE INDEX edit_of_point ON edit (point, number)",
+    "CREATE INDEX decision_of_point ON decision (point, number)",
 )
 """Statements that make an empty project."""

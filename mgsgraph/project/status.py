@@ -9,6 +9,7 @@ from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
 from mgsgraph.project.connection import EXPECTED_PROJECT, RESTORE_COPY
+from mgsgraph.project.decisions import Decision
 from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow, rejected_measurements
 from mgsgraph.text import many, some
 
@@ -25,12 +26,14 @@ def status(project: Project) -> str:
 def _lines(project: Project) -> list[str]:
     names = project.store.image_names()
     sentences = [*_solutions(project, bool(names)), *_contents(project), *_connections(project, names)]
-    changes = project.changes(_HISTORY)[::-1]
+    changes, decisions = project.changes(_HISTORY)[::-1], project.decisions()[::-1]
     return [
         f"{project.name}: a project of {many(len(names), 'image')}, made {project.created[:16].replace('T', ' ')} UTC",
         *(f"- {sentence}" for sentence in sentences),
         f"Changes (UTC), the newest first{', the last 10' if len(changes) == _HISTORY else ''}:",
         *(_change(change) for change in changes),
+        *(["Decisions of users that stand, the newest first:"] if decisions else []),
+        *(_decision(decision) for decision in decisions),
     ]
 
 
@@ -38,7 +41,7 @@ def _contents(project: Project) -> list[str]:
     classes = project.store.point_classes()
     points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
     rays, ranges = project.store.measures()
-    rejected, terrain = sum(map(len, rejected_measurements(project).values())), project.store.terrain
+    rejected, terrain = len(rejected_measurements(project)), project.store.terrain
     parts = [
         f"{many(sum(classes.values()), 'point')}{f' ({points})' if points else ''}", f"{rays} image measurements",
         f"{ranges} laser ranges", f"{rejected} rejected by the user" if rejected else "",
@@ -129,5 +132,13 @@ def _change(change: Change) -> str:
     ]
     if "largest_difference_sigmas" in summary:
         facts.append(f"{summary['largest_difference_sigmas']:.2g} sigmas from batch at most")
+    facts += [f"reason: {change.why}"] if change.why else []
     appendix = f" ({', '.join(facts)})" if facts else ""
-    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{appendix}"
+    undone = "" if change.stands else ", undone"
+    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{appendix}{undone}"
+
+
+def _decision(decision: Decision) -> str:
+    where = f" in {decision.image}" if decision.image else ""
+    why = f" (reason: {decision.why})" if decision.why else ""
+    return f"  {decision.change:4d}  {decision.at[:19]}  {decision.who}: {decision.kind} {decision.point}{where}{why}"

@@ -309,6 +309,14 @@ class ProjectStore:
         rows = self._ask("SELECT min(areoid) FROM bundle")
         return None if rows[0][0] is None else self._grids.record(rows[0][0], TerrainGrid)
 
+    def grid_number(self, grid: TerrainGrid) -> int:
+        """Number of a terrain grid in the file, where it is written unless it is there."""
+        return self._grids.number(grid)
+
+    def grid(self, number: int) -> TerrainGrid:
+        """A terrain grid by its number."""
+        return self._grids.record(number, TerrainGrid)
+
     def with_known_grids(self, network: Network) -> Network:
         """The network with stored terrain grids in place of equal ones, so that all bundles share one grid."""
         surface, areoid = network.surface, network.areoid

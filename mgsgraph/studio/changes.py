@@ -14,9 +14,10 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.table import vector
 from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array
-from mgsgraph.project import edits
-from mgsgraph.project.edits import Edited
-from mgsgraph.project.project import Measure, Project
+from mgsgraph.project import edits, history
+from mgsgraph.project.changes import Changed
+from mgsgraph.project.decisions import Measure
+from mgsgraph.project.project import Project
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 
@@ -74,7 +75,7 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
 
-    def act(project: Project) -> tuple[Edited, list[dict[str, Any]]]:
+    def act(project: Project) -> tuple[Changed, list[dict[str, Any]]]:
         edited = _KINDS[kind](project, content)
         return edited, [] if edited.impact is None else _moved(opened, project, edited.impact)
 
@@ -85,7 +86,7 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _measure(project: Project, content: Mapping[str, Any]) -> Edited:
+def _measure(project: Project, content: Mapping[str, Any]) -> Changed:
     rows = content.get("measures")
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise InputError("change, measures", repr(rows)[:60], "a list of {image, line, sample}")
@@ -100,12 +101,12 @@ def _sigmas(row: Mapping[str, Any]) -> tuple[float, float]:
     return sigma, sigma
 
 
-def _move(project: Project, content: Mapping[str, Any]) -> Edited:
+def _move(project: Project, content: Mapping[str, Any]) -> Changed:
     at = _number(content, "line"), _number(content, "sample")
     return edits.move(project, _text(content, "point"), _text(content, "image"), *at)
 
 
-def _hold(project: Project, content: Mapping[str, Any]) -> Edited:
+def _hold(project: Project, content: Mapping[str, Any]) -> Changed:
     """At a place in degrees (geodetic, that is planetographic latitude) and m above the ellipsoid, with sigmas in m."""
     point = _text(content, "point")
     names = project.store.image_names()
@@ -118,7 +119,7 @@ def _hold(project: Project, content: Mapping[str, Any]) -> Edited:
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 
 
-_KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
+_KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Changed]] = {
     "measure": _measure,
     "move": _move,
     "reject": lambda project, content: edits.reject(project, _text(content, "point"), _text(content, "image")),
@@ -126,7 +127,7 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Edited]] = {
     "hold": _hold,
     "release": lambda project, content: edits.release(project, _text(content, "point")),
     "remove": lambda project, content: edits.remove_point(project, _text(content, "point")),
-    "undo": lambda project, content: edits.undo(project),
+    "undo": lambda project, content: history.undo(project),
 }
 
 

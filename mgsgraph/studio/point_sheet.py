@@ -25,8 +25,9 @@ from mgsgraph.network import PointClass
 from mgsgraph.planning.candidates import planned_point
 from mgsgraph.planning.coverage import ImageCoverage
 from mgsgraph.planning.plan import plan
+from mgsgraph.project.decisions import Measure
 from mgsgraph.project.edits import point_state
-from mgsgraph.project.project import Measure, open_project
+from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import read_state
 from mgsgraph.results.answers import Questions, answered
 from mgsgraph.studio.linked import LinkedImages
@@ -80,7 +81,7 @@ def _of_project(opened: Opened, point: str) -> tuple[tuple[Measure, ...], bool]:
         return (), False
     with open_project(opened.path) as project:
         state = point_state(project, point)
-        return (() if state is None else state.set_aside), project.last_edit_of(point) is not None
+        return (() if state is None else state.set_aside), bool(project.decisions(point))
 
 
 def _measure_record(measure: Measure) -> dict[str, Any]:

@@ -29,14 +29,13 @@ from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import build_network
-from mgsgraph.network.parts import KnownImage
-from mgsgraph.project import edits
+from mgsgraph.network.parts import KnownImage, joined
+from mgsgraph.project import edits, history
 from mgsgraph.project.addition import Addition, NewImage, new_measurements_only
-from mgsgraph.project.changes import remove_images, solve_project, store_unadjusted
+from mgsgraph.project.changes import Changed, remove_images, solve_project, store_unadjusted
+from mgsgraph.project.decisions import Measure, PointState, decided, standing
 from mgsgraph.project.project import (
     KeptAdjustment,
-    Measure,
-    PointState,
     Project,
     open_project,
     rejected_measurements,
@@ -245,13 +244,13 @@ class Editor:
         return f"remove {name}"
 
     def undo(self, project: Project) -> str | None:
-        return self._back(project, edits.undo, self.before, self.undone)
+        return self._back(project, history.undo, self.before, self.undone)
 
     def redo(self, project: Project) -> str | None:
-        return self._back(project, edits.redo, self.undone, self.before)
+        return self._back(project, history.redo, self.undone, self.before)
 
     def _back(
-        self, project: Project, act: Callable[[Project], edits.Edited], given: list[tuple[str, Tie | None]],
+        self, project: Project, act: Callable[[Project], Changed], given: list[tuple[str, Tie | None]],
         taken: list[tuple[str, Tie | None]],
     ) -> str | None:  # fmt: skip
         """Undo or redo one change: the point's state is the one on `given`, and the present one goes to `taken`."""
@@ -317,22 +316,22 @@ def test_undo_gives_back_the_same_numbers(
     with open_project(folder, write=True) as project:
         after = {name: edits.point_state(project, name) for name in {name for name, _ in editor.before}}
         for _ in range(changed):
-            edits.undo(project)
+            history.undo(project)
         for _ in range(changed):
-            edits.redo(project)
+            history.redo(project)
         for name, was in after.items():
             assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
         with pytest.raises(InputError, match="redo"):
-            edits.redo(project)
+            history.redo(project)
         for _ in range(changed):
-            edits.undo(project)
+            history.undo(project)
         with pytest.raises(InputError, match="undo"):
-            edits.undo(project)
+            history.undo(project)
         for name, was in records.items():
             assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
-        assert rejected_measurements(project) == {}
+        assert rejected_measurements(project) == []
         assert apart(adjusted(project), before) < 0.01
-        assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
+        assert sum(one.verb == "undo" for one in project.changes()) >= changed
 
 
 @pytest.mark.parametrize("new", [edits.remove_point, lambda one, _: remove_images(one, one.store.image_names()[:1])])
@@ -340,13 +339,13 @@ def test_a_new_change_ends_what_can_be_redone(folder: Path, new: Callable[[Proje
     name, other = list(_ties())[:2]
     with open_project(folder, write=True) as project:
         edits.reject(project, name, next(iter(_ties()[name].measures)))
-        edits.undo(project)
+        history.undo(project)
         project.record("solve", "changes no input", {})
-        edits.redo(project)
-        edits.undo(project)
+        history.redo(project)
+        history.undo(project)
         new(project, other)
         with pytest.raises(InputError, match="no change to redo"):
-            edits.redo(project)
+            history.redo(project)
 
 
 def test_one_edit_may_be_undone_by_its_number_while_others_stay(folder: Path) -> None:
@@ -357,35 +356,51 @@ def test_one_edit_may_be_undone_by_its_number_while_others_stay(folder: Path) ->
         edits.reject(project, name, image)
         number = project.changes(1)[0].number
         edits.remove_point(project, other)
-        edits.undo(project, number)
+        history.undo(project, number)
         assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
         assert edits.point_state(project, other) is None
-        with pytest.raises(InputError, match=f"was undone by change {number + 2}"):
-            edits.undo(project, number)
-        edits.undo(project)
+        with pytest.raises(InputError, match=f"change {number} is undone"):
+            history.undo(project, number)
+        history.undo(project)
         assert edits.point_state(project, other) is not None
 
 
-def test_an_edit_of_what_has_been_changed_since_is_not_undone(folder: Path) -> None:
+def test_undo_by_number_is_refused_where_the_point_has_changed_since(folder: Path) -> None:
     name = next(name for name, tie in _ties().items() if len(tie.measures) > 2)
     first, second, *_ = _ties()[name].measures
     with open_project(folder, write=True) as project:
+        was = edits.point_state(project, name)
         edits.reject(project, name, first)
+        number = project.changes(1)[0].number
         remove_images(project, [second])
-        with pytest.raises(InputError, match=r"(changed|removed) since"):
-            edits.undo(project)
-    with open_project(folder, write=True) as project:
+        with pytest.raises(InputError, match=f"change {number + 1} has changed point"):
+            history.undo(project, number)
         remove_images(project, [first])
-        assert rejected_measurements(project) == {}  # gone with its image
+        assert rejected_measurements(project) == []  # in no image of the project
+        with pytest.raises(InputError, match="later ones"):
+            history.undo(project, number + 1)
+        for _ in range(3):
+            history.undo(project)
+        assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
 
 
-def test_a_measure_set_aside_is_not_added_again_by_the_file_it_came_from(folder: Path) -> None:
-    name, (image, *_) = a_tie()
+def test_what_a_user_decided_stays_decided_when_the_file_is_given_again(folder: Path) -> None:
+    name, (first, second, *_) = a_tie()
+    other = list(_ties())[-1]
     with open_project(folder, write=True) as project:
-        edits.reject(project, name, image)
+        line, sample, _ = _ties()[name].measures[second]
+        edits.reject(project, name, first)
+        edits.move(project, name, second, line + 0.25, sample)
+        edits.remove_point(project, other)
         again = network_of(fan(IMAGES), range(IMAGES))
-        assert new_measurements_only(again, project.store, rejected_measurements(project)) is None
-        assert new_measurements_only(again, project.store) is not None
+        left = decided(again, standing(project.decisions()))
+        assert left is not None
+        assert new_measurements_only(left, project.store) is None
+        with pytest.raises(InputError, match="measured there before"):
+            joined([project.store.network(), new_measurements_only(again, project.store)])
+        for _ in range(3):
+            history.undo(project)
+        assert decided(again, standing(project.decisions())) is again
 
 
 def test_a_blunder_of_batch_is_accepted_until_batch_judges_anew(folder: Path) -> None:
@@ -451,7 +466,7 @@ def test_mistakes_are_one_line_and_change_nothing(folder: Path) -> None:
         (edits.measure, ("", [first])), (edits.measure, ("a\x1bb", [first])),
         (edits.measure, ("new", [msgspec.structs.replace(first, sigma_line=-1.0)])),
         (edits.hold, (name, np.array([1.0, 2.0, 3.0]), np.ones(3))),
-        (edits.hold, (name, np.full(3, np.nan), np.ones(3))), (edits.remove_point, (shot,)), (edits.undo, ()),
+        (edits.hold, (name, np.full(3, np.nan), np.ones(3))), (edits.remove_point, (shot,)), (history.undo, ()),
     ]  # fmt: skip
     for act, arguments in wrong:
         with pytest.raises(InputError) as error, open_project(folder, write=True) as project:
@@ -511,10 +526,10 @@ def test_points_on_a_terrain_model_stay_on_it(tmp_path: Path) -> None:
         assert free is not None
         assert free.surface_sigma == new.surface_sigma  # of the model's own control there
         for _ in range(2):
-            edits.undo(project)
+            history.undo(project)
         edits.remove_point(project, name)
         assert edits.point_state(project, name) is None
-        edits.undo(project)
+        history.undo(project)
         assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
         batch = adjust_network(project.store.network(), replace(SETTINGS.solver.settings, starts=0))
         assert distances(adjusted(project), batch).within()
@@ -525,14 +540,15 @@ def replace_image(one: Measure) -> Measure:
     return msgspec.structs.replace(one, sample=one.sample + 0.5)
 
 
-def test_a_damaged_journal_is_named(folder: Path) -> None:
-    name = next(iter(_ties()))
+@pytest.mark.parametrize("damage", ["UPDATE change SET former = x'00'", "UPDATE decision SET measure = '[1]'"])
+def test_a_damaged_history_is_named(folder: Path, damage: str) -> None:
+    name, (image, *_) = a_tie()
     with open_project(folder, write=True) as project:
-        edits.remove_point(project, name)
+        edits.reject(project, name, image)
     plain = sqlite3.connect(folder / "project.sqlite")
-    plain.execute("UPDATE edit SET before = '{\"kind\": 1}'")
+    plain.execute(damage)
     plain.execute("PRAGMA user_version = 0")
     plain.commit()
     plain.close()
-    with pytest.raises(InputError, match=r"project\.sqlite is damaged"), open_project(folder, write=True) as project:
-        edits.undo(project)
+    with open_project(folder, write=True) as project, pytest.raises(InputError, match=r"project|damaged"):
+        _ = edits.point_state(project, name) and history.undo(project)

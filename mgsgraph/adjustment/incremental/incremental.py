@@ -234,32 +234,48 @@ class IncrementalAdjustment(Record):
         before = self.store.definitions()
         after = shortened(self.store, before, names)
         changed = without(self.store, names, after, turned_bundles(self.store, before, after))
-        return self._change("remove", list(names), [], *changed, after)
+        return self._change("remove", names, (), *changed, after, names)
 
     def resume(self, store: StateStore) -> None:
         """Continue with a store that holds the same state, opened again."""
         self.store = store
         self._engine.resume(store)
 
-    def replace_points(self, ids: Sequence[str], network: Network | None, verb: str = "edit") -> Impact:
-        """Replace points, with all of their rows, by those of a network.
+    def replace_points(
+        self,
+        ids: Sequence[str],
+        network: Network | None,
+        verb: str = "edit",
+        new: Sequence[KnownImage] = (),
+        removed: Sequence[str] = (),
+        definitions: Definitions | None = None,
+    ) -> Impact:
+        """Replace points, with all of their rows, by those of a network; bring and remove images with them.
 
         Parameters
         ----------
         ids : sequence of str
             Names of these points.
         network : Network or None
-            With images of the adjustment; None removes the points.
+            With images of the adjustment and new ones; None removes the points.
         verb : str
             The name of the change in its report.
+        new : sequence of KnownImage
+            Images that come with the points.
+        removed : sequence of str
+            Names of images that no other point depends on, to be removed.
+        definitions : Definitions, optional
+            Passes and shared unknowns from now on; as they are when absent.
 
         Raises
         ------
         InputError
             When parts contradict each other; nothing has changed then.
         """
-        definitions = self.store.definitions()
-        return self._change(verb, (), (), *with_points(self.store, ids, network, definitions), definitions)
+        before = self.store.definitions()
+        after = before if definitions is None else definitions
+        changed = with_points(self.store, ids, network, after, turned_bundles(self.store, before, after))
+        return self._change(verb, [image.image.name for image in new], new, *changed, after, removed)
 
     def close(self, name: str = "adjustment", progress: "Progress" = no_progress) -> tuple[Closing, "Solution"]:
         """The closing check: a batch adjustment of everything, from the nominal orientation, and its differences.
@@ -360,16 +376,17 @@ class IncrementalAdjustment(Record):
         replaced: Sequence[Members],
         networks: Mapping[Members, Network],
         definitions: Definitions,
+        removed: Sequence[str] = (),
     ) -> Impact:
         """Replace bundles, store the new state, and report the change; `definitions` are the passes and shared unknowns
         from now on.
         """
-        began, engine, removing = time.perf_counter(), self._engine, verb == "remove"
+        began, engine = time.perf_counter(), self._engine
         require_one_body(self.store, new)
         before = dict(engine.shared)
         old = {members: self.store.bundle(members) for members in replaced}
         with engine.all_or_nothing():
-            dropped = [u for name in subjects if removing and (u := Unknown("image", name)) in before]
+            dropped = [unknown for name in removed if (unknown := Unknown("image", name)) in before]
             remaining = set(unknowns_of(definitions))
             dropped += [unknown for unknown in unknowns_of(engine.known) if unknown not in remaining]
             unknowns_new = self._new_unknowns(new, networks, definitions)
@@ -378,7 +395,7 @@ class IncrementalAdjustment(Record):
             report = impact(verb, subjects, settled, old, before, engine.shared)
             self.store.set_definitions(definitions)
             self._keep(settled, replaced, networks, new, before)
-            for name in subjects if removing else ():
+            for name in removed:
                 self.store.drop_image(name)
         return report.after(time.perf_counter() - began)
 

@@ -355,10 +355,16 @@ def without(
 
 
 def with_points(
-    store: StateStore, ids: Sequence[str], network: Network | None, definitions: Definitions
+    store: StateStore,
+    ids: Sequence[str],
+    network: Network | None,
+    definitions: Definitions,
+    turned: Iterable[Members] = (),
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that have some points, and the bundles after a network replaces these points; None removes them."""
-    replaced = sorted(set(store.bundles_of(ids).values()))
+    """Bundles that have some points, and the bundles after a network replaces these points; None removes them.
+    `turned` as in `with_addition`.
+    """
+    replaced = sorted({*store.bundles_of(ids).values(), *turned})
     parts = (store.bundle(members).network for members in replaced)
     rest = [remaining for part in parts if (remaining := without_points(part, ids)) is not None]
     return _completed(store, replaced, rest if network is None else [*rest, network], definitions)

@@ -55,8 +55,8 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
     symbols = dict(zip(_strings("PATH_SYMBOLS"), _strings("PATH_VALUES"), strict=False))
     for variable in ("KERNELS_TO_LOAD", "PATH_SYMBOLS", "PATH_VALUES"):
         spiceypy.dvpool(variable)
-    files = []
-    for name in names:
+    files = dict[Path, Path]()
+    for name in reversed(names):
         full = name
         for symbol in sorted(symbols, key=len, reverse=True):
             full = full.replace(f"${symbol}", symbols[symbol])
@@ -67,20 +67,20 @@ def members(path: Path, home: Path = Path()) -> list[Path]:
                 f"it as {(home / full).absolute()} or beside the meta-kernel",
                 "fetch it, or fix PATH_VALUES or KERNELS_TO_LOAD",
             )
-        if b"KERNELS_TO_LOAD" in _text_of(places[0]):
+        real = places[0].resolve()  # one that is named again is loaded once, at its last place
+        if real not in files and b"KERNELS_TO_LOAD" in _text_of(real):
             raise InputError(str(path), f"the meta-kernel {name!r} among its kernels", "no other meta-kernel in one")
-        files.append(places[0])
-    return files
+        files.setdefault(real, places[0])
+    return [*files.values()][::-1]
 
 
 def _strings(variable: str) -> list[str]:
     """Texts of a pool variable, those joined that '+' carries over; empty when there is no such variable."""
-    texts: list[str] = []
-    while True:
-        try:
-            texts.append(spiceypy.stpool(variable, len(texts), "+", 1024)[0])
-        except NotFoundError:
-            return texts
+    try:
+        parts = spiceypy.gcpool(variable, 0, spiceypy.dtpool(variable)[0], 1024)
+    except NotFoundError:
+        return []
+    return "\n".join(part.rstrip() for part in parts).replace("+\n", "").removesuffix("+").split("\n")
 
 
 def _text_of(path: Path) -> bytes:
