@@ -198,7 +198,7 @@ def measure(
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
         done = [edits.measure(opened, point, wanted)] if new else []
-        done += [] if new else [edits.put_measure(opened, point, one) for one in wanted]
+        done += [] if new else [edits.set_measure(opened, point, one) for one in wanted]
         done += [edits.reject(opened, point, image) for image in opened.images_named(rejected)]
         done += [edits.accept(opened, point, image) for image in opened.images_named(accepted)]
         done += [edits.remove_point(opened, point)] if gone else []

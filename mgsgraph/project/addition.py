@@ -1,4 +1,4 @@
-"""What is to be added to a project: images from their files, and the measures of ties and shots that name them."""
+"""Additions to a project: images from their files, and the measurements of tie points and laser shots in them."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -29,7 +29,7 @@ from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
-from mgsgraph.project.project import Measure, Project, all_set_aside
+from mgsgraph.project.project import Measure, Project, rejected_measurements
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
 
@@ -38,49 +38,49 @@ _CASES = (".toml",)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NewImage:
-    """An image that is to be added."""
+    """A new image of a project."""
 
     known: KnownImage
-    """Geometry, prior and whether it is held."""
+    """Geometry, prior, and whether its orientation is held."""
     picture: Path | None = None
     """File of its pixels, where known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Addition:
-    """Images and measures that are to be added in one change."""
+    """Images and measurements that one change adds to a project."""
 
     images: tuple[NewImage, ...]
     """New images."""
     network: Network | None
-    """All measures, with the images (new and known) that they name, and all new images; None without any measure."""
+    """All measurements, with the images (new and stored) that they name and all new images; None without any."""
     files: tuple[Path, ...] = ()
-    """Files of the measures."""
+    """Files of the measurements."""
     unconnected: tuple[str, ...] = ()
-    """New images that share no point with another one."""
+    """New images that share no point with another image."""
     networks: tuple[Path, ...] = ()
     """Files of tie points."""
     notes: tuple[str, ...] = ()
-    """What of these was left out, or is given twice, in sentences."""
+    """Sentences about measurements that were left out or are given twice."""
     definitions: Definitions = field(default_factory=Definitions)
-    """Passes and shared unknowns that new images join or begin."""
+    """Passes and shared unknowns that the new images join or create."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the new images."""
-        return tuple(one.known.image.name for one in self.images)
+        return tuple(_names(self.images))
 
 
 @dataclass(frozen=True, slots=True)
 class ImageArgument:
-    """One argument: an image's file and the name it is given, if any."""
+    """An argument of the command line: the file of an image, and its name if the user gives one."""
 
     path: Path
     name: str | None = None
 
 
 def parse_image(text: str) -> ImageArgument:
-    """[NAME=]PATH; a path that exists is one, whatever signs are in it."""
+    """The argument [NAME=]PATH; a text that is the path of an existing file is a path, also with '=' in it."""
     name, sign, path = text.partition("=")
     if not sign or Path(text).exists():
         return ImageArgument(Path(text))
@@ -93,232 +93,238 @@ def read_addition(
     project: Project, images: Sequence[ImageArgument], ties: Sequence[Path], shots: Sequence[Path], of_pass: str = "",
     shares: Sequence[str] = (),
 ) -> Addition:  # fmt: skip
-    """Read everything that is to be added.
+    """Read all images and measurements that the user adds.
 
     Parameters
     ----------
     project : Project
-        To which it is to be added, for its settings and what is there already.
+        The project that receives them: its settings, images and points.
     images : sequence of ImageArgument
         Support data (.json, .isd), MOC labels (.img, .lbl, .cub) or case files (.toml), which bring everything that
         they name.
     ties, shots : sequence of Path
         Control networks; ISIS lidar files (.json) and files of an altimeter's archive.
     of_pass : str
-        Pass of the project that single images, and those of case files without measures, join.
+        Pass of the project that single images, and those of case files without measurements, join.
     shares : sequence of str
-        Shared unknowns of the project that they share.
+        Shared unknowns of the project that the same images share.
 
     Raises
     ------
     InputError
-        An image that is there already; measures in unknown images alone, or along with a new image that no tie names;
-        a file that can't be used.
+        An image that the project already has; measurements in unknown images only, or together with a new image that
+        no tie point names; a file that can't be used.
     """
-    store, settings, where = project.store, project.settings, str(project.folder)
-    there = store.image_names()
-    networks, new, sources, notes = list[Network](), list[NewImage](), list(ties), list[str]()
-    brought, unmeasured = list[Definitions](), list[NewImage]()
-    for wanted in images:
-        if wanted.path.suffix.lower() in _CASES:
-            found, case = _of_case(wanted.path)
-            new += found
-            if case is None:
-                unmeasured += found
-                continue
-            _require_no_options(wanted.path, of_pass, shares)
-            brought.append(definitions(case.network))
-            networks.append(with_definitions(store.with_known_grids(case.network), Definitions()))
-            sources += case.networks
-            notes += case.notes
-    sigmas = settings.measures
-    every = ImagesByName(store, [one.known for one in new])
-    body = next((every[name].image.body for name in every), None)  # of the first image that is known
+    store, where = project.store, str(project.folder)
+    case_files = [argument.path for argument in images if argument.path.suffix.lower() in _CASES]
+    contents = [_read_case_images(path) for path in case_files]
+    cases = [case for _, case in contents if case is not None]
+    _require_no_options(cases, of_pass, shares)
+    case_images = [image for images_, _ in contents for image in images_]
+    networks = [with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases]
+    stored_passes, stored_names = store.definitions(), store.image_names()
+    notes = [note for case in cases for note in case.notes]
+    body = next((known.image.body for known in ImagesByName(store, _known(case_images)).values()), None)
     tie_points = [read_tie_points(path, body) for path in ties]
-    single = [wanted for wanted in images if wanted.path.suffix.lower() not in _CASES]
-    alone = [_single(wanted, settings, where) for wanted in _named(single, tie_points, [*there, *_names(new)], notes)]
-    new += alone
-    known_passes = store.definitions()
-    joins = [*unmeasured, *alone]
-    brought += [joining(known_passes, name, of_pass, shares, where) for name in _names(joins)]
-    notes += [] if of_pass else _taken_along(known_passes, [one.known.image for one in joins], store)
-    _require_new(_names(new), there, where)
-    require_distinct_from(project, [one.known for one in new])
-    known = [*there, *_names(new)]
-    if not {name for one in tie_points for name in one.measure_image}.issuperset(_names(alone)):
-        _require_known(tie_points, known)  # an image that the ties don't name may be one that they call otherwise
-    for k, one in enumerate(tie_points):
-        held, left_out = in_images(one, known, "the project", store.bundles_of(one.ids))
-        tie_points[k] = with_sigmas(held, sigmas.tie_sigma_px, {}, factor=sigmas.tie_sigma_factor)
+    arguments = [argument for argument in images if argument.path not in case_files]
+    arguments = _with_names(arguments, tie_points, [*stored_names, *_names(case_images)], notes)
+    single_images = [_read_single_image(argument, project.settings, where) for argument in arguments]
+    new_images = [*case_images, *single_images]
+    joining_images = [image for images_, case in contents if case is None for image in images_] + single_images
+    passes = [definitions(case.network) for case in cases]
+    passes += [joining(stored_passes, name, of_pass, shares, where) for name in _names(joining_images)]
+    notes += [] if of_pass else _notes_on_passes(stored_passes, [new.image for new in _known(joining_images)], store)
+    _require_new(_names(new_images), stored_names, where)
+    require_distinct_from(project, _known(new_images))
+    if not {name for file_ties in tie_points for name in file_ties.measure_image}.issuperset(_names(single_images)):
+        # an image that the ties don't name may be one that they call otherwise
+        _require_known(tie_points, [*stored_names, *_names(new_images)])
+    networks += _new_measurements(project, new_images, tie_points, shots, notes)
+    network, connected_names = None, set[str]()
+    if networks:
+        network = joined(networks)
+        notes += _notes_on_duplicates(network, store)
+        connected_names = _connected_images(network, store)
+        known_images_, names = ImagesByName(store, _known(new_images)), [image.name for image in network.images]
+        network = with_images(network, [known_images_[name] for name in dict.fromkeys([*names, *_names(new_images)])])
+    unconnected = tuple(name for name in _names(new_images) if name not in connected_names)
+    return Addition(
+        tuple(new_images), network, (*ties, *shots, *case_files), unconnected,
+        (*ties, *(path for case in cases for path in case.networks)), tuple(notes), united(passes),
+    )  # fmt: skip
+
+
+def _new_measurements(
+    project: Project, new_images: Sequence[NewImage], tie_points: Sequence[TiePoints], shots: Sequence[Path],
+    notes: list[str],
+) -> list[Network]:  # fmt: skip
+    """Tie points and shots that the project does not have yet, as one network (none without any); sentences about ties
+    that are left out go to `notes`.
+    """
+    store, sigmas, names = project.store, project.settings.measures, [*project.store.image_names(), *_names(new_images)]
+    observations = list[TiePoints | LaserProfile]()
+    for ties in tie_points:
+        held, left_out = in_images(ties, names, "the project", store.bundles_of(ties.ids))
+        observations.append(with_sigmas(held, sigmas.tie_sigma_px, {}, factor=sigmas.tie_sigma_factor))
         notes += [left_out] if left_out else []
-    mapping = ImagesByName(store, [one.known for one in new])
-    profiles = [_profile(path, settings, [one.known.image for one in new] or None, store) for path in shots]
-    observations: list[TiePoints | LaserProfile] = [*tie_points, *profiles]
-    measures = build_network(mapping, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
-    if measures is not None:
-        measures = unknown_alone(measures, store, all_set_aside(project))
-    if measures is not None:
-        networks.append(on_terrain(measures, store))
-    files = (*ties, *shots, *(wanted.path for wanted in images if wanted.path.suffix.lower() in _CASES))
-    if not networks:
-        unlinked = tuple(_names(new))
-        return Addition(tuple(new), None, files, unlinked, tuple(sources), tuple(notes), united(brought))
-    network = joined(networks)
-    notes += _given_again(network, store)
-    named = [image.name for image in network.images]
-    pictures = [mapping[name] for name in named] + [one.known for one in new if one.known.image.name not in named]
-    linked = _linked(network, store)
-    unconnected = tuple(name for name in _names(new) if name not in linked)
-    whole = with_images(network, pictures)
-    return Addition(tuple(new), whole, files, unconnected, tuple(sources), tuple(notes), united(brought))
+    images = [known.image for known in _known(new_images)]
+    observations += [_read_profile(path, project.settings, images, store) for path in shots]
+    by_name = ImagesByName(store, _known(new_images))
+    network = build_network(by_name, observations, sigmas.tie_sigma_px, sigmas.shot_image_sigma_px)
+    if network is not None:
+        network = new_measurements_only(network, store, rejected_measurements(project))
+    return [] if network is None else [on_terrain(network, store)]
 
 
-def _taken_along(known: Definitions, images: Sequence[PushbroomImage], store: ProjectStore) -> list[str]:
-    """Sentences about images with an orientation of their own that were taken while a pass of the project was."""
-    found = list[str]()
-    for one in known.passes.values():
-        edges = np.array([seconds(store.image(name).image) for name in one.images])
+def _notes_on_passes(stored: Definitions, images: Sequence[PushbroomImage], store: ProjectStore) -> list[str]:
+    """Sentences about images with their own orientation that were taken during a pass of the project."""
+    notes = list[str]()
+    for pass_ in stored.passes.values():
+        pass_intervals = np.array([seconds(store.image(name).image) for name in pass_.images])
         for image in images:
             start, stop = seconds(image)
-            if np.any((edges[:, 0] < stop) & (start < edges[:, 1])):
-                found.append(
-                    f"{image.name} was taken while images of pass {one.name} were, and gets an orientation of its own; "
-                    f"--pass {one.name!r} puts it on that trajectory."
+            if np.any((pass_intervals[:, 0] < stop) & (start < pass_intervals[:, 1])):
+                notes.append(
+                    f"{image.name} was taken while images of pass {pass_.name} were, and gets an orientation of its "
+                    f"own; --pass {pass_.name!r} puts it on that trajectory."
                 )
-    return found
+    return notes
 
 
-def _given_again(network: Network, store: ProjectStore) -> list[str]:
-    """Sentences about measures that the project, in the same images, or the addition has under another name, too."""
-    near = dict.fromkeys(members for image in network.images for members in store.seen_by(image.name))
-    known = [with_definitions(store.bundle(members).network, Definitions()) for members in near]
-    with suppress(InputError):  # a contradiction is refused where it is put in
-        there = sum(len(one.points) for one in known)
-        return [f"{one.sentence}." for one in duplicates(joined([*known, network]), there)]
+def _notes_on_duplicates(network: Network, store: ProjectStore) -> list[str]:
+    """Sentences about measurements that the project or the addition also has under another name, in the same images."""
+    stored_bundles = dict.fromkeys(members for image in network.images for members in store.seen_by(image.name))
+    stored_networks = [with_definitions(store.bundle(members).network, Definitions()) for members in stored_bundles]
+    with suppress(InputError):  # contradictions are refused when the network is stored
+        stored_count = sum(len(stored.points) for stored in stored_networks)
+        return [f"{duplicate.sentence}." for duplicate in duplicates(joined([*stored_networks, network]), stored_count)]
     return []
 
 
-def _linked(network: Network, store: ProjectStore) -> set[str]:
-    """Images with a point that another image, of the addition or of the project, sees, too."""
-    known = store.bundles_of(network.points.ids)
-    there = np.array([name in known for name in network.points.ids], dtype=bool)
-    count = len(network.images)
-    point, image = np.divmod(np.unique(network.rays.point * count + network.rays.image), count)
-    shared = there[point] | (np.bincount(point, minlength=len(network.points))[point] > 1)
-    return {network.images[j].name for j in np.unique(image[shared]).tolist()}
+def _connected_images(network: Network, store: ProjectStore) -> set[str]:
+    """Names of images with a point that another image, of the addition or of the project, also sees."""
+    bundle_of_point = store.bundles_of(network.points.ids)
+    is_stored = np.array([name in bundle_of_point for name in network.points.ids], dtype=bool)
+    image_count = len(network.images)
+    point, image = np.divmod(np.unique(network.rays.point * image_count + network.rays.image), image_count)
+    is_shared = is_stored[point] | (np.bincount(point, minlength=len(network.points))[point] > 1)
+    return {network.images[j].name for j in np.unique(image[is_shared]).tolist()}
 
 
-def _names(new: Sequence[NewImage]) -> list[str]:
-    return [one.known.image.name for one in new]
+def _names(new_images: Sequence[NewImage]) -> list[str]:
+    return [known.image.name for known in _known(new_images)]
+
+
+def _known(new_images: Sequence[NewImage]) -> list[KnownImage]:
+    return [new_image.known for new_image in new_images]
 
 
 # --- images
 
 
 def images_of_case(path: Path, ties: Path | None = None) -> tuple[list[NewImage], Case]:
-    """Images of a case file, and the case; `ties` are taken in place of its own."""
+    """Images of a case file, and the case; `ties` replace its own tie points."""
     case = read_case(path, ties=ties)
-    if case.vibrating or any(one.asks_for_strengths for one in case.network.passes):
+    if case.vibrating or any(pass_.asks_for_strengths for pass_ in case.network.passes):
         found, remedy = "strengths or vibrations to be estimated", "state the numbers that `mgsgraph adjust` finds"
         raise InputError(f"{path}, passes", found, "numbers: a project takes them as known", remedy)
-    known = known_images(case.network)
-    return [NewImage(one, case.pictures[j] if case.pictures else None) for j, one in enumerate(known)], case
+    case_images = known_images(case.network)
+    return [NewImage(known, case.pictures[j] if case.pictures else None) for j, known in enumerate(case_images)], case
 
 
-def images_alone(path: Path) -> tuple[list[NewImage], str]:
-    """Images of a case file whose tie points are still to be found, and what it is called.
+def images_without_ties(path: Path) -> tuple[list[NewImage], str]:
+    """Images of a case file that has no tie points yet, and the name of the case.
 
     Raises
     ------
     InputError
         As `read_case` about images.
     """
-    wanted = decode(path)
-    of_passes = members(wanted.passes, [entry.name for entry in wanted.images], str(path))
-    images = read_images(wanted, wanted.orientations, of_passes, path)
-    known = map(KnownImage, images, wanted.priors(str(path), images), (entry.held for entry in wanted.images))
+    case_input = decode(path)
+    of_passes = members(case_input.passes, [entry.name for entry in case_input.images], str(path))
+    images = read_images(case_input, case_input.orientations, of_passes, path)
+    knowns = map(KnownImage, images, case_input.priors(str(path), images), (entry.held for entry in case_input.images))
     return [
-        NewImage(one, picture_of(entry, path.parent))
-        for one, entry in zip(known, wanted.images, strict=True)
-    ], wanted.name
+        NewImage(known, picture_of(entry, path.parent)) for known, entry in zip(knowns, case_input.images, strict=True)
+    ], case_input.name
 
 
-def _of_case(path: Path) -> tuple[list[NewImage], Case | None]:
-    """All that a case names; of one without ties and laser, the images alone."""
-    wanted = decode(path)
-    if not wanted.measured and not wanted.shots:
-        unknown = any(one.sharing != "fixed" for one in wanted.mountings)
-        there = [name for name in ("passes", "shared") if getattr(wanted, name)]
-        for name in [*there, *(["mountings"] if unknown else [])][:1]:
+def _read_case_images(path: Path) -> tuple[list[NewImage], Case | None]:
+    """Images of a case file, and the case; None in its place where it has neither tie points nor laser shots."""
+    case_input = decode(path)
+    if not case_input.measured and not case_input.shots:
+        has_free_mounting = any(mounting.sharing != "fixed" for mounting in case_input.mountings)
+        stated_tables = [name for name in ("passes", "shared") if getattr(case_input, name)]
+        for name in [*stated_tables, *(["mountings"] if has_free_mounting else [])][:1]:
             found, remedy = "what its images share, without any measure of them", f"name their ties, or take {name} out"
             raise InputError(f"{path}, {name}", found, "tie points or laser shots", remedy)
-        return images_alone(path)[0], None
+        return images_without_ties(path)[0], None
     return images_of_case(path)
 
 
-def _require_no_options(path: Path, of_pass: str, shares: Sequence[str]) -> None:
-    """Raise InputError where options say what a case with measures says itself."""
-    if of_pass or shares:
+def _require_no_options(cases: Sequence[Case], of_pass: str, shares: Sequence[str]) -> None:
+    """Raise InputError if options name a pass or shared unknowns: a case with measurements names them itself."""
+    if cases and (of_pass or shares):
         option = "--pass" if of_pass else "--share"
         expected = "none: a case with measures names its passes and shared unknowns itself"
-        raise InputError(str(path), f"{option} for its images", expected)
+        raise InputError(str(cases[0].path), f"{option} for its images", expected)
 
 
-def _single(wanted: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
-    """From a file of any kind that a case file takes, a label with the project's kernels."""
-    stated = ImageInput(name=wanted.name or "", image=str(wanted.path.absolute()))
-    entry = plain_image(stated, settings.spice, Path(), where)
-    image = read_image(entry, settings.spice, Path(), f"{where}, {wanted.path}")
+def _read_single_image(argument: ImageArgument, settings: ProjectSettings, where: str) -> NewImage:
+    """An image from a file of any kind that a case file takes; labels are read with the project's kernels."""
+    image_input = ImageInput(name=argument.name or "", image=str(argument.path.absolute()))
+    entry = plain_image(image_input, settings.spice, Path(), where)
+    image = read_image(entry, settings.spice, Path(), f"{where}, {argument.path}")
     orientation = settings.orientation
     image = orientation.nominal_of(image)
     prior = orientation.prior(f"{where}, settings, orientation", image.mission)
     return NewImage(KnownImage(image, prior), picture_of(entry, Path()))
 
 
-def _named(
-    images: Sequence[ImageArgument], ties: Sequence[TiePoints], known: Sequence[str], notes: list[str]
+def _with_names(
+    arguments: Sequence[ImageArgument], tie_files: Sequence[TiePoints], known_names: Sequence[str], notes: list[str]
 ) -> list[ImageArgument]:
-    """Each image with a name: given, or the only one that ties use and nobody has, or what its file calls it."""
-    taken = {*known, *(wanted.name for wanted in images if wanted.name)}
-    used = {name for one in ties for name in one.measure_image} - taken
-    nameless = [wanted for wanted in images if not wanted.name]
-    if len(nameless) == 1 and len(used) == 1:
-        nameless = [ImageArgument(nameless[0].path, used.pop())]
+    """Arguments with a name each: the given one, else the only name in the ties without an image, else the file's."""
+    taken_names = {*known_names, *(argument.name for argument in arguments if argument.name)}
+    tie_names = {name for tie_points in tie_files for name in tie_points.measure_image} - taken_names
+    nameless = [file for file in arguments if not file.name]
+    if len(nameless) == 1 and len(tie_names) == 1:
+        nameless = [ImageArgument(nameless[0].path, tie_names.pop())]
         if nameless[0].name != nameless[0].path.stem:
             notes.append(f"{nameless[0].path} was taken for {nameless[0].name}, which the ties name; NAME=FILE says it")
     else:
-        nameless = [ImageArgument(one.path, image_name(one.path, image_kind(one.path))) for one in nameless]
-    return [wanted for wanted in images if wanted.name] + nameless
+        nameless = [ImageArgument(file.path, image_name(file.path, image_kind(file.path))) for file in nameless]
+    return [argument for argument in arguments if argument.name] + nameless
 
 
-def _require_new(names: Sequence[str], there: Sequence[str], where: str) -> None:
+def _require_new(names: Sequence[str], stored_names: Sequence[str], where: str) -> None:
     for k, name in enumerate(names):
-        if name in there:
+        if name in stored_names:
             remedy = f"remove it first to replace it: mgsgraph project remove {where} {name}"
             raise InputError(where, f"the image {name!r} is in the project already", "a new image", remedy)
         if name in names[:k]:
             raise InputError(where, f"the image {name!r} is given twice", "each image once", "name them: NAME=FILE")
 
 
-def require_distinct_from(project: Project, new: Sequence[KnownImage]) -> None:
-    """Raise InputError for a new image that the project, or the addition, has under another name. Of the project's
-    images those alone are read whole that begin together with a new one.
+def require_distinct_from(project: Project, new_images: Sequence[KnownImage]) -> None:
+    """Raise InputError for a new image that the project or the addition also has under another name. Only those of the
+    project's images are read that begin at the same time as a new one.
     """
-    times = project.image_times() if new else {}
-    pairs = simultaneous_starts([*times.values(), *(ImageTimes.of(one.image) for one in new)])
-    near = {j for pair in pairs if max(pair) >= len(times) for j in pair}
-    there = [project.store.image(name).image for j, name in enumerate(times) if j in near]
-    require_distinct([*there, *(one.image for one in new)], str(project.folder))
+    times = project.image_times() if new_images else {}
+    pairs = simultaneous_starts([*times.values(), *(ImageTimes.of(new.image) for new in new_images)])
+    near_numbers = {j for pair in pairs if max(pair) >= len(times) for j in pair}
+    stored_images = [project.store.image(name).image for j, name in enumerate(times) if j in near_numbers]
+    require_distinct([*stored_images, *(new.image for new in new_images)], str(project.folder))
 
 
-def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
-    for one in ties:
-        for k, name in enumerate(one.measure_image):
-            if name not in known:
-                point = one.ids[int(one.measure_point[k])]
+def _require_known(tie_files: Sequence[TiePoints], known_names: Sequence[str]) -> None:
+    for tie_points in tie_files:
+        for k, name in enumerate(tie_points.measure_image):
+            if name not in known_names:
+                point = tie_points.ids[int(tie_points.measure_point[k])]
                 raise InputError(
-                    f"{one.source}, point {point}", f"a measure in the unknown image {name!r}",
-                    f"an image of the project or one that is added ({', '.join(known[-4:]) or 'there is none'})",
+                    f"{tie_points.source}, point {point}", f"a measure in the unknown image {name!r}",
+                    f"an image of the project or one that is added ({', '.join(known_names[-4:]) or 'there is none'})",
                     "add that image too, or name the file: NAME=FILE",
                 )  # fmt: skip
 
@@ -326,78 +332,78 @@ def _require_known(ties: Sequence[TiePoints], known: Sequence[str]) -> None:
 # --- shots
 
 
-def _profile(
-    path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage] | None, store: ProjectStore
+def _read_profile(
+    path: Path, settings: ProjectSettings, images: Sequence[PushbroomImage], store: ProjectStore
 ) -> LaserProfile:
-    """Shots of an ISIS lidar file; or, of an altimeter's profile, those in the image taken along with it."""
-    pictures = images or [store.image(name).image for name in store.image_names()]
-    if not pictures:
+    """Shots of an ISIS lidar file; or those of an altimeter's profile in the image that was taken at the same time."""
+    candidate_images = images or [store.image(name).image for name in store.image_names()]
+    if not candidate_images:
         raise InputError(str(path), "laser shots without an image", "an image that they belong to", "add it too")
     if path.suffix.lower() == ".json":
         lidar = read_lidar(path)
-        require_on_body(lidar.footprints, pictures[0].body, lidar.source, lidar.ids)
+        require_on_body(lidar.footprints, candidate_images[0].body, lidar.source, lidar.ids)
         return lidar
     shots, sigmas = read_shots(path), settings.measures
-    seen, usable = shots_in_images(pictures, shots)
+    registration, is_usable = shots_in_images(candidate_images, shots)
     remedy = "use [[shots]] of a case file"
-    owner = seen.simultaneous_image(usable, remedy)
-    if owner is None:
+    image_number = registration.simultaneous_image(is_usable, remedy)
+    if image_number is None:
         found = "no shot that was taken along with one of the images and falls in it"
         raise InputError(str(path), found, "one image that the profile crosses", remedy)
-    taken = shots.chosen(seen.inside[owner] & seen.simultaneous[owner] & usable)
-    wanted = ShotsInput(
+    chosen_shots = shots.chosen(registration.inside[image_number] & registration.simultaneous[image_number] & is_usable)
+    shots_input = ShotsInput(
         str(path), range_sigma_m=sigmas.shot_range_sigma_m, ground_sigma_m=sigmas.shot_ground_sigma_m,
         height_sigma_m=sigmas.shot_height_sigma_m,
     )  # fmt: skip
-    return laser_profile(taken, path.stem, wanted, [(pictures[owner], slice(None))])
+    return laser_profile(chosen_shots, path.stem, shots_input, [(candidate_images[image_number], slice(None))])
 
 
-# --- points that are there already
+# --- points that the project already has
 
 
-def unknown_alone(
-    network: Network, store: ProjectStore, set_aside: Mapping[str, Sequence[Measure]] | None = None
+def new_measurements_only(
+    network: Network, store: ProjectStore, rejected: Mapping[str, Sequence[Measure]] | None = None
 ) -> Network | None:
-    """The network with points that are there already as free ones (but for what is known better now), and without the
-    measures that are there already (or have been `set_aside`, of points by name) and the points that have no other;
-    None where nothing is left.
+    """The network without the measurements that are stored already (or `rejected` by the user, by name of the
+    point) and without points that have no other measurement; None where nothing is left. Stored points become free
+    points, unless the network has a stronger a-priori position.
 
-    A measure of the same point in the same image with another place stays: it contradicts, and will be refused.
+    A measurement of the same point in the same image with other coordinates stays: it contradicts, and is refused
+    later.
     """
     bundles = store.bundles_of(network.points.ids)
     if not bundles:
         return network
     old = joined([store.bundle(members).network for members in dict.fromkeys(bundles.values())])
     network = network.independent
-    number = {name: i for i, name in enumerate(old.points.ids)}
-    there = np.array([number.get(name, -1) for name in network.points.ids])
-    points, before, of = network.points, old.points, np.maximum(there, 0)
-    known = (there >= 0) & (points.kinds <= before.kinds[of])  # one that is known better now is taken as it comes
+    row_of_point = {name: row for row, name in enumerate(old.points.ids)}
+    old_rows = np.array([row_of_point.get(name, -1) for name in network.points.ids])
+    points, old_points, old_row = network.points, old.points, np.maximum(old_rows, 0)
+    is_known = (old_rows >= 0) & (points.kinds <= old_points.kinds[old_row])  # else the new prior is stronger
     points = replace(
         points,
-        kinds=np.where(known, int(PointKind.FREE), points.kinds),
-        places=np.where(known[:, None], before.places[of], points.places),
-        covariances=np.where(known[:, None, None], 0.0, points.covariances),
+        kinds=np.where(is_known, int(PointKind.FREE), points.kinds),
+        places=np.where(is_known[:, None], old_points.places[old_row], points.places),
+        covariances=np.where(is_known[:, None, None], 0.0, points.covariances),
     )
-    rays, ranges = ~_repeated_rays(network, old, there, set_aside or {}), ~_repeated_ranges(network, old, there)
+    rays = ~_repeated_rays(network, old, old_rows, rejected or {})
+    ranges = ~_repeated_ranges(network, old, old_rows)
     if not (np.any(rays) or np.any(ranges)):
         return None
     shifts = network.shifts
     if shifts is not None:
-        shifts = ProfileShifts(shifts.names, np.where(known, -1, shifts.profile), shifts.sigmas)
-    left = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
-    with_rows = np.unique(np.concatenate([left.rays.point, left.ranges.point]))
-    return select_points(replace(left, points=points, shifts=shifts), with_rows)
+        shifts = ProfileShifts(shifts.names, np.where(is_known, -1, shifts.profile), shifts.sigmas)
+    remaining = replace(network, rays=network.rays.chosen(rays), ranges=network.ranges.chosen(ranges))
+    measured_points = np.unique(np.concatenate([remaining.rays.point, remaining.ranges.point]))
+    return select_points(replace(remaining, points=points, shifts=shifts), measured_points)
 
 
-def _repeated_rays(
-    network: Network, old: Network, there: Index, set_aside: Mapping[str, Sequence[Measure]]
-) -> Mask:
-    """(k,) True for rays that are there already, or set aside, with the same line and sample."""
+def _repeated_rays(network: Network, old: Network, old_rows: Index, rejected: Mapping[str, Sequence[Measure]]) -> Mask:
+    """(k,) True for rays that are stored or rejected with the same line and sample."""
     known = set(_ray_rows(old, old.rays.point))
-    place = dict(zip(set_aside, old.points.ids.find(list(set_aside)).tolist(), strict=True))
-    known |= {(place[name], m.image, m.line, m.sample) for name, ms in set_aside.items() for m in ms}
-    return np.array([row in known for row in _ray_rows(network, there[network.rays.point])], dtype=bool)
+    row_of_point = dict(zip(rejected, old.points.ids.find(list(rejected)).tolist(), strict=True))
+    known |= {(row_of_point[name], ray.image, ray.line, ray.sample) for name, rays in rejected.items() for ray in rays}
+    return np.array([row in known for row in _ray_rows(network, old_rows[network.rays.point])], dtype=bool)
 
 
 def _ray_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
@@ -406,17 +412,17 @@ def _ray_rows(network: Network, points: Index) -> list[tuple[int, str, float, fl
     return list(zip(points.tolist(), names, *network.rays.places.T.tolist(), strict=True))
 
 
-def _repeated_ranges(network: Network, old: Network, there: Index) -> Mask:
-    """(r,) True for ranges that are there already; InputError for one of the same time with another value."""
-    known = {row[:3]: row[3] for row in _range_rows(old, old.ranges.point)}
-    marks = list[bool]()
-    for point, image, time, value in _range_rows(network, there[network.ranges.point]):
-        before = known.get((point, image, time))
-        if before is not None and before != value:
+def _repeated_ranges(network: Network, old: Network, old_rows: Index) -> Mask:
+    """(r,) True for ranges that are stored; InputError for a range of the same time with another value."""
+    known_values = {row[:3]: row[3] for row in _range_rows(old, old.ranges.point)}
+    is_repeated = list[bool]()
+    for point, image, time, value in _range_rows(network, old_rows[network.ranges.point]):
+        known_value = known_values.get((point, image, time))
+        if known_value is not None and known_value != value:
             where = f"laser shot {old.points.ids[point]}, image {image}"
-            raise InputError(where, f"a range of {value:.3f} m, {before:.3f} m before", "one range")
-        marks.append(before is not None)
-    return np.array(marks, dtype=bool)
+            raise InputError(where, f"a range of {value:.3f} m, {known_value:.3f} m before", "one range")
+        is_repeated.append(known_value is not None)
+    return np.array(is_repeated, dtype=bool)
 
 
 def _range_rows(network: Network, points: Index) -> list[tuple[int, str, float, float]]:
@@ -426,19 +432,18 @@ def _range_rows(network: Network, points: Index) -> list[tuple[int, str, float, 
 
 
 def on_terrain(network: Network, store: ProjectStore) -> Network:
-    """Tie points on the project's terrain model, where it has one and the first ray meets it."""
+    """The network with its tie points on the project's terrain model, if it has one and their first rays meet it."""
     terrain = store.terrain
     if terrain is None or network.surface is not None:
         return network
     grid, shift_sigma = terrain
-    members, places = over_terrain(network.images, network.rays, grid)
-    mine = network.points.classes[members] == PointClass.TIE
+    points_on_terrain, positions = over_terrain(network.images, network.rays, grid)
+    is_tie = network.points.classes[points_on_terrain] == PointClass.TIE
     sigmas = np.full(len(network.points), np.inf)
-    sigmas[members[mine]] = np.nan_to_num(grid.height_sigmas(places[mine]), nan=np.inf)
-    usable = np.any(np.isfinite(sigmas))
-    if not usable:
+    sigmas[points_on_terrain[is_tie]] = np.nan_to_num(grid.height_sigmas(positions[is_tie]), nan=np.inf)
+    if not np.any(np.isfinite(sigmas)):
         return network
-    at = np.zeros((sigmas.size, 3))
-    at[members] = places
-    surface, common = common_heights(Surface(grid, sigmas, shift_sigma), at)
-    return replace(network, surface=surface, common_heights=common).independent.considering(store.considered)
+    start_positions = np.zeros((sigmas.size, 3))
+    start_positions[points_on_terrain] = positions
+    surface, shared_heights = common_heights(Surface(grid, sigmas, shift_sigma), start_positions)
+    return replace(network, surface=surface, common_heights=shared_heights).independent.considering(store.considered)

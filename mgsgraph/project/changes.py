@@ -1,4 +1,4 @@
-"""The changes of a project, from its beginning on: each is one transaction of its file, noted in its history."""
+"""The changes of a project, from its creation on: each is one transaction of its file and recorded in its history."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -19,7 +19,7 @@ from mgsgraph.network import Network
 from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import Members, Unknown
-from mgsgraph.project.addition import Addition, NewImage, images_alone, images_of_case
+from mgsgraph.project.addition import Addition, NewImage, images_of_case, images_without_ties
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
 from mgsgraph.project.store import ProjectStore
@@ -35,47 +35,47 @@ Stages = Callable[[str], AbstractContextManager[None]]
 
 
 def is_solved(project: Project) -> bool:
-    """Whether all images have an adjusted orientation, from which an incremental adjustment can go on."""
+    """Whether all images have an adjusted orientation, so that an incremental adjustment can start from it."""
     store = project.store
-    known = store.shared()
-    needed = {unknown for members in store.members() for unknown in members}
-    of_passes = {name for one in store.definitions().passes.values() for name in one.images}
-    own = [name for name in store.image_names() if name not in of_passes]
-    adjusted = all(Unknown("image", name) in known or store.image(name).held for name in own)
-    adjusted &= known.keys() >= set(unknowns_of(store.definitions()))
-    return adjusted and needed.issubset(known)
+    adjusted_unknowns = store.shared()
+    needed_unknowns = {unknown for members in store.members() for unknown in members}
+    pass_images = {name for pass_ in store.definitions().passes.values() for name in pass_.images}
+    single_images = [name for name in store.image_names() if name not in pass_images]
+    is_adjusted = all(Unknown("image", name) in adjusted_unknowns or store.image(name).held for name in single_images)
+    is_adjusted &= adjusted_unknowns.keys() >= set(unknowns_of(store.definitions()))
+    return is_adjusted and needed_unknowns.issubset(adjusted_unknowns)
 
 
 def incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
-    """From the state that the project holds, with its settings or others."""
-    wanted = settings or project.settings.solver.settings
+    """Incremental adjustment that starts from the state of the project, with its settings or the given ones."""
+    chosen_settings = settings or project.settings.solver.settings
     if project.kept is None:
-        return IncrementalAdjustment(wanted, project.store)
-    return project.kept.resumed(next(iter(project.changes(1)), None), wanted, project.store)
+        return IncrementalAdjustment(chosen_settings, project.store)
+    return project.kept.resumed(next(iter(project.changes(1)), None), chosen_settings, project.store)
 
 
 def add(project: Project, addition: Addition) -> Impact | None:
-    """Add images and measures, and adjust; None in a project that has never been solved: they are only put in."""
+    """Add images and measurements, and adjust; a project that was never solved only stores them and returns None."""
     store, network = project.store, addition.network
     impact: Impact | None = None
     if not is_solved(project):
-        put_in(store, addition)
+        store_unadjusted(store, addition)
     elif network is None:
-        impact = incremental(project).add([one.known for one in addition.images], brought=addition.definitions)
+        impact = incremental(project).add([new.known for new in addition.images], brought=addition.definitions)
     else:
         impact = incremental(project).add(network, brought=addition.definitions)
-    _note_files(project, addition.images, addition.networks)
+    _record_files(project, addition.images, addition.networks)
     rays = 0 if network is None else network.rays.point.size
     ranges = 0 if network is None else network.ranges.point.size
     what = ", ".join(addition.names) or "measures"
     files = [str(file) for file in addition.files]
     summary = {"images": list(addition.names), "rays": rays, "ranges": ranges, "files": files}
-    note(project, "add", what, summary, impact)
+    record_change(project, "add", what, summary, impact)
     return impact
 
 
 def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
-    """Take images out with their measures, and adjust; None in a project that has never been solved.
+    """Remove images with their measurements, and adjust (not in a project that was never solved: None).
 
     Parameters
     ----------
@@ -101,15 +101,9 @@ def remove_images(project: Project, images: Sequence[str]) -> Impact | None:
     if is_solved(project):
         impact = incremental(project).remove(*images)
     else:
-        _take_out(store, images)
-    note(project, "remove", ", ".join(images), {"images": list(images)}, impact)
+        _remove_unadjusted(store, images)
+    record_change(project, "remove", ", ".join(images), {"images": list(images)}, impact)
     return impact
-
-
-def _closing_facts(closing: Closing | None) -> dict[str, Any]:
-    if closing is None or not np.isfinite(closing.worst):
-        return {}
-    return {"largest_difference_sigmas": closing.worst}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +113,7 @@ class SolvedProject(Record):
     solution: "Solution"
     """Batch solution of all images."""
     closing: Closing | None
-    """How far the incremental result was off; None where there was none."""
+    """Differences of the incremental result from the batch solution; None where there was none."""
     folder: Path
     """Folder of the products."""
 
@@ -128,7 +122,7 @@ def solve_project(
     project: Project, figures: bool = True, tables: "TableForm | None" = None,
     progress: "Progress" = no_progress, device: Device | None = None,
 ) -> SolvedProject:  # fmt: skip
-    """Adjust everything by batch, compare it with the incremental result, and keep its products.
+    """Adjust the whole project in one batch, compare with the incremental result, and write the products.
 
     Parameters
     ----------
@@ -139,7 +133,7 @@ def solve_project(
     progress : callable
         Called with every iteration.
     device : Device, optional
-        That goes over the points; that of the settings when absent.
+        Device that eliminates the points; that of the settings when absent.
 
     Raises
     ------
@@ -172,7 +166,9 @@ def solve_project(
         else:
             solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
             incremental(project, settings).adopt(solution)
-    summary = {"cost": solution.cost_final, "converged": solution.converged} | _closing_facts(closing)
+    summary = {"cost": solution.cost_final, "converged": solution.converged}
+    if closing is not None and np.isfinite(closing.worst):
+        summary["largest_difference_sigmas"] = closing.worst
     project.record("solve", f"{len(solution.network.images)} images", summary)
     folder = project.keep_solution(
         solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
@@ -180,51 +176,51 @@ def solve_project(
     return SolvedProject(solution, closing, folder)
 
 
-def put_in(store: ProjectStore, addition: Addition) -> None:
-    """Images and measures without an adjustment: their bundles wait for one."""
-    require_one_body(store, [one.known for one in addition.images])
-    for one in addition.images:
-        store.add_image(one.known)
+def store_unadjusted(store: ProjectStore, addition: Addition) -> None:
+    """Store images and measurements without an adjustment: their bundles wait for one."""
+    require_one_body(store, [new.known for new in addition.images])
+    for new in addition.images:
+        store.add_image(new.known)
     network = None if addition.network is None else store.with_known_grids(addition.network)
-    before = store.definitions()
-    after = extended(store, before, addition.definitions, [one.known for one in addition.images])
-    turned = turned_bundles(store, before, after)
-    store.set_definitions(after)
-    put_waiting(store, *with_addition(store, network, after, turned))
+    old_definitions = store.definitions()
+    new_definitions = extended(store, old_definitions, addition.definitions, [new.known for new in addition.images])
+    turned_members = turned_bundles(store, old_definitions, new_definitions)
+    store.set_definitions(new_definitions)
+    replace_unadjusted(store, *with_addition(store, network, new_definitions, turned_members))
 
 
-def _take_out(store: ProjectStore, images: Sequence[str]) -> None:
-    before = store.definitions()
-    after = shortened(store, before, images)
-    changed = without(store, images, after, turned_bundles(store, before, after))
-    store.set_definitions(after)
-    put_waiting(store, *changed)
+def _remove_unadjusted(store: ProjectStore, images: Sequence[str]) -> None:
+    old_definitions = store.definitions()
+    new_definitions = shortened(store, old_definitions, images)
+    changed_bundles = without(store, images, new_definitions, turned_bundles(store, old_definitions, new_definitions))
+    store.set_definitions(new_definitions)
+    replace_unadjusted(store, *changed_bundles)
     for name in images:
         store.drop_image(name)
 
 
-def put_waiting(store: ProjectStore, gone: Sequence[Members], networks: Mapping[Members, Network]) -> None:
-    """Put bundles in the place of others, not adjusted yet."""
-    waiting = dict[Members, Bundle]()
+def replace_unadjusted(store: ProjectStore, replaced: Sequence[Members], networks: Mapping[Members, Network]) -> None:
+    """Replace bundles (`replaced`) by others that are not adjusted yet."""
+    unadjusted = dict[Members, Bundle]()
     for members, network in networks.items():
-        n = len(network.points)
-        waiting[members] = Bundle(network, None, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
-    store.replace(gone, waiting)
+        size = len(network.points)
+        unadjusted[members] = Bundle(network, None, np.full((size, 3), np.nan), np.full((size, 3, 3), np.nan))
+    store.replace(replaced, unadjusted)
 
 
-def _note_files(project: Project, images: Sequence[NewImage], networks: Sequence[Path]) -> None:
-    for one in images:
-        if one.picture is not None:
-            project.take_picture(one.known.image.name, one.picture)
+def _record_files(project: Project, images: Sequence[NewImage], networks: Sequence[Path]) -> None:
+    for new_image in images:
+        if new_image.picture is not None:
+            project.take_picture(new_image.known.image.name, new_image.picture)
     project.add_networks(networks)
 
 
-def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> int:
-    """Note a change in the history, with what it did to the rest; its number."""
+def record_change(project: Project, verb: str, what: str, summary: dict[str, Any], impact: Impact | None) -> int:
+    """Record a change in the history, with its effect on images and points; its number."""
     if impact is None:
         return project.record(verb, what, summary)
-    moved = int(np.count_nonzero(~impact.points.new))
-    counts = {"images_reached": len(impact.images.names), "points_moved": moved, "updates": impact.updates}
+    moved_points = int(np.count_nonzero(~impact.points.new))
+    counts = {"images_reached": len(impact.images.names), "points_moved": moved_points, "updates": impact.updates}
     number = project.record(verb, what, summary | counts | {"seconds": round(impact.seconds, 3)})
     message = "All unknowns converged." if impact.converged else "It did not converge; solve the project."
     project.record_incremental(impact.converged, message)
@@ -234,34 +230,34 @@ def note(project: Project, verb: str, what: str, summary: dict[str, Any], impact
 
 
 class NewProject(NamedTuple):
-    """A project that has been made."""
+    """Result of `create_project`."""
 
     words: str
     """Contents of the project, in words."""
     waits: bool
     """Whether its images wait for tie points."""
     notes: tuple[str, ...] = ()
-    """What of its case's files was left out, or is given twice, in sentences."""
+    """Sentences about measurements of its case that were left out or are given twice."""
 
 
 def create_project(
     folder: str | Path, name: str = "", case: str | Path | None = None, settings: Path | None = None,
     stages: Stages = lambda _: nullcontext(),
 ) -> NewProject:  # fmt: skip
-    """Make a project; of a case without any measure in an image the images alone, which then wait for tie points.
+    """Create a project. A case without image measurements gives only its images, which then wait for tie points.
 
     Parameters
     ----------
     folder : path
         Absent or empty.
     name : str
-        What to call it; the case's or the folder's name when empty.
+        Name of the project; when empty that of the case, the settings or the folder.
     case : path, optional
-        A case file: its images, measurements, terrain and settings go in.
+        A case file: the project takes its images, measurements, terrain model and settings.
     settings : Path, optional
-        A file of settings alone, where there is no case.
+        A file of settings, for a project without a case.
     stages : callable
-        Called with what is being done; gives a context.
+        Called with a description of each stage; returns a context manager.
 
     Raises
     ------
@@ -275,23 +271,23 @@ def create_project(
     """
     folder, case = Path(folder), None if case is None else Path(case)
     if case is None:
-        called, chosen = read_settings(settings) if settings is not None else ("", ProjectSettings())
-        with Project.create(folder, name or called, chosen) as project:
+        name_in_file, chosen_settings = read_settings(settings) if settings is not None else ("", ProjectSettings())
+        with Project.create(folder, name or name_in_file, chosen_settings) as project:
             project.record("init", "empty", {})
         return NewProject("empty", False)
     with stages("reading the case"):
         network: Network | None = None
         files, notes = tuple[Path, ...](), tuple[str, ...]()
         if decode(case).measured:
-            images, read = images_of_case(case)
-            network, called, files = read.network, read.name, read.networks
-            notes = (*read.notes, *(f"{one.sentence}." for one in duplicates(network)))
+            images, contents = images_of_case(case)
+            network, name_in_file, files = contents.network, contents.name, contents.networks
+            notes = (*contents.notes, *(f"{duplicate.sentence}." for duplicate in duplicates(network)))
         else:
-            images, called = images_alone(case)
-        chosen = settings_of_case(case)
-    with stages("writing the project"), Project.create(folder, name or called, chosen, case) as project:
-        words = _put(project, "init", str(case), images, network, files)
-    return NewProject(words, network is None, notes)
+            images, name_in_file = images_without_ties(case)
+        chosen_settings = settings_of_case(case)
+    with stages("writing the project"), Project.create(folder, name or name_in_file, chosen_settings, case) as project:
+        description = _store_contents(project, "init", str(case), images, network, files)
+    return NewProject(description, network is None, notes)
 
 
 def waiting_case(project: Project) -> Path:
@@ -300,7 +296,7 @@ def waiting_case(project: Project) -> Path:
     Raises
     ------
     InputError
-        Any other project; a case that has other images by now.
+        A project with measurements or without a case; a case with other images than the project.
     """
     if project.store.members():
         raise InputError(
@@ -312,34 +308,34 @@ def waiting_case(project: Project) -> Path:
             str(project.folder), "a project that was made without a case", "one made with mgsgraph project init --case",
             "give the case file itself: mgsgraph match CASE --out MATCHES",
         )
-    names, there = [image.name for image in decode(project.case).images], project.store.image_names()
-    if set(names) != set(there):
+    stated, stored = [image.name for image in decode(project.case).images], project.store.image_names()
+    if set(stated) != set(stored):
         raise InputError(
-            str(project.case), f"the images {', '.join(names)}", f"those of {project.folder}, {', '.join(there)}",
+            str(project.case), f"the images {', '.join(stated)}", f"those of {project.folder}, {', '.join(stored)}",
             f"begin another project with it: mgsgraph project init PROJECT --case {project.case}",
         )
     return project.case
 
 
 def take_ties(project: Project, network: Path) -> str:
-    """Put tie points into a project that waits for them, with everything else that its case says by now; in words."""
+    """Store tie points in a project that waits for them, with all else of its case as it is now; a description."""
     case = waiting_case(project)
-    images, read = images_of_case(case, network)
+    images, contents = images_of_case(case, network)
     project.take_settings(settings_of_case(case))
-    return _put(project, "match", str(network), images, read.network, read.networks)
+    return _store_contents(project, "match", str(network), images, contents.network, contents.networks)
 
 
-def _put(
+def _store_contents(
     project: Project, verb: str, what: str, images: list[NewImage], network: Network | None, files: Sequence[Path]
 ) -> str:
-    """Put images and measures in, and note it; what they are."""
-    brought = Definitions() if network is None else definitions(network)
-    put_in(project.store, Addition(tuple(images), network, definitions=brought))
-    _note_files(project, images, files)
+    """Store images and measurements, and record the change; a description of them."""
+    case_definitions = Definitions() if network is None else definitions(network)
+    store_unadjusted(project.store, Addition(tuple(images), network, definitions=case_definitions))
+    _record_files(project, images, files)
     points, rays, ranges = (
         (0, 0, 0) if network is None else (len(network.points), network.rays.point.size, network.ranges.point.size)
     )
-    names = [one.known.image.name for one in images]
+    names = [new_image.known.image.name for new_image in images]
     project.record(verb, what, {"images": names, "points": points, "rays": rays, "ranges": ranges})
     if network is None:
         return f"{len(images)} images, no tie points yet"

@@ -1,4 +1,4 @@
-"""What a command reads from a folder of results, a demonstration or a project: files, network state, posterior."""
+"""Reading of results, demonstrations and projects for commands: state of the network, posterior, images, shots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -38,27 +38,26 @@ from mgsgraph.results.results import case_of
 from mgsgraph.units import DEG
 
 _OWN_CASE = Path("inputs", "case.toml")
-"""Where a demonstration's results hold their case."""
+"""Path of the case in the results of a demonstration."""
 _SUMMARY = "summary.json"
-"""Where they hold how they compare with the truth."""
-_NETWORK = "network.pvl"
+"""File with the comparison of a demonstration with its truth."""
 
 
 class Results(NamedTuple):
-    """Results, and where they come from."""
+    """A folder of results, and the files that it comes from."""
 
     folder: Path
     """Folder of the results (or their archive)."""
     case: Path | None = None
-    """The case, where it is known and still there."""
+    """The case file, if known and existing."""
     ties: Path | None = None
     """Tie points that take the place of the case's own."""
     warning: str = ""
-    """What of the project is not in them; empty where all is."""
+    """Sentence about later changes of the project; empty without any."""
 
 
 def comparison_with_truth(folder: Path) -> str:
-    """The sentence that says how a demonstration compares with its truth; empty for other results."""
+    """Sentence that compares a demonstration with its truth; empty for other results."""
     path = folder / _SUMMARY
     if not path.is_file():
         return ""
@@ -67,12 +66,12 @@ def comparison_with_truth(folder: Path) -> str:
 
 
 def results_of(path: Path) -> Results:
-    """What a command means by a path: results as they are, or the last batch solution of a project.
+    """The results at a path: a folder of results, or the last batch solution of a project.
 
     Raises
     ------
     InputError
-        A project that has not been solved.
+        A project without a batch solution.
     """
     if not (path / PROJECT).is_file():
         own = path / _OWN_CASE
@@ -82,13 +81,12 @@ def results_of(path: Path) -> Results:
         if last is None or last.folder is None:
             found, remedy = "a project without a batch solution", f"make one: mgsgraph project solve {path}"
             raise InputError(str(path), found, "results of an adjustment", remedy)
-        network = project.matches / _NETWORK
-        ties = network if network.is_file() else None
-        return Results(path / last.folder, _case_of_all(project), ties, _since(project, last.change))
+        warning = _changes_since(project, last.change)
+        return Results(path / last.folder, _case_of_all(project), project.matched_ties, warning)
 
 
 class CaseResults(NamedTuple):
-    """A case, and results of it."""
+    """A case file and, if given, results of it."""
 
     case: Path
     """The case file."""
@@ -99,32 +97,32 @@ class CaseResults(NamedTuple):
 
 
 def case_with_results(path: Path, case: Path | None = None) -> CaseResults:
-    """The case that a command works on, by its file, or by results or a project, which know theirs unless `case` does.
+    """The case at a path: a case file, or results or a project, which know their case unless `case` is given.
 
     Raises
     ------
     InputError
-        A case given beside a case file; results that don't know theirs.
+        `case` beside a case file; results without a known case.
     """
     if not path.is_dir() and path.suffix != ".npz":
         require(case is None, "--case", f"{case} beside the case {path}", "results as the other")
         return CaseResults(path)
-    found = results_of(path)
-    return CaseResults(case or found.case or case_of(found.folder), found.folder, found.ties)
+    results = results_of(path)
+    return CaseResults(case or results.case or case_of(results.folder), results.folder, results.ties)
 
 
-def _since(project: Project, number: int) -> str:
-    """What images and measures the project has taken in or out after a change of its."""
-    later = [change for change in project.changes() if change.number > number and change.verb in CHANGING]
-    if not later:
+def _changes_since(project: Project, number: int) -> str:
+    """Sentence about images and measurements that the project added or removed after a change; empty without any."""
+    later_changes = [change for change in project.changes() if change.number > number and change.verb in CHANGING]
+    if not later_changes:
         return ""
-    said = ", ".join(f"{change.verb} {change.what}" for change in later)
+    descriptions = ", ".join(f"{change.verb} {change.what}" for change in later_changes)
     remedy = f"for one of everything: mgsgraph project solve {project.folder}"
-    return f"The project has changed since this solution ({said}); {remedy}"
+    return f"The project has changed since this solution ({descriptions}); {remedy}"
 
 
 def _case_of_all(project: Project) -> Path | None:
-    """The project's case, if it is still there and has all images that the project has, and no others."""
+    """The project's case file, if it exists and has exactly the images of the project; else None."""
     case = project.case
     if case is None or not case.is_file():
         return None
@@ -133,60 +131,60 @@ def _case_of_all(project: Project) -> Path | None:
 
 
 def read_adjusted(path: Path) -> tuple[Solution, str]:
-    """The last batch solution of a folder of results or a project, and a warning where that has changed since, else an
-    empty text. InputError where there is none.
+    """The last batch solution of a folder of results or a project, and a warning if the project has changed since (else
+    an empty text). InputError without one.
     """
     _is_project(path)
-    found = results_of(path)
-    return read_solution(found.folder), found.warning
+    results = results_of(path)
+    return read_solution(results.folder), results.warning
 
 
 def read_state(path: Path) -> tuple[str, NetworkState, str]:
-    """Name and state of what was adjusted: a folder of results (or the archive in it), or a project's folder; and a
-    warning where the adjustment has not converged, else an empty one.
+    """Name and state of an adjusted network, from a folder of results (or their archive) or a project; and a warning
+    if the adjustment has not converged, else an empty text.
 
     Raises
     ------
     InputError
-        Neither of them; a project that has never been solved; a solution without covariance.
+        Neither of them; a project that was never solved; a solution without covariance.
     """
     if _is_project(path):
-        with open_project(path) as opened:
-            adjustment = _adjusted(opened, str(path))
+        with open_project(path) as project:
+            adjustment = _adjusted(project, str(path))
             with errors_from(str(path)):
                 (network, places), values = adjustment.as_network(), adjustment.values
-            there, kept = np.isfinite(places[:, 0]), unmarked(network)
-            rays, ranges = kept.rays & there[network.rays.point], kept.ranges & there[network.ranges.point]
-            settings = opened.settings.solver.settings
-            return opened.name, network_state(network, settings, values, places, rays, ranges), ""
+            known, used = np.isfinite(places[:, 0]), unmarked(network)
+            rays, ranges = used.rays & known[network.rays.point], used.ranges & known[network.ranges.point]
+            settings = project.settings.solver.settings
+            return project.name, network_state(network, settings, values, places, rays, ranges), ""
     solution = read_solution(path)
     return solution.name, state_of_solution(solution), _warning(solution)
 
 
 def read_posterior(path: Path) -> tuple[str, Posterior, str]:
-    """Name, posterior and warning of the same."""
+    """Name and posterior of an adjusted network, and a warning; paths and errors as for `read_state`."""
     if _is_project(path):
-        with open_project(path) as opened:
-            values, settings = _adjusted(opened, str(path)).values, opened.settings.solver.settings
-            name, (network, near) = opened.name, opened.store.as_network()
-        every = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]  # the file is free meanwhile
+        with open_project(path) as project:
+            values, settings = _adjusted(project, str(path)).values, project.settings.solver.settings
+            name, (network, positions) = project.name, project.store.as_network()
+        all_values = [values.get(unknown, np.zeros(0)) for unknown in unknowns(network)]
         with errors_from(str(path)):
-            return name, Posterior(at_values(network, settings, every, near, near=True)), ""
+            return name, Posterior(at_values(network, settings, all_values, positions, near=True)), ""
     solution = read_solution(path)
     return solution.name, Posterior.of(solution), _warning(solution)
 
 
 def posterior_near(path: Path, point: str) -> Posterior | None:
-    """Posterior of a project's points that depend on the same unknowns as a point: their rows, and the covariance of
-    these unknowns from iSAM2, so that no other point is read. None without such a point or an adjustment, and where
-    they don't stand alone (`is_self_contained`).
+    """Posterior of the points of a project that depend on the same unknowns as `point`: from their measurements and the
+    covariance of these unknowns in iSAM2, without reading other points. None without such a point or an adjustment,
+    and for a bundle that is not self-contained (`is_self_contained`).
     """
-    with open_project(path) as opened:
-        members = opened.store.bundles_of([point]).get(point)
-        if members is None or not is_solved(opened):
+    with open_project(path) as project:
+        members = project.store.bundles_of([point]).get(point)
+        if members is None or not is_solved(project):
             return None
-        bundle, adjustment = opened.store.bundle(members), _adjusted(opened, str(path))
-        if opened.store.considered or not is_self_contained(bundle.network):
+        bundle, adjustment = project.store.bundle(members), _adjusted(project, str(path))
+        if project.store.considered or not is_self_contained(bundle.network):
             return None
         with errors_from(str(path)):
             return posterior_of(
@@ -201,7 +199,7 @@ def _warning(solution: Solution) -> str:
 
 
 def _is_project(path: Path) -> bool:
-    """Whether it is a project's folder; InputError for a folder that holds nothing of ours."""
+    """Whether it is the folder of a project; InputError for a folder with neither a project nor results."""
     if not path.is_dir():
         return False
     if not (path / PROJECT).exists() and not (path / ARCHIVE).exists():
@@ -211,7 +209,7 @@ def _is_project(path: Path) -> bool:
 
 
 def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
-    """The adjustment that a project holds; InputError for one that has never been solved."""
+    """The incremental adjustment of a project; InputError for a project that was never solved."""
     if not project.store.image_names() or not is_solved(project):
         raise InputError(where, "a project without a solution", "an adjusted one", f"mgsgraph project solve {where}")
     return incremental(project)
@@ -220,29 +218,29 @@ def _adjusted(project: Project, where: str) -> IncrementalAdjustment:
 
 
 class OrientedImages(NamedTuple):
-    """Images with the orientation that is believed."""
+    """Images with their best known orientation."""
 
     views: tuple[View, ...]
-    """(m)."""
+    """(m) images with their corrections."""
     warning: str = ""
-    """What is to be said of them."""
+    """Sentence for the user; empty without one."""
     case: CaseInput | None = None
-    """The case that they are of; None of results."""
+    """The case of the images; None for results."""
 
     @property
     def images(self) -> tuple[PushbroomImage, ...]:
-        """(m) their geometry."""
+        """(m) geometry of the images."""
         return tuple(view.image for view in self.views)
 
     @property
     def corrections(self) -> Corrections:
-        """(m) of their nominal orientation."""
+        """(m) corrections of the nominal orientation."""
         return [view.correction for view in self.views]
 
 
 def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
-    """Images of a case file, a folder of results (or their archive) or a project; all, or some by their names or parts
-    of names that no other has: of a case only these are read then.
+    """Images of a case file, a folder of results (or their archive) or a project: all, or some by names or unique parts
+    of names. Of a case only the named images are read.
 
     Raises
     ------
@@ -252,35 +250,35 @@ def oriented_images(path: Path, names: Sequence[str] = ()) -> OrientedImages:
     if (path / PROJECT).is_file() or (path / ARCHIVE).is_file() or path.suffix == ".npz":
         results = results_of(path)
         solution = read_solution(results.folder)
-        chosen = _chosen([image.name for image in solution.network.images], names, path)
+        chosen = _numbers_of([image.name for image in solution.network.images], names, path)
         warning = results.warning if solution.converged else f"The adjustment has NOT converged: {solution.message}"
         return OrientedImages(tuple(View.adjusted(solution, j) for j in chosen), warning)
-    wanted = decode(path)
-    known = [image.name for image in wanted.images]
+    case_input = decode(path)
+    known = [image.name for image in case_input.images]
     if names:
-        images = [_alone(wanted, j, path) for j in _chosen(known, names, path)]
+        images = [_read_image(case_input, j, path) for j in _numbers_of(known, names, path)]
     else:
-        images = [*read_images(wanted, wanted.orientations, members(wanted.passes, known, str(path)), path)]
-    return OrientedImages(tuple(map(View, images)), case=wanted)
+        images = [*read_images(case_input, case_input.orientations, members(case_input.passes, known, str(path)), path)]
+    return OrientedImages(tuple(map(View, images)), case=case_input)
 
 
-def _alone(wanted: CaseInput, number: int, path: Path) -> PushbroomImage:
-    image = read_image(wanted.images[number], wanted.spice, path.parent, f"{path}, images[{number}]")
-    return wanted.orientations[number].nominal_of(image)
+def _read_image(case_input: CaseInput, index: int, path: Path) -> PushbroomImage:
+    image = read_image(case_input.images[index], case_input.spice, path.parent, f"{path}, images[{index}]")
+    return case_input.orientations[index].nominal_of(image)
 
 
-def _chosen(known: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
-    """Numbers of the images of these names, each once; of all where there are none."""
-    number = {name: k for k, name in enumerate(known)}
+def _numbers_of(known_names: Sequence[str], names: Sequence[str], path: Path) -> list[int]:
+    """Indices of the images of these names, each once; of all without names."""
+    numbers = {name: index for index, name in enumerate(known_names)}
     with errors_from(str(path)):
-        return [number[name] for name in image_names(names, known)] if names else list(number.values())
+        return [numbers[name] for name in image_names(names, known_names)] if names else list(numbers.values())
 
 
 def open_view(
     path: Path, image: str, terrain: Path | bool = True, reference_radius: float | None = None
 ) -> tuple[View, TerrainGrid | None, str]:
-    """An image by its name, or by a part of its name that no other has, the ground that it is to be projected onto
-    (None for the ellipsoid), and what is to be said of it.
+    """An image by its name or a unique part of it, the terrain to project it onto (None for the ellipsoid), and a
+    sentence for the user.
 
     Parameters
     ----------
@@ -298,16 +296,16 @@ def open_view(
     InputError
         An image that isn't there; what `read_case` and `read_solution` refuse.
     """
-    seen = oriented_images(path, (image,))
-    (view,) = seen.views
-    entries = seen.case.terrain_models[:1] if terrain is True and seen.case is not None else ()
+    oriented = oriented_images(path, (image,))
+    (view,) = oriented.views
+    entries = oriented.case.terrain_models[:1] if terrain is True and oriented.case is not None else ()
     if isinstance(terrain, Path):
         entries = (TerrainInput(radius=str(Path.cwd() / terrain), reference_radius_m=reference_radius),)
         path = terrain
     for entry in entries:
-        return view, as_grid(read_terrain_model(entry, path, seen.images)[0]), seen.warning
+        return view, as_grid(read_terrain_model(entry, path, oriented.images)[0]), oriented.warning
     surface = view.solution.network.surface if terrain is True and view.solution is not None else None
-    return view, None if surface is None else surface.grid, seen.warning
+    return view, None if surface is None else surface.grid, oriented.warning
 
 
 _DAY = 86400.0 - 1e-3
@@ -317,34 +315,34 @@ _DATE = len("2010-05-10")
 
 @dataclass(frozen=True, slots=True)
 class ShotChoice:
-    """Which shots may be chosen, apart from where they fall."""
+    """Conditions for shots, without those on position."""
 
     dates: tuple[str, str] | None = None
     """UTC, both included: days, or times."""
     ground: bool = True
-    """Returns from the ground alone."""
+    """Only returns from the ground."""
     off_nadir: float | None = None
-    """deg, at the most."""
+    """deg, maximum."""
     margin: float = 0.0
-    """pixels by which they may lie beside an image."""
+    """pixels that a shot may lie outside an image."""
     along: bool = False
-    """Those alone that were fired while an image was taken in which they fall."""
+    """Only shots fired during the exposure of an image that contains them."""
     version: str | None = None
-    """Letter of PEDR products whose names don't say it."""
+    """Version letter of PEDR products whose names lack it."""
 
     def of(self, shots: AltimeterShots) -> Mask:
-        """(n,) True for shots that may be chosen."""
-        found = shots.ground.copy() if self.ground else np.ones(shots.times.size, dtype=bool)
+        """(n,) True for shots that fulfill all conditions."""
+        chosen = shots.ground.copy() if self.ground else np.ones(shots.times.size, dtype=bool)
         if self.off_nadir is not None:
-            found &= shots.off_nadir <= self.off_nadir * DEG
+            chosen &= shots.off_nadir <= self.off_nadir * DEG
         if self.dates is not None:
             first, last = _interval(self.dates)
-            found &= (shots.times >= first) & (shots.times <= last)
-        return found
+            chosen &= (shots.times >= first) & (shots.times <= last)
+        return chosen
 
 
 def _interval(dates: tuple[str, str]) -> tuple[float, float]:
-    """S TDB past J2000 from the beginning of the first to the end of the last."""
+    """S TDB past J2000: beginning of the first date, end of the last."""
     texts = [text.strip() + "T00:00:00"[len(text.strip()) - _DATE :] for text in dates]
     first, last = tdb_of_utc(texts, "dates").tolist()
     last += _DAY if len(dates[1].strip()) == _DATE else 0.0
@@ -353,8 +351,8 @@ def _interval(dates: tuple[str, str]) -> tuple[float, float]:
     return first, last
 
 
-def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice) -> Registration:
-    """Shots of all files over images.
+def search_shots(files: Sequence[Path], oriented: OrientedImages, choice: ShotChoice) -> Registration:
+    """Shots of all files in the images.
 
     Raises
     ------
@@ -363,7 +361,8 @@ def search_shots(files: Sequence[Path], seen: OrientedImages, choice: ShotChoice
     """
     parts = [read_shots(path, version=choice.version) for path in files]
     for part in parts:
-        require_on_body(part.footprints, seen.images[0].body, part.source)
+        require_on_body(part.footprints, oriented.images[0].body, part.source)
     shots = joined_shots(parts)
-    over = footprints_in_images(seen.images, shots.chosen(choice.of(shots)), seen.corrections, margin=choice.margin)
-    return replace(over, inside=over.inside & over.simultaneous) if choice.along else over
+    shots = shots.chosen(choice.of(shots))
+    selection = footprints_in_images(oriented.images, shots, oriented.corrections, margin=choice.margin)
+    return replace(selection, inside=selection.inside & selection.simultaneous) if choice.along else selection

@@ -1,4 +1,4 @@
-"""What a project holds, as text for the terminal; read from the file's counts, without its points."""
+"""Contents of a project as text for the terminal, from the counts in its file, without its points."""
 
 from collections import Counter, defaultdict
 from itertools import pairwise
@@ -8,8 +8,8 @@ import numpy as np
 from mgsgraph.files.opening import understood
 from mgsgraph.network import PointClass
 from mgsgraph.network.connectivity import groups
-from mgsgraph.project.connection import A_PROJECT, ELSEWHERE
-from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow, all_set_aside
+from mgsgraph.project.connection import EXPECTED_PROJECT, RESTORE_COPY
+from mgsgraph.project.project import CHANGING, Change, Project, SolutionRow, rejected_measurements
 from mgsgraph.text import many, some
 
 _NAMED = 6
@@ -17,18 +17,18 @@ _HISTORY = 10
 
 
 def status(project: Project) -> str:
-    """The last solution, images, points and measurements, how they are connected, and the changes, the newest first."""
-    with understood(str(project.folder), A_PROJECT, ELSEWHERE):
+    """Text with the last solution, images, points, measurements, their connections, and the changes, newest first."""
+    with understood(str(project.folder), EXPECTED_PROJECT, RESTORE_COPY):
         return "\n".join(_lines(project))
 
 
 def _lines(project: Project) -> list[str]:
     names = project.store.image_names()
-    said = [*_solutions(project, bool(names)), *_contents(project), *_connections(project, names)]
+    sentences = [*_solutions(project, bool(names)), *_contents(project), *_connections(project, names)]
     changes = project.changes(_HISTORY)[::-1]
     return [
         f"{project.name}: a project of {many(len(names), 'image')}, made {project.created[:16].replace('T', ' ')} UTC",
-        *(f"- {one}" for one in said),
+        *(f"- {sentence}" for sentence in sentences),
         f"Changes (UTC), the newest first{', the last 10' if len(changes) == _HISTORY else ''}:",
         *(_change(change) for change in changes),
     ]
@@ -38,7 +38,7 @@ def _contents(project: Project) -> list[str]:
     classes = project.store.point_classes()
     points = ", ".join(f"{count} {PointClass(number).name.lower()}" for number, count in classes.items())
     rays, ranges = project.store.measures()
-    rejected, terrain = sum(map(len, all_set_aside(project).values())), project.store.terrain
+    rejected, terrain = sum(map(len, rejected_measurements(project).values())), project.store.terrain
     parts = [
         f"{many(sum(classes.values()), 'point')}{f' ({points})' if points else ''}", f"{rays} image measurements",
         f"{ranges} laser ranges", f"{rejected} rejected by the user" if rejected else "",
@@ -49,23 +49,26 @@ def _contents(project: Project) -> list[str]:
 
 
 def _passes(project: Project) -> list[str]:
-    """A line for each pass and each unknown that images share."""
-    known = project.store.definitions()
+    """A sentence for each pass and each unknown that images share."""
+    stored = project.store.definitions()
     return [
-        f"Pass {one.name}: {many(len(one.images), 'image')}, {many(len(one.nodes), 'orientation image')} "
-        f"{one.nodes.spacing:.4g} s apart."
-        for one in known.passes.values()
-    ] + [f"Shared unknown {one.name} ({one.kind}): {many(len(one.images), 'image')}." for one in known.shared.values()]
+        f"Pass {pass_.name}: {many(len(pass_.images), 'image')}, {many(len(pass_.nodes), 'orientation image')} "
+        f"{pass_.nodes.spacing:.4g} s apart."
+        for pass_ in stored.passes.values()
+    ] + [
+        f"Shared unknown {shared.name} ({shared.kind}): {many(len(shared.images), 'image')}."
+        for shared in stored.shared.values()
+    ]
 
 
 def islands(names: list[str], bundles: list[tuple[str, int, int]]) -> list[list[str]]:
     """Images that are connected by common points, largest island first; `bundles` as `Project.bundle_images`."""
-    number, of_bundle = {name: j for j, name in enumerate(names)}, defaultdict[int, list[int]](list)
+    index_of_name, of_bundle = {name: j for j, name in enumerate(names)}, defaultdict[int, list[int]](list)
     for name, bundle, _ in bundles:
-        of_bundle[bundle].append(number[name])
+        of_bundle[bundle].append(index_of_name[name])
     pairs = [pair for images in of_bundle.values() for pair in pairwise(images)]
-    found = groups(len(names), np.array(pairs, dtype=np.int64).reshape(-1, 2))
-    return [[names[j] for j in island] for island in found]
+    parts = groups(len(names), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+    return [[names[j] for j in part] for part in parts]
 
 
 def _connections(project: Project, names: list[str]) -> list[str]:
@@ -73,15 +76,15 @@ def _connections(project: Project, names: list[str]) -> list[str]:
     size = Counter(bundle for _, bundle, _ in bundles)
     linked = {name for name, bundle, _ in bundles if size[bundle] > 1}
     alone = [name for name in names if name not in linked]
-    several = [island for island in islands(names, bundles) if len(island) > 1]
-    said = []
-    if len(several) == 1 and not alone:
-        said.append("All images are connected by common points.")
-    elif several:
-        sizes = ", ".join(str(len(island)) for island in several)
-        said.append(f"Images connected by common points: {many(len(several), 'group')} ({sizes} images).")
-    said += [f"Apart from the largest group: {some(island, len(island), _NAMED)}." for island in several[1:]]
-    return [*said, *([f"Unconnected images: {some(alone, len(alone), _NAMED)}."] if alone else [])]
+    connected_groups = [island for island in islands(names, bundles) if len(island) > 1]
+    lines = []
+    if len(connected_groups) == 1 and not alone:
+        lines.append("All images are connected by common points.")
+    elif connected_groups:
+        sizes = ", ".join(str(len(island)) for island in connected_groups)
+        lines.append(f"Images connected by common points: {many(len(connected_groups), 'group')} ({sizes} images).")
+    lines += [f"Apart from the largest group: {some(island, len(island), _NAMED)}." for island in connected_groups[1:]]
+    return [*lines, *([f"Unconnected images: {some(alone, len(alone), _NAMED)}."] if alone else [])]
 
 
 def _solutions(project: Project, images: bool) -> list[str]:
@@ -89,19 +92,19 @@ def _solutions(project: Project, images: bool) -> list[str]:
     if last is None:
         verb = "project solve" if project.store.members() or project.case is None else "match"
         return [f"Nothing is adjusted yet{f'; next: mgsgraph {verb} {project.folder}' if images else ''}."]
-    said = [_solution(last)]
+    lines = [_solution(last)]
     if last.kind != "batch" and batch is not None:
-        said.append(_solution(batch))
-    since = [change for change in project.changes() if change.number > last.change and change.verb != "solve"]
-    if since:
-        said.append(f"Changes since then: {', '.join(f'{change.verb} {change.what}' for change in since[-_NAMED:])}.")
+        lines.append(_solution(batch))
+    later = [change for change in project.changes() if change.number > last.change and change.verb != "solve"]
+    if later:
+        lines.append(f"Changes since then: {', '.join(f'{change.verb} {change.what}' for change in later[-_NAMED:])}.")
     unchecked = [
         change for change in project.changes()
         if change.verb in CHANGING and (batch is None or change.number > batch.change)
     ]  # fmt: skip
     changes = many(len(unchecked), "change") if unchecked else "No change"
-    todo = f"; next: mgsgraph project solve {project.folder}" if unchecked else ""
-    return [*said, f"{changes} since the last batch adjustment{todo}."]
+    next_step = f"; next: mgsgraph project solve {project.folder}" if unchecked else ""
+    return [*lines, f"{changes} since the last batch adjustment{next_step}."]
 
 
 def _solution(row: SolutionRow) -> str:
@@ -118,13 +121,13 @@ def _solution(row: SolutionRow) -> str:
 
 
 def _change(change: Change) -> str:
-    found = dict(change.summary)
+    summary = dict(change.summary)
     facts = [
-        f"{found[key]} {word}"
+        f"{summary[key]} {word}"
         for key, word in (("rays", "image measurements"), ("ranges", "ranges"), ("points_moved", "points moved"))
-        if found.get(key)
+        if summary.get(key)
     ]
-    if "largest_difference_sigmas" in found:
-        facts.append(f"{found['largest_difference_sigmas']:.2g} sigmas from batch at most")
-    noted = f" ({', '.join(facts)})" if facts else ""
-    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{noted}"
+    if "largest_difference_sigmas" in summary:
+        facts.append(f"{summary['largest_difference_sigmas']:.2g} sigmas from batch at most")
+    appendix = f" ({', '.join(facts)})" if facts else ""
+    return f"  {change.number:4d}  {change.at[:19]}  {change.verb:<6} {change.what}{appendix}"

@@ -31,15 +31,15 @@ from mgsgraph.network import Network, PointClass, Surface
 from mgsgraph.network.observations import build_network
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project import edits
-from mgsgraph.project.addition import Addition, NewImage, unknown_alone
-from mgsgraph.project.changes import put_in, remove_images, solve_project
+from mgsgraph.project.addition import Addition, NewImage, new_measurements_only
+from mgsgraph.project.changes import remove_images, solve_project, store_unadjusted
 from mgsgraph.project.project import (
     KeptAdjustment,
     Measure,
     PointState,
     Project,
-    all_set_aside,
     open_project,
+    rejected_measurements,
 )
 from mgsgraph.project.settings import MeasuresInput, ProjectSettings
 from mgsgraph.units import MRAD
@@ -330,7 +330,7 @@ def test_undo_gives_back_the_same_numbers(
             edits.undo(project)
         for name, was in records.items():
             assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
-        assert all_set_aside(project) == {}
+        assert rejected_measurements(project) == {}
         assert apart(adjusted(project), before) < 0.01
         assert sum(one.summary.get("kind") == "undo" for one in project.changes()) >= changed
 
@@ -376,7 +376,7 @@ def test_an_edit_of_what_has_been_changed_since_is_not_undone(folder: Path) -> N
             edits.undo(project)
     with open_project(folder, write=True) as project:
         remove_images(project, [first])
-        assert all_set_aside(project) == {}  # gone with its image
+        assert rejected_measurements(project) == {}  # gone with its image
 
 
 def test_a_measure_set_aside_is_not_added_again_by_the_file_it_came_from(folder: Path) -> None:
@@ -384,8 +384,8 @@ def test_a_measure_set_aside_is_not_added_again_by_the_file_it_came_from(folder:
     with open_project(folder, write=True) as project:
         edits.reject(project, name, image)
         again = network_of(fan(IMAGES), range(IMAGES))
-        assert unknown_alone(again, project.store, all_set_aside(project)) is None
-        assert unknown_alone(again, project.store) is not None
+        assert new_measurements_only(again, project.store, rejected_measurements(project)) is None
+        assert new_measurements_only(again, project.store) is not None
 
 
 def test_a_blunder_of_batch_is_accepted_until_batch_judges_anew(folder: Path) -> None:
@@ -466,7 +466,7 @@ def test_a_project_that_was_never_solved_takes_changes(tmp_path: Path) -> None:
     line, sample, _ = _ties()[name].measures[image]
     new = [NewImage(KnownImage(one, NOISE.prior), ()) for one in fan(IMAGES).images]
     with Project.create(tmp_path / "new", "new", SETTINGS) as project:
-        put_in(project.store, Addition(tuple(new), expected_network(_ties())))
+        store_unadjusted(project.store, Addition(tuple(new), expected_network(_ties())))
     with open_project(tmp_path / "new", write=True) as project:
         assert edits.move(project, name, image, line + 0.5, sample).impact is None
         solve_project(project, figures=False)

@@ -27,12 +27,12 @@ from mgsgraph.project.addition import (
     Addition,
     ImageArgument,
     NewImage,
+    new_measurements_only,
     on_terrain,
     parse_image,
     require_distinct_from,
-    unknown_alone,
 )
-from mgsgraph.project.changes import put_in
+from mgsgraph.project.changes import store_unadjusted
 from mgsgraph.project.columns import packed, unpacked
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
@@ -294,7 +294,7 @@ def lacking(tmp_path: Path) -> Iterator[ProjectStore]:
     """A project that lacks the image SIM/B."""
     new = tuple(NewImage(known, ()) for known in images() if known.image.name != "SIM/B")
     with pytest.raises(StopHere), Project.create(tmp_path / "p", "p", ProjectSettings()) as project:  # noqa: PT012
-        put_in(project.store, Addition(new, without(whole(), "SIM/B")))
+        store_unadjusted(project.store, Addition(new, without(whole(), "SIM/B")))
         yield project.store
         raise StopHere
 
@@ -302,7 +302,7 @@ def lacking(tmp_path: Path) -> Iterator[ProjectStore]:
 def test_of_a_whole_network_only_what_is_new_remains(lacking: ProjectStore) -> None:
     net = whole()
     before = sum(one.network.rays.point.size for one in map(lacking.bundle, lacking.members()))
-    left = unknown_alone(net, lacking)
+    left = new_measurements_only(net, lacking)
     assert left is not None
     new = next(j for j, image in enumerate(left.images) if image.name == "SIM/B")
     known = np.array([name in lacking.bundles_of(net.points.ids) for name in left.points.ids])
@@ -314,10 +314,10 @@ def test_of_a_whole_network_only_what_is_new_remains(lacking: ProjectStore) -> N
 
 def test_put_in_one_after_the_other_is_put_in_at_once(lacking: ProjectStore, tmp_path: Path) -> None:
     net = whole()
-    added = unknown_alone(net, lacking)
+    added = new_measurements_only(net, lacking)
     assert added is not None
     new = next(known for known in images() if known.image.name == "SIM/B")
-    put_in(lacking, Addition((NewImage(new, ()),), added))
+    store_unadjusted(lacking, Addition((NewImage(new, ()),), added))
     assert set(lacking.members()) == set(bundles(net))
     for members, expected in bundles(net).items():
         found = lacking.bundle(members).network
@@ -332,7 +332,7 @@ def test_put_in_one_after_the_other_is_put_in_at_once(lacking: ProjectStore, tmp
 def test_a_measure_that_contradicts_is_not_dropped(lacking: ProjectStore) -> None:
     net = whole()
     moved = replace(net, rays=replace(net.rays, places=net.rays.places + 1e-9))
-    left = unknown_alone(moved, lacking)
+    left = new_measurements_only(moved, lacking)
     assert left is not None
     assert left.rays.point.size == net.rays.point.size
     with pytest.raises(InputError, match="measured there before"):
@@ -374,7 +374,7 @@ def later(known: KnownImage, name: str, seconds: float) -> KnownImage:
 def test_times_of_images_are_those_of_their_records(tmp_path: Path) -> None:
     """Epoch and line timing, bit for bit, in the order in which the images came."""
     with Project.create(tmp_path / "p", "p", ProjectSettings()) as project:
-        put_in(project.store, Addition(tuple(NewImage(known, ()) for known in images()), None))
+        store_unadjusted(project.store, Addition(tuple(NewImage(known, ()) for known in images()), None))
     with open_project(tmp_path / "p") as project:
         times = project.image_times()
         assert list(times) == project.store.image_names()
@@ -390,7 +390,7 @@ def test_images_that_begin_with_a_new_one_are_compared_and_no_others(
     first = images()[0]
     there = [later(first, f"image {k}", 100.0 * k) for k in range(5)]
     with Project.create(tmp_path / "p", "p", ProjectSettings()) as project:
-        put_in(project.store, Addition(tuple(NewImage(known, ()) for known in there), None))
+        store_unadjusted(project.store, Addition(tuple(NewImage(known, ()) for known in there), None))
     with open_project(tmp_path / "p") as project:
         read, image = list[str](), project.store.image
         monkeypatch.setattr(project.store, "image", lambda name: (read.append(name), image(name))[1])

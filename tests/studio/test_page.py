@@ -21,7 +21,7 @@ from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, PointClass, Ranges
 from mgsgraph.network.parts import KnownImage, image_columns
 from mgsgraph.project.addition import Addition, NewImage
-from mgsgraph.project.changes import put_in, solve_project
+from mgsgraph.project.changes import solve_project, store_unadjusted
 from mgsgraph.project.edits import measure, point_state
 from mgsgraph.project.project import Measure, Project, open_project
 from mgsgraph.project.settings import ProjectSettings
@@ -138,7 +138,7 @@ def test_names_with_html_do_nothing(browser: Any, tmp_path: Path) -> None:
     trapped = replace(network, images=images, points=points, shifts=None)
     with Project.create(tmp_path / "project", TRAP, ProjectSettings()) as project:
         new = [NewImage(KnownImage(image, prior)) for image, prior in zip(images, network.priors, strict=True)]
-        put_in(project.store, Addition(tuple(new), trapped))
+        store_unadjusted(project.store, Addition(tuple(new), trapped))
         project.record("init", TRAP, {})
     command("project", "solve", tmp_path / "project", "--no-figures")
     with studio(tmp_path / "project") as running:
@@ -302,7 +302,7 @@ def moc_pair_project(shared_data: Path, folder: Path) -> tuple[Path, dict[str, t
     project = folder / "project"
     with Project.create(project, "MOC pair", ProjectSettings()) as made:
         images = (NewImage(known[0], picture), NewImage(known[1], plain))
-        put_in(made.store, Addition(images, network))
+        store_unadjusted(made.store, Addition(images, network))
         for one in images:
             made.take_picture(one.known.image.name, one.picture)
         made.record("init", "the MOC pair", {})
