@@ -35,8 +35,8 @@ from mgsgraph.case.reading import adjust, read_case
 from mgsgraph.case.terrain import count_files
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import sha256_of
+from mgsgraph.files.output.folders import MATCH, require_replaceable
 from mgsgraph.files.output.folders import RECORD as RESULT
-from mgsgraph.files.output.folders import require_replaceable
 from mgsgraph.files.writing import claim
 from mgsgraph.results.results import AS_WRITTEN, Overrides, write_results
 from mgsgraph.results.verdict import reason_sentences
@@ -207,7 +207,7 @@ SUFFIX = ".toml"
 _ELSEWHERE, _MEND = "choose another --out", "take it away"
 _PLAIN = "case"
 """Stem of a case file that says nothing; its folder's name is taken instead."""
-_BESIDE = (".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json")
+_BESIDE = {".lbl", ".img", ".imq", ".cub", ".pvl", ".isd", ".json"}
 """Endings of files that belong together: a label, and the pixels, posts or tables that it describes."""
 
 
@@ -298,14 +298,13 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _described(path: Path) -> list[Path]:
-    """A label and the files that it describes are read together though only one of them is named."""
-    if path.suffix.lower() not in _BESIDE or not path.parent.is_dir():
-        return []
+    """Files that are read with a named one: a label and what it describes, and the record of a network's matching."""
     return [
         other
-        for other in sorted(path.parent.iterdir())
-        if other.name != path.name and other.stem.lower() == path.stem.lower() and other.suffix.lower() in _BESIDE
-    ]
+        for other in (sorted(path.parent.iterdir()) if path.parent.is_dir() else ())
+        if other.name == MATCH or ({path.suffix.lower(), other.suffix.lower()} <= _BESIDE
+        and other.name != path.name and other.stem.lower() == path.stem.lower())
+    ]  # fmt: skip
 
 
 def _listed(kernel: Path) -> list[Path]:

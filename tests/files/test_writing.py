@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from mgsgraph import atomic_write
 from mgsgraph.atomic_write import beside, is_aside, made_beside, scratch, sweep
 from mgsgraph.errors import InputError
 from mgsgraph.files.output import folders
@@ -343,3 +344,45 @@ def test_other_pages_are_left_alone(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"index\.html: exists and is not a page of mgsgraph re.*; choose another"):
             attempt()
     assert "Mine" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_content_and_names_reach_the_disk_around_the_rename(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: bool
+) -> None:
+    """A power cut leaves the former or the new result: fsync of all that is new, rename, fsync of the folder."""
+    calls, sync, rename = list[str](), os.fsync, os.rename
+    target = tmp_path / "result"
+
+    def fsync(descriptor: int) -> None:
+        path = os.readlink(f"/proc/self/fd/{descriptor}")
+        calls.append("names" if path == str(tmp_path) else "content")
+        sync(descriptor)
+
+    def renamed(kind: str, done: Callable[..., object]) -> Callable[..., object]:
+        def act(*arguments: object) -> object:
+            calls.append(kind)
+            return done(*arguments)
+
+        return act
+
+    def write() -> None:
+        if folder:
+            with fresh_folder(target) as new:
+                write_file(new / folders.RECORD, "{}")
+                write_file(new / "points.csv", "1")
+        else:
+            write_file(target, "content")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "rename", renamed("rename", rename))
+    monkeypatch.setattr(os, "replace", renamed("rename", os.replace))
+    monkeypatch.setattr(atomic_write, "_exchanged", renamed("rename", atomic_write._exchanged))
+    for _ in range(2):  # a first result, and one that replaces it
+        calls.clear()
+        write()
+        last = len(calls) - calls[::-1].index("rename") - 1
+        assert "content" in calls[:last]
+        assert calls[last + 1 :] == ["names"]
+        if folder:
+            assert calls[:last].count("content") == 3  # two files and the names of both

@@ -123,6 +123,13 @@ def test_what_has_changed_is_done_again(run: Run, sites: Path, tmp_path: Path) -
     assert mgsgraph.read_solution(tmp_path / "out" / "west").network.ranges.point.size == 0
 
 
+def test_a_record_of_matching_that_appears_beside_a_network_is_a_change(run: Run, sites: Path) -> None:
+    """Field case 20: it says in which windows the network's points were compared."""
+    run()
+    (sites / "north" / "match.json").write_text('{"settings": {"half_window": 10}}', encoding="utf-8")
+    assert run()[1] == {"north"}
+
+
 def test_failures_are_tried_again_on_request(run: Run) -> None:
     run()
     assert run(retry=True)[1] == {"west"}

@@ -44,7 +44,10 @@ def other_image(case_file: Path, lines: int = 1) -> Path:
     return path
 
 
-HEAVY = {"numba", "llvmlite", "scipy", "gtsam", "pandas", "matplotlib", "jinja2", "shapely", "rasterio", "spiceypy", "dask", "cv2"}
+HEAVY = {
+    "numba", "llvmlite", "scipy", "gtsam", "pandas", "matplotlib", "jinja2", "shapely", "rasterio", "spiceypy", "dask",
+    "cv2",
+}  # fmt: skip
 """Libraries that take a tenth of a second or more to load, or that solving and drawing alone need."""
 
 
@@ -346,3 +349,30 @@ def test_shots_given_again_are_said_when_they_are_added(
     case_file.write_text(case_file.read_text(encoding="utf-8").replace("lidar.json", "both.json"), encoding="utf-8")
     call("project", "init", case_file.parent / "project", "--case", case_file)
     assert re.search(r"5 \S+ \S+ of 13 .*again", capsys.readouterr().out)
+
+
+def test_a_removed_point_stays_out_when_its_network_is_given_again(shared_data: Path, tmp_path: Path) -> None:
+    """Field case 19: cubes 1 and 2, a point removed by hand, then cube 3 with the control network of all three."""
+    folder, project = shared_data / "mgs_moc_wa_three", tmp_path / "project"
+    images = "".join(f'[[images]]\nimage = "{folder / name}.isd"\n' for name in ("cube1", "cube2"))
+    case = tmp_path / "case.toml"
+    case.write_text(
+        f'format = 1\nname = "MOC"\n{images}[orientation]\nposition_sigma_m = 100.0\nangle_sigma_mrad = 0.29\n'
+        f'[ties]\nnetwork = "{folder / "controlnetwork.net"}"\n', encoding="utf-8",
+    )  # fmt: skip
+    call("project", "init", project, "--case", case)
+    call("project", "solve", project, "--no-figures")
+    with open_project(project) as opened:
+        point = opened.store.network().points.ids[0]
+    call("project", "measure", project, point, "--remove", "--why", "a shadow")
+    call("project", "add", project, folder / "cube3.isd", "--ties", folder / "controlnetwork.net")
+    with open_project(project) as opened:
+        points = opened.store.network().points.ids.tolist()
+    assert len(points) > 3
+    assert point not in points
+    call("project", "undo", project)
+    call("project", "undo", project)
+    with open_project(project) as opened:
+        assert point in opened.store.network().points.ids.tolist()
+    call("project", "add", project, folder / "cube3.isd", "--ties", folder / "controlnetwork.net")
+    assert call("project", "solve", project, "--no-figures") == 0

@@ -2,6 +2,7 @@
 the terrain model, a small part of it, and its judgement.
 """
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ if not SCRIPTS.is_dir():
 sys.path.append(str(SCRIPTS))
 
 import kills  # noqa: E402
+import power_cuts  # noqa: E402
 import whole_road  # noqa: E402
 
 
@@ -54,6 +56,38 @@ def test_a_few_kills() -> None:
     assert int(before) + int(after) + int(each) == 12
     assert (int(between), int(behind), int(unclean)) == (0, 0, 0)
     assert int(left) <= 12
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+def test_a_few_power_cuts() -> None:
+    """What reaches the disk when, as the system's calls say."""
+    command = [sys.executable, str(SCRIPTS / "power_cuts.py"), "--cuts", "20", "--only", "convert", "export --to csm"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stderr
+    for row in done.stdout.splitlines()[2:]:
+        _, _, events, cuts_made, whole, *_ = (cell.strip() for cell in row.split("|"))
+        assert int(events) > 3
+        assert cuts_made == whole == "20"
+
+
+@pytest.mark.parametrize(
+    ("calls", "lost"),
+    [
+        ("write sync rename names", False), ("write rename", True), ("write sync write rename", True),
+        ("write sync rename", False), ("write sync rename remove", True), ("write sync rename names remove", False),
+    ],
+)  # fmt: skip
+def test_what_a_power_cut_leaves(calls: str, lost: bool) -> None:
+    new, events = "/w/.a.0a1b2c3d.unfinished", {
+        "write": power_cuts.Event("write", "/w/.a.0a1b2c3d.unfinished/x"), "names": power_cuts.Event("sync", "/w"),
+        "sync": power_cuts.Event("sync", "/w/.a.0a1b2c3d.unfinished/x"),
+    }  # fmt: skip
+    events |= {"rename": power_cuts.Event("rename", new, "/w/a"), "remove": power_cuts.Event("remove", f"{new}/old")}
+    disk = power_cuts.Disk()
+    for call in calls.split():
+        disk.take(events[call])
+    assert bool(disk.lost) == lost
 
 
 @pytest.mark.slow
