@@ -28,6 +28,7 @@ _LONGEST = 700
 """Characters of what click has against an argument."""
 _NO_MEMORY = -4
 """OpenCV's code of it."""
+_FEWEST_FILES = 64
 _LEAST = 2_000_000_000
 """bytes of address space that the libraries need to be loaded; with less some of them spin, and heed no signal."""
 
@@ -103,6 +104,7 @@ def main() -> None:
     guard_streams()
     try:
         _require_memory()
+        _require_files()
         _require_threads()
         _require_text((os.getcwd(), *sys.argv[1:]))
         status = group(standalone_mode=False)
@@ -156,6 +158,17 @@ def _require_memory() -> None:
     if limit != resource.RLIM_INFINITY and limit < _LEAST:
         raise MgsgraphError(f"{limit / 1e6:.0f} MB of memory for a process (ulimit -v); expected {_LEAST / 1e6:.0f} MB "
                             "at least; raise the limit")  # fmt: skip
+
+
+def _require_files() -> None:
+    """Raise MgsgraphError where the process may open fewer files than kernels and libraries need."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit < _FEWEST_FILES:
+        raise MgsgraphError(f"{limit} open files for a process (ulimit -n); expected {_FEWEST_FILES}; raise the limit")
 
 
 def _require_threads() -> None:

@@ -369,8 +369,8 @@ def test_content_and_names_reach_the_disk_around_the_rename(
     def write() -> None:
         if folder:
             with fresh_folder(target) as new:
-                write_file(new / folders.RECORD, "{}")
-                write_file(new / "points.csv", "1")
+                write_file(new / folders.RECORD, record_text({"program": folders.PROGRAM}))
+                write_file(new / next(iter(TABLES)), "1")
         else:
             write_file(target, "content")
 
