@@ -1,4 +1,4 @@
-"""The command line: one thin verb each; nothing here computes. Verbs are imported when they are called."""
+"""The command line: one function for each verb, without computations. Verbs are imported when they are called."""
 
 import os
 import signal
@@ -16,30 +16,30 @@ from mgsgraph.cli.verbs import GROUPS, REMOVED, RENAMED, VERBS
 from mgsgraph.errors import MgsgraphError, one_line
 
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGALRM
-"""Those that end the program: what it writes is then there as before, or whole."""
-_LATER = 0.01
-"""s after which an interrupt tries again that came during an import."""
-_AGAIN = 0.2
-"""s after which one tries again that a library's code, or a callback of it, may have swallowed."""
+"""Signals that end the program; files are then unchanged or complete."""
+_RETRY_IN_IMPORT = 0.01
+"""s until the next attempt of an interrupt during an import."""
+_RETRY = 0.2
+"""s until the next attempt of an interrupt that a library or its callback may have swallowed."""
 _INTERRUPTED = "interrupted; results are as they were before, or whole"
 _OUT_OF_MEMORY = "error: out of memory; give the machine more or leave images out"
 _PROJECT = """Keep a block in a folder, PROJECT, to which images come one after another."""
-_LONGEST = 700
-"""Characters of what click has against an argument."""
-_NO_MEMORY = -4
-"""OpenCV's code of it."""
+_LONGEST_MESSAGE = 700
+"""Maximum number of characters of an error message of click."""
+_OPENCV_OUT_OF_MEMORY = -4
+"""Code of OpenCV's error for exhausted memory."""
 _FEWEST_FILES = 64
 _LEAST = 2_000_000_000
-"""bytes of address space that the libraries need to be loaded; with less some of them spin, and heed no signal."""
+"""Bytes of address space that loading the libraries needs; with less some of them hang and ignore signals."""
 
 
 class _Verbs(click.Group):
-    """Verbs by name, with their one-line help known before their modules are imported; all, or those of a group of
-    verbs whose names begin with `prefix`.
+    """Verbs by name, with a one-line help that needs no import of their modules: all verbs, or those whose names begin
+    with `prefix`.
     """
 
-    def __init__(self, *args: Any, prefix: str = "", **given: Any) -> None:
-        super().__init__(*args, **given)
+    def __init__(self, *args: Any, prefix: str = "", **options: Any) -> None:
+        super().__init__(*args, **options)
         names = (verb.removeprefix(prefix).split()[0] for verb in VERBS if verb.startswith(prefix))
         self._prefix, self._names = prefix, list(dict.fromkeys(names))
 
@@ -72,12 +72,12 @@ class _Verbs(click.Group):
         return super().resolve_command(ctx, args)
 
     def _instead(self, args: list[str]) -> str:
-        """What to give in the place of a verb that isn't there."""
+        """Advice for an unknown verb."""
         if not self._prefix and args[0] in RENAMED:
             return f"it is now: {RENAMED[args[0]]}"
-        near = get_close_matches(args[0], self._names, n=1)
-        others = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(self._names)}"
-        return f"{others} (ground <-> image is now: mgsgraph locate)" if self._prefix else others
+        similar = get_close_matches(args[0], self._names, n=1)
+        suggestion = f"did you mean {similar[0]!r}?" if similar else f"there are {', '.join(self._names)}"
+        return f"{suggestion} (ground <-> image is now: mgsgraph locate)" if self._prefix else suggestion
 
 
 @click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -93,8 +93,8 @@ def main() -> None:
     def interrupt(number: int, frame: FrameType | None) -> None:
         nonlocal interrupted
         interrupted = True
-        importing = _importing(frame)  # broken off there, a library's own code prints a traceback: a little later
-        signal.setitimer(signal.ITIMER_REAL, _LATER if importing else _AGAIN)
+        importing = _importing(frame)  # an interrupt there would print a library's traceback: try again later
+        signal.setitimer(signal.ITIMER_REAL, _RETRY_IN_IMPORT if importing else _RETRY)
         if not importing and not _ending():
             raise KeyboardInterrupt
 
@@ -106,42 +106,42 @@ def main() -> None:
         _require_memory()
         _require_files()
         _require_threads()
-        _require_text((os.getcwd(), *sys.argv[1:]))
+        _require_utf8((os.getcwd(), *sys.argv[1:]))
         status = group(standalone_mode=False)
         _end_of_signals()  # all is written, only the interpreter's end is left
         if sys.stdout is not None:  # closed by the caller
             sys.stdout.flush()
     except click.ClickException as error:
-        _leave(f"error: {_said(error)}", 2)
+        _exit_with(f"error: {_usage_message(error)}", 2)
     except MgsgraphError as error:
-        _leave(f"error: {error}", 2)
+        _exit_with(f"error: {error}", 2)
     except MemoryError:
-        _leave(_OUT_OF_MEMORY, 2)
+        _exit_with(_OUT_OF_MEMORY, 2)
     except BrokenPipeError:
         os._exit(1)  # whoever read our output has gone; a second attempt to flush it would complain
     except (KeyboardInterrupt, click.exceptions.Abort):
-        _leave(_INTERRUPTED, 130)
+        _exit_with(_INTERRUPTED, 130)
     except OSError as error:
         where = f"{one_line(os.fsdecode(error.filename))}: " if isinstance(error.filename, str | bytes) else ""
-        _leave(f"error: {where}can't be read or written ({error.strerror or error})", 2)
+        _exit_with(f"error: {where}can't be read or written ({error.strerror or error})", 2)
     except Exception as error:
-        if getattr(error, "code", None) == _NO_MEMORY:
-            _leave(_OUT_OF_MEMORY, 2)
+        if getattr(error, "code", None) == _OPENCV_OUT_OF_MEMORY:
+            _exit_with(_OUT_OF_MEMORY, 2)
         if not interrupted:
             raise
-        _leave(_INTERRUPTED, 130)  # a library that was being imported makes its own error of it
+        _exit_with(_INTERRUPTED, 130)  # a library that was being imported makes its own error of it
     sys.exit(status or 0)
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether an import is going on where the program stands."""
+    """Whether the frame belongs to an import."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
 
 
 def _ending() -> bool:
-    """Whether an interrupt is on its way out, through what cleans up behind it."""
+    """Whether a KeyboardInterrupt is already being handled."""
     error = sys.exception()
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__context__
@@ -149,7 +149,7 @@ def _ending() -> bool:
 
 
 def _require_memory() -> None:
-    """Raise MgsgraphError where the process may have less address space than the libraries need."""
+    """Raise MgsgraphError if the address space of the process is too small for the libraries."""
     if sys.platform == "win32":
         return
     import resource
@@ -172,13 +172,13 @@ def _require_files() -> None:
 
 
 def _require_threads() -> None:
-    """Raise MgsgraphError for a number of threads that numba can't take."""
-    if (wanted := os.environ.get("NUMBA_NUM_THREADS", "1")).lstrip("-").isdecimal() and int(wanted) < 1:
-        raise MgsgraphError(f"NUMBA_NUM_THREADS: {wanted}; expected 1 or more; set another, or none")
+    """Raise MgsgraphError for a number of threads that numba does not accept."""
+    if (threads := os.environ.get("NUMBA_NUM_THREADS", "1")).lstrip("-").isdecimal() and int(threads) < 1:
+        raise MgsgraphError(f"NUMBA_NUM_THREADS: {threads}; expected 1 or more; set another, or none")
 
 
-def _require_text(words: Iterable[str]) -> None:
-    """Raise MgsgraphError for a word whose bytes are no UTF-8: no record, project or page could hold such a name."""
+def _require_utf8(words: Iterable[str]) -> None:
+    """Raise MgsgraphError for a word that is not UTF-8: records, projects and pages can't store such a name."""
     for word in words:
         try:
             word.encode()
@@ -193,26 +193,26 @@ def _end_of_signals() -> None:
 
 
 def _unraisable(ignored: "sys.UnraisableHookArgs") -> None:
-    """An error Python could raise nowhere (in a weak reference's callback, a finalizer): an interrupt tries again by
-    itself.
+    """Report an error in a callback of a weak reference or a finalizer, unless it is an interrupt, which is repeated
+    anyway.
     """
     if ignored.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(ignored)
 
 
-def _said(error: click.ClickException) -> str:
-    """One line of what click has against an option or an argument, and where to look."""
-    message = one_line(" ".join(error.format_message().split()).rstrip("."), _LONGEST)
+def _usage_message(error: click.ClickException) -> str:
+    """An error of click as one line, with the help command to call."""
+    message = one_line(" ".join(error.format_message().split()).rstrip("."), _LONGEST_MESSAGE)
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is None:
         return message
-    if isinstance(error, click.NoSuchOption) and (new := REMOVED.get(f"{context.info_name} {error.option_name}")):
-        return f"No such option {error.option_name!r}; {new}"
+    if isinstance(error, click.NoSuchOption) and (hint := REMOVED.get(f"{context.info_name} {error.option_name}")):
+        return f"No such option {error.option_name!r}; {hint}"
     return f"{message}; see {context.command_path} --help"
 
 
-def _leave(message: str, status: int) -> NoReturn:
-    """One line on standard error, and out, without another look at standard output."""
+def _exit_with(message: str, status: int) -> NoReturn:
+    """Print one line on standard error and exit at once, without flushing standard output."""
     _end_of_signals()
     click.echo(f"mgsgraph: {message}", err=True)
     sys.stderr.flush()

@@ -52,14 +52,14 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
     from mgsgraph.results.inventory import images_inventory, inventory
 
     with stage("reading"), word_of_compiling():
-        said = images_inventory(case) if ties is None else None
+        text = images_inventory(case) if ties is None else None
         try:
-            said = said or inventory(read_case(case, not no_laser, ties), details())
+            text = text or inventory(read_case(case, not no_laser, ties), details())
         except Unmeasured as error:
-            said = images_inventory(case, error) if ties is None else None
-            if said is None:
+            text = images_inventory(case, error) if ties is None else None
+            if text is None:
                 raise
-    print_brief(said, more=0)
+    print_brief(text, more=0)
 
 
 @click.command()
@@ -104,29 +104,29 @@ def adjust(
     reading = {"reading": elapsed() - begin}
     print_sentences(*read.notes)
     settings = overrides.over(read.settings)
-    estimating = read.vibrating or any(one.asks_for_strengths for one in read.network.passes)
+    estimating = read.vibrating or any(pass_.asks_for_strengths for pass_ in read.network.passes)
     if estimating and (two_steps or cluster is not None):
         raise click.UsageError("estimated strengths and vibrations go with neither --two-steps nor --cluster")
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster) if cluster is not None else nullcontext()
     if two_steps:
-        ctx.exit(0 if _in_two_steps(read, settings, out, connection, overrides) else 1)
+        ctx.exit(0 if _adjust_in_two_steps(read, settings, out, connection, overrides) else 1)
     with connection as workers, iteration_bar() as bar:
-        solution, said = adjusted(read.network, settings, read.name, bar, read.vibrating, workers)
+        solution, sentences = adjusted(read.network, settings, read.name, bar, read.vibrating, workers)
     solution = replace(solution, seconds=reading | dict(solution.seconds))
     with stage("tables and figures"):
         write_results(solution, out, overrides.figures, case, read.networks, overrides.tables)
-    print_solution(solution, 1 + len(read.notes) + len(said))
-    print_sentences(*said)
+    print_solution(solution, 1 + len(read.notes) + len(sentences))
+    print_sentences(*sentences)
     print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(solution) else 1)
 
 
-def _in_two_steps(
+def _adjust_in_two_steps(
     read: "Case", settings: "SolverSettings", out: Path, connection: AbstractContextManager["Connection | None"],
     overrides: "Overrides",
 ) -> bool:  # fmt: skip
-    """Whether both steps converged."""
+    """Adjust in two steps and write the results; whether both steps converged and the result is valid."""
     from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
     from mgsgraph.analysis.two_step_statistics import two_step_statistics
     from mgsgraph.analysis.verdict import is_valid
@@ -137,7 +137,7 @@ def _in_two_steps(
     require_terrain(read.network, str(read.path))
     with connection as workers, iteration_bar() as bar:
         steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
-    # what took longest is safe, whatever becomes of the rest
+    # store the adjustment first: it took longest
     write_results(steps.fitted, out, figures=False, networks=read.networks)
     with stage_bar(2) as stages:
         with stages.stage("figures of merit"):
@@ -177,10 +177,10 @@ def batch(
     try:
         with counting_bar("adjusting", "case") as bar:
 
-            def show(over: int, due: int, entry: CampaignEntry | None) -> None:
+            def show(ended: int, due: int, entry: CampaignEntry | None) -> None:
                 nonlocal state
-                state = f"{over} of {due} cases are over and recorded"
-                bar(over, due)
+                state = f"{ended} of {due} cases are over and recorded"
+                bar(ended, due)
                 if entry is not None and details():
                     tqdm.write(line(entry))
 
@@ -251,16 +251,16 @@ def align(
             registration, out = align_project(opened, settings, workers, not no_figures, show)
     else:
         out = folder_for(out, case, "align")
-        registration = _aligned(case_with_results(case, of_case), out, not no_figures, settings, ties, workers)
+        registration = _align_case(case_with_results(case, of_case), out, not no_figures, settings, ties, workers)
     print_brief(coregistration_section(registration).text(None))
     print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(registration.solution) else 1)
 
 
-def _aligned(
+def _align_case(
     source: "CaseResults", out: Path, figures: bool, settings: "ReliefSettings", ties: Path | None, workers: int | None
 ) -> "ReliefRegistration":
-    """Register a case by relief, and write what came out."""
+    """Register a case by relief and write the results."""
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bars
     from mgsgraph.files.output.folders import require_replaceable
@@ -271,11 +271,11 @@ def _aligned(
     require_replaceable(out)
     if source.folder is not None and out.resolve() in (source.folder.resolve(), source.folder.resolve().parent):
         raise click.UsageError(f"--out would replace {source.folder}: give another folder")
-    before = None if source.folder is None else read_solution(source.folder)
+    earlier = None if source.folder is None else read_solution(source.folder)
     read = read_case(source.case, ties=ties)
     print_sentences(*read.notes)
     with counting_bars() as show:
-        registration = register_by_relief(read, settings, before=before, workers=workers, progress=show)
+        registration = register_by_relief(read, settings, before=earlier, workers=workers, progress=show)
         show("tables and figures" if figures else "tables", 0, 1)
         write_coregistration(registration, out, figures, read.path, read.networks)
     return registration

@@ -10,7 +10,7 @@ from mgsgraph.export import Format, Target
 from mgsgraph.files.networks.record import Duplicates
 
 _FILES = 5
-"""That are named before what is lost, where many are written."""
+"""Number of written files that are printed before the notes."""
 _FORMATS = click.Choice([one.value for one in Format])
 
 
@@ -42,7 +42,7 @@ _FORMATS = click.Choice([one.value for one in Format])
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 @DETAILS
 def convert(
-    files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool, **given: Any
+    files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool, **options: Any
 ) -> None:
     """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
     and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
@@ -63,18 +63,18 @@ def convert(
         raise click.UsageError("one file alone: name what is written, last or by --out")
     inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
-    setting = setting_of(**{name: given.pop(name) for name in names}, shifted=not nvm_no_shift)
-    selection = Selection(Duplicates(duplicates), *map(given.pop, ("only", "split")))
+    setting = setting_of(**{name: options.pop(name) for name in names}, shifted=not nvm_no_shift)
+    selection = Selection(Duplicates(duplicates), *map(options.pop, ("only", "split")))
     try:
-        made = make(
-            inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **given
+        written = make(
+            inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options
         )
     except Lossy as error:
         print_brief(*items(f"Not held: {line}" for line in error.lost), more=0)
         raise
-    done = [f"Wrote {path}" for path in made.written]
-    lost = [f"Not held: {line}" for line in made.lost]
-    print_brief(*done[:_FILES], *items((*made.notes, *lost)), *done[_FILES:], more=0)
+    messages = [f"Wrote {path}" for path in written.written]
+    losses = [f"Not held: {line}" for line in written.lost]
+    print_brief(*messages[:_FILES], *items((*written.notes, *losses)), *messages[_FILES:], more=0)
 
 
 @click.command()
@@ -125,6 +125,6 @@ def export(
     print_sentences(results.warning)
     for target in dict.fromkeys(targets):
         folder = out / target if out is not None and len(targets) > 1 else folder_for(out, solution, target)
-        done = export_solution(results.folder, target, folder, settings_for(target, settings))
-        print_sentences(done.sentence, *done.notes)
+        exported = export_solution(results.folder, target, folder, settings_for(target, settings))
+        print_sentences(exported.sentence, *exported.notes)
         click.echo(f"The files are in {folder}")

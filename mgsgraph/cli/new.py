@@ -1,4 +1,4 @@
-"""The verb to begin with: a case file for the files that one has."""
+"""The verb `new`: a case file for the user's files."""
 
 from pathlib import Path
 
@@ -32,8 +32,8 @@ def new(files: tuple[Path, ...], out: Path, name: str, replace: bool, keys: str 
         raise click.UsageError("Missing argument 'FILE|FOLDER...'")
     from mgsgraph.case.draft import draft_case
 
-    made = draft_case(files, out, name, replace)
-    for line in made.said:
+    draft = draft_case(files, out, name, replace)
+    for line in draft.said:
         click.echo(line)
     click.echo(f"The case is {out}")
-    click.echo(f"Next: {made.command}")
+    click.echo(f"Next: {draft.command}")

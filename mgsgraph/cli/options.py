@@ -1,5 +1,5 @@
-"""Options that several verbs have; those by which a command line overrules case files. Standard output and error: what
-goes to a terminal can't move its cursor, and what can't be written is said.
+"""Options of several verbs and options that overrule case files; printing; standard output and error without control
+characters, and with an error message if they can't be written.
 """
 
 import re
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 _BEGAN = time.perf_counter()
 _DETAILS = "mgsgraph.details"
 _LINES = 15
-"""That a verb prints without --details."""
+"""Number of lines that a verb prints without --details."""
 _HEAD = 6
-"""Lines of a table with its heading and two rows: fewer of them are left out."""
+"""Lines of a table with heading and two rows; a shorter beginning of a table is not printed."""
 PATH = click.Path(path_type=Path)
 TIES = click.option("--ties", type=PATH, metavar="NETWORK", help="Tie points in place of those that CASE names.")
 DETAILS = click.option(
@@ -58,15 +58,15 @@ _OPTIONS = (
 
 
 def overruling(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a verb the options that overrule case files, which it takes together as `overrides`."""
+    """Decorator: adds the options that overrule case files; the verb receives them together as `overrides`."""
 
     @wraps(verb)
-    def with_overrides(**given: Any) -> None:
+    def with_overrides(**options: Any) -> None:
         from mgsgraph.results.results import Overrides
 
-        chosen = {name: given.pop(name) for name in ("loss", "reject", "starts", "tables", "device")}
-        chosen |= {name: not given.pop(f"no_{name}") for name in ("laser", "figures")}
-        verb(overrides=Overrides(**chosen), **given)
+        chosen = {name: options.pop(name) for name in ("loss", "reject", "starts", "tables", "device")}
+        chosen |= {name: not options.pop(f"no_{name}") for name in ("laser", "figures")}
+        verb(overrides=Overrides(**chosen), **options)
 
     for option in reversed(_OPTIONS):
         option(with_overrides)
@@ -74,7 +74,7 @@ def overruling(verb: Callable[..., None]) -> Callable[..., None]:
 
 
 def require_two(images: tuple[str, ...]) -> tuple[str, ...]:
-    """The names that --image gives if they are two, or none."""
+    """The names of --image: two or none, else a UsageError."""
     if images and len(set(images)) != 2:
         raise click.UsageError(f"--image {', '.join(images)}: two different images, or none of them for all")
     return images
@@ -86,8 +86,8 @@ def out_option(verb: str, more: str = "") -> Callable[[Callable[..., None]], Cal
 
 
 def folder_for(out: Path | None, source: Path, verb: str) -> Path:
-    """OUT, or else a folder in the working directory named after what is worked on and the verb: case file or folder;
-    after its folder where it has the name that most case files have, or that of the archive in each result.
+    """OUT, or a folder NAME-VERB in the working directory. NAME is that of the case file or folder; for case.toml and
+    solution.npz that of the folder above.
     """
     whole = source.resolve()
     name = whole.stem if whole.suffix in (".toml", ".npz") else whole.name
@@ -95,7 +95,7 @@ def folder_for(out: Path | None, source: Path, verb: str) -> Path:
 
 
 def items(sentences: Iterable[str]) -> list[str]:
-    """Sentences as items of a list; empty ones are none."""
+    """Sentences as items of a list, without empty ones."""
     return [f"- {sentence}" for sentence in sentences if sentence]
 
 
@@ -112,31 +112,31 @@ def details() -> bool:
 
 
 def print_brief(*texts: str, more: int = 1) -> None:
-    """Print texts; without --details as many of their lines as fit in 15 with `more` others; the last says how many are
-    left out.
+    """Print texts. Without --details only as many lines as, with `more` others, make 15; the last line then says how
+    many are left out.
     """
     lines = "\n".join(texts).split("\n")
     if not details() and len(lines) + more > _LINES:
-        kept = lines[: _LINES - more - 1]
-        if "" in kept[-_HEAD:]:
-            kept = kept[: len(kept) - 1 - kept[::-1].index("")]
-        lines = [*kept, f"{len(lines) - len(kept)} more lines: --details (-v)"]
+        shortened = lines[: _LINES - more - 1]
+        if "" in shortened[-_HEAD:]:
+            shortened = shortened[: len(shortened) - 1 - shortened[::-1].index("")]
+        lines = [*shortened, f"{len(lines) - len(shortened)} more lines: --details (-v)"]
     click.echo("\n".join(lines))
 
 
-def print_ended(what: str) -> None:
-    """Print where results are, and the seconds of the whole run."""
-    click.echo(f"{what} ({elapsed():.0f} s)")
+def print_ended(sentence: str) -> None:
+    """Print the last sentence of a run (where the results are) with the seconds of the whole run."""
+    click.echo(f"{sentence} ({elapsed():.0f} s)")
 
 
 def elapsed() -> float:
-    """S since the program began, libraries and drawing included."""
+    """Seconds since the start of the program, with loading of libraries and drawing."""
     return time.perf_counter() - _BEGAN
 
 
 def print_solution(solution: "Solution", more: int = 1) -> None:
-    """Print what an adjustment has found in a few lines, beside `more` others; with --details all tables, sentences and
-    seconds.
+    """Print the result of an adjustment: a summary of few lines (`more` other lines are printed elsewhere), or with
+    --details all tables, sentences and seconds.
     """
     from mgsgraph.results.results import sentences_of, solution_sections, summary_table
     from mgsgraph.results.summary import summary
@@ -145,15 +145,15 @@ def print_solution(solution: "Solution", more: int = 1) -> None:
         print_brief(*summary(solution), more=more)
         return
     sections = solution_sections(solution)
-    every = {**solution.seconds, "start-up, tables and figures": elapsed() - sum(solution.seconds.values())}
-    click.echo(summary_table(replace(solution, seconds=every), sections))
+    seconds = {**solution.seconds, "start-up, tables and figures": elapsed() - sum(solution.seconds.values())}
+    click.echo(summary_table(replace(solution, seconds=seconds), sections))
     print_sentences(*sentences_of(sections))
 
 
-_KEPT = "\n\r\t"
-"""What our own tables and bars are made of."""
+_UNESCAPED = "\n\r\t"
+"""Control characters that are printed unchanged: tables and bars need them."""
 _BETWEEN_BARS = re.compile(r"\n*(?:\x1b\[A)+")
-"""What tqdm writes, and nothing else with it, to go from one bar to that above."""
+"""Text with which tqdm moves from one bar to the bar above."""
 
 
 class OutputError(MgsgraphError):
@@ -161,9 +161,9 @@ class OutputError(MgsgraphError):
 
 
 class PrintableStream:
-    """A stream on which names out of files are harmless: control characters are escaped, also bytes that are no text.
+    """A stream that escapes control characters and bytes that are no text, as names in untrusted files may have them.
 
-    All else is the stream's own.
+    All other attributes are those of the stream.
     """
 
     def __init__(self, stream: TextIO, name: str) -> None:
@@ -173,14 +173,14 @@ class PrintableStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write it, as far as it is printable; OutputError where that can't be done."""
+        """Write a text with its control characters escaped; OutputError where this fails."""
         try:
-            return self._stream.write(text if _BETWEEN_BARS.fullmatch(text) else printable(text, _KEPT))
+            return self._stream.write(text if _BETWEEN_BARS.fullmatch(text) else printable(text, _UNESCAPED))
         except OSError as error:
             raise self._refusal(error) from None
 
     def flush(self) -> None:
-        """Write what waits; OutputError where that can't be done."""
+        """Flush the stream; OutputError where this fails."""
         try:
             self._stream.flush()
         except OSError as error:
@@ -193,9 +193,9 @@ class PrintableStream:
 
 
 def guard_streams() -> None:
-    """Put `PrintableStream` in the place of standard output and error, where the caller has not closed them."""
-    for name, words in (("stdout", "standard output"), ("stderr", "standard error")):
+    """Replace standard output and error by `PrintableStream`, unless the caller has closed them."""
+    for name, label in (("stdout", "standard output"), ("stderr", "standard error")):
         stream = getattr(sys, name)
         if stream is not None:
             stream.reconfigure(errors="backslashreplace")
-            setattr(sys, name, PrintableStream(stream, words))
+            setattr(sys, name, PrintableStream(stream, label))

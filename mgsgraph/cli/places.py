@@ -1,4 +1,4 @@
-"""The verbs that go between ground and image: coordinates, and footprints of laser shots."""
+"""Verbs between ground and image: coordinates, and footprints of laser shots."""
 
 import sys
 from pathlib import Path
@@ -82,26 +82,26 @@ def locate(
     surface = terrain if terrain is not None else not (ellipsoid or height is not None or radius is not None)
     view, grid, warning = open_view(source, image, surface, reference_radius)
     if points is not None:
-        given = read_places(points, view.image.body, into and ("ground" if into == "image" else "image"))
-        if isis and given.sort == "image" and not given.isis:
+        inputs = read_places(points, view.image.body, into and ("ground" if into == "image" else "image"))
+        if isis and inputs.sort == "image" and not inputs.isis:
             raise InputError(
                 str(points), "the columns line and sample, which count from 0.5, beside --isis", "one count",
                 "leave --isis out, or name them isis_line and isis_sample",
             )  # fmt: skip
     else:
-        given = PlaceTable.of_pixels(np.array(pixels), isis) if pixels else PlaceTable.of_surface(np.array(places))
+        inputs = PlaceTable.of_pixels(np.array(pixels), isis) if pixels else PlaceTable.of_surface(np.array(places))
     ground = Surface(grid, radius, 0.0 if ellipsoid else height)
-    table, said = project_places(view, given, ground, isis or bool(given.isis))
+    table, sentence = project_places(view, inputs, ground, isis or bool(inputs.isis))
     if warning:
         click.echo(f"- {warning}", err=True)
     if out is not None:
         with fresh_file(out, over=PLACES) as path:
             table.write_csv(path)
-        click.echo(f"- {said}")
+        click.echo(f"- {sentence}")
         click.echo(f"The places are in {out}")
     elif points is not None:
         table.write_csv(sys.stdout)
-        click.echo(f"- {said}", err=True)
+        click.echo(f"- {sentence}", err=True)
     else:
         click.echo("\n".join(places_text(table)))
 
@@ -166,7 +166,7 @@ def footprints(
 
 
 def _register(source: Path, case: Path | None, out: Path, ties: Path | None, figures: bool) -> None:
-    """Register the laser profiles of a case by projection, write and print what came out."""
+    """Register the laser profiles of a case by projection; write and print the results."""
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import REGISTRATION, require_replaceable
@@ -176,10 +176,10 @@ def _register(source: Path, case: Path | None, out: Path, ties: Path | None, fig
     from mgsgraph.results.registration import registration_section, write_registration
 
     require_replaceable(out, REGISTRATION)
-    found = case_with_results(source, case)
-    adjusted = None if found.folder is None else read_solution(found.folder)
+    source_files = case_with_results(source, case)
+    adjusted = None if source_files.folder is None else read_solution(source_files.folder)
     with stage("projecting shots"):
-        registration = register_case(read_case(found.case, ties=ties or found.ties), adjusted)
+        registration = register_case(read_case(source_files.case, ties=ties or source_files.ties), adjusted)
         write_registration(registration, out, figures=figures)
     print_brief(registration_section(registration).text(None))
     print_ended(f"Results are in {out}")
@@ -188,7 +188,7 @@ def _register(source: Path, case: Path | None, out: Path, ties: Path | None, fig
 def _find_shots(
     source: Path, files: tuple[Path, ...], names: tuple[str, ...], choice: "ShotChoice", out: Path | None
 ) -> None:
-    """Find the shots of files over images, print and write which."""
+    """Find the shots of files in the images; print and write them."""
     from mgsgraph.files.writing import fresh_file, require_free
     from mgsgraph.network.footprints import crossings
     from mgsgraph.project.reading import oriented_images, search_shots
@@ -196,13 +196,13 @@ def _find_shots(
 
     if out is not None:
         require_free(out, SELECTION)
-    seen = oriented_images(source, names)
-    over = search_shots(files, seen, choice)
-    print_sentences(seen.warning)
-    print_brief(crossings_section(over, crossings(over)).text(None), more=2)
-    if out is not None and not over.chosen.size:
+    oriented = oriented_images(source, names)
+    registration = search_shots(files, oriented, choice)
+    print_sentences(oriented.warning)
+    print_brief(crossings_section(registration, crossings(registration)).text(None), more=2)
+    if out is not None and not registration.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:
         with fresh_file(out, over=SELECTION) as aside:
-            selection_table(over).write_csv(aside)
+            selection_table(registration).write_csv(aside)
         click.echo(f"The selection is in {out}")

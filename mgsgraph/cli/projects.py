@@ -1,4 +1,4 @@
-"""Verbs for a project, a folder to which images come one after the other; and the studio."""
+"""Verbs for a project (a folder to which images are added one after the other), and the studio."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -104,6 +104,7 @@ def add(
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     _require_writable(table, project)
+<<<<<<< HEAD
     arguments = [parse_image(text) for text in images]
     with stage_bar(2) as stages, open_project(project, write=True, discard=dry_run) as opened:
         with stages.stage("reading"):
@@ -113,11 +114,29 @@ def add(
     alone = ", ".join(addition.unconnected) if impact is None else ""
     warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
     notes = items((*addition.notes, warning))
-    done = f"would add {_words(addition)}; nothing was changed" if dry_run else f"added {_words(addition)}"
+    done = f"would add {_description_of(addition)}; nothing was changed" if dry_run else f"added {_description_of(addition)}"
     _print_impact(ctx, project, impact, table, [f"{project}: {done}", *notes])
+=======
+    arguments, impact = [parse_image(text) for text in images], None
+    with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
+        with stages.stage("reading"):
+            addition = read_addition(opened, arguments, ties, shots, of_pass, shares)
+        if not dry_run:
+            from mgsgraph.project.changes import add as put
+
+            with stages.stage("adjusting"):
+                impact = put(opened, addition)
+    alone = ", ".join(addition.unconnected) if impact is None else ""
+    warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
+    messages = items((*addition.notes, warning))
+    if dry_run:
+        print_brief(f"{project}: would add {_description_of(addition)}; nothing was changed", *messages, more=0)
+        return
+    _print_impact(ctx, project, impact, table, [f"{project}: added {_description_of(addition)}", *messages])
+>>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
-def _words(addition: "Addition") -> str:
+def _description_of(addition: "Addition") -> str:
     from mgsgraph.text import many
 
     network = addition.network
@@ -197,15 +216,24 @@ def measure(
     sigma = sigma_px or 0.0
     with open_project(project, write=True) as opened:
         names = [opened.images_named([image])[0] for image, _, _ in pixels]
-        wanted = [Measure(name, *pixel[1:], sigma, sigma) for name, pixel in zip(names, pixels, strict=True)]
+        measurements = [Measure(name, *pixel[1:], sigma, sigma) for name, pixel in zip(names, pixels, strict=True)]
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
+<<<<<<< HEAD
         done = [edits.measure(opened, point, wanted, why)] if new else []
         done += [] if new else [edits.set_measure(opened, point, one, why) for one in wanted]
         done += [edits.reject(opened, point, image, why) for image in opened.images_named(rejected)]
         done += [edits.accept(opened, point, image, why) for image in opened.images_named(accepted)]
         done += [edits.remove_point(opened, point, why)] if gone else []
     _print_edits(ctx, project, done, table)
+=======
+        changes = [edits.measure(opened, point, measurements, why)] if new else []
+        changes += [] if new else [edits.set_measure(opened, point, measurement, why) for measurement in measurements]
+        changes += [edits.reject(opened, point, image, why) for image in opened.images_named(rejected)]
+        changes += [edits.accept(opened, point, image, why) for image in opened.images_named(accepted)]
+        changes += [edits.remove_point(opened, point, why)] if gone else []
+    _print_edits(ctx, project, changes, table)
+>>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()
@@ -225,7 +253,11 @@ def undo(ctx: click.Context, project: Path, change: int | None, why: str, table:
     """
     from mgsgraph.project import history
 
+<<<<<<< HEAD
     _reverse(ctx, project, table, partial(history.undo, number=change, why=why))
+=======
+    _print_reversal(ctx, project, table, partial(history.undo, number=change, why=why))
+>>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()
@@ -242,16 +274,23 @@ def redo(ctx: click.Context, project: Path, why: str, table: Path | None) -> Non
     """
     from mgsgraph.project import history
 
+<<<<<<< HEAD
     _reverse(ctx, project, table, partial(history.redo, why=why))
 
 
 def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Changed]") -> None:
+=======
+    _print_reversal(ctx, project, table, partial(history.redo, why=why))
+
+
+def _print_reversal(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Changed]") -> None:
+>>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
     with open_project(project, write=True) as opened:
-        done = act(opened)
-    _print_edits(ctx, project, [done], table)
+        change = act(opened)
+    _print_edits(ctx, project, [change], table)
 
 
 def _require_writable(table: Path | None, project: Path) -> None:
@@ -261,6 +300,7 @@ def _require_writable(table: Path | None, project: Path) -> None:
         require_writable(table, project)
 
 
+<<<<<<< HEAD
 def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Changed]", table: Path | None) -> None:
     """Each in a sentence; what the last one did to the rest in full."""
     said = list[str]()
@@ -269,6 +309,16 @@ def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Changed]", t
         if one.impact is not None and one is not done[-1]:
             said += items(one.impact.sentences)
     _print_impact(ctx, project, done[-1].impact, table, said)
+=======
+def _print_edits(ctx: click.Context, project: Path, changes: "Sequence[Changed]", table: Path | None) -> None:
+    """Print a sentence for each change, and the impact of the last one in full."""
+    sentences = list[str]()
+    for change in changes:
+        sentences.append(f"{project}: change {change.change}. {change.sentence}")
+        if change.impact is not None and change is not changes[-1]:
+            sentences += items(change.impact.sentences)
+    _print_impact(ctx, project, changes[-1].impact, table, sentences)
+>>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()
@@ -313,15 +363,15 @@ def status(project: Path) -> None:
 
 
 def _print_impact(
-    ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None, said: "Sequence[str]"
+    ctx: click.Context, project: Path, impact: "Impact | None", table: Path | None, sentences: "Sequence[str]"
 ) -> None:
-    """After what was said: sentences, the images reached, the points that moved most (all in a CSV file); exit 1 if not
-    converged.
+    """Print sentences and an impact: reached images, points that moved most (all of them in a CSV file). Exit with 1 if
+    the adjustment has not converged.
     """
     if impact is None:
-        print_brief(*said, f"Nothing is adjusted yet; next: mgsgraph project solve {project}", more=0)
+        print_brief(*sentences, f"Nothing is adjusted yet; next: mgsgraph project solve {project}", more=0)
         return
-    print_brief(*said, *items(impact.sentences), "", *impact.tables_text())
+    print_brief(*sentences, *items(impact.sentences), "", *impact.tables_text())
     if table is not None:
         from mgsgraph.results.impact import write_impact
 
@@ -373,8 +423,8 @@ def studio(
     from mgsgraph.errors import InputError
 
     if find_spec("starlette") is None or find_spec("uvicorn") is None:
-        found = "its libraries are not installed"
-        raise InputError("studio", found, remedy="pip install 'mgsgraph[studio]'")
+        reason = "its libraries are not installed"
+        raise InputError("studio", reason, remedy="pip install 'mgsgraph[studio]'")
     from mgsgraph.studio.opened import Opened
     from mgsgraph.studio.server import serve
 
@@ -396,7 +446,7 @@ def _review(
     path: Path, of_case: Path | None, out: Path, ties: Path | None, worst: int | None, points: tuple[str, ...],
     verdicts: Path | None,
 ) -> None:  # fmt: skip
-    """Write the page, or the network without what was rejected on it."""
+    """Write the page for review, or the network without the points rejected on it."""
     from mgsgraph.case.reading import read_case
     from mgsgraph.cli.progress import counting_bar
     from mgsgraph.errors import InputError
@@ -425,9 +475,9 @@ def _review(
         click.echo(f"The network is {out}")
         return
     adjusted = None if source.folder is None else read_solution(source.folder)
-    read = read_case(source.case, ties=ties)
+    case = read_case(source.case, ties=ties)
     with counting_bar("comparing chips", "measure") as bar:
-        made = review_case(read, adjusted, worst=worst or WORST, points=points, verdicts=earlier, progress=bar)
-    write_review(made, out, earlier)
-    click.echo(f"- {made.choice}.")
+        review = review_case(case, adjusted, worst=worst or WORST, points=points, verdicts=earlier, progress=bar)
+    write_review(review, out, earlier)
+    click.echo(f"- {review.choice}.")
     click.echo(f"The page is {out}")

@@ -1,4 +1,4 @@
-"""Verbs that ask the covariance of an adjustment, and show it on a page."""
+"""Verbs for covariance queries of an adjustment, planning and the report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,11 +20,11 @@ from mgsgraph.cli.options import (
 if TYPE_CHECKING:
     from mgsgraph.results.section import Section
 
-_SUMMARY = 10
-"""Rows of the table by suspicion where nothing is asked."""
-_WEAK = 5
+_ROWS_OF_RELIABILITY = 10
+"""Rows of the table of reliability without a question."""
+_WEAK_DIRECTIONS = 5  # printed without a question
 _PARAMETERS = ("correlations", "probability", "images", "post", "sigma_px", "alpha", "power")
-"""Parameters that say more of a question and are none."""
+"""Parameters that refine a question and are no question themselves."""
 
 
 @click.command()
@@ -78,7 +78,7 @@ _PARAMETERS = ("correlations", "probability", "images", "post", "sigma_px", "alp
 @NO_FIGURES
 def analyze(
     adjusted: Path, out: Path | None, no_figures: bool, nodes: str | None, hold_out: float | None, seed: int | None,
-    ties: Path | None, **asked: Any,
+    ties: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Query the covariance of RESULT (of `mgsgraph adjust`) or PROJECT; with --nodes, the node spacing of CASE.
 
@@ -99,40 +99,40 @@ def analyze(
     from mgsgraph.results.answers import Questions
 
     if nodes is not None:
-        if any(asked.values()) or no_figures:
+        if any(options.values()) or no_figures:
             raise click.UsageError("--nodes goes with --hold-out, --seed, --ties and --out alone")
         _choose_spacing(adjusted, nodes, 0.2 if hold_out is None else hold_out, seed or 0, out, ties)
         return
     require_used("--hold-out, --seed, --ties", (hold_out, seed, ties) != (None, None, None), False, "--nodes")
     if out is not None:
         require_replaceable(out, ANALYSIS)
-    nothing = not any(value for name, value in asked.items() if name not in _PARAMETERS)
-    every = nothing and (details() or out is not None)
-    points, pixels, raster = asked["points"], asked["pixels"], asked["raster"]
-    about = {name: asked[name] for name in ("points", "pairs", "poses", "projections")}
-    given = {name: asked[name] is not None for name in ("post", "probability", "sigma_px", "alpha", "power")}
-    for option, stated, useful, of in (
-        ("--image, --post", asked["images"] or given["post"], raster, "--raster"),
+    no_question = not any(value for name, value in options.items() if name not in _PARAMETERS)
+    full = no_question and (details() or out is not None)
+    points, pixels, raster = options["points"], options["pixels"], options["raster"]
+    about = {name: options[name] for name in ("points", "pairs", "poses", "projections")}
+    is_given = {name: options[name] is not None for name in ("post", "probability", "sigma_px", "alpha", "power")}
+    for option, stated, useful, needed in (
+        ("--image, --post", options["images"] or is_given["post"], raster, "--raster"),
         ("--raster", raster, out, "--out FOLDER, for the GeoTIFF"),
-        ("--correlations", asked["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
-        ("--probability", given["probability"], points or pixels, "--point or --pixel"),
-        ("--sigma-px", given["sigma_px"], pixels or raster, "--pixel or --raster"),
-        ("--alpha, --power", given["alpha"] or given["power"], every or asked["reliability"], "--reliability"),
+        ("--correlations", options["correlations"], any(about.values()) or pixels, "question (--point, --pose, ...)"),
+        ("--probability", is_given["probability"], points or pixels, "--point or --pixel"),
+        ("--sigma-px", is_given["sigma_px"], pixels or raster, "--pixel or --raster"),
+        ("--alpha, --power", is_given["alpha"] or is_given["power"], full or options["reliability"], "--reliability"),
         ("--no-figures", no_figures, out, "--out FOLDER"),
     ):  # fmt: skip
-        require_used(option, bool(stated), bool(useful), of)
-    sigma = asked["sigma_px"] if given["sigma_px"] else 1.0
-    probability = asked["probability"] if given["probability"] else 0.95
+        require_used(option, bool(stated), bool(useful), needed)
+    sigma = options["sigma_px"] if is_given["sigma_px"] else 1.0
+    probability = options["probability"] if is_given["probability"] else 0.95
     measures = tuple(Pixel(image, line, sample, sigma) for image, line, sample in pixels)
-    questions = Questions(**about, pixels=measures, correlations=asked["correlations"], probability=probability)
-    levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
-    wanted = Wanted(
-        questions, asked["curves"], asked["images"] if raster else None, asked["post"], sigma,
-        asked["unexplained"] or every, asked["components"] or asked["iterate"] or every, asked["likelihood"],
-        asked["iterate"], asked["reliability"] or (_SUMMARY if every else 0),
-        asked["weak"] or (_WEAK if every else 0), asked["outliers"] or every, levels,
+    questions = Questions(**about, pixels=measures, correlations=options["correlations"], probability=probability)
+    levels = Levels(*(options[name] if is_given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
+    request = Wanted(
+        questions, options["curves"], options["images"] if raster else None, options["post"], sigma,
+        options["unexplained"] or full, options["components"] or options["iterate"] or full, options["likelihood"],
+        options["iterate"], options["reliability"] or (_ROWS_OF_RELIABILITY if full else 0),
+        options["weak"] or (_WEAK_DIRECTIONS if full else 0), options["outliers"] or full, levels,
     )  # fmt: skip
-    brief_only = nothing and not details()
+    brief_only = no_question and not details()
     if brief_only:
         solution, changed = read_adjusted(adjusted)
         print_brief(*brief(solution), more=2)
@@ -141,12 +141,12 @@ def analyze(
             return
     with stage("analyzing"):
         name, posterior, warning = read_posterior(adjusted)
-        found = list(analysed(posterior, wanted, name))
+        sections = list(analysed(posterior, request, name))
         if out is not None:
-            write_analysis(name, found, out, figures=not no_figures)  # before anything is said: a reader may go away
+            write_analysis(name, sections, out, figures=not no_figures)  # before printing: the reader of a pipe may end
     print_sentences(warning)
-    for section in () if brief_only else found:
-        print_brief(section.text(None), more=1 - 4 * (asked["reliability"] or asked["weak"] or 0))  # rows of each
+    for section in () if brief_only else sections:
+        print_brief(section.text(None), more=1 - 4 * (options["reliability"] or options["weak"] or 0))  # rows of each
     if out is not None:
         click.echo(f"The analysis is in {out}")
 
@@ -161,14 +161,14 @@ def _choose_spacing(
     from mgsgraph.project.reading import case_with_results
     from mgsgraph.results.spacing import nodes_section, seconds_of
 
-    wanted = seconds_of(spacings)
+    seconds = seconds_of(spacings)
     if out is not None:
         require_replaceable(out, NODES)
-    found = case_with_results(source)
-    read = read_case(found.case, ties=ties or found.ties)
+    results = case_with_results(source)
+    case = read_case(results.case, ties=ties or results.ties)
     with counting_bar("adjusting", "step") as bar:
-        choice = choose_spacing(read.network, read.settings, wanted, hold_out, seed, progress=bar)
-    _show(nodes_section(choice, read.name), out, NODES, "study")
+        choice = choose_spacing(case.network, case.settings, seconds, hold_out, seed, progress=bar)
+    _show(nodes_section(choice, case.name), out, NODES, "study")
 
 
 @click.command()
@@ -206,19 +206,19 @@ def plan(
     name, state, warning = read_state(adjusted)
     print_sentences(warning)
     with counting_bar("planning measures", "candidate") as bar:
-        wanted = read_candidates(candidates, state, bar)
+        candidates_read = read_candidates(candidates, state, bar)
     with counting_bar("judging", "candidate") as bar:
-        made = make(state, wanted, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
-    _show(plan_section(made), out, PLAN, "plan")
+        ranking = make(state, candidates_read, choose, targets, "mean" if criterion == "mean" else "worst", name, bar)
+    _show(plan_section(ranking), out, PLAN, "plan")
 
 
-def _show(section: "Section", out: Path | None, record: str, what: str, figures: bool = True, more: int = 0) -> None:
-    """Write a section to a folder, if one is wanted, and print it."""
+def _show(section: "Section", out: Path | None, record: str, label: str, figures: bool = True, more: int = 0) -> None:
+    """Write a section to a folder, if given, and print it."""
     if out is not None:
         section.write_folder(out, record, figures)
     print_brief(section.text(None), more=more + (out is not None))
     if out is not None:
-        click.echo(f"The {what} is in {out}")
+        click.echo(f"The {label} is in {out}")
 
 
 @click.command()
@@ -260,32 +260,32 @@ def report(
         require_page(out)
     else:
         require_replaceable(out, COMPARISON)
-    found, earlier = results_of(result), None if compare is None else results_of(compare)
-    case, own_ties = (of_case, None) if of_case is not None else (found.case, found.ties)
+    results, earlier = results_of(result), None if compare is None else results_of(compare)
+    case, own_ties = (of_case, None) if of_case is not None else (results.case, results.ties)
     if ties is not None and case is None:
         raise click.UsageError("--ties is for a case: give --case, too")
-    adjusted, before = read_solution(found.folder), None if earlier is None else read_solution(earlier.folder)
-    print_sentences(found.warning, "" if earlier is None else earlier.warning)
-    if earlier is not None and before is not None:
-        click.echo(f"A: {earlier.folder} ({before.name})\nB: {found.folder} ({adjusted.name})")
-        _show(compared(adjusted, before, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures, 3)
+    adjusted, reference = read_solution(results.folder), None if earlier is None else read_solution(earlier.folder)
+    print_sentences(results.warning, "" if earlier is None else earlier.warning)
+    if earlier is not None and reference is not None:
+        click.echo(f"A: {earlier.folder} ({reference.name})\nB: {results.folder} ({adjusted.name})")
+        _show(compared(adjusted, reference, ("A", "B")).section, folder, COMPARISON, "comparison", not no_figures, 3)
     if folder is not None:
         return
     with stage("tables and figures"):
-        read = None if case is None else read_case(case, ties=ties or own_ties)
-        if read is not None:
-            read.require_images_of(adjusted)
-        inputs = _inputs([found.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
-        write_report(adjusted, out, read, before, inputs, comparison_with_truth(found.folder))
+        case_read = None if case is None else read_case(case, ties=ties or own_ties)
+        if case_read is not None:
+            case_read.require_images_of(adjusted)
+        inputs = _inputs([results.folder, None if earlier is None else earlier.folder], case, ties or own_ties)
+        write_report(adjusted, out, case_read, reference, inputs, comparison_with_truth(results.folder))
     print_ended(f"The page is {out}")
 
 
 def _inputs(solutions: list[Path | None], case: Path | None, ties: Path | None) -> dict[str, str | None]:
-    """Checksums of the solutions' archives, of the case, and of every file that it names."""
+    """Checksums of the solutions' archives, of the case, and of all files that it names."""
     from mgsgraph.files.opening import sha256_of
     from mgsgraph.project.campaign import checksums
     from mgsgraph.results.archive import ARCHIVE
 
-    given = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]
-    own = {str(path): sha256_of(path) for path in [*given, *([] if ties is None else [ties])]}
-    return own | ({} if case is None else checksums(case))
+    archives = [path / ARCHIVE if path.is_dir() else path for path in solutions if path is not None]
+    checksums_of_results = {str(path): sha256_of(path) for path in [*archives, *([] if ties is None else [ties])]}
+    return checksums_of_results | ({} if case is None else checksums(case))

@@ -1,4 +1,4 @@
-"""Verbs that make what is adjusted: a simulated site, files of the archives, tie points and terrain of the images."""
+"""Verbs that make the input of adjustments: simulated sites, files of archives, tie points; and terrain models."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,7 +39,7 @@ _ATTITUDE_TIME_BIAS = click.option(
 
 @contextmanager
 def _resumable() -> Iterator[None]:
-    """Say that an interrupted run has kept what has come, and exit with 130."""
+    """On an interrupt, print that the downloaded files are kept, and exit with 130."""
     try:
         yield
     except KeyboardInterrupt:
@@ -115,7 +115,7 @@ def demo(
     help="Of a strip: new tie points with each further image  [default: 2000]; of an archive: all of them, about.",
 )  # fmt: skip
 @click.option("--steps", is_flag=True, help="Of a strip: write what each image adds to those before it, too.")
-def simulate(site: str, out: Path | None, no_pictures: bool, **asked: Any) -> None:
+def simulate(site: str, out: Path | None, no_pictures: bool, **options: Any) -> None:
     """Simulate SITE and write its files to a folder.
 
     SITE is eos, gusev or isidis; pair: two images, small and synthetic; strip: overlapping pairs along one ground
@@ -136,9 +136,9 @@ def simulate(site: str, out: Path | None, no_pictures: bool, **asked: Any) -> No
 
     out = out or Path(f"{site}-simulate")
     with stage_bar(2) as stages:
-        made = simulation(site, pictures=not no_pictures, progress=stages.detail, **asked)
-        with fresh_folder(out, "truth.json") as aside:
-            _, path = simulated_files(*made, aside, stages)
+        functions = simulation(site, pictures=not no_pictures, progress=stages.detail, **options)
+        with fresh_folder(out, "truth.json") as temporary:
+            _, path = simulated_files(*functions, temporary, stages)
     click.echo(f"The case is {out / path.name}; the truth lies beside it in truth.json")
 
 
@@ -219,7 +219,7 @@ def fetch(
 @DETAILS
 def match(
     case: Path, out: Path | None, height: float | None, height_sigma: float | None, workers: int | None,
-    no_figures: bool, **asked: Any,
+    no_figures: bool, **options: Any,
 ) -> None:
     """Find tie points in the overlapping images of CASE, whose own ties are not looked at.
 
@@ -235,7 +235,7 @@ def match(
     from mgsgraph.project.changes import take_ties, waiting_case
     from mgsgraph.project.project import open_project
 
-    settings = MatchSettings(**asked)
+    settings = MatchSettings(**options)
     project: Path | None = None
     if (case / PROJECT).is_file():
         if out is not None:
@@ -248,8 +248,8 @@ def match(
     _match(case, out, settings, height, height_sigma, workers, not no_figures)
     if project is not None:
         with open_project(project, write=True) as opened:
-            words = take_ties(opened, out / "network.pvl")
-        click.echo(f"{project}: {words}; nothing is adjusted yet")
+            description = take_ties(opened, out / "network.pvl")
+        click.echo(f"{project}: {description}; nothing is adjusted yet")
         click.echo(f"Next: mgsgraph project solve {project}")
 
 
@@ -257,7 +257,7 @@ def _match(
     case: Path, out: Path, settings: "MatchSettings", height: float | None, height_sigma: float | None,
     workers: int | None, figures: bool,
 ) -> None:
-    """Match the images of a case, write what was found, and say it."""
+    """Match the images of a case; write and print the results."""
     from mgsgraph.case.scene import read_scene
     from mgsgraph.cli.progress import counting_bars
     from mgsgraph.files.output.folders import MATCH, require_replaceable
@@ -310,7 +310,7 @@ def dem(
     _, posterior, warning = read_posterior(solution)
     out, case = folder_for(out, solution, "dem"), case_with_results(solution, of_case).case
     with counting_bars() as show:
-        made = make_dem(posterior, case, out, settings, workers, not no_figures, show)
+        model = make_dem(posterior, case, out, settings, workers, not no_figures, show)
     print_sentences(warning)
-    print_brief(dem_section(made).text(None))
+    print_brief(dem_section(model).text(None))
     print_ended(f"The terrain model is {out / 'dem.tif'}")

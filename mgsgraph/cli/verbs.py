@@ -1,6 +1,4 @@
-"""All verbs of the command line, as help groups them: in which module of this room each is a function, and its line of
-help.
-"""
+"""All verbs of the command line in the groups of the help: the module of each verb's function, and its line of help."""
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Start": {

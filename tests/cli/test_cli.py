@@ -311,7 +311,7 @@ KIND = "numba:compile"
 @pytest.fixture(autouse=True)
 def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_EXPLAIN_AFTER", 0.02)
-    monkeypatch.setattr(progress, "_BEAT", 0.01)
+    monkeypatch.setattr(progress, "_INTERVAL", 0.01)
     compiled._watch_compiler()
 
 
