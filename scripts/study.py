@@ -109,7 +109,7 @@ def seeds_of(description: str | None, cases: Sequence[str], seeds: int, page: st
     parser.add_argument("--first", type=at_least(0), default=1, help="first seed")
     workers = parser.add_mutually_exclusive_group()
     workers.add_argument("--processes", type=at_least(1), default=1, help="worker processes on this machine")
-    workers.add_argument("--cluster", metavar="PLACE", help="local, local:N, tcp://host:port or tls://host:port")
+    workers.add_argument("--cluster", metavar="PLACE", help="local, local:N or tls://host:port")
     parser.add_argument("--keep", type=Path, metavar="FILE", help="note draws here, and go on where it ended")
     parser.add_argument("--out", type=Path, default=default(page), metavar="FILE", help=f"docs/{page} when absent")
     parser.set_defaults(page=page)

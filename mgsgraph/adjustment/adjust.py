@@ -406,7 +406,7 @@ def adjust_network(
         orientation = None if begin is None else layout.variables.joined(begin)
         solved = solve_in_rounds(layout, settings, selection, before, progress, sweeper, orientation)
         clock.stop("solve")
-        starts = 0 if begin is not None or cluster is not None else starts_wanted(network, settings, layout)
+        starts = 0 if begin is not None else starts_wanted(network, settings, layout)
         minima, mixture = None, None
         if starts and solved.outcome.converged:
             solved, minima, mixture = best_of_starts(solved, settings, before, starts, sweeper)

@@ -47,8 +47,8 @@ class SolverSettings(Record):
     either side (4: 1 in 15,800), whatever its redundancy (`adjustment.blunders`); 0 seeks none."""
     starts: int | None = None
     """Starts over a terrain model's unknown shift, where the cost may have several minima (`multistart`); None:
-    16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares. None on
-    a cluster, nor where a beginning is given."""
+    16 of networks up to 5,000 points and 1,000 unknowns that points share, by least squares. None where
+    a beginning is given."""
     max_iterations: int = 500
     """Maximum number of iterations."""
     cost_tolerance: float = 1e-11

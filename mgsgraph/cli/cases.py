@@ -9,7 +9,9 @@ import click
 
 from mgsgraph.cli.options import (
     CASE,
+    CLUSTER,
     DETAILS,
+    INSECURE,
     NO_FIGURES,
     PATH,
     TIES,
@@ -65,15 +67,16 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @click.command()
 @click.argument("case", type=PATH)
 @out_option("adjust")
-@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@CLUSTER
+@INSECURE
 @TIES
 @click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
 @DETAILS
 @click.pass_context
 def adjust(
-    ctx: click.Context, case: Path, out: Path | None, cluster: str | None, two_steps: bool, ties: Path | None,
-    overrides: "Overrides",
+    ctx: click.Context, case: Path, out: Path | None, cluster: str | None, insecure: bool, two_steps: bool,
+    ties: Path | None, overrides: "Overrides",
 ) -> None:  # fmt: skip
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
@@ -97,7 +100,7 @@ def adjust(
         raise click.UsageError("--tables doesn't go with --two-steps")
     require_replaceable(out := folder_for(out, case, "adjust"))
     if cluster is not None:
-        parse_cluster(cluster)
+        parse_cluster(cluster, insecure)
     begin = elapsed()
     with stage("reading"):
         read = read_case(case, overrides.laser, ties)
@@ -108,7 +111,7 @@ def adjust(
     if estimating and (two_steps or cluster is not None):
         raise click.UsageError("estimated strengths and vibrations go with neither --two-steps nor --cluster")
     connection: AbstractContextManager[Connection | None]
-    connection = open_cluster(cluster) if cluster is not None else nullcontext()
+    connection = open_cluster(cluster, insecure=insecure) if cluster is not None else nullcontext()
     if two_steps:
         ctx.exit(0 if _adjust_in_two_steps(read, settings, out, connection, overrides) else 1)
     with connection as workers, iteration_bar() as bar:
@@ -154,13 +157,15 @@ def _adjust_in_two_steps(
 @click.option(
     "--out", type=PATH, default=Path("mgsgraph-batch"), show_default=True, help="Folder for all results and the record."
 )
-@click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), tcp://host:port, tls://host:port.")
+@CLUSTER
+@INSECURE
 @click.option("--retry", is_flag=True, help="Do those again that have failed or not converged, though nothing changed.")
 @overruling
 @DETAILS
 @click.pass_context
 def batch(
-    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, retry: bool, overrides: "Overrides"
+    ctx: click.Context, cases: tuple[Path, ...], out: Path, cluster: str | None, insecure: bool, retry: bool,
+    overrides: "Overrides",
 ) -> None:  # fmt: skip
     """Adjust each CASE (a TOML file; of a FOLDER, every *.toml at any depth) into a folder of its own in OUT.
 
@@ -184,7 +189,7 @@ def batch(
                 if entry is not None and details():
                     tqdm.write(line(entry))
 
-            done = run_campaign(cases, out, overrides, cluster, retry, show)
+            done = run_campaign(cases, out, overrides, cluster, retry, show, insecure)
     except KeyboardInterrupt:
         click.echo(f"mgsgraph: interrupted; {state}; the same command goes on", err=True)
         ctx.exit(130)

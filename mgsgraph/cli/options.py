@@ -42,6 +42,10 @@ TWO_IMAGES = click.option(
 DEVICE = click.option(
     "--device", type=click.Choice(["cpu", "cuda", "auto"]), help="Who goes over the points: the CPU or a GPU."
 )
+CLUSTER = click.option("--cluster", metavar="PLACE", help="local, local:N (worker processes), or tls://host:port.")
+INSECURE = click.option(
+    "--insecure", is_flag=True, help="Let --cluster take tcp://host:port: anyone who reaches it runs code as its user."
+)
 WORKERS = click.option("--workers", type=click.IntRange(1), help="Threads; one per processor when absent.")
 _OPTIONS = (
     click.option(

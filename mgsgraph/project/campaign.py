@@ -426,6 +426,7 @@ def run_campaign(
     cluster: str | None = None,
     retry: bool = False,
     progress: Progress = no_progress,
+    insecure: bool = False,
 ) -> Campaign:
     """Adjust many cases, each into a folder of its own in `out`; what an earlier run has done, and what has not changed
     since, is left.
@@ -442,6 +443,8 @@ def run_campaign(
         Where to work (see `mgsgraph.adjustment.cluster.parse_cluster`); in this process when absent.
     retry : bool
         Do cases again that have failed or not converged, too, though nothing has changed.
+    insecure : bool
+        Take a cluster without TLS, too.
 
     Raises
     ------
@@ -452,13 +455,13 @@ def run_campaign(
     """
     cases = find_cases(given, out)
     if cluster is not None:
-        parse_cluster(cluster)
+        parse_cluster(cluster, insecure)
     with open_record(out) as record:
         tasks = _tasks(cases, out.resolve(), record, overrides)
         due = [task for task in tasks if _is_due(task, record.entries.get(task.name), retry)]
         if due:
             try:
-                with _workers(cluster, record, due) as each:
+                with _workers(cluster, insecure, record, due) as each:
                     progress(0, len(due), None)
                     for over, (place, entry) in enumerate(each(run_case, due), start=1):
                         ended, task = entry, due[place]
@@ -489,12 +492,12 @@ def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
 
 
 @contextmanager
-def _workers(cluster: str | None, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
+def _workers(cluster: str | None, insecure: bool, record: Record, due: Sequence[CaseTask]) -> Iterator[_Each]:
     """How tasks are worked off: in this process, or on a cluster whose workers see the same files."""
     if cluster is None:
         yield lambda function, tasks: enumerate(map(function, tasks))
         return
-    with open_cluster(cluster, most=len(due)) as connection:
+    with open_cluster(cluster, most=len(due), insecure=insecure) as connection:
         for path in (record.path, due[0].case):
             connection.require_visible_file(path)
         yield connection.each

@@ -22,6 +22,7 @@ from mgsgraph.adjustment.cluster.workers import cores, parse_cluster, require_vi
 from mgsgraph.errors import InputError, SolverError
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
+dask = pytest.importorskip("dask")
 
 
 # --- the place
@@ -39,14 +40,23 @@ def test_workers_of_our_own(count: int) -> None:
     st.sampled_from(["tcp", "tls"]), st.sampled_from(["127.0.0.1", "node-3.cluster", "[::1]"]), st.integers(1, 65535)
 )
 def test_a_scheduler_elsewhere(protocol: str, host: str, port: int) -> None:
-    place = parse_cluster(f"{protocol}://{host}:{port}")
+    place = parse_cluster(f"{protocol}://{host}:{port}", insecure=protocol == "tcp")
     assert not place.local
     assert place.address == f"{protocol}://{host}:{port}"
 
 
+def test_a_scheduler_without_tls_is_refused() -> None:
+    with pytest.raises(InputError) as told:
+        parse_cluster("tcp://host:8786")
+    assert str(told.value) == (
+        "--cluster tcp://host:8786: a connection without certificates; expected tls://host:8786, or --insecure; "
+        "start scheduler and workers with certificates (docs/cluster.md)"
+    )
+
+
 @pytest.mark.parametrize(
     "text",
-    ["", "local:0", "local:x", "local:99999", "127.0.0.1:8786", "tcp://host:70000", "tcp://host:8786/x"],
+    ["", "local:0", "local:x", "local:99999", "127.0.0.1:8786", "tls://host:70000", "tls://host:8786/x"],
 )
 def test_other_places_are_refused(text: str) -> None:
     with pytest.raises(InputError, match=r"^--cluster .*expected .*(local:N|1 to)"):
@@ -108,7 +118,7 @@ def test_a_memory_limit_that_is_exceeded_is_named_with_its_figures(two: Connecti
     two.require_memory(1e6, "a partition of 10 points", "")
     needed = 4.0 * distributed.system.MEMORY_LIMIT
     with pytest.raises(
-        InputError, match=r"worker tcp://.* memory limit of .* GB.* at least .* GB for a part.*; more"
+        InputError, match=r"worker tls://.* memory limit of .* GB.* at least .* GB for a part.*; more"
     ) as told:
         two.require_memory(needed, "a partition of 10 points", "more partitions")
     assert f"{needed / 1e9:.2f} GB" in str(told.value)
@@ -190,9 +200,9 @@ importlib.metadata.version = lambda name: "0.0.1" if name == "mgsgraph" else tru
 class _Elsewhere:
     """A scheduler in a process of its own, and workers."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self.processes: list[subprocess.Popen[bytes]] = []
-        self._folder, file = folder, folder / "scheduler.json"
+        self._folder, file, self._environment = folder, folder / "scheduler.json", os.environ | environment
         self.start("-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
                    "--scheduler-file", str(file))  # fmt: skip
         deadline = time.monotonic() + 60.0
@@ -204,7 +214,9 @@ class _Elsewhere:
 
     def start(self, *arguments: str) -> subprocess.Popen[bytes]:
         quiet = subprocess.DEVNULL
-        process = subprocess.Popen([sys.executable, *arguments], stdout=quiet, stderr=quiet, cwd=self._folder)
+        process = subprocess.Popen(
+            [sys.executable, *arguments], stdout=quiet, stderr=quiet, cwd=self._folder, env=self._environment
+        )
         self.processes.append(process)
         return process
 
@@ -214,8 +226,8 @@ class _Elsewhere:
 
 
 @contextmanager
-def elsewhere(folder: Path) -> Iterator[_Elsewhere]:
-    there = _Elsewhere(folder)
+def elsewhere(folder: Path, **environment: str) -> Iterator[_Elsewhere]:
+    there = _Elsewhere(folder, environment)
     try:
         yield there
     finally:
@@ -226,17 +238,29 @@ def elsewhere(folder: Path) -> Iterator[_Elsewhere]:
 
 def refusal(address: str, timeout: float = 20.0) -> str:
     """What is said of a cluster that can't be used."""
-    with pytest.raises(InputError) as told, open_cluster(address, timeout):
+    with pytest.raises(InputError) as told, open_cluster(address, timeout, insecure=True):
         pass
     assert "\n" not in str(told.value)
     return str(told.value)
 
 
+def certificate(folder: Path) -> dict[str, str]:
+    """Settings of dask by which everyone has the same new certificate."""
+    made, pem = distributed.Security.temporary(), folder / "both.pem"
+    pem.write_text(made.tls_client_key + made.tls_client_cert, encoding="ascii")
+    names = ["ca-file", *(f"{role}.cert" for role in ("client", "scheduler", "worker"))]
+    return dict.fromkeys((f"distributed.comm.tls.{name}" for name in names), str(pem))
+
+
 @pytest.mark.slow
-def test_workers_elsewhere(tmp_path: Path) -> None:
-    with elsewhere(tmp_path) as there:
+@pytest.mark.parametrize("secure", [True, False])
+def test_workers_elsewhere(secure: bool, tmp_path: Path) -> None:
+    settings = certificate(tmp_path) | {"distributed.comm.require-encryption": "True"} if secure else {}
+    environment = {f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": settings[name] for name in settings}
+    with elsewhere(tmp_path, **environment) as there, dask.config.set(settings):
+        assert there.address.startswith("tls://" if secure else "tcp://")
         there.worker()
-        with open_cluster(there.address, 30.0) as cluster:
+        with open_cluster(there.address, 30.0, insecure=not secure) as cluster:
             assert dict(cluster.each(abs, [-1, 2, -3])) == {0: 1, 1: 2, 2: 3}
             assert [worker.memory_limit for worker in cluster.workers] == [2_000_000_000]
         assert all(process.poll() is None for process in there.processes)  # not ours to stop
@@ -264,6 +288,19 @@ def test_a_scheduler_without_workers(tmp_path: Path) -> None:
         assert f"a scheduler without workers; start some (dask worker {there.address})" in refusal(there.address, 1.0)
 
 
+def test_certificates_that_are_missing_or_no_good(tmp_path: Path) -> None:
+    expected = "expected ca-file, client.cert and client.key, PEM files; name them in dask's configuration"
+    assert f"no certificates for tls (none is named); {expected}" in refusal("tls://127.0.0.1:9", 0.5)
+    settings = certificate(tmp_path)
+    for content, said in (("no certificate", "SSL"), (None, "No such file")):
+        bad = tmp_path / "bad.pem"
+        bad.write_text(content) if content else bad.unlink()
+        with dask.config.set(settings | {"distributed.comm.tls.client.cert": str(bad)}):
+            message = refusal("tls://127.0.0.1:9", 0.5)
+        assert said in message
+        assert expected in message
+
+
 def test_nobody_there() -> None:
     began = time.monotonic()
     assert refusal("tcp://127.0.0.1:9", 0.5).startswith(
@@ -278,7 +315,7 @@ def test_a_cluster_that_goes_is_told(which: int, said: str, tmp_path: Path, monk
     monkeypatch.setattr(connection, "_RETURN", 2.0)
     with elsewhere(tmp_path) as there:
         there.worker()
-        with open_cluster(there.address, 20.0) as cluster:
+        with open_cluster(there.address, 20.0, insecure=True) as cluster:
             over: list[Any] = []
 
             def work() -> None:

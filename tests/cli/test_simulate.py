@@ -209,8 +209,12 @@ def test_a_scheduler_that_does_not_answer(sites: Path, tmp_path: Path, monkeypat
     pytest.importorskip("distributed", reason="dask.distributed is not installed (the extra `cluster`)")
     monkeypatch.setattr("mgsgraph.project.campaign.open_cluster", partial(open_cluster, timeout=0.5))
     out = tmp_path / "out"
+    command = ["batch", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"]
     with pytest.raises(InputError, match=r"no scheduler answers there within 0\.5 s"):
-        group(["batch", str(sites), "--out", str(out), "--cluster", "tcp://127.0.0.1:9"], standalone_mode=False)
+        group([*command, "--insecure"], standalone_mode=False)
+    for verb in (command, ["adjust", str(sites / "north" / "case.toml"), *command[2:]]):
+        with pytest.raises(InputError, match=r"expected tls://127\.0\.0\.1:9, or --insecure"):
+            group(verb, standalone_mode=False)
     assert not out.exists()
 
 

@@ -200,7 +200,7 @@ def test_on_a_cluster_the_same(run: Run, tmp_path: Path) -> None:
     assert [one.status for one in done.entries] == ["done", "done", "failed"]
     for name in TABLES:
         assert (tmp_path / "out" / "north" / name).read_bytes() == (tmp_path / "here" / "north" / name).read_bytes()
-    assert not run(cluster="tcp://127.0.0.1:9")[1]  # nothing is due, and nobody is asked
+    assert not run(cluster="tls://127.0.0.1:9")[1]  # nothing is due, and nobody is asked
 
 
 def test_what_was_over_when_the_cluster_went_is_recorded(

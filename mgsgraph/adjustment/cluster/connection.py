@@ -238,17 +238,21 @@ def _by_itself(function: Callable[[_Item], _Result], item: _Item) -> _Result:
 
 
 @contextmanager
-def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -> Iterator[Connection]:
+def open_cluster(
+    text: str, timeout: float = TIMEOUT, most: int | None = None, insecure: bool = False
+) -> Iterator[Connection]:
     """A cluster whose workers are fit for the work.
 
     Parameters
     ----------
     text : str
-        ``local``, ``local:N``, ``tcp://host:port`` or ``tls://host:port``.
+        ``local``, ``local:N`` or ``tls://host:port``; ``tcp://host:port`` where `insecure`.
     timeout : float
         s to wait for a scheduler and its workers.
     most : int, optional
         Workers of our own beyond this number would have nothing to do, and are not started.
+    insecure : bool
+        Allow ``tcp://``, without certificates: anyone who reaches such a scheduler or worker runs code as its user.
 
     Yields
     ------
@@ -265,13 +269,14 @@ def open_cluster(text: str, timeout: float = TIMEOUT, most: int | None = None) -
     ...     print(mgsgraph.adjust_network(network, mgsgraph.SolverSettings(), cluster=cluster).converged)
     True
     """
-    place = parse_cluster(text)
+    place = parse_cluster(text, insecure)
     if place.local and most is not None:
         place = replace(place, workers=min(place.workers, most))
     where = f"{OPTION} {place.text}"
-    if find_spec("distributed") is None:
-        remedy = 'pip install "mgsgraph[cluster]", or leave it out'
-        raise InputError(where, "dask.distributed is not installed", remedy=remedy)
+    for package in ("distributed", "cryptography") if place.local else ("distributed",):
+        if find_spec(package) is None:
+            remedy = 'pip install "mgsgraph[cluster]", or leave it out'
+            raise InputError(where, f"{package} is not installed", remedy=remedy)
     with ExitStack() as stack:
         stack.enter_context(_quiet_log())
         reach = _start if place.local else _reach
@@ -287,6 +292,8 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
     """Worker processes of this one, which end with it."""
     import distributed
 
+    from mgsgraph.adjustment.cluster.own import own_cluster
+
     memory = int(distributed.system.MEMORY_LIMIT // place.workers)
     if memory < LEAST_MEMORY:
         raise InputError(
@@ -301,17 +308,8 @@ def _start(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
         folder = stack.enter_context(scratch())
         try:
             with interrupts_deferred(), children_without_interrupts():
-                cluster = distributed.LocalCluster(
-                    n_workers=place.workers,
-                    threads_per_worker=1,  # one task at a time; the kernel has threads of its own
-                    processes=True,
-                    memory_limit=memory,
-                    dashboard_address="127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": False},
-                    silence_logs=logging.CRITICAL,
-                    local_directory=str(folder),
-                    env={"NUMBA_NUM_THREADS": str(threads_of_each(place.workers))},
-                )
+                threads = threads_of_each(place.workers)
+                cluster = own_cluster(place.workers, memory, threads, logging.CRITICAL, folder)
                 stack.callback(_close, cluster)
                 changed |= {name: before.get(name) for name in os.environ if os.environ[name] != before.get(name)}
         except (OSError, RuntimeError) as error:
@@ -327,9 +325,14 @@ def _reach(place: ClusterAddress, where: str, timeout: float) -> Iterator[Any]:
     """A client of a scheduler that somebody else has started and will stop."""
     import distributed
 
-    if place.address.startswith("tls://") and not distributed.Security().get_connection_args("client")["ssl_context"]:
-        remedy = "name them in dask's configuration (distributed.comm.tls), or take tcp://"
-        raise InputError(where, "no certificates for tls", remedy=remedy)
+    if place.address.startswith("tls://"):
+        try:
+            missing = "" if distributed.Security().get_connection_args("client")["ssl_context"] else "none is named"
+        except OSError as error:  # ssl's errors, too
+            missing = str(error)
+        if missing:
+            found, expected = f"no certificates for tls ({missing})", "ca-file, client.cert and client.key, PEM files"
+            raise InputError(where, found, expected, "name them in dask's configuration, distributed.comm.tls")
     client = _client(place.address, where, timeout)
     with ExitStack() as stack:
         stack.callback(_close, client)
@@ -370,7 +373,7 @@ def _client(address: str, where: str, timeout: float) -> Any:
             message = " ".join(str(error).split())
             remedy = "compare the versions of dask on both machines"
             raise InputError(where, f"the scheduler can't be talked to ({message})", remedy=remedy)
-    remedy = "start one (dask scheduler), or correct the address"
+    remedy = "start one (dask scheduler), correct the address, or compare the certificates of both"
     raise InputError(where, f"no scheduler answers there within {timeout:g} s", remedy=remedy)
 
 

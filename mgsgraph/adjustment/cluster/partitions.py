@@ -26,6 +26,7 @@ from mgsgraph.errors import SolverError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import Groups, Model, NormalBlocks, Rows, partition
 from mgsgraph.kernel.sweep import Reduction, all_residuals, even_parts, point_covariances, reduce, writable
+from mgsgraph.text import many
 
 _COPIES = 2.0
 """Memory for a partition over its own size: its packed form, or scratch and results."""
@@ -157,6 +158,8 @@ class Partitions(Sweeper):
     def __init__(self, cluster: Connection, layout: Layout) -> None:
         self._cluster = cluster
         self._divide(layout)
+        workers = many(len({part.owner for part in self._parts}), "worker")
+        self.remark = f"Points were spread over {workers}; other numbers of workers give the same to 1e-8."
 
     def _divide(self, layout: Layout) -> None:
         """Make partitions of a layout's points."""

@@ -1,4 +1,4 @@
-"""The cluster as the user names it (``local``, ``local:N``, ``tcp://host:port``, ``tls://host:port``), and checks of
+"""The cluster as the user names it (``local``, ``local:N``, ``tls://host:port``, ``tcp://host:port``), and checks of
 its workers: Python, packages and their versions, memory, and files that all of them must see.
 
 Functions that run on a worker before it is known to have this package must not need the package there: they are made
@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError
 
 OPTION = "--cluster"
 """Name of the option in errors."""
-_EXPECTED = "local, local:N (N worker processes), tcp://host:port or tls://host:port"
+_EXPECTED = "local, local:N (N worker processes) or tls://host:port"
 _MOST_WORKERS = 1024
 """More processes than this on one machine are a typing error."""
 PACKAGES = ("mgsgraph", "numpy", "numba", "gtsam", "distributed")
@@ -49,13 +49,15 @@ class ClusterAddress:
         return not self.address
 
 
-def parse_cluster(text: str) -> ClusterAddress:
+def parse_cluster(text: str, insecure: bool = False) -> ClusterAddress:
     """The meaning of the text after ``--cluster``.
 
     Parameters
     ----------
     text : str
         ``local`` (a worker process for each core), ``local:N``, or the address of a dask scheduler.
+    insecure : bool
+        Take an address without TLS, too.
 
     Raises
     ------
@@ -69,6 +71,10 @@ def parse_cluster(text: str) -> ClusterAddress:
             raise InputError(f"{OPTION} {text}", f"{workers} workers", f"1 to {_MOST_WORKERS}")
         return ClusterAddress(text, workers=workers)
     if text.startswith(("tcp://", "tls://")) and _names_host_and_port(text):
+        if text.startswith("tcp:") and not insecure:
+            expected = f"tls{text.removeprefix('tcp')}, or --insecure"
+            remedy = "start scheduler and workers with certificates (docs/cluster.md)"
+            raise InputError(f"{OPTION} {text}", "a connection without certificates", expected, remedy)
         return ClusterAddress(text, address=text)
     raise InputError(f"{OPTION} {text}", "no place for the work", _EXPECTED)
 
