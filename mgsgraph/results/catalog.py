@@ -31,9 +31,7 @@ BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number
 """Of dem.tif; m but for the last."""
 
 
-def stac_item(
-    dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]
-) -> dict[str, Any]:
+def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]) -> dict[str, Any]:
     """A terrain model as an item of a SpatioTemporal Asset Catalog (STAC 1.1), as the USGS lists analysis-ready data; a
     mapping, as GeoJSON has features.
 

@@ -54,14 +54,14 @@ def write_matches(
     matches: Matches, scene: Scene, name: str, settings: MatchSettings, folder: str | Path, figures: bool = True
 ) -> list[str]:
     """Write networks, table, record and figure; the names of the files."""
-    with fresh_folder(folder, MATCH) as aside:
+    with fresh_folder(folder, MATCH) as temporary:
         network = control_network(matches.ties, "mgsgraph", target_name(scene.ground.body), name)
-        write_pvl_network(network, aside / "network.pvl")
-        write_binary_network(network, aside / "network.net")
-        digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
+        write_pvl_network(network, temporary / "network.pvl")
+        write_binary_network(network, temporary / "network.net")
+        digests = {file: sha256_of(temporary / file) for file in ("network.pvl", "network.net")}
         section = match_section(matches, scene, name, settings)
-        write_json(aside / MATCH, section.numbers | {FILES: digests})
-        return [MATCH, *digests, *section.write(aside, figures)]
+        write_json(temporary / MATCH, section.numbers | {FILES: digests})
+        return [MATCH, *digests, *section.write(temporary, figures)]
 
 
 def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
@@ -99,10 +99,10 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
         "losses": matches.losses._asdict(),
         "orientations": [
             plain({
-                "images": [names[one.first], names[one.second]],
-                **record_of("agreed_orientation", one),
+                "images": [names[agreement.first], names[agreement.second]],
+                **record_of("agreed_orientation", agreement),
             })
-            for one in matches.agreements
+            for agreement in matches.agreements
         ],
         "refused": list(matches.refused),
         "statements": match_statements(matches, scene),
@@ -111,26 +111,26 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
 
 def match_statements(matches: Matches, scene: Scene) -> list[str]:
     """What was found, in sentences."""
-    ties, names, loss = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
+    ties, names, counts = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
     rays = np.bincount(ties.measure_point)
     sigmas = np.sqrt(np.linalg.eigvalsh(matches.covariances[~matches.reference])[:, 1])
     misfit = np.abs(matches.misfit[~matches.reference])
-    filled, whole = matches.cells
-    found = list[str]()
-    for one in matches.agreements:
-        times = one.moved / one.expected  # NaN where nothing was stated
-        beyond = f", {times:.0f} A-PRIORI SIGMAS: check it" if times > _SURPRISING else ""
-        found.append(
-            f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} coarse matches agree; they "
-            f"move the second image by {one.moved:.0f} m on the ground{beyond}."
+    filled, cell_count = matches.cells
+    sentences = list[str]()
+    for agreement in matches.agreements:
+        ratio = agreement.moved / agreement.expected  # NaN where nothing was stated
+        caution = f", {ratio:.0f} A-PRIORI SIGMAS: check it" if ratio > _SURPRISING else ""
+        sentences.append(
+            f"{names[agreement.first]} and {names[agreement.second]}: {agreement.agreed} of {agreement.candidates} "
+            f"coarse matches agree; they move the second image by {agreement.moved:.0f} m on the ground{caution}."
         )
     return [
-        f"{many(len(rays), 'tie point')} in {span(rays)} images each, in {filled} of {whole} cells of "
-        f"{matches.cell:.3g} m ({100.0 * filled / max(whole, 1):.0f} %) of the common ground.",
+        f"{many(len(rays), 'tie point')} in {span(rays)} images each, in {filled} of {cell_count} cells of "
+        f"{matches.cell:.3g} m ({100.0 * filled / max(cell_count, 1):.0f} %) of the common ground.",
         f"Sigma of a match (largest axis): median {two(np.median(sigmas))} px, 95 % below "
         f"{two(np.quantile(sigmas, 0.95))} px; coplanarity: median {two(np.median(misfit))} m on the ground.",
         *(f"Not matched: {reason}" for reason in matches.refused), *matches.cautions,
-        f"Feature pairs: {loss.linked}, tried {loss.tried}, measured {loss.measured}, similar and sharp {loss.alike}, "
-        f"same when matched back {loss.returned}, coplanar {loss.coplanar}, height as neighbors {loss.steady}.",
-        *found,
+        f"Feature pairs: {counts.linked}, tried {counts.tried}, measured {counts.measured}, similar and sharp "
+        f"{counts.alike}, same when matched back {counts.returned}, coplanar {counts.coplanar}, height as neighbors "
+        f"{counts.steady}.", *sentences,
     ]  # fmt: skip

@@ -95,7 +95,7 @@ def _content(
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
-    found = solution_sections(solution, connected)
+    sections = solution_sections(solution, connected)
     figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS}
     for section, picture in solution_figures(solution, connected):
         figures[section].append(picture)
@@ -103,11 +103,11 @@ def _content(
         figures["comparison"] = comparison_figures(compared.points)
     return {
         "solution": solution,
-        "statements": sentences_of(found),
+        "statements": sentences_of(sections),
         "key_figures": _key_figures(solution),
         "registered": None if registration is None else registration_section(registration),
         "footprints": [] if registration is None else registration_figures(registration),
-        "tables": tables(solution, found),
+        "tables": tables(solution, sections),
         "compared": compared,
         "settings": _settings_tables(solution),
         "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
@@ -134,8 +134,8 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
 
 def tables(solution: Solution, sections: Sequence[Section]) -> list[Table]:
     """All tables of a solution that have rows."""
-    found = [_cut(table) for section in sections for table in section.tables]
-    return [table for table in [*found, _measures(solution), _points(solution)] if len(table)]
+    section_tables = [_cut(table) for section in sections for table in section.tables]
+    return [table for table in [*section_tables, _measures(solution), _points(solution)] if len(table)]
 
 
 def _cut(table: Table) -> Table:
@@ -146,13 +146,13 @@ def _cut(table: Table) -> Table:
 def _measures(solution: Solution) -> Table:
     """Measures that fit worst, in units of their sigmas."""
     rays = solution.network.rays
-    size = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
-    sound = np.flatnonzero(np.isfinite(size))
-    chosen = sound[np.argsort(-size[sound], kind="stable")][:_MOST_MEASURES]
+    ratio = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
+    finite = np.flatnonzero(np.isfinite(ratio))
+    chosen = finite[np.argsort(-ratio[finite], kind="stable")][:_MOST_MEASURES]
     table = residuals_table(solution).take(chosen)
     state = picked(("rejected", "used"), solution.rays_used[chosen].astype(np.int64))
-    more = Column("largest", size[chosen], head="largest over σ", page=".2f"), Column("state", state, page="s")
-    pairs = [f"{what}_{way}" for what in ("residual_before", "residual", "sigma") for way in ("line", "sample")]
+    extra = Column("largest", ratio[chosen], head="largest over σ", page=".2f"), Column("state", state, page="s")
+    pairs = [f"{part}_{axis}" for part in ("residual_before", "residual", "sigma") for axis in ("line", "sample")]
     note = (
         "Lines and samples as ISIS counts them, the first pixel's centre at (1, 1); residuals are measured minus "
         "predicted. " + cut(rays.point.size, chosen.size, "those with the largest residual over its sigma",
@@ -161,16 +161,16 @@ def _measures(solution: Solution) -> Table:
     shown = table.pick("point", "class", "image", "isis_line", "isis_sample", *pairs)
     units = {"isis_line": "px", "isis_sample": "px"}
     columns = (replace(column, unit=units.get(column.key, column.unit)) for column in shown.columns)
-    return replace(table, title="Image measures that fit worst", columns=(*columns, *more), note=note)
+    return replace(table, title="Image measures that fit worst", columns=(*columns, *extra), note=note)
 
 
 def _points(solution: Solution) -> Table:
     """Points in their own order: all, or those without a place and those of the largest sigma."""
-    size = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
-    chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_ROWS])
+    total_sigma = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
+    chosen = np.sort(np.argsort(-total_sigma, kind="stable")[:MOST_ROWS])
     table = points_table(solution, chosen)
-    which = "those that nothing determines and those of the largest sigma"
-    note = table.note + cut(len(solution.network.points), chosen.size, which, "the table of points")
+    selection = "those that nothing determines and those of the largest sigma"
+    note = table.note + cut(len(solution.network.points), chosen.size, selection, "the table of points")
     return replace(table.last("rays_used", "state"), note=note)
 
 
@@ -180,9 +180,9 @@ def _points(solution: Solution) -> Table:
 def _settings_tables(solution: Solution) -> list[Table]:
     """Settings of the solver, by the names that a case file has for them; versions, and the time of each stage."""
     settings = dataclasses.asdict(solution.settings)
-    made = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
+    about_run = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
     return [_pairs("settings", "Settings of the solver", ("setting", "value"), settings),
-            _pairs("versions", "Versions and wall time", ("what", "value"), made)]  # fmt: skip
+            _pairs("versions", "Versions and wall time", ("what", "value"), about_run)]  # fmt: skip
 
 
 def _pairs(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:

@@ -33,13 +33,7 @@ from mgsgraph.results.ground import control_section, laser_section, minima_secti
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
-from mgsgraph.results.verdict import (
-    drivers_section,
-    linearity_section,
-    reading_statements,
-    state_of,
-    verdict_section,
-)
+from mgsgraph.results.verdict import drivers_section, linearity_section, reading_statements, state_of, verdict_section
 from mgsgraph.text import many, short
 from mgsgraph.units import ARCSEC
 
@@ -52,23 +46,23 @@ _NOTE = (
 
 def images_section(solution: Solution) -> Section:
     """How each class of points fits, and each image."""
-    rays, said = ray_statistics(solution), list[str]()
+    rays, sentences = ray_statistics(solution), list[str]()
     for point_class in PointClass:
         if count := int(rays.count[:, point_class].sum()):
             line, sample = rays.rms_of_classes[point_class]
-            said.append(
+            sentences.append(
                 f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
                 f"(rms of {many(count, 'ray')})."
             )
     record = [_image(solution, j, rays) for j in range(len(solution.network.images))]
-    return Section("images", sentences=said, tables=[images_table(solution)], numbers=record)
+    return Section("images", sentences=sentences, tables=[images_table(solution)], numbers=record)
 
 
 def images_table(solution: Solution) -> Table:
     """One row per image: measurements, residuals, corrections; in large blocks those that fit worst first."""
     network, rays, count = solution.network, ray_statistics(solution), len(solution.network.images)
-    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
-    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
+    statistics = [orientation_statistics(solution, j) for j in range(len(network.images))]
+    mean, sigma = (np.array([getattr(statistic, name) for statistic in statistics]) for name in ("mean", "mean_sigma"))
     sigma = np.where(network.held[:, None], np.nan, sigma)
     passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
     held = dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}"))
@@ -94,21 +88,22 @@ def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
         "residual_rms_line_px": line,
         "residual_rms_sample_px": sample,
     }
-    for c in filter(lambda one: one.measured, PointClass):
-        record[c.name.lower()] = {"count": int(rays.count[j, c])} | {
-            f"{what}_{way}_px": getattr(rays, what)[j, c, k]
-            for what in ("mean", "rms") for k, way in enumerate(("line", "sample"))
+    for point_class in filter(lambda member: member.measured, PointClass):
+        record[point_class.name.lower()] = {"count": int(rays.count[j, point_class])} | {
+            f"{statistic}_{axis}_px": getattr(rays, statistic)[j, point_class, k]
+            for statistic in ("mean", "rms") for k, axis in enumerate(("line", "sample"))
         }  # fmt: skip
     return record | {"orientation": _orientation(solution, j)}
 
 
 def _orientation(solution: Solution, j: int) -> dict[str, Any]:
-    found = orientation_statistics(solution, j)
+    statistics = orientation_statistics(solution, j)
     record: dict[str, Any] = {"places": PLACES}
     for k, component in enumerate(ORIENTATION):
         unit, factor = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
         record[f"{component.replace(' ', '_')}_{unit}"] = {
-            "mean": found.mean[k] / factor, "rms": found.rms[k] / factor, "sigma_mean": found.mean_sigma[k] / factor,
+            "mean": statistics.mean[k] / factor, "rms": statistics.rms[k] / factor,
+            "sigma_mean": statistics.mean_sigma[k] / factor,
         }
     return record
 
@@ -119,18 +114,10 @@ def solution_sections(solution: Solution, connected: Connectivity | None = None)
     """
     connected = connected or solution_connectivity(solution)
     return [
-        verdict_section(solution),
-        Section("", sentences=_ending(solution)),
-        drivers_section(solution),
-        linearity_section(solution.linearity),
-        minima_section(solution.minima),
-        images_section(solution),
-        ranges_section(solution),
-        laser_section(solution),
-        control_section(solution),
-        shared_section(solution),
-        passes_section(solution),
-        points_section(solution),
+        verdict_section(solution), Section("", sentences=_ending(solution)), drivers_section(solution),
+        linearity_section(solution.linearity), minima_section(solution.minima), images_section(solution),
+        ranges_section(solution), laser_section(solution), control_section(solution), shared_section(solution),
+        passes_section(solution), points_section(solution),
         Section("", sentences=reading_statements(solution.network.images)),
         Section("connectivity", sentences=connectivity_statements(connected), numbers=connectivity_json(connected)),
     ]
@@ -148,7 +135,7 @@ def sentences_of(sections: Sequence[Section]) -> list[str]:
 
 def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
     """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
-    tables = [Section("", tables=one.tables).text() for one in sections or solution_sections(solution)]
+    tables = [Section("", tables=section.tables).text() for section in sections or solution_sections(solution)]
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
 
@@ -177,9 +164,9 @@ def figure(value: float) -> str:
 
 
 def _head(solution: Solution) -> str:
-    words = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
-    head = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
-    return "\n".join([head, *(f"  {', '.join(words[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
+    figures = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
+    heading = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
+    return "\n".join([heading, *(f"  {', '.join(figures[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
 
 
 
@@ -209,8 +196,8 @@ class Overrides:
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
-        return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+        overrides = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
+        return dataclasses.replace(settings, **{name: value for name, value in overrides.items() if value is not None})
 
 
 AS_WRITTEN = Overrides()
@@ -254,8 +241,8 @@ def write_results(
     >>> [name for name in files if name.endswith(".csv")]
     ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv']
     """
-    with fresh_folder(folder) as aside:
-        return write_into(solution, aside, figures, case, networks, tables)
+    with fresh_folder(folder) as temporary:
+        return write_into(solution, temporary, figures, case, networks, tables)
 
 
 def write_into(
@@ -265,10 +252,10 @@ def write_into(
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
     sections = solution_sections(solution, connected)
-    known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
+    inputs: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
-    known |= {"networks": files} if files else {}
-    write_json(folder / RECORD, solution_json(solution, connected, sections) | known)
+    inputs |= {"networks": files} if files else {}
+    write_json(folder / RECORD, solution_json(solution, connected, sections) | inputs)
     orientation_table(solution).write_csv(folder / "orientation.csv")
     large = write_large_tables(solution, folder, tables)
     connectivity_table(connected).write_csv(folder / "connectivity.csv")
@@ -315,7 +302,8 @@ def solution_json(
     connected = connected or solution_connectivity(solution)
     sections = sections or solution_sections(solution, connected)
     scaled = {
-        c.name.lower(): point_statistics(solution, c).mean_sigma * solution.sigma0 for c in network.classes
+        point_class.name.lower(): point_statistics(solution, point_class).mean_sigma * solution.sigma0
+        for point_class in network.classes
     }  # fmt: skip
     record = {
         "program": PROGRAM,
@@ -335,5 +323,5 @@ def solution_json(
         "versions": dict(solution.versions),
         "statements": sentences_of(sections),
     }
-    found: dict[str, Any] = plain(record)
-    return found
+    plain_record: dict[str, Any] = plain(record)
+    return plain_record

@@ -25,8 +25,8 @@ ROWS = 24
 
 _TAKEN: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
     "items": ("values", list),
-    "counts": ("values", lambda found: np.array(list(found), dtype=np.int64)),
-    "numbers": ("values", lambda found: np.array(list(found), dtype=np.float64)),
+    "counts": ("values", lambda values: np.array(list(values), dtype=np.int64)),
+    "numbers": ("values", lambda values: np.array(list(values), dtype=np.float64)),
     "units": ("unit", list),
 }
 """What the file of tables takes from an attribute of records: the field of a column, and how."""
@@ -43,29 +43,29 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
 
     With records, all columns of the file in its order: it names the attribute of those that have no values here.
     """
-    known, found = _layouts()[table]["columns"], list[Column]()
-    assert records is None or values.keys() <= known.keys(), f"{table}: none of {values.keys() - known.keys()}"
-    for name in values if records is None else known:
+    layouts, columns = _layouts()[table]["columns"], list[Column]()
+    assert records is None or values.keys() <= layouts.keys(), f"{table}: none of {values.keys() - layouts.keys()}"
+    for name in values if records is None else layouts:
         value = values.get(name)
         if not isinstance(value, Column):
-            layout = {"key": name, "values": value} | known[name]
+            layout = {"key": name, "values": value} | layouts[name]
             for kind in _TAKEN.keys() & layout:
-                part, take = _TAKEN[kind]
-                layout[part] = take(map(attrgetter(layout.pop(kind)), records or ()))
+                target, convert = _TAKEN[kind]
+                layout[target] = convert(map(attrgetter(layout.pop(kind)), records or ()))
             value = Column(**layout) if layout["values"] is not None else None
-        found += [] if value is None else [value]
-    return tuple(found)
+        columns += [] if value is None else [value]
+    return tuple(columns)
 
 
-def record_of(name: str, found: Any) -> dict[str, Any]:
+def record_of(name: str, record: Any) -> dict[str, Any]:
     """Members of a record for JSON, from attributes that `templates/tables.toml` names."""
-    return {key: attrgetter(attribute)(found) for key, attribute in _layouts()["records"][name].items()}
+    return {key: attrgetter(attribute)(record) for key, attribute in _layouts()["records"][name].items()}
 
 
-def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **more: Any) -> Table:
+def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **overrides: Any) -> Table:
     """The table of a layout in `templates/tables.toml`, with `columns_of`; name, title or note may be given here."""
-    known = {"name": layout} | _layouts()[layout] | more
-    return Table(**known | {"columns": columns_of(layout, values, records)})
+    members = {"name": layout} | _layouts()[layout] | overrides
+    return Table(**members | {"columns": columns_of(layout, values, records)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,38 +89,38 @@ class Section:
     sheets: Callable[[], Iterable["Sheet"]] | None = None
     """What draws its figures."""
 
-    def text(self, most: int | None = ROWS) -> str:
+    def text(self, max_rows: int | None = ROWS) -> str:
         """Lines for the terminal, with so many rows of each table at most; None: with all."""
-        found = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
+        lines = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
         for table in self.tables:
-            rows = table.text(most, f"more row: see {table.name}.csv", indent=2, units=True)
+            rows = table.text(max_rows, f"more row: see {table.name}.csv", indent=2, units=True)
             if len(table) and rows:
-                found += [*([""] if found else []), table.title, *rows]
-        return "\n".join(found)
+                lines += [*([""] if lines else []), table.title, *rows]
+        return "\n".join(lines)
 
     def write(self, folder: Path, figures: bool) -> list[str]:
         """Write its files into a folder, with figures or without; their names."""
-        every = {f"{table.name}.csv": table.write_csv for table in self.csv} | dict(self.files)
-        for name, write in every.items():
+        writers = {f"{table.name}.csv": table.write_csv for table in self.csv} | dict(self.files)
+        for name, write in writers.items():
             write(folder / name)
         if not figures or self.sheets is None:
-            return list(every)
+            return list(writers)
         from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
 
-        return [*every, *save(self.sheets(), folder)]
+        return [*writers, *save(self.sheets(), folder)]
 
     def write_folder(self, folder: str | Path, kind: str, figures: bool = True) -> list[str]:
         """Write its numbers as the record, and its files, to a folder of its own (`write_sections`)."""
         return write_sections([self], self.numbers, folder, kind, figures)
 
 
-def drawn(function: str, *given: Any) -> Callable[[], Iterable["Sheet"]]:
+def drawn(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
     """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""
     module, _, name = function.rpartition(".")
 
     def sheets() -> Iterable["Sheet"]:
-        made = getattr(import_module(module), name)(*given)
-        return made if isinstance(made, Iterable) else [made] if made is not None else []
+        result = getattr(import_module(module), name)(*arguments)
+        return result if isinstance(result, Iterable) else [result] if result is not None else []
 
     return sheets
 
@@ -148,8 +148,8 @@ def write_sections(
     InputError
         If the folder holds anything else, or can't be written.
     """
-    with fresh_folder(folder, kind) as aside:
-        return write_sections_into(sections, record, aside, kind, figures)
+    with fresh_folder(folder, kind) as temporary:
+        return write_sections_into(sections, record, temporary, kind, figures)
 
 
 def write_sections_into(

@@ -30,54 +30,55 @@ _MOST_POINTS = 20_000
 
 def summary(solution: Solution) -> list[str]:
     """Lines for the terminal."""
-    found = verdict(solution)
-    said = [*reason_sentences(found.reasons), *_points(solution), *_figures(solution), *left_out(solution)]
+    assessment = verdict(solution)
+    sentences = [*reason_sentences(assessment.reasons), *_points(solution), *_figures(solution), *left_out(solution)]
     if solution.linearity is not None and not solution.linearity.linear:
-        said += linearity_section(solution.linearity).sentences
+        sentences += linearity_section(solution.linearity).sentences
     if solution.minima is not None and solution.minima.several:
-        said.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
-    said += laser_section(solution, brief=True).sentences
-    said += tested_sentences(found, solution, _WORST)
-    return [f"{headline(solution)} ({many(solution.iterations, 'iteration')})", *(f"- {one}" for one in said)]
+        sentences.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
+    sentences += laser_section(solution, brief=True).sentences
+    sentences += tested_sentences(assessment, solution, _WORST)
+    return [f"{headline(solution)} ({many(solution.iterations, 'iteration')})",
+            *(f"- {sentence}" for sentence in sentences)]
 
 
 def _figures(solution: Solution) -> Iterator[str]:
     """Cost and sigma0; how many observations, and how they fit."""
     network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
-    small = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
-    remark = f"; residuals are {two(1.0 / fit.sigma0)} times smaller than stated" if small else ""
+    overstated = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
+    remark = f"; residuals are {two(1.0 / fit.sigma0)} times smaller than stated" if overstated else ""
     yield (
         f"Fit: {sigma0} ({many(fit.degrees_of_freedom, 'degree')} of freedom), cost {solution.cost_initial:.3g} -> "
         f"{solution.cost_final:.3g}{remark}."
     )
     rays, ranges = ray_statistics(solution), range_statistics(solution)
     line, sample = root_mean_square(rays.rms_of_images, 0).tolist()
-    said = f"Residuals (rms): {two(line)} px in line, {two(sample)} px in sample ("
-    said += f"{network.rays.point.size} image points, {many(len(network.images), 'image')})"
+    residuals = f"Residuals (rms): {two(line)} px in line, {two(sample)} px in sample ("
+    residuals += f"{network.rays.point.size} image points, {many(len(network.images), 'image')})"
     if ranges.count:
-        said += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
-    yield f"{said}."
+        residuals += f"; ranges {two(ranges.rms_before)} -> {two(ranges.rms)} m ({ranges.count})"
+    yield f"{residuals}."
 
 
 def _points(solution: Solution) -> Iterator[str]:
     """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
-    for one, mine in solution.network.of_class():
-        there = mine[solution.determined[mine]]
-        if not there.size:
+    for point_class, indices in solution.network.of_class():
+        known = indices[solution.determined[indices]]
+        if not known.size:
             continue
-        sigmas = np.median(local_sigmas(solution.covariances[there], solution.places[there]), axis=0)
-        moved = float(np.median(np.linalg.norm(solution.places[there] - solution.places_before[there], axis=1)))
-        level = float(np.hypot(*sigmas[:2]))
-        said = f"{one.name.capitalize()} points ({there.size}): median sigma {length(level)} horizontal, "
-        said += f"{length(float(sigmas[2]))} vertical; median move {length(moved)}."
-        yield said + (_geometry(solution.network, there, float(sigmas[2])) if one is PointClass.TIE else "")
+        sigmas = np.median(local_sigmas(solution.covariances[known], solution.places[known]), axis=0)
+        movement = float(np.median(np.linalg.norm(solution.places[known] - solution.places_before[known], axis=1)))
+        horizontal = float(np.hypot(*sigmas[:2]))
+        sentence = f"{point_class.name.capitalize()} points ({known.size}): median sigma {length(horizontal)} "
+        sentence += f"horizontal, {length(float(sigmas[2]))} vertical; median move {length(movement)}."
+        yield sentence + (_geometry(solution.network, known, float(sigmas[2])) if point_class is PointClass.TIE else "")
 
 
 def _geometry(network: Network, ties: Index, height_sigma: float) -> str:
     """What convergence means for the heights of tie points, where it is small."""
-    chosen = ties if ties.size <= _MOST_POINTS else ties[:: -(-ties.size // _MOST_POINTS)]
-    angles: Array = convergence(network, chosen)
+    sampled = ties if ties.size <= _MOST_POINTS else ties[:: -(-ties.size // _MOST_POINTS)]
+    angles: Array = convergence(network, sampled)
     if not angles.size or float(np.median(angles)) >= _FLAT:
         return ""
     span = f"rays converge by {two(angles.min() / DEG)} to {two(angles.max() / DEG)} deg"
