@@ -95,7 +95,7 @@ def analyze(
     from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.reading import read_adjusted, read_posterior
-    from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
+    from mgsgraph.results.analysis import AnalysisRequest, analysis_sections, brief, require_used, write_analysis
     from mgsgraph.results.answers import Questions
 
     if nodes is not None:
@@ -126,7 +126,7 @@ def analyze(
     measures = tuple(Pixel(image, line, sample, sigma) for image, line, sample in pixels)
     questions = Questions(**about, pixels=measures, correlations=asked["correlations"], probability=probability)
     levels = Levels(*(asked[name] if given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
-    wanted = Wanted(
+    wanted = AnalysisRequest(
         questions, asked["curves"], asked["images"] if raster else None, asked["post"], sigma,
         asked["unexplained"] or every, asked["components"] or asked["iterate"] or every, asked["likelihood"],
         asked["iterate"], asked["reliability"] or (_SUMMARY if every else 0),
@@ -141,7 +141,7 @@ def analyze(
             return
     with stage("analyzing"):
         name, posterior, warning = read_posterior(adjusted)
-        found = list(analysed(posterior, wanted, name))
+        found = list(analysis_sections(posterior, wanted, name))
         if out is not None:
             write_analysis(name, found, out, figures=not no_figures)  # before anything is said: a reader may go away
     print_sentences(warning)

@@ -23,14 +23,14 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
-from mgsgraph.results.answers import Questions, answered, curve_section, raster_section
-from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections
+from mgsgraph.results.answers import Questions, answers, curve_section, raster_section
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
 from mgsgraph.units import ARCSEC
 
 _KINDS = ("image coordinate", "range", "a-priori place", "height", "stereo height", "prior", "crossover")
-_MOST_ALIKE = 6
+_MOST_INSEPARABLE = 6
 """Measures of a group that are printed; analysis.json has all."""
 
 
@@ -63,7 +63,7 @@ def reliability_section(tests: Reliability, max_groups: int) -> Section:
 
 def suspects_table(tests: Reliability, suspected: Sequence[Suspect]) -> Table:
     """Rows of `reliability_table` by suspicion; measures that are inseparable from one stand below it."""
-    groups = [suspect.measures[:_MOST_ALIKE] for suspect in suspected]
+    groups = [suspect.measures[:_MOST_INSEPARABLE] for suspect in suspected]
     marks = ["OVER" if suspect.over else "" for suspect in suspected]
     names = [
         f"{'= ' if k else ''}{tests.name(int(measure))} {mark if not k else ''}"
@@ -118,7 +118,7 @@ def reliability_table(tests: Reliability, rows: Index | None = None) -> Table:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class AnalysisRequest:
     """What an analysis is to hold."""
 
     questions: Questions = field(default_factory=Questions)
@@ -181,15 +181,15 @@ def require_used(option: str, is_given: bool, has_effect: bool, missing: str) ->
         raise InputError(option, f"no {missing}", "both", "add it, or leave the option out")
 
 
-def analysed(posterior: Posterior, request: Wanted, name: str) -> Iterator[Section]:
+def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str) -> Iterator[Section]:
     """Sections in the order in which they are read, each when it is ready.
 
     Raises InputError where something asked about isn't in the solution.
     """
     if request.questions:
-        answers = list(answered(posterior, request.questions))
-        sentences = [sentence for answer in answers for sentence in answer.sentences]
-        yield Section("answers", sentences=sentences, numbers=[answer.numbers for answer in answers])
+        replies = list(answers(posterior, request.questions))
+        sentences = [sentence for section in replies for sentence in section.sentences]
+        yield Section("answers", sentences=sentences, numbers=[section.numbers for section in replies])
     for image in dict.fromkeys(request.curves):
         yield curve_section(posterior, image)
     if request.raster is not None:
@@ -198,12 +198,12 @@ def analysed(posterior: Posterior, request: Wanted, name: str) -> Iterator[Secti
         yield unexplained_section(posterior, name)
         yield vibrations_section(posterior, name)
     if request.consistency:
-        yield _consistency(posterior, name)
+        yield _consistency_section(posterior, name)
         yield linearity_section(linearity_of(posterior.linearised))
     if request.likelihood:
         yield likelihood_section(posterior, request.likelihood)
     if request.iterated:
-        yield _iterated(posterior)
+        yield _iterated_section(posterior)
     if request.suspects or request.outliers:
         tests = reliability(posterior.linearised, request.levels)
         if request.suspects:
@@ -211,9 +211,9 @@ def analysed(posterior: Posterior, request: Wanted, name: str) -> Iterator[Secti
         if request.outliers:
             yield outliers_section(tests)
     if request.weak:
-        yield _weak(posterior, request.weak)
+        yield _weak_section(posterior, request.weak)
         if posterior.network.passes:
-            yield _separability(posterior)
+            yield _separability_section(posterior)
 
 
 def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
@@ -230,7 +230,7 @@ def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures
     return write_sections(sections, {"format": 1, "name": name, **record}, folder, ANALYSIS, figures)
 
 
-def _consistency(posterior: Posterior, name: str) -> Section:
+def _consistency_section(posterior: Posterior, name: str) -> Section:
     linearised, fit = posterior.linearised, posterior.linearised.fit()
     if fit.degrees_of_freedom < 1:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
@@ -242,7 +242,7 @@ def _consistency(posterior: Posterior, name: str) -> Section:
     return Section(
         "consistency", "Stated sigmas against residuals", factors.sentences, [residuals],
         record, [components_table(factors)],
-        sheets=drawn("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
+        sheets=sheets_by("mgsgraph.results.figures.analysis.quantile_sheet", statistics, name),
     )  # fmt: skip
 
 
@@ -269,7 +269,7 @@ def components_table(factors: Components, name: str = "components") -> Table:
     }, groups, name=name)  # fmt: skip
 
 
-def _iterated(posterior: Posterior) -> Section:
+def _iterated_section(posterior: Posterior) -> Section:
     iteration = iterated_components(posterior.network, posterior.linearised.settings)
     record = {
         "converged": iteration.converged, "passes": len(iteration.history), **_components_record(iteration.components),
@@ -281,7 +281,7 @@ def _iterated(posterior: Posterior) -> Section:
     )  # fmt: skip
 
 
-def _weak(posterior: Posterior, count: int) -> Section:
+def _weak_section(posterior: Posterior, count: int) -> Section:
     if posterior.linearised.joint.columns == 0:
         return Section("weak", sentences=["All orientation was held: it has no unconstrained directions."], numbers=[])
     directions = weakest(posterior.linearised.layout, posterior.linearised.joint, count)
@@ -302,7 +302,7 @@ def _weak(posterior: Posterior, count: int) -> Section:
     return Section("weak", title, [direction.sentence for direction in directions], numbers=record)
 
 
-def _separability(posterior: Posterior) -> Section:
+def _separability_section(posterior: Posterior) -> Section:
     """Mountings, attitude and position of passes that are inseparable."""
     linearised = posterior.linearised
     combinations = inseparable(posterior.network, linearised.joint, linearised.settings.angles)
@@ -354,7 +354,7 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
     table, sentences = unexplained_table(tested), tested.sentences
     record = {"level": tested.level, "tests": tested.tests, "words": sentences, "effects": table.records()}
     return Section("unexplained", sentences=sentences, numbers=record, csv=[table],
-                   sheets=drawn("mgsgraph.results.figures.analysis.unexplained_sheets", tested, name))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.analysis.unexplained_sheets", tested, name))  # fmt: skip
 
 
 def unexplained_table(tested: Unexplained) -> Table:
@@ -387,7 +387,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
     ]  # fmt: skip
     record = {"words": tested.sentences, "vibrations": table.records(), "spectra": spectra}
     return Section("vibrations", sentences=tested.sentences, numbers=record, csv=[table],
-                   sheets=drawn("mgsgraph.results.figures.analysis.vibrations_sheet", tested, name))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.analysis.vibrations_sheet", tested, name))  # fmt: skip
 
 
 def vibrations_table(tested: ResidualVibrations) -> Table:

@@ -20,7 +20,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, columns_of, drawn, record_of
+from mgsgraph.results.section import Section, columns_of, record_of, sheets_by
 from mgsgraph.units import ARCSEC, DEG
 
 _MOST_SHOWN = 12
@@ -54,22 +54,22 @@ class Questions:
         return bool(self.points or self.pairs or self.poses or self.projections or self.pixels)
 
 
-def answered(posterior: Posterior, questions: Questions) -> Iterator[Section]:
+def answers(posterior: Posterior, questions: Questions) -> Iterator[Section]:
     """A finding for each question, in the order of their kinds; InputError where something asked about isn't in the
     solution.
     """
     for name in questions.points:
-        yield _place(posterior.point(name), questions.probability, "point")
+        yield _position_section(posterior.point(name), questions.probability, "point")
     for first, second in questions.pairs:
-        yield _difference(posterior.difference(first, second))
+        yield _difference_section(posterior.difference(first, second))
     for image, line in questions.poses:
-        yield _pose(posterior.pose(image, line))
+        yield _pose_section(posterior.pose(image, line))
     for point, image in questions.projections:
-        yield _pixel(posterior.projection(point, image))
+        yield _projection_section(posterior.projection(point, image))
     if questions.pixels:
-        yield _place(posterior.intersection(questions.pixels), questions.probability, "intersection")
+        yield _position_section(posterior.intersection(questions.pixels), questions.probability, "intersection")
     if questions.correlations:
-        yield _correlations(posterior.joint(list(_quantities(posterior, questions))))
+        yield _correlation_section(posterior.joint(list(_quantities(posterior, questions))))
 
 
 def _quantities(posterior: Posterior, questions: Questions) -> Iterator[Quantity]:
@@ -82,19 +82,19 @@ def _quantities(posterior: Posterior, questions: Questions) -> Iterator[Quantity
         yield posterior.of_intersection(questions.pixels)
 
 
-def _sigmas(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
+def _sigmas_text(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
     """Standard deviations of axes, in words."""
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return ", ".join(f"{axis} {sigma:.4g}{unit}" for axis, sigma in zip(axes, sigmas, strict=True))
 
 
-def _flight(covariance: Array) -> str:
+def _flight_sigmas(covariance: Array) -> str:
     """Standard deviations of an orientation along the flight's axes (m, rad), in words."""
     position, rotation = covariance[:3, :3], covariance[3:, 3:] / ARCSEC**2
-    return f"sigma {_sigmas(position, FLIGHT_NAMES[:3])}, {_sigmas(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
+    return f"sigma {_sigmas_text(position, FLIGHT_NAMES[:3])}, {_sigmas_text(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
 
 
-def _place(estimate: PositionEstimate, probability: float, question: str) -> Section:
+def _position_section(estimate: PositionEstimate, probability: float, question: str) -> Section:
     longitude, latitude, radius = planetocentric(estimate.position)
     ellipsoid = estimate.ellipsoid(probability)
     title = "New point" if question == "intersection" else f"Point {estimate.name}"
@@ -103,8 +103,8 @@ def _place(estimate: PositionEstimate, probability: float, question: str) -> Sec
                           azimuth, elevation in axes)
     sentences = [
         f"{title}: longitude {longitude / DEG % 360.0:.6f} deg E, latitude {latitude / DEG:.6f} deg (planetocentric), "
-        f"radius {radius:.3f} m; sigma {_sigmas(estimate.east_north_up, ('east', 'north', 'up'))}; "
-        f"{_sigmas(estimate.covariance)}.", f"{100.0 * probability:g} % error ellipsoid: {axes_text}.",
+        f"radius {radius:.3f} m; sigma {_sigmas_text(estimate.east_north_up, ('east', 'north', 'up'))}; "
+        f"{_sigmas_text(estimate.covariance)}.", f"{100.0 * probability:g} % error ellipsoid: {axes_text}.",
     ]
     if estimate.misfit is not None:
         sentences.append(f"The rays miss each other by {estimate.misfit:.2g} of their sigmas.")
@@ -120,26 +120,26 @@ def _place(estimate: PositionEstimate, probability: float, question: str) -> Sec
     })  # fmt: skip
 
 
-def _difference(difference: Difference) -> Section:
+def _difference_section(difference: Difference) -> Section:
     distance_sentence = (
         f"Their distance is {difference.distance:.3f} m, sigma {difference.distance_sigma:.4g} m; sigma of the vector "
-        f"{_sigmas(difference.east_north_up, ('east', 'north', 'up'))}."
+        f"{_sigmas_text(difference.east_north_up, ('east', 'north', 'up'))}."
     )
     return Section("answer", sentences=[difference.sentence, distance_sentence], numbers={
         "question": "pair", "points": [difference.first, difference.second], **record_of("difference", difference),
     })  # fmt: skip
 
 
-def _pose(pose: PoseEstimate) -> Section:
+def _pose_section(pose: PoseEstimate) -> Section:
     location = f"Image {pose.image} at line {pose.line:g}"
-    sentence = f"{location}: {_flight(pose.flight)}; body-fixed {_sigmas(pose.covariance[:3, :3])}."
+    sentence = f"{location}: {_flight_sigmas(pose.flight)}; body-fixed {_sigmas_text(pose.covariance[:3, :3])}."
     return Section("answer", sentences=[sentence], numbers={
         "question": "pose", **record_of("pose", pose),
         "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": pose.flight,
     })  # fmt: skip
 
 
-def _pixel(projection: PixelEstimate) -> Section:
+def _projection_section(projection: PixelEstimate) -> Section:
     line, sample = projection.sigmas
     correlation = projection.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
     sentence = (
@@ -150,7 +150,7 @@ def _pixel(projection: PixelEstimate) -> Section:
     return Section("answer", sentences=[sentence], numbers={"question": "projection", **record_of("pixel", projection)})
 
 
-def _correlations(joint: Estimate) -> Section:
+def _correlation_section(joint: Estimate) -> Section:
     shown = slice(_MOST_SHOWN)
     sentences = [
         f"Correlations of {name}: {', '.join(f'{value:.3f}' for value in row[: k + 1])}."
@@ -164,7 +164,7 @@ def _correlations(joint: Estimate) -> Section:
 
 
 
-def _file_of(image: str, number: int) -> str:
+def _table_name(image: str, number: int) -> str:
     """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
     stem = file_stem(image)
     return f"sigmas_{stem}" if stem == image else f"sigmas_{stem}_{number + 1}"
@@ -181,7 +181,7 @@ def curve_section(posterior: Posterior, image: str) -> Section:
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)
     ]  # fmt: skip
-    file = _file_of(image, image_index)
+    file = _table_name(image, image_index)
     table = Table(file, f"Sigmas along image {image}", (
         *columns_of("curves", {"image": [image] * lines.size, "line": lines}), *columns,
     ))  # fmt: skip
@@ -205,7 +205,7 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
     sentence = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
     files = {"sigmas.tif": partial(write_sigma_raster, grid, body)}
     return Section("raster", sentences=[sentence], numbers=record, files=files,
-                   sheets=drawn("mgsgraph.results.figures.analysis.raster_sheet", grid, "sigma_map"))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.analysis.raster_sheet", grid, "sigma_map"))  # fmt: skip
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:

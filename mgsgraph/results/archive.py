@@ -46,7 +46,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
 _KIND_NAMES |= {prior_kind.__name__ for prior_kind in (NodePrior, PolynomialPrior, ProcessPrior)}
-_AGAIN = "write it anew with the program that made it"
+_REWRITE = "write it anew with the program that made it"
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
     rb"'shape': \(([\d, ]{0,200})\), \} *\n", re.DOTALL,
@@ -67,7 +67,7 @@ def pack(record: Any) -> bytes:
 
 def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
     """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
-    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _AGAIN):
+    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _REWRITE):
         arrays = read_members(io.BytesIO(data))
         record: Kind = from_arrays(record_of(arrays), kind, "", arrays)
         return record
@@ -90,7 +90,7 @@ def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]
     InputError
         For anything else, and a part that is not there.
     """
-    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _AGAIN):
+    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _REWRITE):
         arrays = read_members(io.BytesIO(data), lambda name: name == _RECORD or name.startswith(tuple(kinds)))
         record = json_object(arrays[_RECORD].tobytes(), _RECORD)
         return [
@@ -101,21 +101,21 @@ def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]
 def record_of(arrays: Arrays) -> dict[str, Any]:
     """What the text in an archive says; InputError where an array is there that it does not name."""
     record = json_object(arrays[_RECORD].tobytes(), _RECORD)
-    for name in sorted(arrays.keys() - set(_named(record)) - {_VERSION, _RECORD})[:1]:
-        raise InputError(name, "an array that the archive's record does not name", remedy=_AGAIN)
+    for name in sorted(arrays.keys() - set(_array_paths(record)) - {_VERSION, _RECORD})[:1]:
+        raise InputError(name, "an array that the archive's record does not name", remedy=_REWRITE)
     return record
 
 
-def _named(value: Any) -> Iterator[str]:
+def _array_paths(value: Any) -> Iterator[str]:
     """Paths of the arrays in a record as `to_arrays` gives it."""
     if isinstance(value, dict):
         if value.keys() == {"array"}:
             yield str(value["array"])
         for item in value.values():
-            yield from _named(item)
+            yield from _array_paths(item)
     elif isinstance(value, list):
         for item in value:
-            yield from _named(item)
+            yield from _array_paths(item)
 
 
 def read_members(file: BinaryIO, is_wanted: Callable[[str], bool] = lambda _: True) -> Arrays:
@@ -128,7 +128,7 @@ def read_members(file: BinaryIO, is_wanted: Callable[[str], bool] = lambda _: Tr
         content_size = sum(member.file_size for member in members)
         if content_size > file_size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
             content = f"members of {content_size / 1e6:.1f} MB in a file of {file_size / 1e6:.1f} MB, or packed ones"
-            raise InputError(members[0].filename, content, "arrays as NumPy's savez writes them", _AGAIN)
+            raise InputError(members[0].filename, content, "arrays as NumPy's savez writes them", _REWRITE)
         names = [(member, member.filename.removesuffix(".npy")) for member in members]
         return {name: _from_npy(archive.read(member), name) for member, name in names if is_wanted(name)}
 
@@ -137,10 +137,10 @@ def _from_npy(content: bytes, name: str) -> NDArray[Any]:
     """An array out of the bytes of an .npy file, without a copy; nothing in it is evaluated."""
     header = _HEADER.match(content)
     if header is None or header.end() != 10 + int.from_bytes(header[1], "little"):
-        raise InputError(name, "no NumPy array of numbers or names", remedy=_AGAIN)
+        raise InputError(name, "no NumPy array of numbers or names", remedy=_REWRITE)
     dtype, shape = np.dtype(header[2].decode()), tuple(int(size) for size in header[4].split(b",") if size.strip())
     if math.prod(shape) * dtype.itemsize != len(content) - header.end():
-        raise InputError(name, f"{len(content) - header.end()} bytes", f"an array of shape {shape}", _AGAIN)
+        raise InputError(name, f"{len(content) - header.end()} bytes", f"an array of shape {shape}", _REWRITE)
     return np.ndarray(shape, dtype, content, header.end(), order="F" if header[3] == b"True" else "C")
 
 
@@ -153,16 +153,16 @@ def to_arrays(value: Any, path: str, arrays: Arrays) -> Any:
         arrays[path] = value
         return {"array": path}
     if is_dataclass(value):
-        members = {field.name: to_arrays(getattr(value, field.name), _at(path, field.name), arrays)
+        members = {field.name: to_arrays(getattr(value, field.name), _child_path(path, field.name), arrays)
                  for field in fields(value)}
         return members | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
     if isinstance(value, Mapping):
-        return {key: to_arrays(item, _at(path, key), arrays) for key, item in value.items()}
+        return {key: to_arrays(item, _child_path(path, key), arrays) for key, item in value.items()}
     if isinstance(value, tuple):
         names = _as_text_array(value)
         if names is not None:
             return to_arrays(names, path, arrays)
-        return [to_arrays(item, _at(path, str(k)), arrays) for k, item in enumerate(value)]
+        return [to_arrays(item, _child_path(path, str(k)), arrays) for k, item in enumerate(value)]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, float):
@@ -180,7 +180,7 @@ def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
     return array if array.tolist() == list(names) else None
 
 
-def _at(path: str, name: str) -> str:
+def _child_path(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
@@ -195,21 +195,21 @@ def from_arrays(value: Any, kind: Any, path: str, arrays: Arrays) -> Any:
             return None
         options = tuple(option for option in options if option is not type(None))
         if any(array_scalar(option) for option in options):
-            return _array(value, options, path, arrays)
+            return _read_array(value, options, path, arrays)
         if len(options) > 1:  # records, of which the value says which it is
-            return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], path, arrays)
+            return _read_record(value, {kind.__name__: kind for kind in options}[value["kind"]], path, arrays)
         return from_arrays(value, options[0], path, arrays)
     if array_scalar(kind):
-        return _array(value, (kind,), path, arrays)
+        return _read_array(value, (kind,), path, arrays)
     if origin is tuple:
         if isinstance(value, dict):
-            return tuple(_array(value, (NDArray[np.str_],), path, arrays).tolist())
-        return tuple(from_arrays(item, options[0], _at(path, str(k)), arrays) for k, item in enumerate(value))
+            return tuple(_read_array(value, (NDArray[np.str_],), path, arrays).tolist())
+        return tuple(from_arrays(item, options[0], _child_path(path, str(k)), arrays) for k, item in enumerate(value))
     if origin is Mapping:
-        return {key: from_arrays(item, options[1], _at(path, key), arrays) for key, item in value.items()}
+        return {key: from_arrays(item, options[1], _child_path(path, key), arrays) for key, item in value.items()}
     if kind in _KINDS:
-        return _record(value, _KINDS[kind][value["kind"]], path, arrays)
-    return _record(value, kind, path, arrays) if is_dataclass(kind) else _scalar(value, kind, path)
+        return _read_record(value, _KINDS[kind][value["kind"]], path, arrays)
+    return _read_record(value, kind, path, arrays) if is_dataclass(kind) else _read_scalar(value, kind, path)
 
 
 def kinds_of(kind: Any) -> tuple[type[Any], ...]:
@@ -224,20 +224,21 @@ def array_scalar(kind: Any) -> Any:
     return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on it is a name of its own
 
 
-def _array(value: dict[str, str], kinds: tuple[Any, ...], path: str, arrays: Arrays) -> np.ndarray:
+def _read_array(value: dict[str, str], kinds: tuple[Any, ...], path: str, arrays: Arrays) -> np.ndarray:
     """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
     array, scalars = arrays[value["array"]], tuple(map(array_scalar, kinds))
     if not issubclass(array.dtype.type, scalars):
-        raise InputError(path, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _AGAIN)
+        raise InputError(path, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _REWRITE)
     return array
 
 
-def _record(value: dict[str, Any], kind: Any, path: str, arrays: Arrays) -> Any:
+def _read_record(value: dict[str, Any], kind: Any, path: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
     for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
-        raise InputError(_at(path, name), "a field that this version doesn't know", "", _NEWER)
+        raise InputError(_child_path(path, name), "a field that this version doesn't know", "", _USE_NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
-    members = {name: from_arrays(value[name], hints[name], _at(path, name), arrays) for name in hints if name in value}
+    members = {name: from_arrays(value[name], hints[name], _child_path(path, name), arrays) for name in hints
+               if name in value}
     record = kind(**members)
     if kind is AttitudeTable:
         assign(record, quaternions=members["quaternions"])  # checked above; dividing by the norm again moves last bits
@@ -250,15 +251,15 @@ def _field_types(kind: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def _scalar(value: Any, kind: Any, path: str) -> Any:
+def _read_scalar(value: Any, kind: Any, path: str) -> Any:
     if isinstance(value, dict):
         value = float(value["float"])
     if isinstance(kind, type) and issubclass(kind, StrEnum):
         if value not in tuple(kind):
-            raise InputError(path, f"{value!r}", f"one of {', '.join(kind)}", _NEWER)
+            raise InputError(path, f"{value!r}", f"one of {', '.join(kind)}", _USE_NEWER)
         return kind(value)
     if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
-        raise InputError(path, f"{value!r}", f"a value of type {kind.__name__}", _AGAIN)
+        raise InputError(path, f"{value!r}", f"a value of type {kind.__name__}", _REWRITE)
     return value
 
 
@@ -270,9 +271,9 @@ ARCHIVE = "solution.npz"
 _LARGEST = 1 << 40
 """bytes; every member is held against the file's size."""
 
-_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
-_OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
-_ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
+_USE_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
+_USE_OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
+_READJUST = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
 _SHAPES = {
@@ -317,13 +318,13 @@ def read_solution(path: str | Path) -> "Solution":
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
     if not path.exists():
-        raise InputError(str(path), "no such file", remedy=_ANEW)
+        raise InputError(str(path), "no such file", remedy=_READJUST)
     where = str(path)
-    with errors_from(where), understood(where, "an archive of mgsgraph", _ANEW), opened(path, _LARGEST) as file:
+    with errors_from(where), understood(where, "an archive of mgsgraph", _READJUST), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
         if version != FORMAT:
-            raise InputError("format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
+            raise InputError("format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
         solution: Solution = from_arrays(record_of(arrays), Solution, "", arrays)
         _require_shapes(solution)
         return solution
@@ -358,11 +359,11 @@ def _require_shapes(solution: "Solution") -> None:
                     (values, expected) in sequences.items()]
     for name, prefix, value, expected in comparisons:
         if value != expected:
-            raise InputError(name, f"{prefix}{str(value)[:60]}", str(expected)[:60], _ANEW)
+            raise InputError(name, f"{prefix}{str(value)[:60]}", str(expected)[:60], _READJUST)
     numbers = {name: list(values) for name, (values, _) in sequences.items()} | {
         name: [value] for name in ("shifts", "sigmas_without_laser", "median_sigmas_without_laser")
         if (value := getattr(solution, name)) is not None
     }  # fmt: skip
     for name, arrays in (numbers | {"places": [solution.places[solution.determined]]}).items():
         if not all(np.all(np.isfinite(array)) for array in arrays):
-            raise InputError(name, "not a number", "finite numbers", _ANEW)
+            raise InputError(name, "not a number", "finite numbers", _READJUST)

@@ -62,11 +62,11 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
     assets: dict[str, dict[str, Any]] = {
         "dem": {
             "href": "./dem.tif", "type": MEDIA_TYPE, "title": f"Heights above {height}, sigmas and counts",
-            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": described, **_place(grid),
+            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": described, **_raster_position(grid),
         },
         "ortho": {
             "href": "./ortho.tif", "type": MEDIA_TYPE, "title": f"Ortho image of {dem.images[dem.ortho]}",
-            "roles": ["data", "visual"], "gsd": ortho.post, **_place(ortho),
+            "roles": ["data", "visual"], "gsd": ortho.post, **_raster_position(ortho),
             "bands": [{"name": dem.images[dem.ortho], "data_type": "uint8", "nodata": 0}],
         },
         "record": {
@@ -78,28 +78,18 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
         assets["overview"] = {"href": f"./{name}", "type": "image/png", "title": "Relief, sigmas and checks",
                               "roles": ["overview"]}  # fmt: skip
     return {
-        "type": "Feature",
-        "stac_version": STAC,
-        "stac_extensions": [_EXTENSIONS["proj"], *([_EXTENSIONS["ssys"]] if targets else [])],
-        "id": f"{dem.name}_dem",
-        "geometry": geojson(shape),
-        "bbox": list(map_bounds(shape)),
+        "type": "Feature", "stac_version": STAC,
+        "stac_extensions": [_EXTENSIONS["proj"], *([_EXTENSIONS["ssys"]] if targets else [])], "id": f"{dem.name}_dem",
+        "geometry": geojson(shape), "bbox": list(map_bounds(shape)),
         "properties": {
             "title": f"Terrain model {dem.name}",
             "description": f"Heights above {height} with sigmas (for sigma0 = 1), of the images "
-            f"{', '.join(dem.images)}, with their adjusted orientation",
-            "datetime": None,
-            "start_datetime": _utc(float(spans[:, 0].min())),
-            "end_datetime": _utc(float(spans[:, 1].max())),
-            "gsd": grid.post,
-            **targets,
-            "proj:code": None,
-            "proj:wkt2": grid.crs,
-            "proj:projjson": grid.system,
+            f"{', '.join(dem.images)}, with their adjusted orientation", "datetime": None,
+            "start_datetime": _utc(float(spans[:, 0].min())), "end_datetime": _utc(float(spans[:, 1].max())),
+            "gsd": grid.post, **targets, "proj:code": None, "proj:wkt2": grid.crs, "proj:projjson": grid.system,
             "proj:centroid": _centroid(outline),
         },
-        "links": [],
-        "assets": assets,
+        "links": [], "assets": assets,
     }
 
 
@@ -113,7 +103,7 @@ def _targets(body: Ellipsoid) -> dict[str, Any]:
     return {"ssys:targets": [name.title()], "ssys:target_class": kind}
 
 
-def _place(grid: MapGrid) -> dict[str, Any]:
+def _raster_position(grid: MapGrid) -> dict[str, Any]:
     """Where the pixels of a raster are, in its coordinate system."""
     east, south = grid.west + grid.columns * grid.post, grid.north - grid.rows * grid.post
     return {

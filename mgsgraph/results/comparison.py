@@ -19,7 +19,7 @@ from mgsgraph.names import Names
 from mgsgraph.network import Network, PointClass
 from mgsgraph.record import Record
 from mgsgraph.results.results import figures_of_merit
-from mgsgraph.results.section import Section, columns_of, drawn, table_of
+from mgsgraph.results.section import Section, columns_of, sheets_by, table_of
 from mgsgraph.results.verdict import state_of
 from mgsgraph.text import many, root_mean_square, some
 
@@ -34,7 +34,7 @@ _METHOD = (
 )
 _CLASSES = [kind.name.lower() for kind in PointClass]
 _QUANTILES = (0.02, 0.5, 0.98)
-_SAME_PLACE = 1e-9
+_SAME_PIXEL = 1e-9
 """px between measures that are the same: what a network's text form loses."""
 _SAME_SIGMA = 1e-12
 """Relative difference of sigmas that are the same."""
@@ -80,7 +80,8 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     The orientation of 2 common images differs by at most 2.1 sigmas (SIM/B).
     """
     common, points = common_images(solution, earlier), CommonPoints(solution, earlier)
-    images, movements, sigmas = _images(solution, earlier, common), _points(points), _sigmas(points, labels)
+    images, movements, sigmas = _images_section(solution, earlier,
+                                                common), _points_section(points), _sigmas_section(points, labels)
     sections = (images, movements, sigmas, settings_section(earlier, solution, labels),
              input_section(earlier, solution, labels))  # fmt: skip
     sentences = [sentence for finding in sections for sentence in finding.sentences]
@@ -94,7 +95,7 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     record = {"format": 1, "names": list(labels), "statements": sentences}
     record |= {table.name: table.records() for table in tables if table.name != _POINTS}
     section = Section("comparison", "", sentences, tables, record, csv,
-                      sheets=drawn("mgsgraph.results.figures.map.comparison_sheet", points, labels))  # fmt: skip
+                      sheets=sheets_by("mgsgraph.results.figures.map.comparison_sheet", points, labels))  # fmt: skip
     return Comparison(earlier.name, section, points)
 
 
@@ -151,7 +152,7 @@ def orientation_difference(solution: Solution, j: int, earlier: Solution, i: int
     return differences, np.maximum(*sigmas)
 
 
-def _images(solution: Solution, earlier: Solution, common: list[tuple[int, int]]) -> Section:
+def _images_section(solution: Solution, earlier: Solution, common: list[tuple[int, int]]) -> Section:
     listed = common[:_MOST_IMAGES]
     names = [solution.network.images[j].name for j, _ in listed]
     differences = [orientation_difference(solution, j, earlier, i) for j, i in listed]
@@ -173,7 +174,7 @@ def _images(solution: Solution, earlier: Solution, common: list[tuple[int, int]]
     return Section("images", sentences=[sentence], tables=[table])
 
 
-def _points(points: CommonPoints) -> Section:
+def _points_section(points: CommonPoints) -> Section:
     new, old = len(points.solution.network.points) - points.shared, len(points.earlier.network.points) - points.shared
     counts = f"{many(points.shared, 'point')} of both, {new} new, {old} gone"
     table = moved_points(points)
@@ -203,7 +204,7 @@ def moved_points(points: CommonPoints) -> Table:
     }, name=_POINTS)  # fmt: skip
 
 
-def _sigmas(points: CommonPoints, labels: tuple[str, str]) -> Section:
+def _sigmas_section(points: CommonPoints, labels: tuple[str, str]) -> Section:
     """Median sigmas of the common points by class, and by what factor the sigma of a point became larger."""
     classes = points.solution.network.points.classes[points.rows[0]]
     ratio, (earlier, later) = points.ratio, points.sigmas
@@ -257,7 +258,7 @@ def settings_section(earlier: Solution, solution: Solution, labels: tuple[str, s
 def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]) -> Section:
     """Measures and a-priori sigmas that differ, by the names of points and images."""
     networks = earlier.network, solution.network
-    (only_earlier, only_later), later_rows, at_other_pixel, with_other_sigma = _measures(*networks)
+    (only_earlier, only_later), later_rows, at_other_pixel, with_other_sigma = _common_measures(*networks)
     rows = {image.name: j for j, image in enumerate(networks[0].images)}
     common = [(rows[image.name], j) for j, image in enumerate(networks[1].images) if image.name in rows]
     earlier_index, later_index = np.array(common, dtype=np.int64).reshape(-1, 2).T
@@ -285,10 +286,10 @@ def input_section(earlier: Solution, solution: Solution, labels: tuple[str, str]
     if np.any(prior_differs):
         names = [networks[1].images[j].name for j in later_index[prior_differs].tolist()]
         sentences.append(f"Images of other a-priori sigmas: {some(names, len(names))}.")
-    return Section("inputs", sentences=[*sentences, *_only(*networks)], tables=[table])
+    return Section("inputs", sentences=[*sentences, *_unshared_sentences(*networks)], tables=[table])
 
 
-def _only(earlier: Network, later: Network) -> Iterator[str]:
+def _unshared_sentences(earlier: Network, later: Network) -> Iterator[str]:
     """Sentences about names that only the earlier, or only the later of two networks has."""
     networks = earlier, later
     for kind, names in (
@@ -305,7 +306,7 @@ def _only(earlier: Network, later: Network) -> Iterator[str]:
             yield f"{kind} that only one of both has, {'; '.join(parts)}."
 
 
-def _measures(earlier: Network, later: Network) -> tuple[tuple[int, int], Index, Mask, Mask]:
+def _common_measures(earlier: Network, later: Network) -> tuple[tuple[int, int], Index, Mask, Mask]:
     """How many measures of a point in an image either network has alone, the other's numbers (n,) of common ones, and
     which of these are at another place, or of another sigma; of several of a point in one image the first counts.
     """
@@ -318,7 +319,7 @@ def _measures(earlier: Network, later: Network) -> tuple[tuple[int, int], Index,
     distance = np.linalg.norm(later.rays.places[after] - earlier.rays.places[before], axis=1)
     sigmas = np.abs(later.ray_sigmas[after] / earlier.ray_sigmas[before] - 1.0).max(axis=1, initial=0.0)
     unshared = keys[0].size - before.size, keys[1].size - after.size
-    return unshared, after, distance > _SAME_PLACE, sigmas > _SAME_SIGMA
+    return unshared, after, distance > _SAME_PIXEL, sigmas > _SAME_SIGMA
 
 
 def _priors_differ(earlier: Network, later: Network, i: int, j: int) -> bool:

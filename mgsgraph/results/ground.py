@@ -18,7 +18,7 @@ from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import ARCSEC
 
-_SAME = 1.05
+_SAME_RATIO = 1.05
 """Ratio up to which two sigmas count as the same."""
 
 
@@ -28,7 +28,7 @@ def points_section(solution: Solution) -> Section:
     present = [point_class for point_class, _ in solution.network.of_class()]
     record = {row.pop("kind"): row for row in table.records()}
     shown = table.take(np.array(present, dtype=np.int64))
-    return Section("points", sentences=left_out(solution), tables=[shown], numbers=record)
+    return Section("points", sentences=omission_sentences(solution), tables=[shown], numbers=record)
 
 
 def classes_table(solution: Solution) -> Table:
@@ -40,7 +40,7 @@ def classes_table(solution: Solution) -> Table:
     }, statistics)  # fmt: skip
 
 
-def left_out(solution: Solution) -> list[str]:
+def omission_sentences(solution: Solution) -> list[str]:
     """Points, rays, ranges and heights that took no part."""
     network, sentences = solution.network, []
     determined = solution.determined
@@ -91,7 +91,7 @@ def laser_section(solution: Solution, brief: bool = False) -> Section:
     """What the laser gives, briefly by one factor; or, where nothing is known of the ground, what sigmas rest on."""
     without = solution.sigmas_without_laser
     if without is None:
-        return Section("laser_effect", sentences=_held_by(solution))
+        return Section("laser_effect", sentences=_datum_sentences(solution))
     tie_points, gain = point_statistics(solution, PointClass.TIE), laser_gain(solution)
     median = solution.median_sigmas_without_laser
     network, laser = solution.network, solution.network.points.classes == PointClass.LASER
@@ -101,7 +101,7 @@ def laser_section(solution: Solution, brief: bool = False) -> Section:
     sentence = f"Without the laser, sigmas of tie points would be {gain:.2g} times larger." if brief else (
         f"Without the laser ({counts}) the tie points' {average} sigmas would be "
         f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: "
-        + ("it adds little." if gain < _SAME else f"{gain:.2g} times larger.")
+        + ("it adds little." if gain < _SAME_RATIO else f"{gain:.2g} times larger.")
     )
     return Section("laser_effect", sentences=[sentence], numbers={
         "tie_mean_sigma_m": tie_points.mean_sigma,
@@ -113,7 +113,7 @@ def laser_section(solution: Solution, brief: bool = False) -> Section:
     })  # fmt: skip
 
 
-def _held_by(solution: Solution) -> list[str]:
+def _datum_sentences(solution: Solution) -> list[str]:
     """What holds the block on the ground where nothing is known of it."""
     network = solution.network
     has_ground = np.any(solution.determined & (network.points.kinds != PointKind.FREE)) or np.any(solution.ranges_used)
@@ -254,12 +254,12 @@ def minima_section(minima: Minima | None) -> Section:
     table = _minima_table(minima)
     return Section("minima", sentences=[sentence], tables=[table], numbers={
         "starts": minima.starts, "lost": minima.lost, "number": len(minima.each),
-        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _sigmas(minima.covariance),
+        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _horizontal_sigmas(minima.covariance),
         "each": table.records(),
     })  # fmt: skip
 
 
-def _sigmas(covariance: Array) -> Array:
+def _horizontal_sigmas(covariance: Array) -> Array:
     return np.sqrt(np.diagonal(covariance)[:2])
 
 
@@ -268,5 +268,5 @@ def _minima_table(minima: Minima) -> Table:
     all_minima = minima.each
     return table_of("minima", {
         "shift_east_north": np.array([minimum.shift[:2] for minimum in all_minima]),
-        "sigma_east_north": np.array([_sigmas(minimum.spread) for minimum in all_minima]),
+        "sigma_east_north": np.array([_horizontal_sigmas(minimum.spread) for minimum in all_minima]),
     }, all_minima)  # fmt: skip

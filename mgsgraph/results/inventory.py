@@ -47,11 +47,11 @@ from mgsgraph.units import ARCSEC, DEG, KM, MILLISECOND, MM, MRAD
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
-_SHORT = 0.5
+_SHORT_SPAN = 0.5
 """Points over less than this share of the lines leave the polynomials to extrapolate."""
 _NARROW = 5.0 * DEG
 """Convergence below which heights are poor."""
-_WILD = 10.0
+_OUTLYING = 10.0
 """Standard deviations from the median of their image beyond which ranges are named."""
 _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
@@ -68,32 +68,34 @@ def inventory(case: Case, details: bool = True) -> str:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
         warnings.append(str(error))
-        prediction = predict(_with_priors(network), case.settings)
+        prediction = predict(_with_wide_priors(network), case.settings)
     connected = connectivity(network, network_footprints(network, prediction.places))
-    warnings += _weak_spots(network, prediction, connected)
+    warnings += _weaknesses(network, prediction, connected)
     heading = (
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges"
     )
-    points, reading_remarks = _points(network, prediction), reading_statements(network.images)
+    points, reading_remarks = _points_section(network, prediction), reading_statements(network.images)
     priors = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
     if not details:
         count = len(case.notes) + len(reading_remarks)
         remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
-        sentences = [*_expected(network, prediction), *ranges, *link_statement(connected)]
+        sentences = [*_expected_precision(network, prediction), *ranges, *link_statement(connected)]
         sentences += [*prior_statements(priors, sources=False), *remarks]
         warnings = warnings[:_WARNINGS] + ([f"{len(warnings) - _WARNINGS} more: --details"] if len(warnings) > _WARNINGS
                                            else [])
-        return _text([Section("", f"{heading}\n", [f"Warning: {warning}" for warning in warnings] or ["No warnings."]),
+        return _as_text([Section("", f"{heading}\n", [f"Warning: {warning}" for warning in warnings]
+                                 or ["No warnings."]),
                       Section("", "", sentences)]).replace("\n\n", "\n")  # fmt: skip
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
-    return _text([
+    return _as_text([
         Section("", heading, case.notes, [_images_table(network.images, network)]),
-        Section("", sentences=[*reading_remarks, *deciding_values(network.images), *prior_statements(priors)]), points,
+        Section("", sentences=[*reading_remarks, *defining_values(network.images), *prior_statements(priors)]), points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
-        Section("", tables=[_unknowns_table(network)]), Section("", sentences=_terrain(network, prediction.places)),
+        Section("", tables=[_unknowns_table(network)]),
+        Section("", sentences=_terrain_sentences(network, prediction.places)),
         Section("", "Warnings", warnings or ["none"]),
     ])  # fmt: skip
 
@@ -113,7 +115,7 @@ def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], 
         yield f"A-priori sigmas of {many(count, 'image')}{stated} {published_text}."
 
 
-def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
+def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
     for point_class, points in network.of_class():
         determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
@@ -129,7 +131,7 @@ def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
         )
 
 
-def _text(sections: Iterable[Section]) -> str:
+def _as_text(sections: Iterable[Section]) -> str:
     return "\n\n".join(filter(None, (section.text(None) for section in sections)))
 
 
@@ -168,11 +170,11 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
         next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels, len(without_pixels))}, then {next_step}'
     else:
         sentences.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
-    return _text([
+    return _as_text([
         Section("", f"{case_input.name}: {many(len(images), 'image')}, no measurements in them", [
             *sentences, f"It needs tie points, ground control, or laser shots measured in images; next: {next_step}",
         ], [_images_table(images)]),
-        Section("", sentences=[*reading_statements(images), *deciding_values(images), *prior_statements(priors)]),
+        Section("", sentences=[*reading_statements(images), *defining_values(images), *prior_statements(priors)]),
         Section("", "Overlaps", pairs or ["none"]), Section("", "", _laser_files(case_input, images, path.parent)),
     ])  # fmt: skip
 
@@ -193,7 +195,7 @@ def _laser_files(case_input: CaseInput, images: Sequence[PushbroomImage], folder
     return sentences
 
 
-def _with_priors(network: Network) -> Network:
+def _with_wide_priors(network: Network) -> Network:
     """The network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
@@ -206,7 +208,7 @@ def _with_priors(network: Network) -> Network:
     return replace(network, priors=priors, passes=passes)
 
 
-def _terrain(network: Network, places: Array) -> list[str]:
+def _terrain_sentences(network: Network, places: Array) -> list[str]:
     """Terrain model as control: how many tie points lie on it, with what sigma."""
     surface = network.surface
     if surface is None:
@@ -228,9 +230,10 @@ def _unknowns_table(network: Network) -> Table:
         sigmas = pass_.prior.node_sigmas(np.zeros(len(pass_.nodes)))[0]
         rows.append((
             f"pass {pass_.name}, {len(pass_.nodes)} orientation images "
-            f"({pass_.nodes.basis}) every {pass_.nodes.spacing:.3g} s", some_of(names, pass_.images), _stated(sigmas),
+            f"({pass_.nodes.basis}) every {pass_.nodes.spacing:.3g} s", some_of(names, pass_.images),
+            _sigmas_text(sigmas),
         ))  # fmt: skip
-        rows += _mountings(pass_, names)
+        rows += _mounting_rows(pass_, names)
     for shared in network.shared:
         scale, unit = shared.kind.reported
         sigmas = shared.sigmas / scale
@@ -243,7 +246,7 @@ def _unknowns_table(network: Network) -> Table:
     return table_of("unknowns", {"unknown": unknowns, "of": owners, "known": prior_texts})
 
 
-def _mountings(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
+def _mounting_rows(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
     """How the cameras of a pass are turned against that of its first image."""
     images_by_angles = dict[str, list[str]]()
     mountings = np.zeros((0, 3)) if pass_.axes is None else mounting_angles(pass_.axes) / DEG
@@ -261,11 +264,11 @@ def _images_table(images: Sequence[PushbroomImage], network: Network | None = No
     bounds = np.array([eastward_bounds(footprint(image).outline) for image in images])
     return table_of("inventory_images", {
         "spacing_{}": spacing, "longitude_{}": bounds[:, 0::2], "latitude_{}": bounds[:, 1::2],
-        "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
+        "orientation": None if network is None else [_orientation_text(network, j) for j in range(len(images))],
     }, images)  # fmt: skip
 
 
-def deciding_values(images: Sequence[PushbroomImage]) -> list[str]:
+def defining_values(images: Sequence[PushbroomImage]) -> list[str]:
     """Sentences with the constants and times that decide the geometry of images, for a look by eye: much of the input
     has no second statement that they could be held against.
     """
@@ -288,20 +291,20 @@ def deciding_values(images: Sequence[PushbroomImage]) -> list[str]:
     return [*sentences, f"First lines (UTC): {some(first_lines, len(first_lines))}."]
 
 
-def _orientation(network: Network, j: int) -> str:
+def _orientation_text(network: Network, j: int) -> str:
     """How an image is adjusted."""
     owner, prior, held = int(network.pass_of[j]), network.priors[j], "held; " if network.held[j] else ""
     if owner >= 0:
         return f"{held}pass {network.passes[owner].name}"
-    return f"{held}degree {prior.degree}, sigma {_stated(prior.sigmas[0])}"
+    return f"{held}degree {prior.degree}, sigma {_sigmas_text(prior.sigmas[0])}"
 
 
-def _stated(sigmas: Array) -> str:
+def _sigmas_text(sigmas: Array) -> str:
     """Sigmas (6,) of positions in m and rotations in rad, in words."""
     return f"{span(sigmas[:3])} m, {span(sigmas[3:] / ARCSEC)} arcsec"
 
 
-def _points(network: Network, prediction: Prediction) -> Section:
+def _points_section(network: Network, prediction: Prediction) -> Section:
     """Points by class, with expected sigmas and residuals; ranges."""
     ray_counts, sentences, rows = network.ray_counts, list[str](), []
     sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
@@ -328,18 +331,19 @@ def _points(network: Network, prediction: Prediction) -> Section:
     return Section("", sentences=sentences or ["no laser ranges"], tables=[table])
 
 
-def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
+def _weaknesses(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
     points, ranged, undetermined = network.points, network.ranges.point, network.undetermined
     warnings = [duplicate.sentence for duplicate in duplicates(network)] + connectivity_warnings(connected)
-    warnings += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
+    warnings += beyond_priors_statements(network,
+                                         prediction.residuals) + _poorly_covered(network) + unsupported_nodes(network)
     warnings += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
     for indices, problem in (
         (np.flatnonzero(undetermined), "points have fewer than two rays and no a-priori place, and stay out"),
         (np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~undetermined),
          "points have parallel rays, and stay out"),
-        (ranged[wild_ranges(network, prediction.range_residuals)],
-         f"ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image"),
+        (ranged[outlying_ranges(network, prediction.range_residuals)],
+         f"ranges lie more than {_OUTLYING:.0f} robust standard deviations from the others of their image"),
         (np.setdiff1d(np.flatnonzero(points.classes == PointClass.LASER), ranged) if ranged.size else ranged,
          "laser points have no range (no simultaneous image)"),
     ):  # fmt: skip
@@ -370,7 +374,7 @@ def _weak_spots(network: Network, prediction: Prediction, connected: Connectivit
     return warnings
 
 
-def wild_ranges(network: Network, values: Array) -> Index:
+def outlying_ranges(network: Network, values: Array) -> Index:
     """Ranges far from the others of their image, with the nominal orientation: its errors are common to them, or drift
     along them, and so are in the spread that is estimated from the median deviation.
     """
@@ -378,18 +382,19 @@ def wild_ranges(network: Network, values: Array) -> Index:
     for j in np.unique(ranges.image):
         of_image = ranges.image == j
         offsets = np.abs(values[of_image] - np.median(values[of_image]))
-        outlying[of_image] = offsets > _WILD * np.hypot(ranges.sigmas[of_image], np.median(offsets) / _MEDIAN_DEVIATION)
+        outlying[of_image] = offsets > _OUTLYING * np.hypot(ranges.sigmas[of_image],
+                                                            np.median(offsets) / _MEDIAN_DEVIATION)
     return np.flatnonzero(outlying)
 
 
-def _poor_images(network: Network) -> list[str]:
+def _poorly_covered(network: Network) -> list[str]:
     """Images outside passes, whose images lean on each other, with few points or points on few of their lines."""
     few_points, short_span = list[str](), list[str]()
     for j in np.flatnonzero(network.pass_of < 0).tolist():
         image, lines = network.images[j], network.rays.places[network.rays.image == j, 0]
         if lines.size < _FEW_POINTS:
             few_points.append(f"{image.name} ({lines.size})")
-        elif np.ptp(lines) < _SHORT * image.lines:
+        elif np.ptp(lines) < _SHORT_SPAN * image.lines:
             short_span.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
     return [
         f"{heading}: {some(images, len(images))}"
@@ -421,7 +426,7 @@ def mounting_warnings(network: Network) -> list[str]:
     return warnings
 
 
-def bare_nodes(network: Network) -> list[str]:
+def unsupported_nodes(network: Network) -> list[str]:
     """Sentences about passes with nodes near which hardly anything was measured."""
     warnings = []
     for k, pass_ in enumerate(network.passes):

@@ -16,14 +16,14 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.section import Section, drawn, record_of, table_of
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of
 from mgsgraph.text import many, span, two
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
 FORMAT = 1
 """Version of match.json's layout."""
-_SURPRISING = 3.0
+_IMPLAUSIBLE = 3.0
 """A-priori sigmas of an orientation beyond which a correction is worth a word."""
 
 
@@ -68,7 +68,8 @@ def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSett
     """What matching found, in the case of this name."""
     return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
                    csv=[matches_table(matches)],
-                   sheets=drawn("mgsgraph.results.figures.matches.matches_sheet", matches, scene, name))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.matches.matches_sheet", matches, scene,
+                                    name))  # fmt: skip
 
 
 def matches_table(matches: Matches) -> Table:
@@ -119,7 +120,7 @@ def match_statements(matches: Matches, scene: Scene) -> list[str]:
     sentences = list[str]()
     for agreement in matches.agreements:
         ratio = agreement.moved / agreement.expected  # NaN where nothing was stated
-        caution = f", {ratio:.0f} A-PRIORI SIGMAS: check it" if ratio > _SURPRISING else ""
+        caution = f", {ratio:.0f} A-PRIORI SIGMAS: check it" if ratio > _IMPLAUSIBLE else ""
         sentences.append(
             f"{names[agreement.first]} and {names[agreement.second]}: {agreement.agreed} of {agreement.candidates} "
             f"coarse matches agree; they move the second image by {agreement.moved:.0f} m on the ground{caution}."

@@ -17,7 +17,7 @@ from mgsgraph.files.writing import page_of, require_free, write_page
 from mgsgraph.registration.case import register_case
 from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
-from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
+from mgsgraph.results.results import figures_of_merit, sentences_of, solution_sections, value_text
 from mgsgraph.results.section import Section
 from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.results.verdict import state_of
@@ -110,7 +110,7 @@ def _content(
         "tables": tables(solution, sections),
         "compared": compared,
         "settings": _settings_tables(solution),
-        "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
+        "inputs": _two_columns("inputs", "Files that this page was made from", ("file", "SHA-256"), {
             name: checksum or "could not be read" for name, checksum in inputs.items()
         }),
         "case_name": "" if case is None else case.path.name,
@@ -125,7 +125,7 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
     return [
         ("state", state_of(solution)),
         *([] if linear is None else [("linear", f"{'yes' if linear.linear else 'NO'} ({linear.ratio:.3g})")]),
-        *((name, figure(value)) for name, value in figures_of_merit(solution)),
+        *((name, value_text(value)) for name, value in figures_of_merit(solution)),
     ]
 
 
@@ -134,16 +134,16 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
 
 def tables(solution: Solution, sections: Sequence[Section]) -> list[Table]:
     """All tables of a solution that have rows."""
-    section_tables = [_cut(table) for section in sections for table in section.tables]
-    return [table for table in [*section_tables, _measures(solution), _points(solution)] if len(table)]
+    section_tables = [_shortened(table) for section in sections for table in section.tables]
+    return [table for table in [*section_tables, _worst_measures(solution), _listed_points(solution)] if len(table)]
 
 
-def _cut(table: Table) -> Table:
+def _shortened(table: Table) -> Table:
     rows = np.arange(min(len(table), MOST_ROWS))
     return replace(table.take(rows), note=table.note + cut(len(table), rows.size, "the first ones", "solution.json"))
 
 
-def _measures(solution: Solution) -> Table:
+def _worst_measures(solution: Solution) -> Table:
     """Measures that fit worst, in units of their sigmas."""
     rays = solution.network.rays
     ratio = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
@@ -164,7 +164,7 @@ def _measures(solution: Solution) -> Table:
     return replace(table, title="Image measures that fit worst", columns=(*columns, *extra), note=note)
 
 
-def _points(solution: Solution) -> Table:
+def _listed_points(solution: Solution) -> Table:
     """Points in their own order: all, or those without a place and those of the largest sigma."""
     total_sigma = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
     chosen = np.sort(np.argsort(-total_sigma, kind="stable")[:MOST_ROWS])
@@ -181,10 +181,10 @@ def _settings_tables(solution: Solution) -> list[Table]:
     """Settings of the solver, by the names that a case file has for them; versions, and the time of each stage."""
     settings = dataclasses.asdict(solution.settings)
     about_run = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
-    return [_pairs("settings", "Settings of the solver", ("setting", "value"), settings),
-            _pairs("versions", "Versions and wall time", ("what", "value"), about_run)]  # fmt: skip
+    return [_two_columns("settings", "Settings of the solver", ("setting", "value"), settings),
+            _two_columns("versions", "Versions and wall time", ("what", "value"), about_run)]  # fmt: skip
 
 
-def _pairs(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:
+def _two_columns(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:
     texts = ["" if value is None else str(value) for value in values.values()]
     return Table(name, title, (Column(heads[0], list(values), page="s"), Column(heads[1], texts, page="s")))

@@ -50,7 +50,7 @@ PLACES = begins(
     r"([^\n]*,)?state,(height_from,)?(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
 )
 """Tables that the verb writes, by the columns that it adds."""
-_LEAST = 1e-3
+_LEAST_SIGMA = 1e-3
 """m or px, least sigma of which two digits are written, and that of what has none."""
 _SIGMA_OF = {
     **dict(zip((*PLANETOCENTRIC, *CARTESIAN), (*RADIAL, *AXES), strict=True)), "geodetic_latitude_deg": RADIAL[1],
@@ -88,15 +88,16 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
         longitude, latitude = places.directions.T
         points = on_surface(longitude, latitude, sphere, height, surface.terrain)
-        projected = _by_neighbors(view, points) if height_source == "neighbors" else view.seen(points, surface.terrain)
+        projected = _seen_at_neighbor_heights(view, points) if height_source == "neighbors" else view.seen(points,
+                                                                                                           surface.terrain)
     else:
         height_source = "given"
-        projected = _beside_relief(view, places.points, surface.terrain)
+        projected = _seen_over_terrain(view, places.points, surface.terrain)
     return image_places_table(projected, isis, places.columns, height_source), _statement(projected, "ground place",
                                                                                           f"in {image}")
 
 
-def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
+def _seen_over_terrain(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
     """Ground points (n, 3) in m in the image; a terrain model may hide them, but none because it lies beneath that."""
     seen = view.seen(points)
     if terrain is None:
@@ -109,7 +110,7 @@ def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Pl
     ))  # fmt: skip
 
 
-def _by_neighbors(view: View, ground: Array) -> Places:
+def _seen_at_neighbor_heights(view: View, ground: Array) -> Places:
     """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
     heights, height_sigmas = view.heights_at(ground)
     vertical = ground / np.linalg.norm(ground, axis=1, keepdims=True)
@@ -126,7 +127,7 @@ def image_places_table(projected: Places, isis: bool, given: Mapping[str, list[s
     if projected.covariances is not None:
         sigmas = np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2))
         values |= dict(zip(("sigma_line_px", "sigma_sample_px"), sigmas.T, strict=True))
-    return _table("Ground places in the image", projected, values, given, height_from)
+    return _positions_table("Ground places in the image", projected, values, given, height_from)
 
 
 def ground_places_table(projected: Places, body: Ellipsoid, given: Mapping[str, list[str]], height_from: str) -> Table:
@@ -140,10 +141,10 @@ def ground_places_table(projected: Places, body: Ellipsoid, given: Mapping[str, 
         values |= dict(zip(RADIAL, local_sigmas(projected.covariances, projected.points).T, strict=True))
         values["sigma_height_m"] = sigmas_along(upward(projected.points, body)[:, None], projected.covariances)[:, 0]
         values |= dict(zip(AXES, np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2)).T, strict=True))
-    return _table("Image places on the ground", projected, values, given, height_from)
+    return _positions_table("Image places on the ground", projected, values, given, height_from)
 
 
-def _table(
+def _positions_table(
     title: str, projected: Places, values: Mapping[str, Array], given: Mapping[str, list[str]], height_from: str
 ) -> Table:
     """Numbers to two digits of their sigmas; those of angles are lengths on the ground."""
@@ -151,11 +152,11 @@ def _table(
     given_columns = [Column(_GIVEN + name if name in new_names else name, list(texts)) for name, texts in given.items()]
     added = []
     for name, column in values.items():
-        sigma = np.fmax(values.get(_SIGMA_OF.get(name, name), np.full(len(column), np.nan)), _LEAST)
+        sigma = np.fmax(values.get(_SIGMA_OF.get(name, name), np.full(len(column), np.nan)), _LEAST_SIGMA)
         if name.endswith("_deg"):
             sigma = sigma / (radius * DEG)
         if name == PLANETOCENTRIC[0]:
-            sigma = sigma / np.maximum(np.cos(values[PLANETOCENTRIC[1]] * DEG), _LEAST)
+            sigma = sigma / np.maximum(np.cos(values[PLANETOCENTRIC[1]] * DEG), _LEAST_SIGMA)
         added.append(Column(name, [_two_digits(*pair) for pair in zip(column.tolist(), sigma.tolist(), strict=True)]))
     state = Column("state", [str(place_state) for place_state in projected.states])
     return Table("places", title,

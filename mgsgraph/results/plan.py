@@ -15,7 +15,7 @@ from mgsgraph.units import KM
 
 def plan_section(plan: Plan) -> Section:
     """The ranking, and what is chosen step by step: sigmas of the targets before and after."""
-    table = judged_table({"ranking": plan.ranking, "chosen": plan.chosen})
+    table = evaluations_table({"ranking": plan.ranking, "chosen": plan.chosen})
     ends = np.cumsum([0, len(plan.ranking), len(plan.chosen)])
     shown = [
         replace(table.take(np.arange(first, last)), title=title)
@@ -25,7 +25,7 @@ def plan_section(plan: Plan) -> Section:
     return Section("plan", "", statements(plan), shown, plan_json(plan), [table])
 
 
-def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
+def evaluations_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
     """One row per candidate and list that it is of, in their order: what it would do to the sigmas of the targets."""
     evaluations = [evaluation for group in lists.values() for evaluation in group]
     ranks = [k + 1 for group in lists.values() for k in range(len(group))]
@@ -45,20 +45,21 @@ def judged_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
 def statements(plan: Plan) -> list[str]:
     """What the plan says, in sentences."""
     quantity = "mean sigma" if plan.criterion == "mean" else "largest sigma"
-    sentences = [f"Targets: {plan.targets.words}; their {quantity} is {plan.now.total:.4g} m now ({_local(plan.now)})."]
+    sentences = [f"Targets: {plan.targets.words}; their {quantity} is {plan.now.total:.4g} m now "
+                 f"({_sigmas_text(plan.now)})."]
     if not plan.chosen:
         return [*sentences, "None of the candidates is worth anything: each row above says why."]
     names, measures = ", ".join(evaluation.name for evaluation in plan.chosen), sum(evaluation.measures
                                                                                     for evaluation in plan.chosen)
     sentences.append(
-        f"Chosen: {names}; the {quantity} falls to {plan.after.total:.4g} m ({_local(plan.after)}), by "
+        f"Chosen: {names}; the {quantity} falls to {plan.after.total:.4g} m ({_sigmas_text(plan.after)}), by "
         f"{100.0 * plan.drop:.3g}%, with {many(measures, 'measure')} and {plan.bits:.3f} bits gained on the unknowns "
         "that exist already."
     )
     return sentences
 
 
-def _local(sigmas: Sigmas) -> str:
+def _sigmas_text(sigmas: Sigmas) -> str:
     return f"east {sigmas.east:.3g}, north {sigmas.north:.3g}, up {sigmas.up:.3g} m"
 
 
@@ -70,8 +71,8 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "targets_number": len(plan.targets),
         "criterion": plan.criterion,
         "now": _sigmas_json(plan.now),
-        "ranking": [_judged_json(evaluation) for evaluation in plan.ranking],
-        "chosen": [_judged_json(evaluation) for evaluation in plan.chosen],
+        "ranking": [_evaluation_json(evaluation) for evaluation in plan.ranking],
+        "chosen": [_evaluation_json(evaluation) for evaluation in plan.chosen],
         "after_all_chosen": _sigmas_json(plan.after),
         "bits_of_all_chosen": plan.bits,
     }
@@ -81,7 +82,7 @@ def _sigmas_json(sigmas: Sigmas) -> dict[str, Any]:
     return record_of("plan_sigmas", sigmas)  # fmt: skip
 
 
-def _judged_json(evaluation: Evaluation) -> dict[str, Any]:
+def _evaluation_json(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "name": evaluation.name, "kind": evaluation.kind, "before": _sigmas_json(evaluation.before),
         "after": _sigmas_json(evaluation.after),

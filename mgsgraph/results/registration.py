@@ -62,7 +62,7 @@ def write_registration_into(registration: CaseRegistration, folder: Path, figure
 
 def registration_section(registration: CaseRegistration) -> Section:
     """Where shots fall, and by how much images contradict each other about them, before and after."""
-    sentences = [*(_falls(profile) for profile in registration.before), *registration.warnings]
+    sentences = [*(_shots_sentence(profile) for profile in registration.before), *registration.warnings]
     record = {
         "format": FORMAT,
         "name": registration.name,
@@ -79,7 +79,7 @@ def registration_section(registration: CaseRegistration) -> Section:
     return Section("registration", "", sentences, [_agreement_table(registration)], record, csv)
 
 
-def _falls(profile: ProfileRegistration) -> str:
+def _shots_sentence(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
     footprints = profile.found
     counts = [
@@ -91,7 +91,7 @@ def _falls(profile: ProfileRegistration) -> str:
     return f"Of {shots}, {listed(counts)}." if counts else f"None of {shots} falls in an image."
 
 
-def _discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
+def _listed_discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
     return [
         (state, profile, pair)
         for state, profiles in registration.states() for profile in profiles for pair in profile.discrepancies
@@ -100,7 +100,7 @@ def _discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileReg
 
 def _agreement_table(registration: CaseRegistration) -> Table:
     """One row per orientation, profile and pair of images: mean and rms of their contradiction on the ground."""
-    discrepancies = _discrepancies(registration)
+    discrepancies = _listed_discrepancies(registration)
     records, axes = [discrepancy_json(pair) for _, _, pair in discrepancies], ("along", "across")
 
     def of(unit: str, figure: str) -> Array:
@@ -185,7 +185,7 @@ def registration_table(registration: CaseRegistration) -> Table:
 
 def discrepancy_table(registration: CaseRegistration) -> Table:
     """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
-    labelled = _discrepancies(registration)
+    labelled = _listed_discrepancies(registration)
     pairs = [pair for _, _, pair in labelled]
     rows = [
         (state, profile.name, k + 1, profile.found.shots.ids[k], pair.image, pair.against)

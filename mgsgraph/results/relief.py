@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
 from mgsgraph.results.verdict import headline
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
@@ -104,7 +104,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
     }  # fmt: skip
     csv = [profiles, relief_shots_table(registration)]
     return Section("coregistration", headline(registration.solution), sentences, [profiles], record, csv,
-                   sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
 
 def _crossovers_json(solution: Solution) -> dict[str, Any]:
@@ -170,14 +170,14 @@ def relief_shots_table(registration: ReliefRegistration) -> Table:
         "on_surface": on_surface,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
         "height": geodetic(points, network.images[0].body)[:, 2],
-        "above_surface_before": np.concatenate([_known(profile.before) for profile in profiles]),
-        "above_surface_after": np.concatenate([_known(profile.after) for profile in profiles]),
+        "above_surface_before": np.concatenate([_covered_heights(profile.before) for profile in profiles]),
+        "above_surface_after": np.concatenate([_covered_heights(profile.after) for profile in profiles]),
         "sigma": np.where(on_surface, np.concatenate([profile.sigmas for profile in profiles]), np.nan),
         "slope_{}": np.concatenate(slopes),
     })  # fmt: skip
 
 
-def _known(state: ProfileState) -> Array:
+def _covered_heights(state: ProfileState) -> Array:
     """(n,) m, heights above the surface; NaN beside it."""
     return np.where(state.heights.covered, state.heights.heights, np.nan)
 

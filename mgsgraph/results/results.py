@@ -54,7 +54,7 @@ def images_section(solution: Solution) -> Section:
                 f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
                 f"(rms of {many(count, 'ray')})."
             )
-    record = [_image(solution, j, rays) for j in range(len(solution.network.images))]
+    record = [_image_record(solution, j, rays) for j in range(len(solution.network.images))]
     return Section("images", sentences=sentences, tables=[images_table(solution)], numbers=record)
 
 
@@ -73,30 +73,25 @@ def images_table(solution: Solution) -> Table:
     return table if count <= ROWS else table.take(worst_first(solution))
 
 
-def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
+def _image_record(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
     """What a record holds of an image."""
     image, owner = solution.network.images[j], int(solution.network.pass_of[j])
     line, sample = rays.rms_of_images[j]
     record: dict[str, Any] = {
-        "name": image.name,
-        "held": bool(solution.network.held[j]),
-        "pass": solution.network.passes[owner].name if owner >= 0 else None,
-        "lines": image.lines,
-        "samples": image.samples,
-        "rays": int(rays.total[j]),
-        "rays_used": int(rays.count[j].sum()),
-        "residual_rms_line_px": line,
-        "residual_rms_sample_px": sample,
+        "name": image.name, "held": bool(solution.network.held[j]),
+        "pass": solution.network.passes[owner].name if owner >= 0 else None, "lines": image.lines,
+        "samples": image.samples, "rays": int(rays.total[j]), "rays_used": int(rays.count[j].sum()),
+        "residual_rms_line_px": line, "residual_rms_sample_px": sample,
     }
     for point_class in filter(lambda member: member.measured, PointClass):
         record[point_class.name.lower()] = {"count": int(rays.count[j, point_class])} | {
             f"{statistic}_{axis}_px": getattr(rays, statistic)[j, point_class, k]
             for statistic in ("mean", "rms") for k, axis in enumerate(("line", "sample"))
         }  # fmt: skip
-    return record | {"orientation": _orientation(solution, j)}
+    return record | {"orientation": _orientation_record(solution, j)}
 
 
-def _orientation(solution: Solution, j: int) -> dict[str, Any]:
+def _orientation_record(solution: Solution, j: int) -> dict[str, Any]:
     statistics = orientation_statistics(solution, j)
     record: dict[str, Any] = {"places": PLACES}
     for k, component in enumerate(ORIENTATION):
@@ -114,7 +109,7 @@ def solution_sections(solution: Solution, connected: Connectivity | None = None)
     """
     connected = connected or solution_connectivity(solution)
     return [
-        verdict_section(solution), Section("", sentences=_ending(solution)), drivers_section(solution),
+        verdict_section(solution), Section("", sentences=_termination(solution)), drivers_section(solution),
         linearity_section(solution.linearity), minima_section(solution.minima), images_section(solution),
         ranges_section(solution), laser_section(solution), control_section(solution), shared_section(solution),
         passes_section(solution), points_section(solution),
@@ -137,10 +132,10 @@ def summary_table(solution: Solution, sections: Sequence[Section] | None = None)
     """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
     tables = [Section("", tables=section.tables).text() for section in sections or solution_sections(solution)]
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
-    return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
+    return "\n\n".join([_heading(solution), *filter(None, tables), f"Seconds: {seconds}"])
 
 
-def _ending(solution: Solution) -> list[str]:
+def _termination(solution: Solution) -> list[str]:
     cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
     return [f"{solution.message} It took {many(solution.iterations, 'iteration')}; {cost}."]
 
@@ -156,15 +151,15 @@ def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
     ]  # fmt: skip
 
 
-def figure(value: float) -> str:
+def value_text(value: float) -> str:
     """A figure of merit in words."""
     if isinstance(value, int):
         return str(value)
     return f"{value:.6g}" if math.isfinite(value) else "not defined"
 
 
-def _head(solution: Solution) -> str:
-    figures = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
+def _heading(solution: Solution) -> str:
+    figures = [f"{name} {value_text(value)}" for name, value in figures_of_merit(solution)]
     heading = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
     return "\n".join([heading, *(f"  {', '.join(figures[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
 
@@ -306,22 +301,15 @@ def solution_json(
         for point_class in network.classes
     }  # fmt: skip
     record = {
-        "program": PROGRAM,
-        "format": FORMAT,
-        "name": solution.name,
-        "status": "converged" if solution.converged else "not converged",
-        **record_of("solution", solution),
-        "degrees_of_freedom": fit.degrees_of_freedom,
-        "observations": fit.observations,
-        "unknowns": fit.unknowns,
+        "program": PROGRAM, "format": FORMAT, "name": solution.name,
+        "status": "converged" if solution.converged else "not converged", **record_of("solution", solution),
+        "degrees_of_freedom": fit.degrees_of_freedom, "observations": fit.observations, "unknowns": fit.unknowns,
         "islands": [[network.images[j].name for j in island] for island in connected.islands],
         "undetermined": [network.points.ids[i] for i in np.flatnonzero(~solution.determined)],
         **{section.name: section.numbers for section in sections if section.name},
         "sigmas": {"meaning": _SIGMAS, "sigma0": solution.sigma0, "scaled_by_sigma0": {"mean_sigma_m": scaled}},
-        "settings": dataclasses.asdict(solution.settings),
-        "seconds": dict(solution.seconds),
-        "versions": dict(solution.versions),
-        "statements": sentences_of(sections),
+        "settings": dataclasses.asdict(solution.settings), "seconds": dict(solution.seconds),
+        "versions": dict(solution.versions), "statements": sentences_of(sections),
     }
     plain_record: dict[str, Any] = plain(record)
     return plain_record

@@ -23,7 +23,7 @@ ROWS = 24
 """Rows of a table that are printed; the files have all."""
 
 
-_TAKEN: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
+_ATTRIBUTE_KINDS: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
     "items": ("values", list),
     "counts": ("values", lambda values: np.array(list(values), dtype=np.int64)),
     "numbers": ("values", lambda values: np.array(list(values), dtype=np.float64)),
@@ -49,8 +49,8 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
         value = values.get(name)
         if not isinstance(value, Column):
             layout = {"key": name, "values": value} | layouts[name]
-            for kind in _TAKEN.keys() & layout:
-                target, convert = _TAKEN[kind]
+            for kind in _ATTRIBUTE_KINDS.keys() & layout:
+                target, convert = _ATTRIBUTE_KINDS[kind]
                 layout[target] = convert(map(attrgetter(layout.pop(kind)), records or ()))
             value = Column(**layout) if layout["values"] is not None else None
         columns += [] if value is None else [value]
@@ -114,7 +114,7 @@ class Section:
         return write_sections([self], self.numbers, folder, kind, figures)
 
 
-def drawn(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
+def sheets_by(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
     """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""
     module, _, name = function.rpartition(".")
 

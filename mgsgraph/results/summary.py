@@ -11,18 +11,18 @@ from mgsgraph.analysis.statistics import local_sigmas, range_statistics, ray_sta
 from mgsgraph.analysis.verdict import verdict
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.results.ground import laser_section, left_out
+from mgsgraph.results.ground import laser_section, omission_sentences
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import length, many, root_mean_square, two
 from mgsgraph.units import DEG, KM
 
-_FLAT = 5.0 * DEG
+_WEAK_CONVERGENCE = 5.0 * DEG
 """Convergence of rays below which heights are poorly known."""
-_UNKNOWN = 1.0 * KM
+_UNDETERMINED = 1.0 * KM
 """Median sigma of heights from which on no height is known: a body's relief is hardly larger."""
-_WORST = 1
+_NAMED_ERRORS = 1
 """Possible errors of each sort that are named; --details names all."""
-_CAUTIOUS, _MANY = 0.5, 20
+_SMALL_SIGMA0, _MUCH_FREEDOM = 0.5, 20
 """sigma0 below which, and degrees of freedom from which on, stated sigmas are too large."""
 _MOST_POINTS = 20_000
 """Points whose rays are intersected anew."""
@@ -31,22 +31,23 @@ _MOST_POINTS = 20_000
 def summary(solution: Solution) -> list[str]:
     """Lines for the terminal."""
     assessment = verdict(solution)
-    sentences = [*reason_sentences(assessment.reasons), *_points(solution), *_figures(solution), *left_out(solution)]
+    sentences = [*reason_sentences(assessment.reasons), *_point_sentences(solution), *_fit_sentences(solution),
+                 *omission_sentences(solution)]
     if solution.linearity is not None and not solution.linearity.linear:
         sentences += linearity_section(solution.linearity).sentences
     if solution.minima is not None and solution.minima.several:
         sentences.append(f"{len(solution.minima.each)} minima were found: sigmas are those of their mixture.")
     sentences += laser_section(solution, brief=True).sentences
-    sentences += tested_sentences(assessment, solution, _WORST)
+    sentences += tested_sentences(assessment, solution, _NAMED_ERRORS)
     return [f"{headline(solution)} ({many(solution.iterations, 'iteration')})",
             *(f"- {sentence}" for sentence in sentences)]
 
 
-def _figures(solution: Solution) -> Iterator[str]:
+def _fit_sentences(solution: Solution) -> Iterator[str]:
     """Cost and sigma0; how many observations, and how they fit."""
     network, fit = solution.network, solution.fit
     sigma0 = f"sigma0 {fit.sigma0:.3g}" if math.isfinite(fit.sigma0) else "no sigma0"
-    overstated = fit.sigma0 < _CAUTIOUS and fit.degrees_of_freedom > _MANY
+    overstated = fit.sigma0 < _SMALL_SIGMA0 and fit.degrees_of_freedom > _MUCH_FREEDOM
     remark = f"; residuals are {two(1.0 / fit.sigma0)} times smaller than stated" if overstated else ""
     yield (
         f"Fit: {sigma0} ({many(fit.degrees_of_freedom, 'degree')} of freedom), cost {solution.cost_initial:.3g} -> "
@@ -61,7 +62,7 @@ def _figures(solution: Solution) -> Iterator[str]:
     yield f"{residuals}."
 
 
-def _points(solution: Solution) -> Iterator[str]:
+def _point_sentences(solution: Solution) -> Iterator[str]:
     """Median sigmas of each class of points, horizontal and vertical, and how far it moved."""
     for point_class, indices in solution.network.of_class():
         known = indices[solution.determined[indices]]
@@ -72,14 +73,15 @@ def _points(solution: Solution) -> Iterator[str]:
         horizontal = float(np.hypot(*sigmas[:2]))
         sentence = f"{point_class.name.capitalize()} points ({known.size}): median sigma {length(horizontal)} "
         sentence += f"horizontal, {length(float(sigmas[2]))} vertical; median move {length(movement)}."
-        yield sentence + (_geometry(solution.network, known, float(sigmas[2])) if point_class is PointClass.TIE else "")
+        yield sentence + (_convergence_remark(solution.network, known, float(sigmas[2]))
+                          if point_class is PointClass.TIE else "")
 
 
-def _geometry(network: Network, ties: Index, height_sigma: float) -> str:
+def _convergence_remark(network: Network, ties: Index, height_sigma: float) -> str:
     """What convergence means for the heights of tie points, where it is small."""
     sampled = ties if ties.size <= _MOST_POINTS else ties[:: -(-ties.size // _MOST_POINTS)]
     angles: Array = convergence(network, sampled)
-    if not angles.size or float(np.median(angles)) >= _FLAT:
+    if not angles.size or float(np.median(angles)) >= _WEAK_CONVERGENCE:
         return ""
     span = f"rays converge by {two(angles.min() / DEG)} to {two(angles.max() / DEG)} deg"
-    return f" Heights are {'undetermined' if height_sigma > _UNKNOWN else 'poorly determined'}: {span}."
+    return f" Heights are {'undetermined' if height_sigma > _UNDETERMINED else 'poorly determined'}: {span}."

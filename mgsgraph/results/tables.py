@@ -39,8 +39,8 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     longitude, latitude, radius = planetocentric(places).T
     a, b = np.triu_indices(3)
     return table_of("points", {
-        "id": network.points.ids[rows], "class": _names(PointClass, network.points.classes[rows]),
-        "kind": _names(PointKind, network.points.kinds[rows]), "rejected": rejected,
+        "id": network.points.ids[rows], "class": _member_names(PointClass, network.points.classes[rows]),
+        "kind": _member_names(PointKind, network.points.kinds[rows]), "rejected": rejected,
         "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
         "lon": longitude / DEG % 360.0, "lat": latitude, "radius": radius,
         "height": geodetic(places, network.images[0].body)[:, 2],
@@ -96,7 +96,7 @@ def residuals_table(solution: Solution) -> Table:
     return table_of("measures", {
         "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
         "point": picked(network.points.ids, point_numbers),
-        "class": _names(PointClass, network.points.classes[point_numbers]),
+        "class": _member_names(PointClass, network.points.classes[point_numbers]),
         "image": picked(["", *(image.name for image in network.images)], image_numbers + 1), "used": used,
         "tested": tested,
         "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
@@ -149,7 +149,7 @@ def _shot_lines(solution: Solution) -> Array:
     return lines
 
 
-def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
+def _member_names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
     return picked([member.name.lower() for member in kind], codes)
 
 

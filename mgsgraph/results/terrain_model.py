@@ -214,7 +214,7 @@ def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping
     """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
     counts = np.where(np.isfinite(heights), model.counts, np.nan)
     bands = (heights, model.sigmas, model.matching, model.orientation, counts)
-    with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
+    with _map_geotiff(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
         file.update_tags(program=PROGRAM, heights=f"above {reference}", **tags)
         for k, (name, values) in enumerate(zip(BANDS, bands, strict=True), start=1):
             file.write(np.where(np.isfinite(heights), values, np.nan).astype(np.float32), k)
@@ -229,14 +229,14 @@ def write_ortho(
     from rasterio.windows import Window
 
     low, high = picture.levels
-    with _on(grid, path, 1, dtype="uint8", nodata=0) as file:
+    with _map_geotiff(grid, path, 1, dtype="uint8", nodata=0) as file:
         file.update_tags(program=PROGRAM, image=picture.image.name, grey_1=f"{low:g}", grey_255=f"{high:g}")
         file.set_band_description(1, picture.image.name)
         for row, column, grey in ortho_tiles(picture, model, ground, grid, progress):
             file.write(grey, 1, window=Window(column, row, grey.shape[1], grey.shape[0]))
 
 
-def _on(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
+def _map_geotiff(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
     """A GeoTIFF on the posts of a map."""
     corner, steps = (grid.west, grid.north), (grid.post, grid.post)
     return geotiff(path, (bands, grid.rows, grid.columns), grid.crs, corner, steps, **kind)

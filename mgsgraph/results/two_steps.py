@@ -12,7 +12,7 @@ from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
 from mgsgraph.results.verdict import headline
 from mgsgraph.text import many, some_of
 from mgsgraph.units import ARCSEC, DEG
@@ -56,7 +56,7 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
         "two_steps", headline(statistics.steps.fitted), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
         sheets=None if not np.any(statistics.used) else
-        drawn("mgsgraph.results.figures.dem.height_map_sheets", statistics),
+        sheets_by("mgsgraph.results.figures.dem.height_map_sheets", statistics),
     )  # fmt: skip
 
 
@@ -88,9 +88,9 @@ def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
         sentences.append(f"NOT CONVERGED: {' and '.join(failed)}. Nothing below is a result.")
     if limit:
         sentences.append(
-            f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected(statistics), 'ray')}, which stay "
-            f"out of step 2; the height rows of {many(rejected_heights.size, 'point')} were rejected (matched wrongly "
-            "in all images, or other ground than the model's; "
+            f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected_rays(statistics), 'ray')}, which "
+            f"stay out of step 2; the height rows of {many(rejected_heights.size, 'point')} were rejected (matched "
+            "wrongly in all images, or other ground than the model's; "
             f"{some_of(steps.network.points.ids, rejected_heights) or 'none'})."
             + ("" if steps.at_rest else " Which ones these are did not converge.")
         )
@@ -110,7 +110,7 @@ def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
     return sentences
 
 
-def _rejected(statistics: TwoStepStatistics) -> int:
+def _rejected_rays(statistics: TwoStepStatistics) -> int:
     """Rays that step 1 rejected."""
     rejected = statistics.steps.free.rays_rejected
     return 0 if rejected is None else int(rejected.sum())
@@ -136,7 +136,7 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
             }
             for solution, history, seconds in zip((steps.free, steps.fitted), steps.history, steps.seconds, strict=True)
         ],
-        "rays_rejected": _rejected(statistics),
+        "rays_rejected": _rejected_rays(statistics),
         "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
         "heights_at_rest": steps.at_rest,
         "ties_without_height": statistics.without_row,

@@ -24,7 +24,7 @@ from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import length, listed, many, short, some, some_of, two
 from mgsgraph.units import ARCSEC, DEG
 
-_KEYS = {
+_SIGMA_KEYS = {
     "tie image points": "sigma_factor in [ties]",
     "laser image points": "image_sigma_px",
     "control image points": "those in the file of ground control",
@@ -39,14 +39,14 @@ _KEYS = {
 """Where a case states the sigmas of a group."""
 
 
-_LOOSE = 5.0
+_NAMED_FACTOR = 5.0
 """Factor from which on it is told that stated sigmas may be too small by it."""
-_SHOWN = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
+_STATE_WORDS = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
 
 
 def state_of(solution: Solution) -> str:
     """Valid, SUSPECT or INVALID, and whether it converged."""
-    return f"{_SHOWN[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
+    return f"{_STATE_WORDS[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
 
 
 def headline(solution: Solution) -> str:
@@ -91,13 +91,13 @@ def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
     sentences = []
     for same_cause in of_cause.values():
         similar = f" ({many(len(same_cause) - 1, 'similar result')}.)" if len(same_cause) > 1 else ""
-        sentences.append(_reason(same_cause[0]) + similar)
+        sentences.append(_reason_sentence(same_cause[0]) + similar)
     return sentences
 
 
-def _reason(reason: Reason) -> str:
+def _reason_sentence(reason: Reason) -> str:
     chance = f" (p = {max(reason.p_value, 1e-99):.0e})" if math.isfinite(reason.p_value) else ""
-    size, key = two(abs(reason.size)), _KEYS.get(reason.what.split(",")[0])
+    size, key = two(abs(reason.size)), _SIGMA_KEYS.get(reason.what.split(",")[0])
     return {
         Cause.NOT_CONVERGED: reason.what,
         Cause.LEFT_OUT: f"{reason.count} {reason.what} ({reason.size:.0%}) were left out or rejected: look for "
@@ -141,14 +141,14 @@ def tested_sentences(assessment: Verdict, solution: Solution, max_count: int | N
     untested = f" Not tested: {listed(list(assessment.untested))}." if assessment.untested else ""
     level = level_of_groups(assessment.groups)
     factors = [(group.hidden_factor(level, POWER), group.name) for group in assessment.groups if group.tested]
-    factors = sorted((pair for pair in factors if pair[0] > _LOOSE), reverse=True)[:max_count]
+    factors = sorted((pair for pair in factors if pair[0] > _NAMED_FACTOR), reverse=True)[:max_count]
     hidden = [f"{name} (up to {two(factor)} times)" for factor, name in factors]
     sentences = [f"{assessment.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
     sentences += [f"These sigmas could be too small, and no test would show it: {', '.join(hidden)}."] if hidden else []
     return sentences + hidden_sentences(assessment.undetected, max_count)
 
 
-_OF_KIND = {
+_ERROR_KINDS = {
     "clock": ("clock", "attitude time", "position time"),
     "position": ("along position", "across position", "radial position"),
     "pointing": ("roll", "pitch", "yaw"),
@@ -159,39 +159,41 @@ _OF_KIND = {
 """Errors of inputs by kind: of each the one that moves points most is told."""
 
 
-_LARGE = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
+_LARGEST_ERRORS = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
 """Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
 
 
 def hidden_sentences(errors: Sequence[Undetected], max_count: int | None) -> list[str]:
     """The errors of inputs that could move points most without being found; those that nothing tests."""
     largest, untested = list[Undetected](), list[Undetected]()
-    for names in _OF_KIND.values():
+    for names in _ERROR_KINDS.values():
         of_kind = [error for error in errors if error.what in names and error.moves > 0.0]
         tested = [error for error in of_kind if error.tested]
         if tested:
             largest.append(max(tested, key=lambda error: error.effect_in_sigmas))
-        harmful = [error for error in of_kind if not error.tested and error.in_sigmas * _LARGE[error.unit] > 1.0]
+        harmful = [error for error in of_kind if not error.tested and error.in_sigmas
+                   * _LARGEST_ERRORS[error.unit] > 1.0]
         untested += sorted(harmful, key=lambda error: -error.in_sigmas)[:1]
     largest.sort(key=lambda error: -error.effect_in_sigmas)
     hidden = [
-        f"{error.what} of {error.of} by {_amount(error.size, error.unit)} (moves points by {length(error.effect)}, "
+        f"{error.what} of {error.of} by {_size_text(error.size, error.unit)} (moves points by {length(error.effect)}, "
         f"{two(error.effect_in_sigmas)} sigmas)" for error in largest[:max_count]
     ]  # fmt: skip
     sentences = [f"Largest error{'s' * (len(hidden) > 1)} that no test shows: {'; '.join(hidden)}."] if hidden else []
-    texts = [f"{error.what} of {error.of} (moves points by {_per_unit(error)})" for error in untested[:max_count]]
+    texts = [f"{error.what} of {error.of} (moves points by {_effect_per_unit(error)})"
+             for error in untested[:max_count]]
     sentences += [f"No test shows an error of: {'; '.join(texts)}."] if texts else []
     without_terrain = max(errors, key=lambda error: np.nan_to_num(error.effect_without_terrain, posinf=1e99, nan=-1.0))
     if without_terrain.size_without_terrain > 0.0:
         sentences.append(
             f"If the terrain fits at a wrong position: {without_terrain.what} of {without_terrain.of} by "
-            f"{_amount(without_terrain.size_without_terrain, without_terrain.unit)} (moves points by "
+            f"{_size_text(without_terrain.size_without_terrain, without_terrain.unit)} (moves points by "
             f"{length(without_terrain.effect_without_terrain)}) stays undetected."
         )
     return sentences
 
 
-def _amount(size: float, unit: str) -> str:
+def _size_text(size: float, unit: str) -> str:
     if not math.isfinite(size):
         return "any size"
     if not unit:
@@ -199,7 +201,7 @@ def _amount(size: float, unit: str) -> str:
     return f"{two(size / ARCSEC)} arcsec" if unit == "rad" else length(size) if unit == "m" else f"{two(size)} {unit}"
 
 
-def _per_unit(error: Undetected) -> str:
+def _effect_per_unit(error: Undetected) -> str:
     """By how much an error of one unit moves points."""
     factor, unit = {"rad": (ARCSEC, "arcsec"), "": (0.01, "%")}.get(error.unit, (1.0, error.unit))
     return f"{two(error.moves * factor)} m per {unit}"
@@ -232,7 +234,8 @@ def drivers_section(solution: Solution) -> Section:
         "outstanding": [
             {
                 "quantity": str(group.quantity), "kind": str(group.kind), "count": group.outstanding, "of": group.of,
-                "share": group.share, "names": _names(solution, group)[: min(group.outstanding, group.members.size)],
+                "share": group.share,
+                "names": _member_names(solution, group)[: min(group.outstanding, group.members.size)],
             }
             for group in drivers.outstanding
         ],
@@ -245,13 +248,13 @@ def drivers_table(solution: Solution) -> Table:
     rows = [(group, rank) for group in groups for rank in range(group.members.size)]
     return table_of("drivers", {
         "quantity": [str(group.quantity) for group, _ in rows], "kind": [str(group.kind) for group, _ in rows],
-        "name": list(chain.from_iterable(_names(solution, group) for group in groups)),
+        "name": list(chain.from_iterable(_member_names(solution, group) for group in groups)),
         "share": np.concatenate([np.zeros(0), *(group.shares for group in groups)]),
         "stands_out": ["yes" if rank < group.outstanding else "" for group, rank in rows],
     })  # fmt: skip
 
 
-def _names(solution: Solution, group: Contributions) -> list[str]:
+def _member_names(solution: Solution, group: Contributions) -> list[str]:
     network = solution.network
     if group.kind == Kind.IMAGE:
         return [network.images[j].name for j in group.members.tolist()]

@@ -20,7 +20,7 @@ from mgsgraph.results.figures.sheet import AFTER, BEFORE, FLAT, INK, SOFT, Sheet
 from mgsgraph.text import many, short
 from mgsgraph.units import DEG
 
-_ACROSS = 4
+_PANELS_IN_ROW = 4
 """Panels in a row."""
 _SIDE = 2.75
 """inch, of a panel with its labels."""
@@ -30,13 +30,13 @@ _SIDE = 2.75
 def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet:
     """A panel for each group that has residuals which other rows control."""
     shown = [group for group in statistics if group.values.size]
-    across = min(max(len(shown), 1), _ACROSS)
+    across = min(max(len(shown), 1), _PANELS_IN_ROW)
     down = -(-max(len(shown), 1) // across)
     title = f"Normalized residuals against the normal distribution: {short(name)}"
-    sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _caption(shown))
+    sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _quantile_caption(shown))
     panels = sheet.panels(down, across).ravel().tolist()
     for k, (panel, group) in enumerate(zip(panels, shown, strict=False)):
-        _draw(panel, group)
+        _draw_quantiles(panel, group)
         panel.set_title(short(group.name, 38))
         panel.set_xlabel("expected if normal (sigmas)" if k + across >= len(shown) else "")
         panel.set_ylabel("found (sigmas)" if k % across == 0 else "")
@@ -50,7 +50,7 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
     return sheet
 
 
-def _draw(panel: Axes, group: ResidualStatistics) -> None:
+def _draw_quantiles(panel: Axes, group: ResidualStatistics) -> None:
     quantiles = group.quantiles()
     ends = np.array([min(-2.5, quantiles.promised[0]), max(2.5, quantiles.promised[-1])])
     panel.fill_between(quantiles.promised, quantiles.low, quantiles.high, color=SOFT, alpha=0.3, lw=0.0)
@@ -63,7 +63,7 @@ def _draw(panel: Axes, group: ResidualStatistics) -> None:
     )  # fmt: skip
 
 
-def _caption(shown: Sequence[ResidualStatistics]) -> str:
+def _quantile_caption(shown: Sequence[ResidualStatistics]) -> str:
     """What one sees, with figures."""
     if not shown:
         return "No residual is controlled by other rows."
@@ -78,7 +78,7 @@ def _caption(shown: Sequence[ResidualStatistics]) -> str:
 
 _MOST_IMAGES = 4
 """That are drawn: those with the clearest vibrations first."""
-_ABOVE = 1.3
+_MARK_FACTOR = 1.3
 """Times its amplitude, where a vibration's mark stands."""
 
 
@@ -135,7 +135,7 @@ def _draw_spectrum(panel: Axes, spectrum: ImageSpectrum) -> None:
     panel.yaxis.set_minor_formatter(NullFormatter())
     top = max(float(spectrum.amplitudes.max()), float(np.quantile(spectrum.level, 0.9)))
     for peak in spectrum.peaks:
-        height = _ABOVE * peak.amplitude
+        height = _MARK_FACTOR * peak.amplitude
         panel.plot([peak.frequency], [height], color=BEFORE, marker="v", ms=6.0)
         panel.annotate(f"   {number(peak.frequency)} Hz, {number(peak.amplitude, 2)} px", (peak.frequency, height),
                        va="center", size=8.0)  # fmt: skip
@@ -228,7 +228,7 @@ def _pattern_caption(tested: Unexplained, drawn_count: int) -> str:
 
 
 
-_TOP = 5.0
+_TOP_FACTOR = 5.0
 """Times the median sigma where colors end: cells at the rim of the overlap may have any."""
 
 
@@ -245,7 +245,7 @@ def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
     sheet = new_sheet(name, 9.4, height, title, f"{statement}.", band=0.0)
     west, north = grid.west / DEG, grid.north / DEG
     extent = (west, west + columns * grid.steps[0] / DEG, north - rows * grid.steps[1] / DEG, north)
-    panels, tops = sheet.panels(1, 3)[0], np.minimum(high, _TOP * middle).tolist()
+    panels, tops = sheet.panels(1, 3)[0], np.minimum(high, _TOP_FACTOR * middle).tolist()
     for panel, band, top, direction in zip(panels, bands, tops, ("east", "north", "up"), strict=True):
         shown = panel.imshow(band, extent=extent, aspect="auto", vmin=0.0, vmax=top, interpolation="nearest")
         sheet.colour_bar(shown, panel, f"sigma {direction} (m)", MaxNLocator(4), "max")

@@ -55,9 +55,9 @@ def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
     height_panel, sigma_panel, shots_panel = sheet.panels(1, 3)[0]
     step = max(1, -(-max(grid.rows, grid.columns) // _MOST_POSTS))
     heights = dem.heights[::step, ::step]
-    _heights(sheet, height_panel, dem, heights, step)
-    _sigmas(sheet, sigma_panel, dem, step)
-    _shots(sheet, shots_panel, dem, ortho)
+    _draw_heights(sheet, height_panel, dem, heights, step)
+    _draw_sigmas(sheet, sigma_panel, dem, step)
+    _draw_shots(sheet, shots_panel, dem, ortho)
     return sheet
 
 
@@ -73,7 +73,7 @@ def _norm(values: Array) -> Normalize:
     return Normalize(float(low), float(max(high, low + 1e-9)))
 
 
-def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> None:
+def _draw_heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> None:
     norm, post = _norm(heights), dem.model.map.post * step
     light = LightSource(315.0, 45.0)
     flat = np.where(np.isfinite(heights), heights, np.nanmean(heights))
@@ -84,20 +84,20 @@ def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> 
     panel.imshow(shaded, extent=_extent(dem), interpolation="nearest", aspect="equal")
     shown = ScalarMappable(norm, "gist_earth")
     sheet.colour_bar(shown, panel, f"above {dem.reference.split(' of ')[0]} (m)", MaxNLocator(2), "both")
-    _axes(panel, "north of the middle (km)")
+    _label_axes(panel, "north of the middle (km)")
 
 
-def _sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
+def _draw_sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
     sigmas = np.ma.masked_invalid(np.where(np.isfinite(dem.heights), dem.model.sigmas, np.nan)[::step, ::step])
     norm = Normalize(0.0, _norm(sigmas.filled(np.nan)).vmax)
     shown = panel.imshow(
         sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal"
     )
     sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "max")
-    _axes(panel)
+    _label_axes(panel)
 
 
-def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
+def _draw_shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
     checks = dem.checks
     grey = np.ma.masked_equal(ortho, 0)
     panel.imshow(grey, extent=_extent(dem), cmap="Greys_r", vmin=0, vmax=255, interpolation="nearest", aspect="equal")
@@ -110,11 +110,11 @@ def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> Non
     )  # fmt: skip
     if len(checks):
         sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
-    _axes(panel)
+    _label_axes(panel)
     panel.set_title("ortho image")
 
 
-def _axes(panel: Axes, north: str = "") -> None:
+def _label_axes(panel: Axes, north: str = "") -> None:
     panel.grid(visible=False)
     panel.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     panel.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))

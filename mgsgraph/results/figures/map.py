@@ -41,14 +41,14 @@ from mgsgraph.results.figures.sheet import (
 from mgsgraph.text import many, short
 from mgsgraph.units import DEG, KM
 
-_MOST = 40
+_MOST_DRAWN = 40
 """Ellipses and corrections that are drawn, spread over the map: more hide the points."""
 _FEWEST, _FEW = 3, 12
 """Points of which a comparison is drawn; images up to which outlines bear numbers."""
-_MOVED = "#D55E00"
+_MOVEMENT_COLOR = "#D55E00"
 CELLS = 100
 """Cells along the longer side of a block of many points."""
-_LONG = 6.0
+_LONG_RATIO = 6.0
 """Length over width from which on a map has two scales."""
 _WIDEST, _TALLEST, LEAST = 7.2, 7.4, 3.0
 """inch: bounds of a map."""
@@ -163,7 +163,7 @@ def cell_medians(box: Array, places: Array, *values: Array) -> tuple[Array, list
     and the medians (rows, columns) of values (n,) at places (n, 2) in each; NaN where there are none.
     """
     size = np.maximum(box[2:] - box[:2], 1e-6)
-    fewest = CELLS // 5 if size.max() > _LONG * size.min() else 1
+    fewest = CELLS // 5 if size.max() > _LONG_RATIO * size.min() else 1
     columns, rows = np.maximum(np.ceil(CELLS * size / size.max()), fewest).astype(int).tolist()
     cell = cell_numbers((places - box[:2])[:, ::-1], size[::-1], (rows, columns))
     row, column = (index.ravel() + 0.5 for index in np.indices((rows, columns)))
@@ -180,7 +180,7 @@ def map_axes(panel: Axes, low: Array, high: Array, centre: Array) -> None:
 
 
 def _is_long(size: Array) -> bool:
-    return bool(size.max() > _LONG * size.min())
+    return bool(size.max() > _LONG_RATIO * size.min())
 
 
 def frame(corners: Array) -> tuple[Array, Array, tuple[float, float]]:
@@ -205,7 +205,8 @@ def window_sheet(window: MapWindow) -> Sheet:
     """A window of the map, its points coloured by one quantity."""
     low, high, (width, height) = frame(window.box.reshape(2, 2) / KM)
     longest = float((window.box[2:] - window.box[:2]).max())
-    factors = _factor(window, _radii(window), _ELLIPSE * longest), _factor(window, _lengths(window), _ARROW * longest)
+    factors = _enlargement(window, _ellipse_radii(window), _ELLIPSE * longest), _enlargement(window, _movements(window),
+                                                                                             _ARROW * longest)
     title, unit = window.quantity
     name = f"{short(window.name, int(8.5 * width) + 20 - len(title))}: {title}"
     sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(window, factors), band=0.0)
@@ -226,7 +227,7 @@ def window_sheet(window: MapWindow) -> Sheet:
         handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
     if window.moved is not None:
         _arrows(panel, window, factors[1])
-        handles.append(Line2D([], [], color=_MOVED, label=f"movements × {factors[1]:g}"))
+        handles.append(Line2D([], [], color=_MOVEMENT_COLOR, label=f"movements × {factors[1]:g}"))
     bar_axes = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
     ends = "both" if window.scale[0] else "max"
     bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=bar_axes, extend=ends, ticks=MaxNLocator(5))
@@ -279,18 +280,18 @@ def _draw_points(panel: Axes, window: MapWindow, norm: Normalize, cmap: str) -> 
     return handles
 
 
-def _some(window: MapWindow, values: Array) -> Index:
+def _drawn_rows(window: MapWindow, values: Array) -> Index:
     """Rows of values (n, ...) that are known, not too many of them, one after the other along the map's longer side."""
     rows = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
-    return rows[np.argsort(window.places[rows, _longer(window)], kind="stable")][thinned(rows.size, _MOST)]
+    return rows[np.argsort(window.places[rows, _longer_axis(window)], kind="stable")][thinned(rows.size, _MOST_DRAWN)]
 
 
-def _longer(window: MapWindow) -> int:
+def _longer_axis(window: MapWindow) -> int:
     """0 where the map is wider than high, 1 otherwise: ellipses and arrows take the scale of that axis."""
     return int(np.argmax(window.box[2:] - window.box[:2]))
 
 
-def _radii(window: MapWindow) -> Array:
+def _ellipse_radii(window: MapWindow) -> Array:
     """(n,) m, longer semi-axes of the 95 % ellipses."""
     if window.covariances is None:
         return np.zeros(0)
@@ -298,11 +299,11 @@ def _radii(window: MapWindow) -> Array:
     return error_ellipses(window.covariances[known])[0][:, 1]
 
 
-def _lengths(window: MapWindow) -> Array:
+def _movements(window: MapWindow) -> Array:
     return np.zeros(0) if window.moved is None else np.linalg.norm(window.moved, axis=1)
 
 
-def _factor(window: MapWindow, lengths: Array, target: float) -> float:
+def _enlargement(window: MapWindow, lengths: Array, target: float) -> float:
     """By which lengths (n,) in m are enlarged: what was asked, or a round number that makes the long ones as wanted."""
     lengths = lengths[np.isfinite(lengths)]
     if window.factor > 0.0 or not lengths.size:
@@ -312,23 +313,23 @@ def _factor(window: MapWindow, lengths: Array, target: float) -> float:
 
 def _ellipses(panel: Axes, window: MapWindow, factor: float) -> EllipseCollection:
     assert window.covariances is not None
-    rows = _some(window, window.covariances)
+    rows = _drawn_rows(window, window.covariances)
     semi_axes, directions = error_ellipses(window.covariances[rows])
     shorter, longer = 2.0 * factor * semi_axes.T / KM
     angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))  # of the longer one, from the east
     return EllipseCollection(
-        longer, shorter, angles, units="y" if _longer(window) else "x", offsets=window.places[rows] / KM,
+        longer, shorter, angles, units="y" if _longer_axis(window) else "x", offsets=window.places[rows] / KM,
         offset_transform=panel.transData, facecolors="none", edgecolors=INK, linewidths=0.7, zorder=4,
     )  # fmt: skip
 
 
 def _arrows(panel: Axes, window: MapWindow, factor: float) -> Quiver:
     assert window.moved is not None
-    rows = _some(window, window.moved)
+    rows = _drawn_rows(window, window.moved)
     east, north = factor * window.moved[rows].T / KM
     return panel.quiver(
-        *(window.places[rows].T / KM), east, north, angles="uv", scale_units="xy"[_longer(window)], scale=1.0,
-        width=0.003, color=_MOVED, zorder=5,
+        *(window.places[rows].T / KM), east, north, angles="uv", scale_units="xy"[_longer_axis(window)], scale=1.0,
+        width=0.003, color=_MOVEMENT_COLOR, zorder=5,
     )  # fmt: skip
 
 
@@ -352,7 +353,7 @@ def _caption(window: MapWindow, factors: Sequence[float]) -> str:
     for values, marks, factor in zip((window.covariances, window.moved), ("95 % error ellipses", "Movements"), factors,
                                      strict=True):  # fmt: skip
         if values is not None:
-            count = many(_some(window, values).size, "cell" if window.classes is None else "point")
+            count = many(_drawn_rows(window, values).size, "cell" if window.classes is None else "point")
             sentences.append(f"{marks} of {count}, {factor:g} times true size.")
     if window.relief is not None:
         sentences.append("Shaded relief of the terrain model, light from the north-west.")

@@ -52,13 +52,14 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
         curves = [pass_curve(solution, k, count) for k in range(count)]
         pictures = sum(len(pass_.images) for pass_ in network.passes)
         heading = f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, without shared unknowns"
-        yield _sheet("passes", curves, _PASSES, heading, "passes, each from its first orientation image to its last")
+        yield _curves_sheet("passes", curves, _PASSES, heading,
+                            "passes, each from its first orientation image to its last")
     outside_passes = np.flatnonzero(network.pass_of < 0).tolist()
     if outside_passes:
         held = int(np.count_nonzero(network.held[outside_passes]))
         heading = f"{many(len(outside_passes), 'image')}{f', of which {held} are held at nominal' if held else ''}"
         curves = [image_curve(solution, j, len(outside_passes)) for j in outside_passes]
-        yield _sheet("orientation", curves, _IMAGES, heading, "images, each from its first line to its last")
+        yield _curves_sheet("orientation", curves, _IMAGES, heading, "images, each from its first line to its last")
 
 
 def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
@@ -94,7 +95,7 @@ def components(profile: OrientationProfile) -> tuple[Array, Array]:
 
 
 @plain_style()
-def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], heading: str, across: str) -> Sheet:
+def _curves_sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], heading: str, across: str) -> Sheet:
     """Six panels; each curve takes one unit of the horizontal axis."""
     count, gap = len(curves), [np.nan]  # no line from one curve to the next
     positions = np.concatenate([np.append(k + 0.02 + 0.96 * curve.shares, gap) for k, curve in enumerate(curves)])

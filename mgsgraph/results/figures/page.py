@@ -38,7 +38,7 @@ class Picture:
     """CSS pixels."""
 
 
-def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
+def pictures_of(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
     """Sheets as pictures, in order: PNG, or JPEG for what shows pixels. Title and caption are left to the page."""
     encoding: dict[str, Any] = {"kind": "jpg", "quality": _QUALITY} if as_picture else {"kind": "png"}
     pictures = []
@@ -56,15 +56,15 @@ def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
 
 def solution_figures(solution: Solution, connected: Connectivity) -> list[tuple[str, Picture]]:
     """`figures.draw_figures` as pictures, each with its section of the page."""
-    return [(section, drawn([sheet])[0]) for section, sheet in draw_figures(solution, connected)]
+    return [(section, pictures_of([sheet])[0]) for section, sheet in draw_figures(solution, connected)]
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:
     """Footprints on images, and discrepancies of pairs of images."""
-    return [*drawn(overlay_sheets(registration), as_picture=True), *drawn(discrepancy_sheets(registration))]
+    return [*pictures_of(overlay_sheets(registration), as_picture=True), *pictures_of(discrepancy_sheets(registration))]
 
 
 def comparison_figures(points: CommonPoints) -> list[Picture]:
     """The map of the differences from an earlier solution; none of fewer than three common points."""
     sheet = comparison_sheet(points, ("the earlier one", "this one"))
-    return drawn([] if sheet is None else [sheet])
+    return pictures_of([] if sheet is None else [sheet])

@@ -37,7 +37,7 @@ from mgsgraph.units import KM
 
 _NAMED_MINIMA = 1e-3
 """Weight from which on a minimum is marked, besides the best two."""
-_NEAR = 0.3
+_SHARE_DRAWN = 0.3
 """Share of the reach that is drawn of cost surfaces after the adjustment."""
 _LEAST_TOP = 5.0
 """sigmas, upper end of the colours at least: what stays below it does not tie a profile."""
@@ -53,18 +53,19 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     misplacements = [float(np.nan_to_num(np.linalg.norm(profile.before.misplacement))) for profile in profiles]
     order = sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -misplacements[p]))
     shown = sorted(order[:MOST_SHEETS])
-    yield _costs(registration, shown)
+    yield _cost_sheet(registration, shown)
     for k, p in enumerate(shown):
         name = sheet_name("profiles", k + 1, len(shown))
-        yield _posts(profiles[p], name) if profiles[p].of_posts else _profile(registration, profiles[p], name)
-    yield _shifts(registration)
+        yield _posts_sheet(profiles[p], name) if profiles[p].of_posts else _profile_sheet(registration, profiles[p],
+                                                                                          name)
+    yield _shift_sheet(registration)
 
 
 # --- cost surfaces
 
 
 @plain_style()
-def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
+def _cost_sheet(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
     """Misfit over shifts of some profiles, before above after."""
     profiles, shifts = registration.profiles, registration.solution.network.shifts
     assert shifts is not None
@@ -75,13 +76,13 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
         f"Misfit over shifts: {short(registration.name, 50)}", _costs_caption(registration, len(chosen)),
     )  # fmt: skip
     grid = sheet.panels(2, count)
-    top = _top([profiles[p].before.cost for p in chosen])
+    top = _color_limit([profiles[p].before.cost for p in chosen])
     shown = None
     for column, p in enumerate(chosen):
         profile = profiles[p]
         for row, state in enumerate((profile.before, profile.after)):
             panel = grid[row, column]
-            shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
+            shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _SHARE_DRAWN) or shown
             panel.set_title(f"{short(profile.name, 24)}, {_STATES[row]}")
             panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if column == 0 else "")
         grid[0, column].add_patch(Circle((0.0, 0.0), float(shifts.sigmas[p]), fill=False, ls="--", ec=BEFORE))
@@ -100,7 +101,7 @@ def _cost_handles() -> list[Line2D]:
     ]
 
 
-def _top(costs: Sequence[CostSurface]) -> float:
+def _color_limit(costs: Sequence[CostSurface]) -> float:
     """Upper end of the colours, in sigmas: what most shifts of some profiles stay below."""
     values = [np.sqrt(np.nanquantile(_above_best(cost), 0.9)) for cost in costs if cost.minima]
     return max(float(np.median(values)), _LEAST_TOP) if values else _LEAST_TOP
@@ -149,17 +150,18 @@ def _costs_caption(registration: ReliefRegistration, drawn_count: int) -> str:
 
 
 @plain_style()
-def _profile(registration: ReliefRegistration, profile: ReliefProfile, name: str) -> Sheet:
+def _profile_sheet(registration: ReliefRegistration, profile: ReliefProfile, name: str) -> Sheet:
     """Heights of the shots and of the surface under them along the track, and their difference, before and after."""
     colour, marker = CLASS_COLOUR[profile.point_class], CLASS_MARKER[profile.point_class]
     title = f"Laser profile {short(profile.name, 30)} against the stereo surface"
     sheet = new_sheet(name, 10.0, 4.6, title, _profile_caption(profile))
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    along = _sides(profile)[:, 0]
+    along = _plane_positions(profile)[:, 0]
     order = np.argsort(along, kind="stable")
     along, body = along[order], registration.solution.network.images[0].body
-    for (upper, lower), state, heading in zip(grid.T, (profile.before, profile.after), _states(profile), strict=True):
-        heights, differences = geodetic(state.points, body)[order, 2], _differences(profile, state)[order]
+    for (upper, lower), state, heading in zip(grid.T, (profile.before, profile.after), _panel_titles(profile),
+                                              strict=True):
+        heights, differences = geodetic(state.points, body)[order, 2], _heights_above(profile, state)[order]
         upper.plot(along, heights - differences, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
         upper.plot(along, heights, ls="", marker=marker, ms=3.0, mfc="none", mew=0.7, color=colour, zorder=3)
         upper.set_title(heading)
@@ -176,10 +178,11 @@ def _profile(registration: ReliefRegistration, profile: ReliefProfile, name: str
 
 
 @plain_style()
-def _posts(profile: ReliefProfile, name: str) -> Sheet:
+def _posts_sheet(profile: ReliefProfile, name: str) -> Sheet:
     """A terrain model's posts minus the stereo surface: a map after, and histograms before and after."""
-    differences = np.array([_differences(profile, state) for state in (profile.before, profile.after)])
-    half_range, reach, sides = limit(differences), float(np.nanmax(np.abs(differences), initial=1.0)), _sides(profile)
+    differences = np.array([_heights_above(profile, state) for state in (profile.before, profile.after)])
+    half_range, reach, sides = limit(differences), float(np.nanmax(np.abs(differences),
+                                                                   initial=1.0)), _plane_positions(profile)
     title = f"Terrain model {short(profile.name, 30)} minus the stereo surface"
     sheet = new_sheet(name, 10.0, 3.4, title, _profile_caption(profile), band=0.0)
     map_panel, histogram_panel = sheet.panels(1, 2)[0]
@@ -189,25 +192,25 @@ def _posts(profile: ReliefProfile, name: str) -> Sheet:
     map_panel.set(xlabel="along the longer side (km)", ylabel="across (km)")
     sheet.colour_bar(shown, map_panel, "post minus surface, after (m)", MaxNLocator(5), "both")
     histogram_panel.hist(differences.T, 40, range=(-reach, reach), histtype="step", color=[BEFORE, AFTER],
-                         label=_states(profile))
+                         label=_panel_titles(profile))
     histogram_panel.set(xlabel="post minus surface (m)", ylabel="posts")
     histogram_panel.legend()
     return sheet
 
 
-def _sides(profile: ReliefProfile) -> Array:
+def _plane_positions(profile: ReliefProfile) -> Array:
     """(n, 2) km, where the points of a profile or model lie along its longer side and across."""
     offsets = profile.before.points - profile.before.points.mean(axis=0)
     sides = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][:2].T
     return np.asarray((sides - sides.min(axis=0)) / KM)
 
 
-def _differences(profile: ReliefProfile, state: ProfileState) -> Array:
+def _heights_above(profile: ReliefProfile, state: ProfileState) -> Array:
     """(n,) m, heights of what lies on the surface above it; NaN elsewhere."""
     return np.where(profile.taken & state.heights.covered, vertical(state), np.nan)
 
 
-def _states(profile: ReliefProfile) -> list[str]:
+def _panel_titles(profile: ReliefProfile) -> list[str]:
     """Titles of the panels before and after."""
     return [f"{s}: {number(rms)} m rms" for s,
             rms in zip(_STATES, (profile.rms_before, profile.rms_after), strict=True)]
@@ -232,7 +235,7 @@ def _profile_caption(profile: ReliefProfile) -> str:
 
 
 @plain_style()
-def _shifts(registration: ReliefRegistration) -> Sheet:
+def _shift_sheet(registration: ReliefRegistration) -> Sheet:
     """Shift of each profile onto the stereo surface, before and after."""
     profiles = registration.profiles
     shifts = [np.array([getattr(profile, state).misplacement for profile in profiles]) for state in _STATES]

@@ -152,7 +152,7 @@ def encoded(sheet: Sheet, kind: str, with_text: bool = True, **options: Any) -> 
     file = BytesIO()
     drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
     canvas: Any = drawn_by(sheet.figure)  # savefig would draw twice
-    _lay_out(sheet.figure)
+    _fix_layout(sheet.figure)
     if with_text:
         getattr(canvas, f"print_{kind}")(file, **options)
         return file.getvalue()
@@ -163,7 +163,7 @@ def encoded(sheet: Sheet, kind: str, with_text: bool = True, **options: Any) -> 
     return file.getvalue()
 
 
-def _lay_out(figure: Figure) -> None:
+def _fix_layout(figure: Figure) -> None:
     """Align labels, and put panels where constrained layout wants them, once; to a millionth of the sheet, for the last
     digits of its solver differ from run to run.
     """
