@@ -23,7 +23,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.output.folders import ANALYSIS
 from mgsgraph.files.output.table import Column, Table, numbers, picked
 from mgsgraph.geometry.records import Index
-from mgsgraph.results.answers import Questions, answers_to, curve_section, raster_section
+from mgsgraph.results.answers import Questions, curve_section, raster_section, replies
 from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections
 from mgsgraph.results.verdict import headline, linearity_section, reason_sentences, tested_sentences
 from mgsgraph.text import NAMED, many, some
@@ -187,7 +187,7 @@ def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str)
     Raises InputError where something asked about isn't in the solution.
     """
     if request.questions:
-        answers = list(answers_to(posterior, request.questions))
+        answers = list(replies(posterior, request.questions))
         sentences = [sentence for section in answers for sentence in section.sentences]
         yield Section("answers", sentences=sentences, numbers=[section.numbers for section in answers])
     for image in dict.fromkeys(request.curves):

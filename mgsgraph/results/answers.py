@@ -54,7 +54,7 @@ class Questions:
         return bool(self.points or self.pairs or self.poses or self.projections or self.pixels)
 
 
-def answers_to(posterior: Posterior, questions: Questions) -> Iterator[Section]:
+def replies(posterior: Posterior, questions: Questions) -> Iterator[Section]:
     """A finding for each question, in the order of their kinds; InputError where something asked about isn't in the
     solution.
     """

@@ -28,7 +28,7 @@ from mgsgraph.planning.plan import plan
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import Measure, open_project
 from mgsgraph.project.reading import read_state
-from mgsgraph.results.answers import Questions, answers_to
+from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.linked import LinkedImages
 from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
@@ -113,7 +113,7 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
 def _answer(posterior: Posterior | None, point: str) -> str | None:
     """What `mgsgraph analyze --point` prints; None before any adjustment, or of an undetermined point."""
     with suppress(InputError):
-        return None if posterior is None else "\n".join(next(answers_to(posterior, Questions(points=(point,)))).sentences)
+        return None if posterior is None else "\n".join(next(replies(posterior, Questions(points=(point,)))).sentences)
     return None
 
 

@@ -30,7 +30,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.network import PointClass
 from mgsgraph.results import tables as large_tables
-from mgsgraph.results.answers import Questions, answers_to, write_sigma_raster
+from mgsgraph.results.answers import Questions, replies, write_sigma_raster
 from mgsgraph.results.ground import control_section, surface_heights
 from mgsgraph.results.inventory import outlying_ranges
 from mgsgraph.results.results import solution_json, statements, write_results
@@ -376,7 +376,7 @@ def test_every_question_has_its_answer_in_words_and_figures() -> None:
         points=points[:1], pairs=((points[0], points[1]),), poses=((images[0], 100.0), (images[1], 50.0)),
         projections=((points[0], images[1]),), correlations=True,
     )  # fmt: skip
-    found = {section.numbers["question"]: section for section in answers_to(posterior, asked)}
+    found = {section.numbers["question"]: section for section in replies(posterior, asked)}
     assert list(found) == ["point", "pair", "pose", "projection", "correlations"]
     assert len(found["correlations"].numbers["names"]) == 3 + 3 + 6 + 6 + 2
     assert "95 % error ellipsoid" in found["point"].text()
