@@ -1,4 +1,4 @@
-"""What the covariance knows, section by section: text for the terminal, records for analysis.json, tables, figures."""
+"""Sections of an analysis: reliability, weak directions, residual tests, intervals; as text, JSON, tables, figures."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -119,10 +119,10 @@ def reliability_table(tests: Reliability, rows: Index | None = None) -> Table:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisRequest:
-    """What an analysis is to hold."""
+    """What an analysis computes."""
 
     questions: Questions = field(default_factory=Questions)
-    """Asked of the posterior."""
+    """Covariance queries."""
     curves: tuple[str, ...] = ()
     """Images along whose lines sigmas are wanted."""
     raster: tuple[str, ...] | None = None
@@ -138,15 +138,15 @@ class AnalysisRequest:
     likelihood: tuple[str, ...] = ()
     """Images, shifts and shared unknowns whose intervals by the likelihood are wanted."""
     iterated: bool = False
-    """Variance components by adjusting again and again."""
+    """Variance components by repeated adjustment."""
     suspects: int = 0
     """Rows of the table by suspicion; 0 for no reliability."""
     weak: int = 0
-    """Weak directions to be named."""
+    """Number of least-constrained directions that are listed."""
     outliers: bool = False
     """A row per image of its largest tests."""
     levels: Levels = field(default_factory=Levels)
-    """Sizes of tests."""
+    """Significance level and power of the tests."""
 
     def __post_init__(self) -> None:
         for what, value in (("--sigma-px", self.sigma), ("--post", 1.0 if self.cell is None else self.cell)):
@@ -155,9 +155,9 @@ class AnalysisRequest:
 
 
 _MOST_LINES = 9
-"""Of the verdict."""
+"""Lines of the verdict that are printed without details."""
 _MOST_EFFECTS = 2
-"""Effects, and vibrations, that are told without details."""
+"""Effects, and vibrations, that are printed without details."""
 
 
 def brief(solution: Solution) -> list[str]:
@@ -217,7 +217,7 @@ def analysis_sections(posterior: Posterior, request: AnalysisRequest, name: str)
 
 
 def write_analysis(name: str, sections: Iterable[Section], folder: Path, figures: bool = True) -> list[str]:
-    """Write analysis.json and the sections' tables and figures to a folder that appears whole or not at all.
+    """Write analysis.json and the sections' tables and figures to a folder, atomically.
 
     Raises
     ------
@@ -234,7 +234,7 @@ def _consistency_section(posterior: Posterior, name: str) -> Section:
     linearised, fit = posterior.linearised, posterior.linearised.fit()
     if fit.degrees_of_freedom < 1:
         counts = f"{fit.observations} rows for {fit.unknowns} unknowns"
-        sentence = f"No redundancy ({counts}): nothing tells whether the sigmas are realistic."
+        sentence = f"No redundancy ({counts}): the sigmas cannot be checked."
         return Section("consistency", sentences=[sentence], numbers={"degrees_of_freedom": fit.degrees_of_freedom})
     factors, statistics = components(linearised), residual_statistics(linearised)
     residuals = residuals_table(statistics)

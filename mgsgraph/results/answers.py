@@ -1,4 +1,4 @@
-"""Questions to the posterior as a person asks them, and its answers in words and as JSON; sigmas along an image's lines
+"""Covariance queries as a user states them, and the answers as sentences and JSON; sigmas along an image's lines
 and over an overlap: a table, a GeoTIFF. km and degrees only here.
 """
 
@@ -44,7 +44,7 @@ class Questions:
     correlations: bool = False
     """Whether to state the correlations between everything that was asked."""
     probability: float = 0.95
-    """Of error ellipsoids."""
+    """Probability of the error ellipsoids."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.probability < 1.0:
@@ -83,13 +83,13 @@ def _quantities(posterior: Posterior, questions: Questions) -> Iterator[Quantity
 
 
 def _sigmas_text(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
-    """Standard deviations of axes, in words."""
+    """Standard deviations of axes as text."""
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return ", ".join(f"{axis} {sigma:.4g}{unit}" for axis, sigma in zip(axes, sigmas, strict=True))
 
 
 def _flight_sigmas(covariance: Array) -> str:
-    """Standard deviations of an orientation along the flight's axes (m, rad), in words."""
+    """Standard deviations of an orientation along the flight's axes (m, rad) as text."""
     position, rotation = covariance[:3, :3], covariance[3:, 3:] / ARCSEC**2
     return f"sigma {_sigmas_text(position, FLIGHT_NAMES[:3])}, {_sigmas_text(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
 
@@ -165,7 +165,7 @@ def _correlation_section(joint: Estimate) -> Section:
 
 
 def _table_name(image: str, number: int) -> str:
-    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
+    """File name for an image: its name, made safe, then with its number, since two safe names may be equal."""
     stem = file_stem(image)
     return f"sigmas_{stem}" if stem == image else f"sigmas_{stem}_{number + 1}"
 
@@ -209,7 +209,7 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
-    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where unknown), atomically.
 
     Raises
     ------

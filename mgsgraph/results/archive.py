@@ -46,7 +46,7 @@ _KINDS: dict[Any, dict[str, Any]] = {
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
 _KIND_NAMES |= {prior_kind.__name__ for prior_kind in (NodePrior, PolynomialPrior, ProcessPrior)}
-_REWRITE = "write it anew with the program that made it"
+_REWRITE = "write it again with the program that made it"
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
     rb"'shape': \(([\d, ]{0,200})\), \} *\n", re.DOTALL,
@@ -144,7 +144,7 @@ def _from_npy(content: bytes, name: str) -> NDArray[Any]:
     return np.ndarray(shape, dtype, content, header.end(), order="F" if header[3] == b"True" else "C")
 
 
-# --- taking a record apart
+# --- a record to arrays and JSON
 
 
 def to_arrays(value: Any, path: str, arrays: Arrays) -> Any:
@@ -154,7 +154,7 @@ def to_arrays(value: Any, path: str, arrays: Arrays) -> Any:
         return {"array": path}
     if is_dataclass(value):
         members = {field.name: to_arrays(getattr(value, field.name), _child_path(path, field.name), arrays)
-                 for field in fields(value)}
+                   for field in fields(value)}
         return members | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
     if isinstance(value, Mapping):
         return {key: to_arrays(item, _child_path(path, key), arrays) for key, item in value.items()}
@@ -184,11 +184,11 @@ def _child_path(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
-# --- putting it together again
+# --- arrays and JSON to a record
 
 
 def from_arrays(value: Any, kind: Any, path: str, arrays: Arrays) -> Any:
-    """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
+    """The value of type `kind` (as the records' fields declare it) from the JSON `value` that `to_arrays` made."""
     origin, options = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in options:
@@ -221,11 +221,11 @@ def array_scalar(kind: Any) -> Any:
     """Type of the numbers of an array's type; None of any other type."""
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0]
-    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on it is a name of its own
+    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on NDArray is an alias
 
 
 def _read_array(value: dict[str, str], kinds: tuple[Any, ...], path: str, arrays: Arrays) -> np.ndarray:
-    """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
+    """The array; InputError unless its numbers are of one of the kinds NDArray[scalar]."""
     array, scalars = arrays[value["array"]], tuple(map(array_scalar, kinds))
     if not issubclass(array.dtype.type, scalars):
         raise InputError(path, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _REWRITE)

@@ -26,9 +26,9 @@ _EXTENSIONS = {
     "ssys": "https://stac-extensions.github.io/ssys/v1.1.0/schema.json",
 }  # fmt: skip
 _EARLIEST = datetime(1972, 1, 1, tzinfo=UTC)
-"""From which on there is UTC."""
+"""Start of UTC."""
 BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Of dem.tif; m but for the last."""
+"""Bands of dem.tif, in m; the last one is a count."""
 
 
 def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]) -> dict[str, Any]:
@@ -41,13 +41,13 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
     Parameters
     ----------
     dem : Dem
-        Its heights and its map.
+        The terrain model with its map.
     ortho : MapGrid
         Pixels of the ortho image.
     images : iterable of PushbroomImage
-        That it was made from, for when they were taken.
+        Images from which the model was made; they give the dates.
     files : sequence of str
-        Names of the files that are there beside it.
+        Names of the other files in the folder.
     """
     grid, body = dem.model.map, Ellipsoid(dem.model.map.radius, dem.model.map.radius)
     outline = grid.points(_hull(dem), np.zeros(1))
@@ -94,7 +94,7 @@ def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files:
 
 
 def _targets(body: Ellipsoid) -> dict[str, Any]:
-    """Name and class of the body in the words of EPN-TAP; empty where nobody knows it."""
+    """Name and class of the body in terms of EPN-TAP; empty if the body is unknown."""
     name = target_name(body)
     number = naif_id(name)
     if number is None:

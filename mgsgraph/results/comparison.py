@@ -1,5 +1,5 @@
-"""A solution beside an earlier one: what differs in input and settings, what moved, by how much, and whether that is
-more than was unknown; and where sigmas became smaller or larger.
+"""A solution beside an earlier one: what differs in input and settings, how far points moved, in m and
+in sigmas; and where sigmas became smaller or larger.
 """
 
 import dataclasses
@@ -42,10 +42,10 @@ _SAME_SIGMA = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Comparison(Record):
-    """What is said about two solutions."""
+    """Result of comparing two solutions."""
 
     name: str
-    """What the earlier one is called."""
+    """Name of the earlier solution."""
     section: Section
     """Sentences; tables of settings and input that differ, figures of merit, sigmas, images and points."""
     points: CommonPoints
@@ -53,7 +53,7 @@ class Comparison(Record):
 
     @property
     def sentences(self) -> Sequence[str]:
-        """What differs, in sentences."""
+        """Differences in sentences."""
         return self.section.sentences
 
 
@@ -83,7 +83,7 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     images, movements, sigmas = _images_section(solution, earlier,
                                                 common), _points_section(points), _sigmas_section(points, labels)
     sections = (images, movements, sigmas, settings_section(earlier, solution, labels),
-             input_section(earlier, solution, labels))  # fmt: skip
+                input_section(earlier, solution, labels))  # fmt: skip
     sentences = [sentence for finding in sections for sentence in finding.sentences]
     sentences += [
         f"{label.capitalize()}: NOT CONVERGED, so that its sigmas mean little."
@@ -176,7 +176,7 @@ def _images_section(solution: Solution, earlier: Solution, common: list[tuple[in
 
 def _points_section(points: CommonPoints) -> Section:
     new, old = len(points.solution.network.points) - points.shared, len(points.earlier.network.points) - points.shared
-    counts = f"{many(points.shared, 'point')} of both, {new} new, {old} gone"
+    counts = f"{many(points.shared, 'point')} of both, {new} new, {old} removed"
     table = moved_points(points)
     if not len(table):
         return Section("points", sentences=[f"{counts}: no point has a place in both."])
@@ -301,7 +301,7 @@ def _unshared_sentences(earlier: Network, later: Network) -> Iterator[str]:
         earlier_names, later_names = map(dict.fromkeys, names)
         added, removed = [name for name in later_names if name not in earlier_names], [name for name in earlier_names
                                                                                        if name not in later_names]
-        parts = [f"{word}: {some(names, len(names))}" for word, names in (("new", added), ("gone", removed)) if names]
+        parts = [f"{word}: {some(each, len(each))}" for word, each in (("new", added), ("removed", removed)) if each]
         if parts:
             yield f"{kind} that only one of both has, {'; '.join(parts)}."
 

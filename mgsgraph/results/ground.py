@@ -1,4 +1,4 @@
-"""The ground of a solution: points and ranges, what the laser gives, what was left out, and what else held the block
+"""The ground of a solution: points, ranges, effect of the laser, rejected observations, and other control
 (profile shifts, terrain, stereo surfaces, back-projections).
 """
 
@@ -41,14 +41,14 @@ def classes_table(solution: Solution) -> Table:
 
 
 def omission_sentences(solution: Solution) -> list[str]:
-    """Points, rays, ranges and heights that took no part."""
+    """Sentences on points, rays, ranges and heights that took no part."""
     network, sentences = solution.network, []
     determined = solution.determined
     undetermined = np.flatnonzero(~determined)
     if undetermined.size:
-        sentences.append(f"{many(undetermined.size, 'point')} of {determined.size} stayed out: nothing determines a "
-                     "place (fewer than two rays, or nearly parallel ones): "
-                     f"{some_of(network.points.ids, undetermined)}.")  # fmt: skip
+        sentences.append(f"{many(undetermined.size, 'point')} of {determined.size} took no part: their rays "
+                         "determine no place (fewer than two rays, or nearly parallel ones): "
+                         f"{some_of(network.points.ids, undetermined)}.")  # fmt: skip
     counts = [
         (int(np.count_nonzero(~used & determined[point])), point.size, noun)
         for used, point, noun in (
@@ -65,8 +65,8 @@ def omission_sentences(solution: Solution) -> list[str]:
         dimensions = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
         if one_direction := int(np.count_nonzero(dimensions < 2)):
             sentences.append(f"Of {dimensions.size} rays that took part others check {one_direction} in one direction "
-                         "at most (mostly across the epipolar line): a blunder along the other goes "
-                         "unnoticed.")  # fmt: skip
+                             "at most (mostly across the epipolar line): a blunder along the other goes "
+                             "unnoticed.")  # fmt: skip
     unseen = np.flatnonzero(determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
     if unseen.size:
         sentences.append(f"{many(unseen.size, 'point')} lost all rays to that: {some_of(network.points.ids, unseen)}.")
@@ -88,7 +88,7 @@ def ranges_section(solution: Solution) -> Section:
 
 
 def laser_section(solution: Solution, brief: bool = False) -> Section:
-    """What the laser gives, briefly by one factor; or, where nothing is known of the ground, what sigmas rest on."""
+    """By how much laser rows reduce sigmas (`brief`: one factor alone); without laser rows, what fixes the datum."""
     without = solution.sigmas_without_laser
     if without is None:
         return Section("laser_effect", sentences=_datum_sentences(solution))
@@ -114,7 +114,7 @@ def laser_section(solution: Solution, brief: bool = False) -> Section:
 
 
 def _datum_sentences(solution: Solution) -> list[str]:
-    """What holds the block on the ground where nothing is known of it."""
+    """What fixes the datum of a block without laser ranges, ground control and terrain model."""
     network = solution.network
     has_ground = np.any(solution.determined & (network.points.kinds != PointKind.FREE)) or np.any(solution.ranges_used)
     if has_ground or network.surface is not None:
@@ -182,7 +182,7 @@ def control_section(solution: Solution) -> Section:
         sentences.append(f"{stereo.size} points were held to stereo surfaces: rms height above them {rms:.1f} m.")
     if back_projected:
         sentences.append(f"{back_projected} image places of laser points are back-projections with the nominal "
-                    "orientation: they repeat its prior, and the stated sigmas are too small.")  # fmt: skip
+                         "orientation: they repeat its prior, and the stated sigmas are too small.")  # fmt: skip
     return Section("control", sentences=sentences, tables=[table], numbers={
         "shifts": shifts,
         "surface": {
@@ -228,7 +228,7 @@ def stereo_heights(solution: Solution) -> Array:
 
 
 def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
-    """Value and sigma of the terrain model's height and tilts; nothing of what is known."""
+    """Value and sigma of the terrain model's height and tilts, of those that are unknowns."""
     sigmas = np.sqrt(np.diag(solution.shift_spread(shift))).tolist()
     pair = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
     pair_of_term = {term.name: pair for term, pair in zip(solution.network.shift_terms[shift], pair, strict=True)}

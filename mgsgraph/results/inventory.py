@@ -1,4 +1,4 @@
-"""What a case holds, with warnings, as text for the terminal; nothing is solved for it."""
+"""What a case holds, with warnings, as text for the terminal; no adjustment is made."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -87,7 +87,7 @@ def inventory(case: Case, details: bool = True) -> str:
                                            else [])
         return _as_text([Section("", f"{heading}\n", [f"Warning: {warning}" for warning in warnings]
                                  or ["No warnings."]),
-                      Section("", "", sentences)]).replace("\n\n", "\n")  # fmt: skip
+                         Section("", "", sentences)]).replace("\n\n", "\n")  # fmt: skip
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
     return _as_text([
@@ -101,8 +101,8 @@ def inventory(case: Case, details: bool = True) -> str:
 
 
 def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], sources: bool = True) -> Iterator[str]:
-    """What is known of orbit and pointing beforehand, a sentence for each mission, beside what is published of it, with
-    its sources or without.
+    """A-priori sigmas of orbit and pointing, a sentence for each mission, beside the published accuracy, with its
+    sources or without.
     """
     groups = Counter(
         (sigmas_in_words(sigmas[:3], [angle / MRAD for angle in sigmas[3:]]), accuracy_of(image.mission))
@@ -300,7 +300,7 @@ def _orientation_text(network: Network, j: int) -> str:
 
 
 def _sigmas_text(sigmas: Array) -> str:
-    """Sigmas (6,) of positions in m and rotations in rad, in words."""
+    """Sigmas (6,) of positions in m and rotations in rad, as text."""
     return f"{span(sigmas[:3])} m, {span(sigmas[3:] / ARCSEC)} arcsec"
 
 
@@ -408,7 +408,7 @@ def _poorly_covered(network: Network) -> list[str]:
 
 def mounting_warnings(network: Network) -> list[str]:
     """Sentences about passes all of whose cameras have an unknown boresight, or lever arm: what these have in common is
-    not told from the pass's own attitude, or position.
+    separable from the pass's own attitude, or position, by the a-priori sigmas alone.
     """
     warnings = []
     estimated = [unknown for unknown in network.shared if unknown.name not in network.considered]
@@ -420,7 +420,7 @@ def mounting_warnings(network: Network) -> list[str]:
         if passes:
             warnings.append(
                 f"{unknowns} of all cameras of {some(passes, len(passes))} are unknown beside the pass's own "
-                f"{counterpart}: what they have in common is told from it by the a-priori sigmas alone; leave one "
+                f"{counterpart}: only the a-priori sigmas separate what they have in common from it; leave one "
                 "camera out as the reference"
             )
     return warnings

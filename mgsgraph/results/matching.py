@@ -1,4 +1,4 @@
-"""What matching found, in words and as files: networks, a table with every covariance, a record and a figure."""
+"""Results of matching as sentences and files: networks, a table with every covariance, a record and a figure."""
 
 from pathlib import Path
 from typing import Any
@@ -24,15 +24,14 @@ from mgsgraph.workers import Progress, no_progress
 FORMAT = 1
 """Version of match.json's layout."""
 _IMPLAUSIBLE = 3.0
-"""A-priori sigmas of an orientation beyond which a correction is worth a word."""
+"""A-priori sigmas of an orientation beyond which a correction is marked."""
 
 
 def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
     progress: Progress = no_progress,
 ) -> Matches:
-    """Match a scene and write what was found to a folder that appears whole or not at all; an earlier result of
-    matching is replaced.
+    """Match a scene and write the results to a folder, atomically; an earlier result of matching is replaced.
 
     `name` is that of the case, `workers` the number of tiles at a time; without `figures` only tables and networks are
     written.
@@ -65,7 +64,7 @@ def write_matches(
 
 
 def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
-    """What matching found, in the case of this name."""
+    """Results of matching, in the case of this name."""
     return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
                    csv=[matches_table(matches)],
                    sheets=sheets_by("mgsgraph.results.figures.matches.matches_sheet", matches, scene,
@@ -111,7 +110,7 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
 
 
 def match_statements(matches: Matches, scene: Scene) -> list[str]:
-    """What was found, in sentences."""
+    """Results in sentences."""
     ties, names, counts = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
     rays = np.bincount(ties.measure_point)
     sigmas = np.sqrt(np.linalg.eigvalsh(matches.covariances[~matches.reference])[:, 1])

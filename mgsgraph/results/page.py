@@ -120,7 +120,7 @@ def _content(
 
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:
-    """What one looks at first."""
+    """Key figures: names and values as text."""
     linear = solution.linearity
     return [
         ("state", state_of(solution)),

@@ -1,4 +1,4 @@
-"""Passes in reports (strips are such): how their trajectories were corrected along time, and how well that is known.
+"""Passes in reports: how their trajectories were corrected along time, and how well that is known.
 
 Corrections are those of the orientation images alone, in the terms of the flight (`datum.frames`): along, across and
 radial; roll, pitch and yaw. What unknowns that images share do to them on top stands in `shared.csv`.

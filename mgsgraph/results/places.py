@@ -26,7 +26,7 @@ from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
 
 class Surface(NamedTuple):
-    """What image places are projected onto, and ground places without a height lie on; the first that is there."""
+    """Surface for the projection of image places, and for ground places without a height: the first field set."""
 
     terrain: TerrainGrid | None = None
     """A terrain model."""
@@ -59,7 +59,7 @@ _SIGMA_OF = {
 }  # fmt: skip
 """Which sigma each number of a table has."""
 _GIVEN = "given_"
-"""What the name of a given column gets before it where a projected one has the same."""
+"""Prefix of a given column that has the name of a computed one."""
 
 
 def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool) -> tuple[Table, str]:

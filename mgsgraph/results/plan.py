@@ -1,4 +1,4 @@
-"""A plan in words, as a table for the terminal, and as files: plan.csv, plan.json and a figure."""
+"""A plan as sentences, as a table for the terminal, and as files: plan.csv, plan.json and a figure."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -37,18 +37,18 @@ def evaluations_table(lists: Mapping[str, Sequence[Evaluation]]) -> Table:
            for axis in ("east", "north", "up") for when, sigmas in (("before", before), ("after", after))},
         "images": np.array([float(len(evaluation.images)) for evaluation in evaluations]),
     }, evaluations, instead={
-        k: ("sigma_before", f"worthless: {evaluation.reason}") for k, evaluation in enumerate(evaluations)
+        k: ("sigma_before", f"no gain: {evaluation.reason}") for k, evaluation in enumerate(evaluations)
         if evaluation.reason
     })  # fmt: skip
 
 
 def statements(plan: Plan) -> list[str]:
-    """What the plan says, in sentences."""
+    """The plan in sentences."""
     quantity = "mean sigma" if plan.criterion == "mean" else "largest sigma"
     sentences = [f"Targets: {plan.targets.words}; their {quantity} is {plan.now.total:.4g} m now "
                  f"({_sigmas_text(plan.now)})."]
     if not plan.chosen:
-        return [*sentences, "None of the candidates is worth anything: each row above says why."]
+        return [*sentences, "No candidate improves the targets: each row above states the reason."]
     names, measures = ", ".join(evaluation.name for evaluation in plan.chosen), sum(evaluation.measures
                                                                                     for evaluation in plan.chosen)
     sentences.append(
@@ -64,7 +64,7 @@ def _sigmas_text(sigmas: Sigmas) -> str:
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """All that the plan says; lengths in m, areas in km^2."""
+    """The plan as a record; lengths in m, areas in km^2."""
     return {
         "name": plan.name,
         "targets": list(plan.targets.wanted),

@@ -27,7 +27,7 @@ _COUNTING = "lines and samples are counted as ISIS does: the centre of the first
 
 
 def write_registration(registration: CaseRegistration, folder: str | Path, figures: bool = True) -> list[str]:
-    """Write tables and figures to a folder that appears whole or not at all; returns the names of the files.
+    """Write tables and figures to a folder, atomically; returns the names of the files.
 
     Parameters
     ----------

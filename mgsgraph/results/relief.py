@@ -1,4 +1,4 @@
-"""A registration by relief in words and as files: the adjusted solution with all that `adjust` writes, and beside it
+"""A registration by relief as sentences and files: the adjusted solution with all that `adjust` writes, and beside it
 coregistration.json, one row per profile and one per shot.
 """
 
@@ -24,7 +24,7 @@ from mgsgraph.units import DEG
 FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
-"""Of a cost surface that are written, best first."""
+"""Minima of a cost surface that are written, best first."""
 
 
 def write_coregistration(
@@ -38,7 +38,7 @@ def write_coregistration(
     registration : ReliefRegistration
         As `register_by_relief` made it, converged or not.
     folder : path
-        Absent, empty, or an earlier result, which is replaced; appears whole or not at all.
+        Absent, empty, or an earlier result, which is replaced, atomically.
     figures : bool
         False leaves the figures out.
     case : path, optional
@@ -70,7 +70,7 @@ def write_coregistration_into(
     registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None,
     networks: Sequence[Path] = (),
 ) -> list[str]:  # fmt: skip
-    """The same into a folder that exists, file by file."""
+    """Write solution, tables and figures into a folder that exists, file by file."""
     names = write_into(registration.solution, folder, figures, case, networks)
     section = coregistration_section(registration)
     return names + write_sections_into([section], section.numbers, folder, COREGISTRATION, figures)
@@ -192,7 +192,7 @@ def slopes_of(state: ProfileState) -> Array:
 
 
 def relief_statements(registration: ReliefRegistration) -> list[str]:
-    """What was found, in sentences with numbers and units; the table of profiles has each by itself."""
+    """Results in sentences with numbers and units; the table of profiles has each by itself."""
     profiles, solution, reach = registration.profiles, registration.solution, registration.settings.reach
     used = [profile for profile in profiles if np.any(profile.taken)]
     tied, sentences = [profile for profile in used if profile.after.cost.tied], list[str]()
@@ -204,7 +204,7 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
         )
         sigma = np.nanmedian([np.sqrt(np.trace(profile.after.misplacement_covariance)) for profile in known_before])
         sentences.append(f"Before, {many(len(known_before), 'profile')} and the images disagreed by {before:.0f} m "
-                     f"(rms); after, by {after:.1f} m (median sigma {sigma:.1f} m).")  # fmt: skip
+                         f"(rms); after, by {after:.1f} m (median sigma {sigma:.1f} m).")  # fmt: skip
     for members, condition in (
         ([profile for profile in tied if profile.after.cost.clear], f"have one clear minimum within {reach:.0f} m"),
         ([profile for profile in tied if not profile.after.cost.clear and profile.after.cost.reached],
@@ -225,7 +225,7 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
                      f"{solution.sigma0:.3g} with them.")
     if (crossing := _crossovers_json(solution))["count"]:
         sentences.append(f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by "
-                     f"{crossing['rms_m']:.2g} m rms, {crossing['rms_sigmas']:.2g} of their sigmas.")  # fmt: skip
+                         f"{crossing['rms_m']:.2g} m rms, {crossing['rms_sigmas']:.2g} of their sigmas.")  # fmt: skip
     if not solution.converged:
         sentences.append(f"The adjustment has NOT CONVERGED. {solution.message}")
     return sentences

@@ -104,7 +104,7 @@ def _orientation_record(solution: Solution, j: int) -> dict[str, Any]:
 
 
 def solution_sections(solution: Solution, connected: Connectivity | None = None) -> list[Section]:
-    """Findings in the order in which they are read; `connected` saves finding it anew. Those with a name are in
+    """Findings in the order in which they are read; `connected` saves computing it again. Those with a name are in
     solution.json.
     """
     connected = connected or solution_connectivity(solution)
@@ -119,7 +119,7 @@ def solution_sections(solution: Solution, connected: Connectivity | None = None)
 
 
 def statements(solution: Solution, connected: Connectivity | None = None) -> list[str]:
-    """Sentences with figures and units; `connected` saves finding it anew."""
+    """Sentences with figures and units; `connected` saves computing it again."""
     return sentences_of(solution_sections(solution, connected))
 
 
@@ -129,7 +129,7 @@ def sentences_of(sections: Sequence[Section]) -> list[str]:
 
 
 def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
-    """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
+    """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves computing them again."""
     tables = [Section("", tables=section.tables).text() for section in sections or solution_sections(solution)]
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
     return "\n\n".join([_heading(solution), *filter(None, tables), f"Seconds: {seconds}"])
@@ -141,7 +141,7 @@ def _termination(solution: Solution) -> list[str]:
 
 
 def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
-    """What one looks at first: names and numbers."""
+    """Key figures: names and numbers."""
     fit, network = solution.fit, solution.network
     return [
         ("cost with the nominal orientation", solution.cost_initial), ("cost at the solution", solution.cost_final),
@@ -152,7 +152,7 @@ def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
 
 
 def value_text(value: float) -> str:
-    """A figure of merit in words."""
+    """A figure of merit as text."""
     if isinstance(value, int):
         return str(value)
     return f"{value:.6g}" if math.isfinite(value) else "not defined"
@@ -172,7 +172,7 @@ _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; tim
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """Options that overrule all case files alike."""
+    """Options that override every case file."""
 
     loss: Loss | None = None
     """Robust loss."""
@@ -187,7 +187,7 @@ class Overrides:
     tables: TableForm | None = None
     """Form of the tables of points and residuals, as `write_results`."""
     device: Device | None = None
-    """Who goes over the points, as `SolverSettings.device`."""
+    """Processor that evaluates the points, as `SolverSettings.device`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
@@ -196,14 +196,14 @@ class Overrides:
 
 
 AS_WRITTEN = Overrides()
-"""Nothing overrules the case files."""
+"""No option overrides the case files."""
 
 
 def write_results(
     solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None,
     networks: Sequence[Path] = (), tables: TableForm | None = None,
 ) -> list[str]:  # fmt: skip
-    """Write tables, archive and figures to a folder that appears whole or not at all.
+    """Write tables, archive and figures to a folder, atomically.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def write_into(
     names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
     names += [name for section in sections for name in section.write(folder, figures=False)]
     if figures:
-        from mgsgraph.results.figures import write_figures  # matplotlib takes its time
+        from mgsgraph.results.figures import write_figures  # matplotlib loads slowly
 
         names += write_figures(solution, folder, connected)
     return names
@@ -291,7 +291,7 @@ def solution_json(
     """All figures of merit of a solution, as plain values for strict JSON: what isn't a number is None.
 
     Units stand in the keys' names. `sigma_mean` is the mean standard deviation over the places, not that of the mean.
-    `connected` and `sections` save finding them anew.
+    `connected` and `sections` save computing them again.
     """
     network, fit = solution.network, solution.fit
     connected = connected or solution_connectivity(solution)

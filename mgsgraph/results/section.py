@@ -29,7 +29,7 @@ _ATTRIBUTE_KINDS: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
     "numbers": ("values", lambda values: np.array(list(values), dtype=np.float64)),
     "units": ("unit", list),
 }
-"""What the file of tables takes from an attribute of records: the field of a column, and how."""
+"""Keys of tables.toml that name an attribute of records: field of the column that it fills, and the conversion."""
 
 
 @cache
@@ -75,19 +75,19 @@ class Section:
     name: str
     """Its key in a record."""
     title: str = ""
-    """What it is about, where that needs saying."""
+    """Heading, where one is needed."""
     sentences: Sequence[str] = ()
-    """What was found, in words."""
+    """Results in sentences."""
     tables: Sequence[Table] = ()
     """What is shown: columns with a layout in text on the terminal, those with a format of the page there."""
     numbers: Any = None
-    """What a record holds of it, with units in the keys."""
+    """Its JSON content, with units in the keys."""
     csv: Sequence[Table] = ()
     """Tables that become files by their names."""
     files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
-    """What writes further files, by their names."""
+    """Functions that write further files, by file name."""
     sheets: Callable[[], Iterable["Sheet"]] | None = None
-    """What draws its figures."""
+    """Function that draws its figures."""
 
     def text(self, max_rows: int | None = ROWS) -> str:
         """Lines for the terminal, with so many rows of each table at most; None: with all."""
@@ -105,7 +105,7 @@ class Section:
             write(folder / name)
         if not figures or self.sheets is None:
             return list(writers)
-        from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
+        from mgsgraph.results.figures.sheet import save  # matplotlib loads slowly
 
         return [*writers, *save(self.sheets(), folder)]
 
@@ -115,7 +115,7 @@ class Section:
 
 
 def sheets_by(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
-    """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""
+    """A callable that draws figures by the function of this dotted name; it imports matplotlib only then."""
     module, _, name = function.rpartition(".")
 
     def sheets() -> Iterable["Sheet"]:
@@ -128,7 +128,7 @@ def sheets_by(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]
 def write_sections(
     sections: Iterable[Section], record: Mapping[str, Any], folder: str | Path, kind: str, figures: bool = True
 ) -> list[str]:
-    """Write a record and the files of sections to a folder that appears whole or not at all; the names of the files.
+    """Write a record and the files of sections to a folder, atomically; the names of the files.
 
     Parameters
     ----------
@@ -155,6 +155,6 @@ def write_sections(
 def write_sections_into(
     sections: Iterable[Section], record: Mapping[str, Any], folder: Path, kind: str, figures: bool = True
 ) -> list[str]:
-    """The same into a folder that exists."""
+    """Write a record and the files of sections into a folder that exists; the names of the files."""
     write_json(folder / kind, {"program": PROGRAM, **record})
     return [kind, *(name for section in sections for name in section.write(folder, figures))]

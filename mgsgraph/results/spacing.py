@@ -1,4 +1,4 @@
-"""A choice of the spacing of orientation images in words, and as files: nodes.json and spacings.csv."""
+"""A choice of the spacing of orientation images as sentences and files: nodes.json and spacings.csv."""
 
 import math
 
@@ -12,7 +12,7 @@ from mgsgraph.text import many
 
 
 def seconds_of(text: str) -> list[float]:
-    """Spacings, s, as people write them: 4,8,16."""
+    """Spacings in s from a user's text such as 4,8,16."""
     try:
         seconds = [float(part) for part in text.split(",")]
     except ValueError:
@@ -35,7 +35,7 @@ def candidates_table(choice: Choice) -> Table:
 
 
 def node_statements(choice: Choice) -> list[str]:
-    """What was found, in sentences."""
+    """The choice in sentences."""
     chosen, best = choice.candidates[choice.chosen], choice.candidates[choice.best]
     sentences = [
         f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
@@ -57,7 +57,7 @@ def node_statements(choice: Choice) -> list[str]:
 
 
 def nodes_section(choice: Choice, name: str) -> Section:
-    """Candidates and what was found."""
+    """Candidates and the choice among them."""
     candidates, best = candidates_table(choice), choice.candidates[choice.best]
     record = {
         "name": name, "rays_held_out": best.squares.size, "blunders_held_out": choice.blunders,

@@ -25,7 +25,7 @@ _NAMED_ERRORS = 1
 _SMALL_SIGMA0, _MUCH_FREEDOM = 0.5, 20
 """sigma0 below which, and degrees of freedom from which on, stated sigmas are too large."""
 _MOST_POINTS = 20_000
-"""Points whose rays are intersected anew."""
+"""Tie points at most whose convergence is computed."""
 
 
 def summary(solution: Solution) -> list[str]:
@@ -71,8 +71,8 @@ def _point_sentences(solution: Solution) -> Iterator[str]:
         sigmas = np.median(local_sigmas(solution.covariances[known], solution.places[known]), axis=0)
         movement = float(np.median(np.linalg.norm(solution.places[known] - solution.places_before[known], axis=1)))
         horizontal = float(np.hypot(*sigmas[:2]))
-        sentence = f"{point_class.name.capitalize()} points ({known.size}): median sigma {length(horizontal)} "
-        sentence += f"horizontal, {length(float(sigmas[2]))} vertical; median move {length(movement)}."
+        sentence = f"{point_class.name.capitalize()} points ({known.size}): median sigma {length(horizontal)}"
+        sentence += f" horizontal, {length(float(sigmas[2]))} vertical; median move {length(movement)}."
         yield sentence + (_convergence_remark(solution.network, known, float(sigmas[2]))
                           if point_class is PointClass.TIE else "")
 

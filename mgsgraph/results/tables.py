@@ -159,7 +159,7 @@ TableForm = Literal["csv", "parquet"]
 MOST_CSV_ROWS = 200_000
 """Rows of the longer table up to which both are CSV, unless another form is asked for."""
 GEOMETRY = "geometry"
-"""Name of the column."""
+"""Name of the column of positions or shapes."""
 _VERSION = "1.1.0"
 _POINT = np.dtype([("order", "u1"), ("kind", "<u4"), ("place", "<f8", 2)])
 """A point in the plane as OGC's well-known binary."""

@@ -1,4 +1,4 @@
-"""A terrain model made of a case, in words and as files: rasters, the record, the table of check shots, the figure."""
+"""A terrain model made of a case, as sentences and files: rasters, the record, the table of check shots, the figure."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -36,7 +36,7 @@ from mgsgraph.workers import Progress, no_progress
 FORMAT = 2
 """Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
 _UNEXPLAINED = 1.5
-"""Times what matching explains from which on rays that miss each other are worth a word."""
+"""Ratio of the distance of rays to its sigma by matching, above which a pair of images is named."""
 
 
 def make_dem(
@@ -57,7 +57,7 @@ def make_dem(
     case : path
         Case file, for the pixels, the ground beforehand, and the laser profiles.
     out : path
-        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; appears whole or not at all.
+        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; written atomically.
     settings : DemSettings, optional
         Choices.
     workers : int, optional
@@ -98,7 +98,7 @@ def make_dem(
 
 
 def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figures: bool, progress: Progress) -> None:
-    """Write everything to a folder that is there."""
+    """Write all files into an existing folder."""
     grid = ortho_grid(dem, scene, settings)
     progress("ortho image", 0, 1)
     tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
@@ -107,7 +107,7 @@ def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figur
     shots_table(dem).write_csv(folder / "shots.csv")
     write_json(folder / DEM, _record(dem, settings, grid.post))
     if figures:
-        from mgsgraph.results.figures.dem import dem_sheet, read_ortho  # matplotlib takes its time to load
+        from mgsgraph.results.figures.dem import dem_sheet, read_ortho  # matplotlib loads slowly
         from mgsgraph.results.figures.sheet import save
 
         progress("figure", 0, 1)
@@ -117,7 +117,7 @@ def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figur
 
 
 def dem_section(dem: Dem) -> Section:
-    """What the terrain model is and how good."""
+    """Size, heights and sigmas of the terrain model, and its checks."""
     grid, has_height = dem.model.map, np.isfinite(dem.heights)
     low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
     total, matching, orientation = (

@@ -65,7 +65,7 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     solutions, surface = (steps.free, steps.fitted), steps.fitted.network.surface
     assert surface is not None
     rejected = np.array([[0 if mask is None else int(mask.sum()) for mask in (step.rays_rejected, step.ranges_rejected)]
-                    for step in solutions])  # fmt: skip
+                         for step in solutions])  # fmt: skip
     height_rows = np.isfinite(surface.sigmas) & steps.fitted.determined
     return table_of("steps", {
         "step": ["step 1, no terrain", "step 2, terrain"],
@@ -77,22 +77,22 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     }, solutions)  # fmt: skip
 
 
-# --- in words
+# --- sentences
 
 
 def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
-    """What the tables do not say."""
+    """Sentences on what the tables do not hold."""
     steps, block, heights = statistics.steps, statistics.whole, statistics.whole.heights
     limit, rejected_heights, sentences = steps.free.settings.reject, np.flatnonzero(steps.off), list[str]()
     if failed := [name for name, step in (("step 1", steps.free), ("step 2", steps.fitted)) if not step.converged]:
-        sentences.append(f"NOT CONVERGED: {' and '.join(failed)}. Nothing below is a result.")
+        sentences.append(f"NOT CONVERGED: {' and '.join(failed)}. The values below are not valid.")
     if limit:
         sentences.append(
             f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected_rays(statistics), 'ray')}, which "
             f"stay out of step 2; the height rows of {many(rejected_heights.size, 'point')} were rejected (matched "
             "wrongly in all images, or other ground than the model's; "
             f"{some_of(steps.network.points.ids, rejected_heights) or 'none'})."
-            + ("" if steps.at_rest else " Which ones these are did not converge.")
+            + ("" if steps.at_rest else " The set of rejected heights did not converge.")
         )
     else:
         sentences.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
@@ -147,7 +147,7 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
 
 
 def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
-    """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
+    """One row per pass and quantity: before, after step 1, after step 2, and the factors of either."""
     names, quantities, units, values = zip(*((group.name, *row) for group in groups for row in _quantities(group)),
                                            strict=True)
     stages = np.array(values)

@@ -1,5 +1,5 @@
-"""The verdict in words: whether a solution may be used and why (not), what was not tested, what could still hide; what
-drives an adjustment that did not converge, linearity, and what readers of images decided.
+"""The verdict in sentences: whether a solution may be used and why (not), what was not tested, undetected errors; what
+drives an adjustment that did not converge, linearity, and remarks of the readers of images.
 """
 
 import math
@@ -40,7 +40,7 @@ _SIGMA_KEYS = {
 
 
 _NAMED_FACTOR = 5.0
-"""Factor from which on it is told that stated sigmas may be too small by it."""
+"""Least factor by which the sigmas of a group could be too small unnoticed for the group to be named."""
 _STATE_WORDS = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
 
 
@@ -84,7 +84,7 @@ def group_tests_table(assessment: Verdict) -> Table:
 
 
 def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
-    """One for each cause, of its gravest reason, with the number of others."""
+    """One sentence for each cause: its gravest reason, and the number of similar ones."""
     of_cause = dict[Cause, list[Reason]]()
     for reason in reasons:
         of_cause.setdefault(reason.cause, []).append(reason)
@@ -156,15 +156,15 @@ _ERROR_KINDS = {
     "laser": ("range",),
     "control": SHIFTS,
 }
-"""Errors of inputs by kind: of each the one that moves points most is told."""
+"""Errors of inputs by kind: of each the one that moves points most is named."""
 
 
 _LARGEST_ERRORS = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
-"""Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
+"""Largest plausible errors of inputs, by unit; an untested error that is harmless at this size is not named."""
 
 
 def hidden_sentences(errors: Sequence[Undetected], max_count: int | None) -> list[str]:
-    """The errors of inputs that could move points most without being found; those that nothing tests."""
+    """The errors of inputs that could move points most undetected, and those that no test covers."""
     largest, untested = list[Undetected](), list[Undetected]()
     for names in _ERROR_KINDS.values():
         of_kind = [error for error in errors if error.what in names and error.moves > 0.0]
@@ -208,7 +208,7 @@ def _effect_per_unit(error: Undetected) -> str:
 
 
 def linearity_section(linearity: Linearity | None) -> Section:
-    """What a solution's linearity means."""
+    """Whether joint covariances hold, by the linearity check."""
     if linearity is None:
         return Section("linearity")
     samples = f"(cost ratio {linearity.ratio:.3g} over {linearity.draws} samples of {linearity.unknowns} unknowns)"
@@ -219,11 +219,11 @@ def linearity_section(linearity: Linearity | None) -> Section:
     return Section("linearity", sentences=[sentence], numbers=record_of("linearity", linearity))  # fmt: skip
 
 
-# --- what drives it
+# --- what drives an adjustment that did not converge
 
 
 def drivers_section(solution: Solution) -> Section:
-    """Which images and points drive an adjustment that did not converge; nothing of one that did."""
+    """Which images and points drive an adjustment that did not converge; empty for one that did."""
     drivers = solution.drivers
     if drivers is None:
         return Section("drivers")

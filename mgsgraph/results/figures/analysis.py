@@ -64,7 +64,7 @@ def _draw_quantiles(panel: Axes, group: ResidualStatistics) -> None:
 
 
 def _quantile_caption(shown: Sequence[ResidualStatistics]) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     if not shown:
         return "No residual is controlled by other rows."
     inconsistent = [group.name for group in shown if group.as_promised is False]
@@ -77,9 +77,9 @@ def _quantile_caption(shown: Sequence[ResidualStatistics]) -> str:
 
 
 _MOST_IMAGES = 4
-"""That are drawn: those with the clearest vibrations first."""
+"""Images that are drawn, those with the clearest vibrations first."""
 _MARK_FACTOR = 1.3
-"""Times its amplitude, where a vibration's mark stands."""
+"""Height of a vibration's mark, in units of its amplitude."""
 
 
 @plain_style()
@@ -165,7 +165,7 @@ _WIDTH = 3.1
 
 
 def unexplained_sheets(tested: Unexplained, name: str) -> Iterator[Sheet]:
-    """Up to four panels of what is named; no sheet where nothing is."""
+    """Up to four panels of named effects; no sheet if no effect is named."""
     if tested.patterns:
         yield _pattern_sheet(tested, name)
 
@@ -218,7 +218,7 @@ def binned(pattern: Pattern) -> tuple[Array, Array, Array]:
 
 
 def _pattern_caption(tested: Unexplained, drawn_count: int) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     return (
         f"{len(tested.effects)} effects are named by {tested.tests} tests, {drawn_count} are drawn; clearest: "
         f"{tested.effects[0].sentence}. Residuals show of an effect what the adjustment did not absorb."

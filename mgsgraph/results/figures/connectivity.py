@@ -25,7 +25,7 @@ _MARKS = (
 
 
 def links_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
-    """The figure of a solution; `connected` saves finding it anew. None of two images, of which one number says all."""
+    """The figure of a solution; `connected` saves computing it again. No figure of fewer than three images."""
     if len(solution.network.images) >= _FEWEST:
         yield connectivity_sheet(connected or solution_connectivity(solution))
 

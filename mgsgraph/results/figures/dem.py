@@ -31,7 +31,7 @@ _TALL, _WIDE, _NARROW, _LOW = 7.0, 3.0, 1.45, 2.4
 _LETTERS = 2.4
 """inch, width of labels beside the panels in all."""
 _SHOWN = (0.02, 0.98)
-"""Quantiles to which colours reach."""
+"""Quantiles to which colors reach."""
 
 
 def read_ortho(path: Path) -> NDArray[np.uint8]:
@@ -77,9 +77,9 @@ def _draw_heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int
     norm, post = _norm(heights), dem.model.map.post * step
     light = LightSource(315.0, 45.0)
     flat = np.where(np.isfinite(heights), heights, np.nanmean(heights))
-    colours = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
+    colors = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
     exaggeration = 1.0 / max(float(np.nanstd(np.gradient(flat, post)[0])) * 4.0, 1e-9)  # slopes that can be seen
-    shaded = light.shade_rgb(colours, flat, vert_exag=min(exaggeration, 10.0), dx=post, dy=post, blend_mode="soft")
+    shaded = light.shade_rgb(colors, flat, vert_exag=min(exaggeration, 10.0), dx=post, dy=post, blend_mode="soft")
     shaded = np.dstack([shaded, np.isfinite(heights)])
     panel.imshow(shaded, extent=_extent(dem), interpolation="nearest", aspect="equal")
     shown = ScalarMappable(norm, "gist_earth")

@@ -1,4 +1,4 @@
-"""The map: outlines of the images, ground points coloured by one quantity, error ellipses, corrections and relief.
+"""The map: outlines of the images, ground points colored by one quantity, error ellipses, corrections and relief.
 
 Few points are drawn one by one, many as medians of cells; a block of any size and a window of the studio are one
 figure. A block that is far longer than wide has a scale of its own in each direction.
@@ -71,12 +71,12 @@ class MapWindow:
     places: Array
     """(n, 2) of points, or of middles of some cells."""
     values: Array
-    """(n,) of points by which they are coloured, or (rows, columns) of cells, from the south-west; NaN where nothing is
+    """(n,) of points by which they are colored, or (rows, columns) of cells, from the south-west; NaN where nothing is
     known."""
     quantity: tuple[str, str]
     """What that is: title and unit."""
     scale: tuple[float, float]
-    """Ends of the colours; below and above zero for what has a sign."""
+    """Ends of the colors; below and above zero for what has a sign."""
     count: int
     """Points in the window."""
     classes: Index | None
@@ -92,7 +92,7 @@ class MapWindow:
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
-    """The map of a solution; `connected` saves finding the footprints anew. None where no point has a place."""
+    """The map of a solution; `connected` saves computing the footprints again. None where no point has a place."""
     if np.any(solution.determined):
         yield window_sheet(block_window(solution, connected))
 
@@ -202,7 +202,7 @@ def frame(corners: Array) -> tuple[Array, Array, tuple[float, float]]:
 
 @plain_style()
 def window_sheet(window: MapWindow) -> Sheet:
-    """A window of the map, its points coloured by one quantity."""
+    """A window of the map, its points colored by one quantity."""
     low, high, (width, height) = frame(window.box.reshape(2, 2) / KM)
     longest = float((window.box[2:] - window.box[:2]).max())
     factors = _enlargement(window, _ellipse_radii(window), _ELLIPSE * longest), _enlargement(window, _movements(window),
@@ -334,7 +334,7 @@ def _arrows(panel: Axes, window: MapWindow, factor: float) -> Quiver:
 
 
 def message(window: MapWindow) -> str:
-    """The one thing that the map says."""
+    """Main statement of the map, one sentence."""
     (title, unit), values = window.quantity, window.values[np.isfinite(window.values)]
     if not values.size:
         return f"{title} of no point is known."

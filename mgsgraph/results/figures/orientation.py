@@ -138,7 +138,7 @@ def _curves_sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], headi
 
 
 def _caption(heading: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     largest = np.max([np.abs(curve.values).max(axis=0) for curve in curves], axis=0)
     ratios = [np.abs(curve.values) / np.where(curve.sigmas > 0.0, curve.sigmas, np.inf) for curve in curves]
     k = int(np.argmax([ratio.max() for ratio in ratios]))

@@ -47,9 +47,9 @@ _MARKERS = "o^sDv"
 _WIDTH, _TALL, _HEIGHTS, _MOST_STRIPS = 10.6, 1.45, 0.8, 4
 """inch: width of a strip of an image, its least height, that of an elevation panel; strips of an image."""
 _ACROSS = 300
-"""Pixels across a strip; more only take time."""
+"""Pixels across a strip that are drawn at most."""
 _NUMBER_STEP, _MOST_NUMBERED = 10, 300
-"""Every so many-th footprint has its number; of more footprints in a strip than this, fewer."""
+"""Step between footprints that bear their number; a strip with more footprints than this has a larger step."""
 _DIRECTIONS = ("along the flight", "across the flight")
 
 
@@ -203,7 +203,7 @@ def _draw_footprints(panel: Axes, registration: CaseRegistration, j: int, order:
 
 
 def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int], has_pixels: bool) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     sentences = []
     for p in order:
         profile = registration.before[p]

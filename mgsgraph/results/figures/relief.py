@@ -40,7 +40,7 @@ _NAMED_MINIMA = 1e-3
 _SHARE_DRAWN = 0.3
 """Share of the reach that is drawn of cost surfaces after the adjustment."""
 _LEAST_TOP = 5.0
-"""sigmas, upper end of the colours at least: what stays below it does not tie a profile."""
+"""sigmas, upper end of the colors at least: what stays below it does not tie a profile."""
 _STATES = ("before", "after")
 _MISFIT = "root of the misfit above the best (sigmas)"
 
@@ -102,7 +102,7 @@ def _cost_handles() -> list[Line2D]:
 
 
 def _color_limit(costs: Sequence[CostSurface]) -> float:
-    """Upper end of the colours, in sigmas: what most shifts of some profiles stay below."""
+    """Upper end of the colors, in sigmas: what most shifts of some profiles stay below."""
     values = [np.sqrt(np.nanquantile(_above_best(cost), 0.9)) for cost in costs if cost.minima]
     return max(float(np.median(values)), _LEAST_TOP) if values else _LEAST_TOP
 

@@ -116,7 +116,7 @@ def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
 
 
 def _residual_caption(solution: Solution, spreads: Array, largest: Array) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
     figures = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
     middle, most, worst = (number(float(value)) for value in figures)

@@ -1,4 +1,4 @@
-"""What every figure needs, said once: style, size, title, caption, legend, and how a sheet becomes files.
+"""What every figure needs: style, size, title, caption, legend, and how a sheet becomes files.
 
 A function that draws a sheet is decorated by `plain_style()`, makes its panels by `Sheet.panels`, and leaves where they
 stand to matplotlib's constrained layout. No pyplot, and the user's matplotlib settings are neither used nor changed.
@@ -78,7 +78,7 @@ def plain_style() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet(Record):
-    """One drawn figure and its words."""
+    """One drawn figure with its title and caption."""
 
     name: str
     """File name without suffix."""
