@@ -309,8 +309,8 @@ def _separability_section(posterior: Posterior) -> Section:
     remark = "Position and attitude of passes, and what their images share, are separable (no correlation above 0.95)."
     record = [
         {
-            "quantities": [{**record_of("quantity", part), "coefficient": float(coefficient)} for part,
-                           coefficient in zip(combination.quantities, combination.coefficients, strict=True)],
+            "quantities": [{**record_of("quantity", part), "coefficient": float(coefficient)}
+                           for part, coefficient in zip(combination.quantities, combination.coefficients, strict=True)],
             "correlation": combination.correlation, "determined": combination.mixture, "sigma": combination.sigma,
             "unit": combination.quantities[0].unit,
         }

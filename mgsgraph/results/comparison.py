@@ -80,8 +80,8 @@ def compare(solution: Solution, earlier: Solution, labels: tuple[str, str] = ("e
     The orientation of 2 common images differs by at most 2.1 sigmas (SIM/B).
     """
     common, points = common_images(solution, earlier), CommonPoints(solution, earlier)
-    images, movements, sigmas = _images_section(solution, earlier,
-                                                common), _points_section(points), _sigmas_section(points, labels)
+    images, movements, sigmas = (_images_section(solution, earlier, common), _points_section(points),
+                                 _sigmas_section(points, labels))
     sections = (images, movements, sigmas, settings_section(earlier, solution, labels),
                 input_section(earlier, solution, labels))  # fmt: skip
     sentences = [sentence for finding in sections for sentence in finding.sentences]

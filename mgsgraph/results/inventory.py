@@ -157,8 +157,8 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     common = overlaps([footprint(image) for image in images])
     pairs = [
         f"{images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
-        for (i, j), area,
-        share in zip(common.pairs.tolist(), common.areas.tolist(), common.shares.tolist(), strict=True)
+        for (i, j), area, share in zip(common.pairs.tolist(), common.areas.tolist(), common.shares.tolist(),
+                                       strict=True)
     ]
     without_pixels = [entry.name for entry in case_input.images if picture_of(entry, path.parent) is None]
     folder = next((path.parent / group.network for group in case_input.tie_groups), None)
@@ -312,8 +312,8 @@ def _points_section(network: Network, prediction: Prediction) -> Section:
         determined = points[np.all(np.isfinite(sigmas[points]), axis=1)]
         expected = sigmas[determined].mean(axis=0) if determined.size else np.full(3, np.nan)
         residuals = prediction.residuals[np.isin(network.rays.point, determined)]
-        rms = root_mean_square(residuals[np.all(np.isfinite(residuals), axis=1)],
-                               0) if residuals.size else np.full(2, np.nan)
+        rms = (root_mean_square(residuals[np.all(np.isfinite(residuals), axis=1)], 0) if residuals.size
+               else np.full(2, np.nan))
         rows.append((points.size, np.count_nonzero(network.points.kinds[points] == PointKind.FREE),
                      ray_counts[points].min(), ray_counts[points].max(), *expected, *rms))  # fmt: skip
     values = np.array(rows, dtype=np.float64).reshape(-1, 9)
@@ -335,8 +335,8 @@ def _weaknesses(network: Network, prediction: Prediction, connected: Connectivit
     """Sentences about what will be poorly determined."""
     points, ranged, undetermined = network.points, network.ranges.point, network.undetermined
     warnings = [duplicate.sentence for duplicate in duplicates(network)] + connectivity_warnings(connected)
-    warnings += beyond_priors_statements(network,
-                                         prediction.residuals) + _poorly_covered(network) + unsupported_nodes(network)
+    warnings += (beyond_priors_statements(network, prediction.residuals) + _poorly_covered(network)
+                 + unsupported_nodes(network))
     warnings += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
     for indices, problem in (
         (np.flatnonzero(undetermined), "points have fewer than two rays and no a-priori place, and stay out"),
@@ -357,8 +357,8 @@ def _weaknesses(network: Network, prediction: Prediction, connected: Connectivit
         )
     warnings += [
         f"{many(profile.shots, 'laser shot')} of {profile.name} lie {abs(profile.angle) / DEG:.1f} deg along the "
-        "flight from where the camera looked: a wrong clock, or a wrong "
-        "profile" for profile in misplaced_profiles(network)
+        "flight from where the camera looked: a wrong clock, or a wrong profile"
+        for profile in misplaced_profiles(network)
     ]  # fmt: skip
     angles = convergence(network, np.flatnonzero(points.classes == PointClass.TIE))
     if np.any(angles < _NARROW):
