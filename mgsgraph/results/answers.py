@@ -99,8 +99,8 @@ def _position_section(estimate: PositionEstimate, probability: float, question: 
     ellipsoid = estimate.ellipsoid(probability)
     title = "New point" if question == "intersection" else f"Point {estimate.name}"
     axes = zip(ellipsoid.semi_axes, ellipsoid.azimuths / DEG, ellipsoid.elevations / DEG, strict=True)
-    axes_text = ", ".join(f"{semi_axis:.4g} m (azimuth {azimuth:.0f}, elevation {elevation:.0f} deg)" for semi_axis,
-                          azimuth, elevation in axes)
+    axes_text = ", ".join(f"{semi_axis:.4g} m (azimuth {azimuth:.0f}, elevation {elevation:.0f} deg)"
+                          for semi_axis, azimuth, elevation in axes)
     sentences = [
         f"{title}: longitude {longitude / DEG % 360.0:.6f} deg E, latitude {latitude / DEG:.6f} deg (planetocentric), "
         f"radius {radius:.3f} m; sigma {_sigmas_text(estimate.east_north_up, ('east', 'north', 'up'))}; "

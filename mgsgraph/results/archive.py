@@ -355,8 +355,8 @@ def _require_shapes(solution: "Solution") -> None:
         "trends": (solution.trends, [pass_.prior.trend_sigmas.shape for pass_ in network.passes]),
         "common": (solution.common, [(size,) for size in width[network.first_of_passes[-1] :].tolist()]),
     }
-    comparisons += [(name, "shapes ", [value.shape for value in values], expected) for name,
-                    (values, expected) in sequences.items()]
+    comparisons += [(name, "shapes ", [value.shape for value in values], expected)
+                    for name, (values, expected) in sequences.items()]
     for name, prefix, value, expected in comparisons:
         if value != expected:
             raise InputError(name, f"{prefix}{str(value)[:60]}", str(expected)[:60], _READJUST)

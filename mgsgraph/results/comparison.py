@@ -210,8 +210,8 @@ def _sigmas_section(points: CommonPoints, labels: tuple[str, str]) -> Section:
     ratio, (earlier, later) = points.ratio, points.sigmas
     members = [(kind, np.flatnonzero((classes == kind) & np.isfinite(ratio))) for kind in PointClass]
     rows = [(kind, point_rows) for kind, point_rows in members if point_rows.size]
-    medians = np.array([[np.median(sigmas[point_rows]) for sigmas in (earlier, later)] for _,
-                        point_rows in rows]).reshape(-1, 2)
+    medians = np.array([[np.median(sigmas[point_rows]) for sigmas in (earlier, later)]
+                        for _, point_rows in rows]).reshape(-1, 2)
     spread = np.array([np.quantile(ratio[point_rows], _QUANTILES) for _, point_rows in rows]).reshape(-1, 3)
     table = table_of("sigmas_compared", {
         "class": [_CLASSES[kind] for kind, _ in rows],

@@ -48,8 +48,8 @@ def nodes_table(solution: Solution) -> Table:
     times = np.concatenate([series.times for _, series in corrections])
 
     def amounts(quantity: str) -> dict[str, Array]:
-        values = np.concatenate([getattr(series, "values" if quantity == "correction" else "sigmas") for _,
-                                 series in corrections])
+        values = np.concatenate([getattr(series, "values" if quantity == "correction" else "sigmas")
+                                 for _, series in corrections])
         return {f"{quantity}_{{}} m": values[:, :3], f"{quantity}_{{}} arcsec": values[:, 3:]}
 
     return table_of("nodes", {

@@ -212,8 +212,8 @@ def _heights_above(profile: ReliefProfile, state: ProfileState) -> Array:
 
 def _panel_titles(profile: ReliefProfile) -> list[str]:
     """Titles of the panels before and after."""
-    return [f"{s}: {number(rms)} m rms" for s,
-            rms in zip(_STATES, (profile.rms_before, profile.rms_after), strict=True)]
+    return [f"{s}: {number(rms)} m rms"
+            for s, rms in zip(_STATES, (profile.rms_before, profile.rms_after), strict=True)]
 
 
 def vertical(state: ProfileState) -> Array:
