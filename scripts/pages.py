@@ -49,7 +49,7 @@ from mgsgraph.results.archive import FORMAT, array_scalar, kinds_of
 from mgsgraph.results.matching import matches_table
 from mgsgraph.results.passes import nodes_table, shared_table
 from mgsgraph.results.places import selection_table
-from mgsgraph.results.plan import judged_table
+from mgsgraph.results.plan import evaluations_table
 from mgsgraph.results.registration import discrepancy_table, registration_table
 from mgsgraph.results.relief import profiles_table, relief_shots_table
 from mgsgraph.results.tables import connectivity_table, orientation_table, points_table, residuals_table
@@ -221,7 +221,7 @@ def _without_rows() -> Iterator[tuple[str, Table]]:
     )
     checks = HeightChecks((), index, (), np.zeros((0, 3)), pairs, none, none, none, none)
     dem: Any = SimpleNamespace(checks=checks, model=SimpleNamespace(map=SimpleNamespace(radius=0.0)))
-    yield "plan.csv", judged_table({})
+    yield "plan.csv", evaluations_table({})
     yield "matches.csv", matches_table(matches)
     yield "shots.csv", shots_table(dem)
     relief = _relief_without_shots()

@@ -104,7 +104,6 @@ def add(
     if not (images or ties or shots):
         raise InputError("add", "no image, no --ties and no --shots", "at least one of them")
     _require_writable(table, project)
-<<<<<<< HEAD
     arguments = [parse_image(text) for text in images]
     with stage_bar(2) as stages, open_project(project, write=True, discard=dry_run) as opened:
         with stages.stage("reading"):
@@ -114,26 +113,9 @@ def add(
     alone = ", ".join(addition.unconnected) if impact is None else ""
     warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
     notes = items((*addition.notes, warning))
-    done = f"would add {_description_of(addition)}; nothing was changed" if dry_run else f"added {_description_of(addition)}"
-    _print_impact(ctx, project, impact, table, [f"{project}: {done}", *notes])
-=======
-    arguments, impact = [parse_image(text) for text in images], None
-    with stage_bar(2) as stages, open_project(project, write=not dry_run) as opened:
-        with stages.stage("reading"):
-            addition = read_addition(opened, arguments, ties, shots, of_pass, shares)
-        if not dry_run:
-            from mgsgraph.project.changes import add as put
-
-            with stages.stage("adjusting"):
-                impact = put(opened, addition)
-    alone = ", ".join(addition.unconnected) if impact is None else ""
-    warning = alone and f"Unconnected: {alone}. No point is shared with another image; tie points would join it."
-    messages = items((*addition.notes, warning))
-    if dry_run:
-        print_brief(f"{project}: would add {_description_of(addition)}; nothing was changed", *messages, more=0)
-        return
-    _print_impact(ctx, project, impact, table, [f"{project}: added {_description_of(addition)}", *messages])
->>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
+    done, end = ("would add", "; nothing was changed") if dry_run else ("added", "")
+    first = f"{project}: {done} {_description_of(addition)}{end}"
+    _print_impact(ctx, project, impact, table, [first, *notes])
 
 
 def _description_of(addition: "Addition") -> str:
@@ -219,21 +201,12 @@ def measure(
         measurements = [Measure(name, *pixel[1:], sigma, sigma) for name, pixel in zip(names, pixels, strict=True)]
         if new and edits.point_state(opened, point) is not None:
             raise InputError(f"{project}, point {point}", "it is there already", "a new name", "leave --new out")
-<<<<<<< HEAD
-        done = [edits.measure(opened, point, wanted, why)] if new else []
-        done += [] if new else [edits.set_measure(opened, point, one, why) for one in wanted]
-        done += [edits.reject(opened, point, image, why) for image in opened.images_named(rejected)]
-        done += [edits.accept(opened, point, image, why) for image in opened.images_named(accepted)]
-        done += [edits.remove_point(opened, point, why)] if gone else []
-    _print_edits(ctx, project, done, table)
-=======
         changes = [edits.measure(opened, point, measurements, why)] if new else []
         changes += [] if new else [edits.set_measure(opened, point, measurement, why) for measurement in measurements]
         changes += [edits.reject(opened, point, image, why) for image in opened.images_named(rejected)]
         changes += [edits.accept(opened, point, image, why) for image in opened.images_named(accepted)]
         changes += [edits.remove_point(opened, point, why)] if gone else []
     _print_edits(ctx, project, changes, table)
->>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()
@@ -253,11 +226,7 @@ def undo(ctx: click.Context, project: Path, change: int | None, why: str, table:
     """
     from mgsgraph.project import history
 
-<<<<<<< HEAD
-    _reverse(ctx, project, table, partial(history.undo, number=change, why=why))
-=======
     _print_reversal(ctx, project, table, partial(history.undo, number=change, why=why))
->>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()
@@ -274,17 +243,10 @@ def redo(ctx: click.Context, project: Path, why: str, table: Path | None) -> Non
     """
     from mgsgraph.project import history
 
-<<<<<<< HEAD
-    _reverse(ctx, project, table, partial(history.redo, why=why))
-
-
-def _reverse(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Changed]") -> None:
-=======
     _print_reversal(ctx, project, table, partial(history.redo, why=why))
 
 
 def _print_reversal(ctx: click.Context, project: Path, table: Path | None, act: "Callable[[Project], Changed]") -> None:
->>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
     from mgsgraph.project.project import open_project
 
     _require_writable(table, project)
@@ -300,16 +262,6 @@ def _require_writable(table: Path | None, project: Path) -> None:
         require_writable(table, project)
 
 
-<<<<<<< HEAD
-def _print_edits(ctx: click.Context, project: Path, done: "Sequence[Changed]", table: Path | None) -> None:
-    """Each in a sentence; what the last one did to the rest in full."""
-    said = list[str]()
-    for one in done:
-        said.append(f"{project}: change {one.change}. {one.sentence}")
-        if one.impact is not None and one is not done[-1]:
-            said += items(one.impact.sentences)
-    _print_impact(ctx, project, done[-1].impact, table, said)
-=======
 def _print_edits(ctx: click.Context, project: Path, changes: "Sequence[Changed]", table: Path | None) -> None:
     """Print a sentence for each change, and the impact of the last one in full."""
     sentences = list[str]()
@@ -318,7 +270,6 @@ def _print_edits(ctx: click.Context, project: Path, changes: "Sequence[Changed]"
         if change.impact is not None and change is not changes[-1]:
             sentences += items(change.impact.sentences)
     _print_impact(ctx, project, changes[-1].impact, table, sentences)
->>>>>>> f950f91cc027dd429b98cff1067ecc8759c75bb7
 
 
 @click.command()

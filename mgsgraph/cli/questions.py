@@ -95,7 +95,7 @@ def analyze(
     from mgsgraph.cli.progress import stage
     from mgsgraph.files.output.folders import ANALYSIS, require_replaceable
     from mgsgraph.project.reading import read_adjusted, read_posterior
-    from mgsgraph.results.analysis import Wanted, analysed, brief, require_used, write_analysis
+    from mgsgraph.results.analysis import AnalysisRequest, analysis_sections, brief, require_used, write_analysis
     from mgsgraph.results.answers import Questions
 
     if nodes is not None:
@@ -126,7 +126,7 @@ def analyze(
     measures = tuple(Pixel(image, line, sample, sigma) for image, line, sample in pixels)
     questions = Questions(**about, pixels=measures, correlations=options["correlations"], probability=probability)
     levels = Levels(*(options[name] if is_given[name] else usual for name, usual in (("alpha", 0.001), ("power", 0.8))))
-    request = Wanted(
+    request = AnalysisRequest(
         questions, options["curves"], options["images"] if raster else None, options["post"], sigma,
         options["unexplained"] or full, options["components"] or options["iterate"] or full, options["likelihood"],
         options["iterate"], options["reliability"] or (_ROWS_OF_RELIABILITY if full else 0),
@@ -141,7 +141,11 @@ def analyze(
             return
     with stage("analyzing"):
         name, posterior, warning = read_posterior(adjusted)
+<<<<<<< HEAD
         sections = list(analysed(posterior, request, name))
+=======
+        found = list(analysis_sections(posterior, wanted, name))
+>>>>>>> fd3c969a6e8624b6837cb56bd02324ecf1d4825c
         if out is not None:
             write_analysis(name, sections, out, figures=not no_figures)  # before printing: the reader of a pipe may end
     print_sentences(warning)

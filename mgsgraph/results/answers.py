@@ -1,4 +1,4 @@
-"""Questions to the posterior as a person asks them, and its answers in words and as JSON; sigmas along an image's lines
+"""Covariance queries as a user states them, and the answers as sentences and JSON; sigmas along an image's lines
 and over an overlap: a table, a GeoTIFF. km and degrees only here.
 """
 
@@ -10,14 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsgraph.adjustment.frames import FLIGHT_NAMES
-from mgsgraph.analysis.estimates import (
-    Difference,
-    Estimate,
-    PixelEstimate,
-    PoseEstimate,
-    PositionEstimate,
-    Quantity,
-)
+from mgsgraph.analysis.estimates import Difference, Estimate, PixelEstimate, PoseEstimate, PositionEstimate, Quantity
 from mgsgraph.analysis.places import BANDS, SigmaGrid, sigma_grid
 from mgsgraph.analysis.posterior import Pixel, Posterior
 from mgsgraph.errors import InputError
@@ -27,7 +20,7 @@ from mgsgraph.files.rasters.raster_file import geographic_crs, geotiff, wkt2
 from mgsgraph.files.writing import file_stem, fresh_file
 from mgsgraph.geometry.body import Ellipsoid, planetocentric
 from mgsgraph.geometry.records import Array
-from mgsgraph.results.section import Section, columns_of, drawn, record_of
+from mgsgraph.results.section import Section, columns_of, record_of, sheets_by
 from mgsgraph.units import ARCSEC, DEG
 
 _MOST_SHOWN = 12
@@ -51,7 +44,7 @@ class Questions:
     correlations: bool = False
     """Whether to state the correlations between everything that was asked."""
     probability: float = 0.95
-    """Of error ellipsoids."""
+    """Probability of the error ellipsoids."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.probability < 1.0:
@@ -61,65 +54,65 @@ class Questions:
         return bool(self.points or self.pairs or self.poses or self.projections or self.pixels)
 
 
-def answered(posterior: Posterior, asked: Questions) -> Iterator[Section]:
+def replies(posterior: Posterior, questions: Questions) -> Iterator[Section]:
     """A finding for each question, in the order of their kinds; InputError where something asked about isn't in the
     solution.
     """
-    for name in asked.points:
-        yield _place(posterior.point(name), asked.probability, "point")
-    for first, second in asked.pairs:
-        yield _difference(posterior.difference(first, second))
-    for image, line in asked.poses:
-        yield _pose(posterior.pose(image, line))
-    for point, image in asked.projections:
-        yield _pixel(posterior.projection(point, image))
-    if asked.pixels:
-        yield _place(posterior.intersection(asked.pixels), asked.probability, "intersection")
-    if asked.correlations:
-        yield _correlations(posterior.joint(list(_quantities(posterior, asked))))
+    for name in questions.points:
+        yield _position_section(posterior.point(name), questions.probability, "point")
+    for first, second in questions.pairs:
+        yield _difference_section(posterior.difference(first, second))
+    for image, line in questions.poses:
+        yield _pose_section(posterior.pose(image, line))
+    for point, image in questions.projections:
+        yield _projection_section(posterior.projection(point, image))
+    if questions.pixels:
+        yield _position_section(posterior.intersection(questions.pixels), questions.probability, "intersection")
+    if questions.correlations:
+        yield _correlation_section(posterior.joint(list(_quantities(posterior, questions))))
 
 
-def _quantities(posterior: Posterior, asked: Questions) -> Iterator[Quantity]:
+def _quantities(posterior: Posterior, questions: Questions) -> Iterator[Quantity]:
     """Everything that was asked about, once."""
-    names = dict.fromkeys([*asked.points, *(name for pair in asked.pairs for name in pair)])
+    names = dict.fromkeys([*questions.points, *(name for pair in questions.pairs for name in pair)])
     yield from (posterior.of_point(name) for name in names)
-    yield from (posterior.of_pose(image, line) for image, line in dict.fromkeys(asked.poses))
-    yield from (posterior.of_projection(point, image) for point, image in dict.fromkeys(asked.projections))
-    if asked.pixels:
-        yield posterior.of_intersection(asked.pixels)
+    yield from (posterior.of_pose(image, line) for image, line in dict.fromkeys(questions.poses))
+    yield from (posterior.of_projection(point, image) for point, image in dict.fromkeys(questions.projections))
+    if questions.pixels:
+        yield posterior.of_intersection(questions.pixels)
 
 
-def _sigmas(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
-    """Standard deviations of axes, in words."""
+def _sigmas_text(covariance: Array, axes: Sequence[str] = ("X", "Y", "Z"), unit: str = " m") -> str:
+    """Standard deviations of axes as text."""
     sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return ", ".join(f"{axis} {sigma:.4g}{unit}" for axis, sigma in zip(axes, sigmas, strict=True))
 
 
-def _flight(covariance: Array) -> str:
-    """Standard deviations of an orientation along the flight's axes (m, rad), in words."""
+def _flight_sigmas(covariance: Array) -> str:
+    """Standard deviations of an orientation along the flight's axes (m, rad) as text."""
     position, rotation = covariance[:3, :3], covariance[3:, 3:] / ARCSEC**2
-    return f"sigma {_sigmas(position, FLIGHT_NAMES[:3])}, {_sigmas(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
+    return f"sigma {_sigmas_text(position, FLIGHT_NAMES[:3])}, {_sigmas_text(rotation, FLIGHT_NAMES[3:], ' arcsec')}"
 
 
-def _place(found: PositionEstimate, probability: float, what: str) -> Section:
-    longitude, latitude, radius = planetocentric(found.position)
-    ellipsoid = found.ellipsoid(probability)
-    title = "New point" if what == "intersection" else f"Point {found.name}"
+def _position_section(estimate: PositionEstimate, probability: float, question: str) -> Section:
+    longitude, latitude, radius = planetocentric(estimate.position)
+    ellipsoid = estimate.ellipsoid(probability)
+    title = "New point" if question == "intersection" else f"Point {estimate.name}"
     axes = zip(ellipsoid.semi_axes, ellipsoid.azimuths / DEG, ellipsoid.elevations / DEG, strict=True)
-    shape = ", ".join(f"{size:.4g} m (azimuth {turn:.0f}, elevation {up:.0f} deg)" for size, turn, up in axes)
-    said = [
+    axes_text = ", ".join(f"{semi_axis:.4g} m (azimuth {azimuth:.0f}, elevation {elevation:.0f} deg)"
+                          for semi_axis, azimuth, elevation in axes)
+    sentences = [
         f"{title}: longitude {longitude / DEG % 360.0:.6f} deg E, latitude {latitude / DEG:.6f} deg (planetocentric), "
-        f"radius {radius:.3f} m; sigma {_sigmas(found.east_north_up, ('east', 'north', 'up'))}; "
-        f"{_sigmas(found.covariance)}.",
-        f"{100.0 * probability:g} % error ellipsoid: {shape}.",
+        f"radius {radius:.3f} m; sigma {_sigmas_text(estimate.east_north_up, ('east', 'north', 'up'))}; "
+        f"{_sigmas_text(estimate.covariance)}.", f"{100.0 * probability:g} % error ellipsoid: {axes_text}.",
     ]
-    if found.misfit is not None:
-        said.append(f"The rays miss each other by {found.misfit:.2g} of their sigmas.")
-    return Section("answer", sentences=said, numbers={
-        "question": what, "point": found.name, "place_m": found.position,
+    if estimate.misfit is not None:
+        sentences.append(f"The rays miss each other by {estimate.misfit:.2g} of their sigmas.")
+    return Section("answer", sentences=sentences, numbers={
+        "question": question, "point": estimate.name, "place_m": estimate.position,
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG, "radius_m": radius,
-        "covariance_m2": found.covariance, "covariance_east_north_up_m2": found.east_north_up,
-        "misfit_sigmas": found.misfit, "ellipsoid": {
+        "covariance_m2": estimate.covariance, "covariance_east_north_up_m2": estimate.east_north_up,
+        "misfit_sigmas": estimate.misfit, "ellipsoid": {
             "probability": probability, "semi_axes_m": ellipsoid.semi_axes,
             "azimuths_deg": ellipsoid.azimuths / DEG,
             "elevations_deg": ellipsoid.elevations / DEG,
@@ -127,76 +120,73 @@ def _place(found: PositionEstimate, probability: float, what: str) -> Section:
     })  # fmt: skip
 
 
-def _difference(found: Difference) -> Section:
-    more = (
-        f"Their distance is {found.distance:.3f} m, sigma {found.distance_sigma:.4g} m; sigma of the vector "
-        f"{_sigmas(found.east_north_up, ('east', 'north', 'up'))}."
+def _difference_section(difference: Difference) -> Section:
+    distance_sentence = (
+        f"Their distance is {difference.distance:.3f} m, sigma {difference.distance_sigma:.4g} m; sigma of the vector "
+        f"{_sigmas_text(difference.east_north_up, ('east', 'north', 'up'))}."
     )
-    return Section("answer", sentences=[found.sentence, more], numbers={
-        "question": "pair", "points": [found.first, found.second], **record_of("difference", found),
+    return Section("answer", sentences=[difference.sentence, distance_sentence], numbers={
+        "question": "pair", "points": [difference.first, difference.second], **record_of("difference", difference),
     })  # fmt: skip
 
 
-def _pose(found: PoseEstimate) -> Section:
-    where = f"Image {found.image} at line {found.line:g}"
-    said = f"{where}: {_flight(found.flight)}; body-fixed {_sigmas(found.covariance[:3, :3])}."
-    return Section("answer", sentences=[said], numbers={
-        "question": "pose", **record_of("pose", found),
-        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": found.flight,
+def _pose_section(pose: PoseEstimate) -> Section:
+    location = f"Image {pose.image} at line {pose.line:g}"
+    sentence = f"{location}: {_flight_sigmas(pose.flight)}; body-fixed {_sigmas_text(pose.covariance[:3, :3])}."
+    return Section("answer", sentences=[sentence], numbers={
+        "question": "pose", **record_of("pose", pose),
+        "flight_axes": list(FLIGHT_NAMES), "flight_covariance_m_rad": pose.flight,
     })  # fmt: skip
 
 
-def _pixel(found: PixelEstimate) -> Section:
-    line, sample = found.sigmas
-    rho = found.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
-    said = (
-        f"Point {found.point} in image {found.image}: line {found.pixel[0]:.2f}, sigma {line:.4g} px; sample "
-        f"{found.pixel[1]:.2f}, sigma {sample:.4g} px; correlation {rho:.3f} (without the noise of a measurement; the "
-        "first pixel's centre is at 0.5)."
+def _projection_section(projection: PixelEstimate) -> Section:
+    line, sample = projection.sigmas
+    correlation = projection.covariance[0, 1] / (line * sample) if line * sample > 0.0 else 0.0
+    sentence = (
+        f"Point {projection.point} in image {projection.image}: line {projection.pixel[0]:.2f}, sigma {line:.4g} px; "
+        f"sample {projection.pixel[1]:.2f}, sigma {sample:.4g} px; correlation {correlation:.3f} (without the noise of "
+        "a measurement; the first pixel's centre is at 0.5)."
     )
-    return Section("answer", sentences=[said], numbers={
-        "question": "projection", **record_of("pixel", found),
-    })  # fmt: skip
+    return Section("answer", sentences=[sentence], numbers={"question": "projection", **record_of("pixel", projection)})
 
 
-def _correlations(found: Estimate) -> Section:
+def _correlation_section(joint: Estimate) -> Section:
     shown = slice(_MOST_SHOWN)
-    said = [
+    sentences = [
         f"Correlations of {name}: {', '.join(f'{value:.3f}' for value in row[: k + 1])}."
-        for k, (name, row) in enumerate(zip(found.names[shown], found.correlation[shown], strict=True))
+        for k, (name, row) in enumerate(zip(joint.names[shown], joint.correlation[shown], strict=True))
     ]
-    return Section("answer", sentences=said, numbers={
-        "question": "correlations", "names": list(found.names), "units": list(found.units),
-        "values": found.values, "sigmas": found.sigmas, "correlation": found.correlation,
+    return Section("answer", sentences=sentences, numbers={
+        "question": "correlations", "names": list(joint.names), "units": list(joint.units),
+        "values": joint.values, "sigmas": joint.sigmas, "correlation": joint.correlation,
     })  # fmt: skip
 
 
 
 
-def _file_of(image: str, number: int) -> str:
-    """Name of an image's files: its own, made fit, and then with its number, for two names may be made alike."""
-    plainly = file_stem(image)
-    return f"sigmas_{plainly}" if plainly == image else f"sigmas_{plainly}_{number + 1}"
+def _table_name(image: str, number: int) -> str:
+    """File name for an image: its name, made safe, then with its number, since two safe names may be equal."""
+    stem = file_stem(image)
+    return f"sigmas_{stem}" if stem == image else f"sigmas_{stem}_{number + 1}"
 
 
 def curve_section(posterior: Posterior, image: str) -> Section:
     """Sigmas of the orientation along an image's lines."""
-    number = posterior.network.image_number(image)
-    picture = posterior.network.images[number]
-    image, poses = picture.name, posterior.poses(number, np.linspace(0.0, float(picture.lines), 61))
+    image_index = posterior.network.image_number(image)
+    pushbroom = posterior.network.images[image_index]
+    image, poses = pushbroom.name, posterior.poses(image_index, np.linspace(0.0, float(pushbroom.lines), 61))
     lines, sigmas = np.array([pose.line for pose in poses]), np.array([pose.sigmas for pose in poses])
     units = (("m", sigmas[:, :3], FLIGHT_NAMES[:3]), ("arcsec", sigmas[:, 3:], FLIGHT_NAMES[3:]))
-    parts = [
+    columns = [
         Column(f"sigma_{axis}", values[:, k], unit, label=axis, text=">9.4g")
         for unit, values, axes in units for k, axis in enumerate(axes)
     ]  # fmt: skip
-    file = _file_of(image, number)
+    file = _table_name(image, image_index)
     table = Table(file, f"Sigmas along image {image}", (
-        *columns_of("curves", {"image": [image] * lines.size, "line": lines}),
-        *parts,
+        *columns_of("curves", {"image": [image] * lines.size, "line": lines}), *columns,
     ))  # fmt: skip
 
-    record = {"image": image, "lines": lines, **{part.name(): part.scaled for part in parts}}
+    record = {"image": image, "lines": lines, **{column.name(): column.scaled for column in columns}}
     shown = table.take(np.arange(0, lines.size, 10))
     return Section("curves", tables=[shown], numbers=record, csv=[table])
 
@@ -212,14 +202,14 @@ def raster_section(posterior: Posterior, images: tuple[str, ...], cell: float | 
         "rows": rows, "columns": columns, "cells_seen_twice": int(np.count_nonzero(grid.rays >= 2)),
         "median_sigmas_m": np.nanmedian(grid.values[:3], axis=(1, 2)),
     }  # fmt: skip
-    said = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
+    sentence = f"{grid.sentence[0].upper()}{grid.sentence[1:]}."
     files = {"sigmas.tif": partial(write_sigma_raster, grid, body)}
-    return Section("raster", sentences=[said], numbers=record, files=files,
-                   sheets=drawn("mgsgraph.results.figures.analysis.raster_sheet", grid, "sigma_map"))  # fmt: skip
+    return Section("raster", sentences=[sentence], numbers=record, files=files,
+                   sheets=sheets_by("mgsgraph.results.figures.analysis.raster_sheet", grid, "sigma_map"))  # fmt: skip
 
 
 def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
-    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where nothing is known), whole or not at all.
+    """Write a sigma grid as a cloud-optimized GeoTIFF (float32, m, NaN where unknown), atomically.
 
     Raises
     ------
@@ -230,9 +220,10 @@ def write_sigma_raster(grid: SigmaGrid, body: Ellipsoid, path: Path) -> None:
     tags = {"images": ", ".join(grid.images), "measure_sigma_px": f"{grid.sigma:g}", "program": PROGRAM}
     corner = grid.west / DEG, grid.north / DEG
     with (
-        fresh_file(path) as aside,
+        fresh_file(path) as temporary,
         geotiff(
-            aside, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32", nodata=np.nan
+            temporary, grid.values.shape, wkt2(geographic_crs(body)), corner, (across, down), dtype="float32",
+            nodata=np.nan
         ) as file,
     ):
         file.write(grid.values.astype(np.float32))

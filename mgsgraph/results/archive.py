@@ -40,18 +40,16 @@ Kind = TypeVar("Kind")
 _KINDS: dict[Any, dict[str, Any]] = {
     protocol: {kind.__name__: kind for kind in kinds}
     for protocol, kinds in (
-        (Distortion, MODELS),
-        (ExteriorOrientation, (Trajectory, FixedTrajectory, PolynomialTrajectory)),
+        (Distortion, MODELS), (ExteriorOrientation, (Trajectory, FixedTrajectory, PolynomialTrajectory)),
     )
 }
 """Records that may stand where a protocol is declared; the record says which it is."""
 _KIND_NAMES = {name for kinds in _KINDS.values() for name in kinds}
-_KIND_NAMES |= {one.__name__ for one in (NodePrior, PolynomialPrior, ProcessPrior)}
-_AGAIN = "write it anew with the program that made it"
+_KIND_NAMES |= {prior_kind.__name__ for prior_kind in (NodePrior, PolynomialPrior, ProcessPrior)}
+_REWRITE = "write it again with the program that made it"
 _HEADER = re.compile(
     rb"\x93NUMPY\x01\x00(..)\{'descr': '([<|][biufU]\d{1,9})', 'fortran_order': (True|False), "
-    rb"'shape': \(([\d, ]{0,200})\), \} *\n",
-    re.DOTALL,
+    rb"'shape': \(([\d, ]{0,200})\), \} *\n", re.DOTALL,
 )
 """What NumPy writes before the numbers of an array, of the kinds that records have."""
 _VERSION, _RECORD = "format", "record"
@@ -69,7 +67,7 @@ def pack(record: Any) -> bytes:
 
 def unpack(data: bytes, kind: type[Kind], where: str) -> Kind:
     """The record of a kind that `pack` made the bytes of; InputError naming `where` for anything else."""
-    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _AGAIN):
+    with errors_from(where), understood(where, f"a record of kind {kind.__name__}", _REWRITE):
         arrays = read_members(io.BytesIO(data))
         record: Kind = from_arrays(record_of(arrays), kind, "", arrays)
         return record
@@ -92,7 +90,7 @@ def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]
     InputError
         For anything else, and a part that is not there.
     """
-    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _AGAIN):
+    with errors_from(where), understood(where, f"a record with {', '.join(kinds)}", _REWRITE):
         arrays = read_members(io.BytesIO(data), lambda name: name == _RECORD or name.startswith(tuple(kinds)))
         record = json_object(arrays[_RECORD].tobytes(), _RECORD)
         return [
@@ -103,75 +101,75 @@ def unpack_parts(data: bytes, kinds: Mapping[str, Any], where: str) -> list[Any]
 def record_of(arrays: Arrays) -> dict[str, Any]:
     """What the text in an archive says; InputError where an array is there that it does not name."""
     record = json_object(arrays[_RECORD].tobytes(), _RECORD)
-    for name in sorted(arrays.keys() - set(_named(record)) - {_VERSION, _RECORD})[:1]:
-        raise InputError(name, "an array that the archive's record does not name", remedy=_AGAIN)
+    for name in sorted(arrays.keys() - set(_array_paths(record)) - {_VERSION, _RECORD})[:1]:
+        raise InputError(name, "an array that the archive's record does not name", remedy=_REWRITE)
     return record
 
 
-def _named(value: Any) -> Iterator[str]:
+def _array_paths(value: Any) -> Iterator[str]:
     """Paths of the arrays in a record as `to_arrays` gives it."""
     if isinstance(value, dict):
         if value.keys() == {"array"}:
             yield str(value["array"])
         for item in value.values():
-            yield from _named(item)
+            yield from _array_paths(item)
     elif isinstance(value, list):
         for item in value:
-            yield from _named(item)
+            yield from _array_paths(item)
 
 
-def read_members(file: BinaryIO, wanted: Callable[[str], bool] = lambda _: True) -> Arrays:
+def read_members(file: BinaryIO, is_wanted: Callable[[str], bool] = lambda _: True) -> Arrays:
     """Arrays of an archive, all or those whose names are wanted, read-only, each after its checksum; InputError for
     members that are none, or that say they hold more than the file has, before anything of them is read.
     """
-    size = file.seek(0, io.SEEK_END)
+    file_size = file.seek(0, io.SEEK_END)
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        whole = sum(member.file_size for member in members)
-        if whole > size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
-            found = f"members of {whole / 1e6:.1f} MB in a file of {size / 1e6:.1f} MB, or packed ones"
-            raise InputError(members[0].filename, found, "arrays as NumPy's savez writes them", _AGAIN)
+        content_size = sum(member.file_size for member in members)
+        if content_size > file_size or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            content = f"members of {content_size / 1e6:.1f} MB in a file of {file_size / 1e6:.1f} MB, or packed ones"
+            raise InputError(members[0].filename, content, "arrays as NumPy's savez writes them", _REWRITE)
         names = [(member, member.filename.removesuffix(".npy")) for member in members]
-        return {name: _from_npy(archive.read(member), name) for member, name in names if wanted(name)}
+        return {name: _from_npy(archive.read(member), name) for member, name in names if is_wanted(name)}
 
 
 def _from_npy(content: bytes, name: str) -> NDArray[Any]:
     """An array out of the bytes of an .npy file, without a copy; nothing in it is evaluated."""
-    head = _HEADER.match(content)
-    if head is None or head.end() != 10 + int.from_bytes(head[1], "little"):
-        raise InputError(name, "no NumPy array of numbers or names", remedy=_AGAIN)
-    kind, shape = np.dtype(head[2].decode()), tuple(int(size) for size in head[4].split(b",") if size.strip())
-    if math.prod(shape) * kind.itemsize != len(content) - head.end():
-        raise InputError(name, f"{len(content) - head.end()} bytes", f"an array of shape {shape}", _AGAIN)
-    return np.ndarray(shape, kind, content, head.end(), order="F" if head[3] == b"True" else "C")
+    header = _HEADER.match(content)
+    if header is None or header.end() != 10 + int.from_bytes(header[1], "little"):
+        raise InputError(name, "no NumPy array of numbers or names", remedy=_REWRITE)
+    dtype, shape = np.dtype(header[2].decode()), tuple(int(size) for size in header[4].split(b",") if size.strip())
+    if math.prod(shape) * dtype.itemsize != len(content) - header.end():
+        raise InputError(name, f"{len(content) - header.end()} bytes", f"an array of shape {shape}", _REWRITE)
+    return np.ndarray(shape, dtype, content, header.end(), order="F" if header[3] == b"True" else "C")
 
 
-# --- taking a record apart
+# --- a record to arrays and JSON
 
 
-def to_arrays(value: Any, where: str, arrays: Arrays) -> Any:
+def to_arrays(value: Any, path: str, arrays: Arrays) -> Any:
     """JSON of a value; the arrays in it go to `arrays`, under the path that leads to them."""
     if isinstance(value, np.ndarray):
-        arrays[where] = value
-        return {"array": where}
+        arrays[path] = value
+        return {"array": path}
     if is_dataclass(value):
-        parts = {field.name: to_arrays(getattr(value, field.name), _at(where, field.name), arrays)
-                 for field in fields(value)}
-        return parts | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
+        members = {field.name: to_arrays(getattr(value, field.name), _child_path(path, field.name), arrays)
+                   for field in fields(value)}
+        return members | ({"kind": type(value).__name__} if type(value).__name__ in _KIND_NAMES else {})
     if isinstance(value, Mapping):
-        return {key: to_arrays(item, _at(where, key), arrays) for key, item in value.items()}
+        return {key: to_arrays(item, _child_path(path, key), arrays) for key, item in value.items()}
     if isinstance(value, tuple):
         names = _as_text_array(value)
         if names is not None:
-            return to_arrays(names, where, arrays)
-        return [to_arrays(item, _at(where, str(k)), arrays) for k, item in enumerate(value)]
+            return to_arrays(names, path, arrays)
+        return [to_arrays(item, _child_path(path, str(k)), arrays) for k, item in enumerate(value)]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else {"float": str(float(value))}
     if isinstance(value, int | str | None):
         return value
-    raise TypeError(f"{where} is a {type(value).__name__}, for which the archive has no form")
+    raise TypeError(f"{path} is a {type(value).__name__}, for which the archive has no form")
 
 
 def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
@@ -182,36 +180,36 @@ def _as_text_array(names: tuple[Any, ...]) -> np.ndarray | None:
     return array if array.tolist() == list(names) else None
 
 
-def _at(where: str, name: str) -> str:
-    return f"{where}.{name}" if where else name
+def _child_path(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
 
 
-# --- putting it together again
+# --- arrays and JSON to a record
 
 
-def from_arrays(value: Any, kind: Any, where: str, arrays: Arrays) -> Any:
-    """The value of type `kind` (as the records' fields declare it) that was taken apart to the JSON `value`."""
+def from_arrays(value: Any, kind: Any, path: str, arrays: Arrays) -> Any:
+    """The value of type `kind` (as the records' fields declare it) from the JSON `value` that `to_arrays` made."""
     origin, options = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in options:
             return None
         options = tuple(option for option in options if option is not type(None))
         if any(array_scalar(option) for option in options):
-            return _array(value, options, where, arrays)
+            return _read_array(value, options, path, arrays)
         if len(options) > 1:  # records, of which the value says which it is
-            return _record(value, {kind.__name__: kind for kind in options}[value["kind"]], where, arrays)
-        return from_arrays(value, options[0], where, arrays)
+            return _read_record(value, {kind.__name__: kind for kind in options}[value["kind"]], path, arrays)
+        return from_arrays(value, options[0], path, arrays)
     if array_scalar(kind):
-        return _array(value, (kind,), where, arrays)
+        return _read_array(value, (kind,), path, arrays)
     if origin is tuple:
         if isinstance(value, dict):
-            return tuple(_array(value, (NDArray[np.str_],), where, arrays).tolist())
-        return tuple(from_arrays(item, options[0], _at(where, str(k)), arrays) for k, item in enumerate(value))
+            return tuple(_read_array(value, (NDArray[np.str_],), path, arrays).tolist())
+        return tuple(from_arrays(item, options[0], _child_path(path, str(k)), arrays) for k, item in enumerate(value))
     if origin is Mapping:
-        return {key: from_arrays(item, options[1], _at(where, key), arrays) for key, item in value.items()}
+        return {key: from_arrays(item, options[1], _child_path(path, key), arrays) for key, item in value.items()}
     if kind in _KINDS:
-        return _record(value, _KINDS[kind][value["kind"]], where, arrays)
-    return _record(value, kind, where, arrays) if is_dataclass(kind) else _scalar(value, kind, where)
+        return _read_record(value, _KINDS[kind][value["kind"]], path, arrays)
+    return _read_record(value, kind, path, arrays) if is_dataclass(kind) else _read_scalar(value, kind, path)
 
 
 def kinds_of(kind: Any) -> tuple[type[Any], ...]:
@@ -223,26 +221,27 @@ def array_scalar(kind: Any) -> Any:
     """Type of the numbers of an array's type; None of any other type."""
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0]
-    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on it is a name of its own
+    return get_args(kind)[0] if get_origin(kind) is NDArray else None  # from NumPy 2.5 on NDArray is an alias
 
 
-def _array(value: dict[str, str], kinds: tuple[Any, ...], where: str, arrays: Arrays) -> np.ndarray:
-    """The array, after a look whether it is of one of the kinds NDArray[scalar]."""
+def _read_array(value: dict[str, str], kinds: tuple[Any, ...], path: str, arrays: Arrays) -> np.ndarray:
+    """The array; InputError unless its numbers are of one of the kinds NDArray[scalar]."""
     array, scalars = arrays[value["array"]], tuple(map(array_scalar, kinds))
     if not issubclass(array.dtype.type, scalars):
-        raise InputError(where, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _AGAIN)
+        raise InputError(path, f"an array of {array.dtype}", f"of {' or '.join(s.__name__ for s in scalars)}", _REWRITE)
     return array
 
 
-def _record(value: dict[str, Any], kind: Any, where: str, arrays: Arrays) -> Any:
+def _read_record(value: dict[str, Any], kind: Any, path: str, arrays: Arrays) -> Any:
     hints = _field_types(kind)
     for name in sorted(set(value) - set(hints) - {"kind"})[:1]:
-        raise InputError(_at(where, name), "a field that this version doesn't know", "", _NEWER)
+        raise InputError(_child_path(path, name), "a field that this version doesn't know", "", _USE_NEWER)
     # a field that the writer didn't know yet takes its default; one that has none fails there
-    parts = {name: from_arrays(value[name], hints[name], _at(where, name), arrays) for name in hints if name in value}
-    record = kind(**parts)
+    members = {name: from_arrays(value[name], hints[name], _child_path(path, name), arrays) for name in hints
+               if name in value}
+    record = kind(**members)
     if kind is AttitudeTable:
-        assign(record, quaternions=parts["quaternions"])  # checked above; a second division by the norm moves last bits
+        assign(record, quaternions=members["quaternions"])  # checked above; dividing by the norm again moves last bits
     return record
 
 
@@ -252,15 +251,15 @@ def _field_types(kind: Any) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
-def _scalar(value: Any, kind: Any, where: str) -> Any:
+def _read_scalar(value: Any, kind: Any, path: str) -> Any:
     if isinstance(value, dict):
         value = float(value["float"])
     if isinstance(kind, type) and issubclass(kind, StrEnum):
         if value not in tuple(kind):
-            raise InputError(where, f"{value!r}", f"one of {', '.join(kind)}", _NEWER)
+            raise InputError(path, f"{value!r}", f"one of {', '.join(kind)}", _USE_NEWER)
         return kind(value)
     if isinstance(kind, type) and not (isinstance(value, kind) or (kind is float and isinstance(value, int))):
-        raise InputError(where, f"{value!r}", f"a value of type {kind.__name__}", _AGAIN)
+        raise InputError(path, f"{value!r}", f"a value of type {kind.__name__}", _REWRITE)
     return value
 
 
@@ -272,9 +271,9 @@ ARCHIVE = "solution.npz"
 _LARGEST = 1 << 40
 """bytes; every member is held against the file's size."""
 
-_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
-_OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
-_ANEW = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
+_USE_NEWER = "read it with the version of mgsgraph that wrote it, or a newer one"
+_USE_OLDER = "adjust the case again, or read it with the older version of mgsgraph that wrote it"
+_READJUST = f"adjust the case again, or give the folder (or {ARCHIVE}) that mgsgraph wrote"
 
 
 _SHAPES = {
@@ -319,13 +318,13 @@ def read_solution(path: str | Path) -> "Solution":
     path = Path(path)
     path = path / ARCHIVE if path.is_dir() else path
     if not path.exists():
-        raise InputError(str(path), "no such file", remedy=_ANEW)
+        raise InputError(str(path), "no such file", remedy=_READJUST)
     where = str(path)
-    with errors_from(where), understood(where, "an archive of mgsgraph", _ANEW), opened(path, _LARGEST) as file:
+    with errors_from(where), understood(where, "an archive of mgsgraph", _READJUST), opened(path, _LARGEST) as file:
         arrays = read_members(file)
         version = int(arrays["format"])
         if version != FORMAT:
-            raise InputError("format", f"{version}", f"{FORMAT}", _NEWER if version > FORMAT else _OLDER)
+            raise InputError("format", f"{version}", f"{FORMAT}", _USE_NEWER if version > FORMAT else _USE_OLDER)
         solution: Solution = from_arrays(record_of(arrays), Solution, "", arrays)
         _require_shapes(solution)
         return solution
@@ -336,34 +335,35 @@ def _require_shapes(solution: "Solution") -> None:
     network = solution.network
     n, k, r = len(network.points), network.rays.point.size, network.ranges.point.size
     sizes = {"n": n, "k": k, "r": r, "s": len(network.shift_names), "t": n + k + r, "2": 2, "3": 3}
-    shared = [one.sigmas.size for one in network.shared]
-    moves = [len(terms) for terms in network.shift_terms]
+    shared_sizes = [unknown.sigmas.size for unknown in network.shared]
+    term_counts = [len(terms) for terms in network.shift_terms]
     width = np.array(network.widths)
-    adjusted = np.append(network.with_polynomial, np.ones(width.size - len(network.images), dtype=bool))
-    first = np.where(adjusted, np.cumsum(width * adjusted) - width, -1)
+    estimated = np.append(network.with_polynomial, np.ones(width.size - len(network.images), dtype=bool))
+    firsts = np.where(estimated, np.cumsum(width * estimated) - width, -1)
     root = solution.joint_covariance.square_root
-    found: list[tuple[str, str, Any, Any]] = [
-        *((name, "shape ", value.shape, tuple(sizes[one] for one in shape)) for name, shape in _SHAPES.items()
+    comparisons: list[tuple[str, str, Any, Any]] = [
+        *((name, "shape ", value.shape, tuple(sizes[letter] for letter in shape)) for name, shape in _SHAPES.items()
           if (value := getattr(solution, name)) is not None),
-        ("joint_covariance.square_root.first", "", root.first.tolist(), first.tolist()),
+        ("joint_covariance.square_root.first", "", root.first.tolist(), firsts.tolist()),
         ("joint_covariance.square_root.width", "", root.width.tolist(), width.tolist()),
     ]
-    parts: dict[str, tuple[Sequence[Array], list[tuple[int, ...]]]] = {
+    sequences: dict[str, tuple[Sequence[Array], list[tuple[int, ...]]]] = {
         "coefficients": (solution.coefficients, [prior.sigmas.shape for prior in network.priors]),
-        "lift": (solution.shift_values, [(size,) for size in moves]),
-        "shared": (solution.shared, [(size,) for size in shared]),
-        "nodes": (solution.nodes, [(len(one.nodes), 6) for one in network.passes]),
-        "trends": (solution.trends, [one.prior.trend_sigmas.shape for one in network.passes]),
+        "lift": (solution.shift_values, [(size,) for size in term_counts]),
+        "shared": (solution.shared, [(size,) for size in shared_sizes]),
+        "nodes": (solution.nodes, [(len(pass_.nodes), 6) for pass_ in network.passes]),
+        "trends": (solution.trends, [pass_.prior.trend_sigmas.shape for pass_ in network.passes]),
         "common": (solution.common, [(size,) for size in width[network.first_of_passes[-1] :].tolist()]),
     }
-    found += [(name, "shapes ", [value.shape for value in values], right) for name, (values, right) in parts.items()]
-    for name, what, value, right in found:
-        if value != right:
-            raise InputError(name, f"{what}{str(value)[:60]}", str(right)[:60], _ANEW)
-    numbers = {name: list(values) for name, (values, _) in parts.items()} | {
+    comparisons += [(name, "shapes ", [value.shape for value in values], expected)
+                    for name, (values, expected) in sequences.items()]
+    for name, prefix, value, expected in comparisons:
+        if value != expected:
+            raise InputError(name, f"{prefix}{str(value)[:60]}", str(expected)[:60], _READJUST)
+    numbers = {name: list(values) for name, (values, _) in sequences.items()} | {
         name: [value] for name in ("shifts", "sigmas_without_laser", "median_sigmas_without_laser")
         if (value := getattr(solution, name)) is not None
     }  # fmt: skip
     for name, arrays in (numbers | {"places": [solution.places[solution.determined]]}).items():
-        if not all(np.all(np.isfinite(one)) for one in arrays):
-            raise InputError(name, "not a number", "finite numbers", _ANEW)
+        if not all(np.all(np.isfinite(array)) for array in arrays):
+            raise InputError(name, "not a number", "finite numbers", _READJUST)

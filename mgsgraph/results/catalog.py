@@ -26,14 +26,12 @@ _EXTENSIONS = {
     "ssys": "https://stac-extensions.github.io/ssys/v1.1.0/schema.json",
 }  # fmt: skip
 _EARLIEST = datetime(1972, 1, 1, tzinfo=UTC)
-"""From which on there is UTC."""
+"""Start of UTC."""
 BANDS = ("height", "sigma", "sigma by matching", "sigma by orientation", "number of points")
-"""Of dem.tif; m but for the last."""
+"""Bands of dem.tif, in m; the last one is a count."""
 
 
-def stac_item(
-    dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]
-) -> dict[str, Any]:
+def stac_item(dem: Dem, ortho: MapGrid, images: Iterable[PushbroomImage], files: Sequence[str]) -> dict[str, Any]:
     """A terrain model as an item of a SpatioTemporal Asset Catalog (STAC 1.1), as the USGS lists analysis-ready data; a
     mapping, as GeoJSON has features.
 
@@ -43,13 +41,13 @@ def stac_item(
     Parameters
     ----------
     dem : Dem
-        Its heights and its map.
+        The terrain model with its map.
     ortho : MapGrid
         Pixels of the ortho image.
     images : iterable of PushbroomImage
-        That it was made from, for when they were taken.
+        Images from which the model was made; they give the dates.
     files : sequence of str
-        Names of the files that are there beside it.
+        Names of the other files in the folder.
     """
     grid, body = dem.model.map, Ellipsoid(dem.model.map.radius, dem.model.map.radius)
     outline = grid.points(_hull(dem), np.zeros(1))
@@ -64,11 +62,11 @@ def stac_item(
     assets: dict[str, dict[str, Any]] = {
         "dem": {
             "href": "./dem.tif", "type": MEDIA_TYPE, "title": f"Heights above {height}, sigmas and counts",
-            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": described, **_place(grid),
+            "roles": ["data", "uncertainty"], "gsd": grid.post, "bands": described, **_raster_position(grid),
         },
         "ortho": {
             "href": "./ortho.tif", "type": MEDIA_TYPE, "title": f"Ortho image of {dem.images[dem.ortho]}",
-            "roles": ["data", "visual"], "gsd": ortho.post, **_place(ortho),
+            "roles": ["data", "visual"], "gsd": ortho.post, **_raster_position(ortho),
             "bands": [{"name": dem.images[dem.ortho], "data_type": "uint8", "nodata": 0}],
         },
         "record": {
@@ -80,33 +78,23 @@ def stac_item(
         assets["overview"] = {"href": f"./{name}", "type": "image/png", "title": "Relief, sigmas and checks",
                               "roles": ["overview"]}  # fmt: skip
     return {
-        "type": "Feature",
-        "stac_version": STAC,
-        "stac_extensions": [_EXTENSIONS["proj"], *([_EXTENSIONS["ssys"]] if targets else [])],
-        "id": f"{dem.name}_dem",
-        "geometry": geojson(shape),
-        "bbox": list(map_bounds(shape)),
+        "type": "Feature", "stac_version": STAC,
+        "stac_extensions": [_EXTENSIONS["proj"], *([_EXTENSIONS["ssys"]] if targets else [])], "id": f"{dem.name}_dem",
+        "geometry": geojson(shape), "bbox": list(map_bounds(shape)),
         "properties": {
             "title": f"Terrain model {dem.name}",
             "description": f"Heights above {height} with sigmas (for sigma0 = 1), of the images "
-            f"{', '.join(dem.images)}, with their adjusted orientation",
-            "datetime": None,
-            "start_datetime": _utc(float(spans[:, 0].min())),
-            "end_datetime": _utc(float(spans[:, 1].max())),
-            "gsd": grid.post,
-            **targets,
-            "proj:code": None,
-            "proj:wkt2": grid.crs,
-            "proj:projjson": grid.system,
+            f"{', '.join(dem.images)}, with their adjusted orientation", "datetime": None,
+            "start_datetime": _utc(float(spans[:, 0].min())), "end_datetime": _utc(float(spans[:, 1].max())),
+            "gsd": grid.post, **targets, "proj:code": None, "proj:wkt2": grid.crs, "proj:projjson": grid.system,
             "proj:centroid": _centroid(outline),
         },
-        "links": [],
-        "assets": assets,
+        "links": [], "assets": assets,
     }
 
 
 def _targets(body: Ellipsoid) -> dict[str, Any]:
-    """Name and class of the body in the words of EPN-TAP; empty where nobody knows it."""
+    """Name and class of the body in terms of EPN-TAP; empty if the body is unknown."""
     name = target_name(body)
     number = naif_id(name)
     if number is None:
@@ -115,7 +103,7 @@ def _targets(body: Ellipsoid) -> dict[str, Any]:
     return {"ssys:targets": [name.title()], "ssys:target_class": kind}
 
 
-def _place(grid: MapGrid) -> dict[str, Any]:
+def _raster_position(grid: MapGrid) -> dict[str, Any]:
     """Where the pixels of a raster are, in its coordinate system."""
     east, south = grid.west + grid.columns * grid.post, grid.north - grid.rows * grid.post
     return {

@@ -1,4 +1,4 @@
-"""The ground of a solution: points and ranges, what the laser gives, what was left out, and what else held the block
+"""The ground of a solution: points, ranges, effect of the laser, rejected observations, and other control
 (profile shifts, terrain, stereo surfaces, back-projections).
 """
 
@@ -18,113 +18,115 @@ from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import listed, many, root_mean_square, some_of, span, three
 from mgsgraph.units import ARCSEC
 
-_SAME = 1.05
+_SAME_RATIO = 1.05
 """Ratio up to which two sigmas count as the same."""
 
 
 def points_section(solution: Solution) -> Section:
     """Points by class, and what was left out."""
     table = classes_table(solution)
-    there = [point_class for point_class, _ in solution.network.of_class()]
+    present = [point_class for point_class, _ in solution.network.of_class()]
     record = {row.pop("kind"): row for row in table.records()}
-    shown = table.take(np.array(there, dtype=np.int64))
-    return Section("points", sentences=left_out(solution), tables=[shown], numbers=record)
+    shown = table.take(np.array(present, dtype=np.int64))
+    return Section("points", sentences=omission_sentences(solution), tables=[shown], numbers=record)
 
 
 def classes_table(solution: Solution) -> Table:
     """One row per class of points (`Network.classes`): how many, how well they are known, how far they moved."""
-    found = [point_statistics(solution, c) for c in solution.network.classes]
+    statistics = [point_statistics(solution, point_class) for point_class in solution.network.classes]
     return table_of("classes", {
-        "kind": [c.name.lower() for c in solution.network.classes],
-        "scaled_sigma_{}": numbers(found, "median_sigma") * solution.sigma0,
-    }, found)  # fmt: skip
+        "kind": [point_class.name.lower() for point_class in solution.network.classes],
+        "scaled_sigma_{}": numbers(statistics, "median_sigma") * solution.sigma0,
+    }, statistics)  # fmt: skip
 
 
-def left_out(solution: Solution) -> list[str]:
-    """Points, rays, ranges and heights that took no part."""
-    network, found = solution.network, []
-    there = solution.determined
-    lost = np.flatnonzero(~there)
-    if lost.size:
-        found.append(f"{many(lost.size, 'point')} of {there.size} stayed out: nothing determines a place (fewer "
-                     f"than two rays, or nearly parallel ones): {some_of(network.points.ids, lost)}.")  # fmt: skip
+def omission_sentences(solution: Solution) -> list[str]:
+    """Sentences on points, rays, ranges and heights that took no part."""
+    network, sentences = solution.network, []
+    determined = solution.determined
+    undetermined = np.flatnonzero(~determined)
+    if undetermined.size:
+        sentences.append(f"{many(undetermined.size, 'point')} of {determined.size} took no part: their rays "
+                         "determine no place (fewer than two rays, or nearly parallel ones): "
+                         f"{some_of(network.points.ids, undetermined)}.")  # fmt: skip
     counts = [
-        (int(np.count_nonzero(~used & there[point])), point.size, noun)
+        (int(np.count_nonzero(~used & determined[point])), point.size, noun)
         for used, point, noun in (
             (solution.rays_used, network.rays.point, "ray"), (solution.ranges_used, network.ranges.point, "range"),
         )
     ]  # fmt: skip
     if solution.stereo_rejected is not None:
-        gone = solution.stereo_rejected & there
-        counts.append((int(np.count_nonzero(gone)), int(np.count_nonzero(gone | solution.stereo_used)), "height"))
+        flagged = solution.stereo_rejected & determined
+        counts.append((int(np.count_nonzero(flagged)), int(np.count_nonzero(flagged | solution.stereo_used)), "height"))
     if any(count for count, *_ in counts):
-        parts = [f"{many(count, noun)} of {total}" for count, total, noun in counts if total]
-        found.append(f"{listed(parts)} were rejected as blunders; the table of residuals marks them.")
+        clauses = [f"{many(count, noun)} of {total}" for count, total, noun in counts if total]
+        sentences.append(f"{listed(clauses)} were rejected as blunders; the table of residuals marks them.")
     if solution.test_dimensions is not None:
-        tested = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
-        if few := int(np.count_nonzero(tested < 2)):
-            found.append(f"Of {tested.size} rays that took part others check {few} in one direction at most (mostly "
-                         "across the epipolar line): a blunder along the other goes unnoticed.")  # fmt: skip
-    bare = np.flatnonzero(there & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
-    if bare.size:
-        found.append(f"{many(bare.size, 'point')} lost all rays to that: {some_of(network.points.ids, bare)}.")
-    return found
+        dimensions = solution.test_dimensions[: network.rays.point.size][solution.rays_used]
+        if one_direction := int(np.count_nonzero(dimensions < 2)):
+            sentences.append(f"Of {dimensions.size} rays that took part others check {one_direction} in one direction "
+                             "at most (mostly across the epipolar line): a blunder along the other goes "
+                             "unnoticed.")  # fmt: skip
+    unseen = np.flatnonzero(determined & (network.ray_counts > 0) & (used_ray_counts(solution) == 0))
+    if unseen.size:
+        sentences.append(f"{many(unseen.size, 'point')} lost all rays to that: {some_of(network.points.ids, unseen)}.")
+    return sentences
 
 
 def ranges_section(solution: Solution) -> Section:
     """How laser ranges fit, with the nominal orientation and with the adjusted one."""
-    found = range_statistics(solution)
-    record = record_of("ranges", found)  # fmt: skip
-    if not found.count:
+    statistics = range_statistics(solution)
+    record = record_of("ranges", statistics)  # fmt: skip
+    if not statistics.count:
         return Section("ranges", numbers=record)
     table = table_of("ranges", {
-        "orientation": ["before", "after"], "ranges": np.full(2, found.count), "used": np.full(2, found.used),
-        "mean residual": np.array([found.mean_before, found.mean]),
-        "rms residual": np.array([found.rms_before, found.rms]),
+        "orientation": ["before", "after"], "ranges": np.full(2, statistics.count), "used": np.full(2, statistics.used),
+        "mean residual": np.array([statistics.mean_before, statistics.mean]),
+        "rms residual": np.array([statistics.rms_before, statistics.rms]),
     })  # fmt: skip
     return Section("ranges", tables=[table], numbers=record)
 
 
 def laser_section(solution: Solution, brief: bool = False) -> Section:
-    """What the laser gives, briefly by one factor; or, where nothing is known of the ground, what sigmas rest on."""
+    """By how much laser rows reduce sigmas (`brief`: one factor alone); without laser rows, what fixes the datum."""
     without = solution.sigmas_without_laser
     if without is None:
-        return Section("laser_effect", sentences=_held_by(solution))
-    found, gain = point_statistics(solution, PointClass.TIE), laser_gain(solution)
+        return Section("laser_effect", sentences=_datum_sentences(solution))
+    tie_points, gain = point_statistics(solution, PointClass.TIE), laser_gain(solution)
     median = solution.median_sigmas_without_laser
     network, laser = solution.network, solution.network.points.classes == PointClass.LASER
     rays, ranges = int(np.sum(solution.rays_used & laser[network.rays.point])), int(solution.ranges_used.sum())
-    rows = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
-    which, sigmas = ("mean", found.mean_sigma) if median is None else ("median", found.median_sigma)
-    said = f"Without the laser, sigmas of tie points would be {gain:.2g} times larger." if brief else (
-        f"Without the laser ({rows}) the tie points' {which} sigmas would be "
+    counts = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
+    average, sigmas = ("mean", tie_points.mean_sigma) if median is None else ("median", tie_points.median_sigma)
+    sentence = f"Without the laser, sigmas of tie points would be {gain:.2g} times larger." if brief else (
+        f"Without the laser ({counts}) the tie points' {average} sigmas would be "
         f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: "
-        + ("it adds little." if gain < _SAME else f"{gain:.2g} times larger.")
+        + ("it adds little." if gain < _SAME_RATIO else f"{gain:.2g} times larger.")
     )
-    return Section("laser_effect", sentences=[said], numbers={
-        "tie_mean_sigma_m": found.mean_sigma,
+    return Section("laser_effect", sentences=[sentence], numbers={
+        "tie_mean_sigma_m": tie_points.mean_sigma,
         "tie_mean_sigma_without_laser_m": without,
-        "ratio": without / found.mean_sigma,
-        "tie_median_sigma_m": found.median_sigma,
+        "ratio": without / tie_points.mean_sigma,
+        "tie_median_sigma_m": tie_points.median_sigma,
         "tie_median_sigma_without_laser_m": median,
         "ratio_overall": gain,
     })  # fmt: skip
 
 
-def _held_by(solution: Solution) -> list[str]:
-    """What holds the block on the ground where nothing is known of it."""
+def _datum_sentences(solution: Solution) -> list[str]:
+    """What fixes the datum of a block without laser ranges, ground control and terrain model."""
     network = solution.network
-    known = np.any(solution.determined & (network.points.kinds != PointKind.FREE)) or np.any(solution.ranges_used)
-    if known or network.surface is not None:
+    has_ground = np.any(solution.determined & (network.points.kinds != PointKind.FREE)) or np.any(solution.ranges_used)
+    if has_ground or network.surface is not None:
         return []
-    own = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
-    constant = np.array(own + [one.prior.node_sigmas(np.zeros(len(one.nodes)))[0] for one in network.passes])
-    held = f" and {many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
-    if constant.size == 0:
+    of_images = [network.priors[j].sigmas[0] for j in np.flatnonzero(network.with_polynomial)]
+    sigmas = np.array(of_images + [pass_.prior.node_sigmas(np.zeros(len(pass_.nodes)))[0] for pass_ in network.passes])
+    held_images = f" and {many(int(network.held.sum()), 'held image')}" if np.any(network.held) else ""
+    if sigmas.size == 0:
         return ["Every image is held: the points have the sigmas of their rays alone, as if the orientation were true."]
     return [
-        f"No laser, no ground control: only the orientation priors{held} ({span(constant[:, :3])} m, "
-        f"{span(constant[:, 3:] / ARCSEC)} arcsec) fix the block, and the points' sigmas mostly repeat them."
+        f"No laser, no ground control: only the orientation priors{held_images} ({span(sigmas[:, :3])} m, "
+        f"{span(sigmas[:, 3:] / ARCSEC)} arcsec) fix the block, and the points' sigmas mostly repeat them."
     ]
 
 
@@ -136,12 +138,12 @@ def surface_heights(solution: Solution) -> tuple[Array, Array]:
     surface = solution.network.surface
     if surface is None:
         return np.zeros(0), np.zeros(0)
-    mine = np.isfinite(surface.sigmas) & solution.determined
-    before, _ = surface.grid.height_above(solution.places_before[mine])
-    places = solution.places[mine]
+    on_surface = np.isfinite(surface.sigmas) & solution.determined
+    before, _ = surface.grid.height_above(solution.places_before[on_surface])
+    places = solution.places[on_surface]
     after, _ = surface.grid.height_above(places - _terrain_motion(solution, places))
-    there = np.isfinite(before) & np.isfinite(after)
-    return before[there], after[there]
+    covered = np.isfinite(before) & np.isfinite(after)
+    return before[covered], after[covered]
 
 
 def terrain_coverage(solution: Solution) -> Coverage | None:
@@ -165,23 +167,23 @@ def _terrain_motion(solution: Solution, places: Array) -> Array:
 def control_section(solution: Solution) -> Section:
     """Profile shifts, terrain heights and back-projected rays; units in the keys of the numbers."""
     before, after = surface_heights(solution)
-    covered, on_stereo = terrain_coverage(solution), stereo_heights(solution)
-    copied = int(np.count_nonzero([] if (flags := solution.network.rays.back_projected) is None else flags))
-    table, said = _shifts_table(solution), list[str]()
+    covered, stereo = terrain_coverage(solution), stereo_heights(solution)
+    back_projected = int(np.count_nonzero([] if (flags := solution.network.rays.back_projected) is None else flags))
+    table, sentences = _shifts_table(solution), list[str]()
     shifts = [row | _lift_json(solution, p) for p, row in enumerate(table.records())]
-    said += [_shift_sentence(solution, p) for p in range(len(shifts))]
+    sentences += [_shift_sentence(solution, p) for p in range(len(shifts))]
     if after.size:
-        said.append(f"{after.size} tie points were held to the terrain model: rms height above it "
+        sentences.append(f"{after.size} tie points were held to the terrain model: rms height above it "
                     f"{root_mean_square(before):.1f} m before, {root_mean_square(after):.1f} m after.")  # fmt: skip
     if covered is not None and covered.words:
-        said.append(f"Tie points that the terrain model doesn't cover, and doesn't hold: {covered.words}.")
-    if on_stereo.size:
-        rms = root_mean_square(on_stereo)
-        said.append(f"{on_stereo.size} points were held to stereo surfaces: rms height above them {rms:.1f} m.")
-    if copied:
-        said.append(f"{copied} image places of laser points are back-projections with the nominal orientation: they "
-                    "repeat its prior, and the stated sigmas are too small.")  # fmt: skip
-    return Section("control", sentences=said, tables=[table], numbers={
+        sentences.append(f"Tie points that the terrain model doesn't cover, and doesn't hold: {covered.words}.")
+    if stereo.size:
+        rms = root_mean_square(stereo)
+        sentences.append(f"{stereo.size} points were held to stereo surfaces: rms height above them {rms:.1f} m.")
+    if back_projected:
+        sentences.append(f"{back_projected} image places of laser points are back-projections with the nominal "
+                         "orientation: they repeat its prior, and the stated sigmas are too small.")  # fmt: skip
+    return Section("control", sentences=sentences, tables=[table], numbers={
         "shifts": shifts,
         "surface": {
             "count": int(after.size),
@@ -191,10 +193,8 @@ def control_section(solution: Solution) -> Section:
             "outside": covered.beside if covered else 0,
             "over_missing_posts": covered.over_holes if covered else 0,
         },
-        "stereo": {
-            "count": int(on_stereo.size), "rms_height_m": root_mean_square(on_stereo) if on_stereo.size else None
-        },
-        "back_projected_rays": copied,
+        "stereo": {"count": int(stereo.size), "rms_height_m": root_mean_square(stereo) if stereo.size else None},
+        "back_projected_rays": back_projected,
     })  # fmt: skip
 
 
@@ -213,12 +213,12 @@ def _shift_sentence(solution: Solution, shift: int) -> str:
     sigmas = np.sqrt(np.diag(solution.shift_spread(shift)))
     if name in network.considered:
         return f"{name}: its shift is considered, not estimated; its sigma of {sigmas[0]:.1f} m is part of all sigmas."
-    parts = [
+    clauses = [
         f"{term.name} {value / ARCSEC:+.2f} arcsec (sigma {sigma / ARCSEC:.2f})" if term.unit == "rad" else
         f"{term.name} {value:+.1f} m (sigma {sigma:.1f})"
         for term, value, sigma in zip(network.shift_terms[shift], solution.shift_values[shift], sigmas, strict=True)
     ]  # fmt: skip
-    return f"{name} moved as a whole: {', '.join(parts)}."
+    return f"{name} moved as a whole: {', '.join(clauses)}."
 
 
 def stereo_heights(solution: Solution) -> Array:
@@ -228,12 +228,12 @@ def stereo_heights(solution: Solution) -> Array:
 
 
 def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
-    """Value and sigma of the terrain model's height and tilts; nothing of what is known."""
+    """Value and sigma of the terrain model's height and tilts, of those that are unknowns."""
     sigmas = np.sqrt(np.diag(solution.shift_spread(shift))).tolist()
-    both = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
-    found = {term.name: pair for term, pair in zip(solution.network.shift_terms[shift], both, strict=True)}
-    record = dict(zip(("up_m", "sigma_up_m"), found.get("upward shift", ()), strict=False))
-    tilts = np.array([both for name, both in found.items() if name.startswith("tilt")])
+    pair = zip(solution.shift_values[shift].tolist(), sigmas, strict=True)
+    pair_of_term = {term.name: pair for term, pair in zip(solution.network.shift_terms[shift], pair, strict=True)}
+    record = dict(zip(("up_m", "sigma_up_m"), pair_of_term.get("upward shift", ()), strict=False))
+    tilts = np.array([pair for name, pair in pair_of_term.items() if name.startswith("tilt")])
     if tilts.size:
         tilt, sigma = (tilts.T / ARCSEC).tolist()
         record |= {"tilt_about_east_north_arcsec": tilt, "sigma_tilt_about_east_north_arcsec": sigma}
@@ -243,30 +243,30 @@ def _lift_json(solution: Solution, shift: int) -> dict[str, Any]:
 # --- several places at which a terrain model fits
 
 
-def minima_section(found: Minima | None) -> Section:
+def minima_section(minima: Minima | None) -> Section:
     """What starts over the terrain model's shift have found; mean and sigma are the mixture's."""
-    if found is None:
+    if minima is None:
         return Section("minima")
-    began = f"{many(found.starts, 'start')} over the terrain model's shift ({found.lost} did not converge)"
-    said = f"No better minimum than this one was found from {began}."
-    if found.several:
-        said = f"{len(found.each)} minima from {began}: the lowest is the solution, sigmas are those of their mixture."
-    table = _minima_table(found)
-    return Section("minima", sentences=[said], tables=[table], numbers={
-        "starts": found.starts, "lost": found.lost, "number": len(found.each),
-        "shift_mean_east_north_m": found.mean[:2], "shift_sigma_east_north_m": _sigmas(found.covariance),
+    starts = f"{many(minima.starts, 'start')} over the terrain model's shift ({minima.lost} did not converge)"
+    sentence = f"No better minimum than this one was found from {starts}."
+    if minima.several:
+        sentence = f"{len(minima.each)} minima from {starts}: the lowest is the solution; sigmas are of their mixture."
+    table = _minima_table(minima)
+    return Section("minima", sentences=[sentence], tables=[table], numbers={
+        "starts": minima.starts, "lost": minima.lost, "number": len(minima.each),
+        "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _horizontal_sigmas(minima.covariance),
         "each": table.records(),
     })  # fmt: skip
 
 
-def _sigmas(covariance: Array) -> Array:
+def _horizontal_sigmas(covariance: Array) -> Array:
     return np.sqrt(np.diagonal(covariance)[:2])
 
 
-def _minima_table(found: Minima) -> Table:
+def _minima_table(minima: Minima) -> Table:
     """One row per minimum."""
-    each = found.each
+    all_minima = minima.each
     return table_of("minima", {
-        "shift_east_north": np.array([one.shift[:2] for one in each]),
-        "sigma_east_north": np.array([_sigmas(one.spread) for one in each]),
-    }, each)  # fmt: skip
+        "shift_east_north": np.array([minimum.shift[:2] for minimum in all_minima]),
+        "sigma_east_north": np.array([_horizontal_sigmas(minimum.spread) for minimum in all_minima]),
+    }, all_minima)  # fmt: skip

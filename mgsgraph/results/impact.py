@@ -18,16 +18,16 @@ def require_writable(path: Path, project: Path) -> None:
 
     Nothing is overwritten but an earlier table of this kind, and nothing is written into the project's folder.
     """
-    wanted = "a .csv file outside the project for the impact"
+    expected = "a .csv file outside the project for the impact"
     if path.suffix.lower() != ".csv":
-        raise InputError(str(path), "a name that doesn't end in .csv", wanted)
+        raise InputError(str(path), "a name that doesn't end in .csv", expected)
     if path.exists() and not path.is_file():
-        raise InputError(str(path), "is no file", wanted)
+        raise InputError(str(path), "is no file", expected)
     if not path.parent.is_dir():
-        raise InputError(str(path), f"no folder {path.parent}", wanted, "make it first")
+        raise InputError(str(path), f"no folder {path.parent}", expected, "make it first")
     if resolved(path, "choose another name").is_relative_to(resolved(project, "")):
-        raise InputError(str(path), "lies in the project's folder", wanted)
-    require_free(path, _IMPACT, wanted)
+        raise InputError(str(path), "lies in the project's folder", expected)
+    require_free(path, _IMPACT, expected)
     with writing_to(path, _WRITABLE):
         require_writable_folder(path.parent)
 
@@ -37,5 +37,5 @@ def write_impact(impact: Impact, path: Path) -> None:
 
     Raises InputError if the file can't be written.
     """
-    with fresh_file(path, _WRITABLE, over=_IMPACT) as aside:
-        impact.points_table().write_csv(aside)
+    with fresh_file(path, _WRITABLE, over=_IMPACT) as temporary:
+        impact.points_table().write_csv(temporary)

@@ -1,4 +1,4 @@
-"""What a case holds, with warnings, as text for the terminal; nothing is solved for it."""
+"""What a case holds, with warnings, as text for the terminal; no adjustment is made."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -47,11 +47,11 @@ from mgsgraph.units import ARCSEC, DEG, KM, MILLISECOND, MM, MRAD
 
 _FEW_POINTS = 6
 """Fewer points than this in an image leave its orientation to the prior."""
-_SHORT = 0.5
+_SHORT_SPAN = 0.5
 """Points over less than this share of the lines leave the polynomials to extrapolate."""
 _NARROW = 5.0 * DEG
 """Convergence below which heights are poor."""
-_WILD = 10.0
+_OUTLYING = 10.0
 """Standard deviations from the median of their image beyond which ranges are named."""
 _MEDIAN_DEVIATION = 0.6745
 """Median of the modulus of a normal error, in its standard deviations."""
@@ -63,74 +63,75 @@ _WARNINGS = 7
 
 def inventory(case: Case, details: bool = True) -> str:
     """What a case holds, as text: warnings and figures in a few lines, or with all tables."""
-    network, weak = case.network, list[str]()
+    network, warnings = case.network, list[str]()
     try:
         prediction = predict(network, case.settings)
     except WeakNetwork as error:  # tell all the rest as if 1 km and 10 mrad were known of what is not
-        weak.append(str(error))
-        prediction = predict(_with_priors(network), case.settings)
+        warnings.append(str(error))
+        prediction = predict(_with_wide_priors(network), case.settings)
     connected = connectivity(network, network_footprints(network, prediction.places))
-    weak += _weak_spots(network, prediction, connected)
-    head = (
+    warnings += _weaknesses(network, prediction, connected)
+    heading = (
         f"{case.name}: {len(network.images)} images, {len(network.points)} points, {network.rays.point.size} image "
         f"measurements, {network.ranges.point.size} ranges"
     )
-    points, read = _points(network, prediction), reading_statements(network.images)
-    known = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
+    points, reading_remarks = _points_section(network, prediction), reading_statements(network.images)
+    priors = [(network.images[j], network.priors[j]) for j in np.flatnonzero(network.with_polynomial)]
     if not details:
-        count = len(case.notes) + len(read)
+        count = len(case.notes) + len(reading_remarks)
         remarks = [f"{many(count, 'remark')} on the input: --details."] if count else []
         ranges = points.sentences if network.ranges.point.size else []
-        said = [*_expected(network, prediction), *ranges, *link_statement(connected)]
-        said += [*prior_statements(known, sources=False), *remarks]
-        weak = weak[:_WARNINGS] + ([f"{len(weak) - _WARNINGS} more: --details"] if len(weak) > _WARNINGS else [])
-        return _text([Section("", f"{head}\n", [f"Warning: {one}" for one in weak] or ["No warnings."]),
-                      Section("", "", said)]).replace("\n\n", "\n")  # fmt: skip
+        sentences = [*_expected_precision(network, prediction), *ranges, *link_statement(connected)]
+        sentences += [*prior_statements(priors, sources=False), *remarks]
+        warnings = warnings[:_WARNINGS] + ([f"{len(warnings) - _WARNINGS} more: --details"] if len(warnings) > _WARNINGS
+                                           else [])
+        return _as_text([Section("", f"{heading}\n", [f"Warning: {warning}" for warning in warnings]
+                                 or ["No warnings."]),
+                         Section("", "", sentences)]).replace("\n\n", "\n")  # fmt: skip
     rows = connected.links if connected.links.size <= ROWS else connected.spine[:WEAKEST]
     pairs = connectivity_table(connected).take(rows)
-    return _text([
-        Section("", head, case.notes, [_images_table(network.images, network)]),
-        Section("", sentences=[*read, *deciding_values(network.images), *prior_statements(known)]),
-        points,
+    return _as_text([
+        Section("", heading, case.notes, [_images_table(network.images, network)]),
+        Section("", sentences=[*reading_remarks, *defining_values(network.images), *prior_statements(priors)]), points,
         Section("", "Connections (points in common)", link_statement(connected), [pairs]),
         Section("", tables=[_unknowns_table(network)]),
-        Section("", sentences=_terrain(network, prediction.places)),
-        Section("", "Warnings", weak or ["none"]),
+        Section("", sentences=_terrain_sentences(network, prediction.places)),
+        Section("", "Warnings", warnings or ["none"]),
     ])  # fmt: skip
 
 
-def prior_statements(known: Iterable[tuple[PushbroomImage, OrientationPrior]], sources: bool = True) -> Iterator[str]:
-    """What is known of orbit and pointing beforehand, a sentence for each mission, beside what is published of it, with
-    its sources or without.
+def prior_statements(priors: Iterable[tuple[PushbroomImage, OrientationPrior]], sources: bool = True) -> Iterator[str]:
+    """A-priori sigmas of orbit and pointing, a sentence for each mission, beside the published accuracy, with its
+    sources or without.
     """
     groups = Counter(
         (sigmas_in_words(sigmas[:3], [angle / MRAD for angle in sigmas[3:]]), accuracy_of(image.mission))
-        for image, prior in known if (sigmas := prior.sigmas[0].tolist())
+        for image, prior in priors if (sigmas := prior.sigmas[0].tolist())
     )  # fmt: skip
-    for (stated, usual), count in groups.items():
-        bare = sigmas_in_words([usual.orbit], usual.pointing)
-        words = usual.words if sources else f"{usual.mission}: {bare}"
-        stated = " of" if stated == bare else f": {stated}; usual for"
-        yield f"A-priori sigmas of {many(count, 'image')}{stated} {words}."
+    for (stated, published), count in groups.items():
+        published_sigmas = sigmas_in_words([published.orbit], published.pointing)
+        published_text = published.words if sources else f"{published.mission}: {published_sigmas}"
+        stated = " of" if stated == published_sigmas else f": {stated}; usual for"
+        yield f"A-priori sigmas of {many(count, 'image')}{stated} {published_text}."
 
 
-def _expected(network: Network, prediction: Prediction) -> Iterator[str]:
+def _expected_precision(network: Network, prediction: Prediction) -> Iterator[str]:
     """How well each class of points will be known, and its nominal residuals."""
-    for one, mine in network.of_class():
-        there = mine[np.all(np.isfinite(prediction.covariances[mine]), axis=(1, 2))]
-        if not there.size:
+    for point_class, points in network.of_class():
+        determined = points[np.all(np.isfinite(prediction.covariances[points]), axis=(1, 2))]
+        if not determined.size:
             continue
-        sigmas = np.median(local_sigmas(prediction.covariances[there], prediction.places[there]), axis=0)
-        misfit = prediction.residuals[np.isin(network.rays.point, there)]
-        seen = misfit[np.all(np.isfinite(misfit), axis=1)]
-        fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(seen, 0).tolist()))
+        sigmas = np.median(local_sigmas(prediction.covariances[determined], prediction.places[determined]), axis=0)
+        residuals = prediction.residuals[np.isin(network.rays.point, determined)]
+        finite = residuals[np.all(np.isfinite(residuals), axis=1)]
+        fit = ", before adjustment: residuals {} x {} px (rms)".format(*map(two, root_mean_square(finite, 0).tolist()))
         yield (
-            f"{mine.size} {one.name.lower()} points{fit if seen.size else ''}. Expected median sigma: "
+            f"{points.size} {point_class.name.lower()} points{fit if finite.size else ''}. Expected median sigma: "
             f"{length(float(np.hypot(*sigmas[:2])))} horizontal, {length(float(sigmas[2]))} vertical."
         )
 
 
-def _text(sections: Iterable[Section]) -> str:
+def _as_text(sections: Iterable[Section]) -> str:
     return "\n\n".join(filter(None, (section.text(None) for section in sections)))
 
 
@@ -141,81 +142,83 @@ def images_inventory(path: Path, unmeasured: Unmeasured | None = None) -> str | 
     A case has none either whose tie points are still to be matched (the folder of their network isn't there yet), or
     of which reading has found so: `unmeasured`, which is raised again where it names tie points.
     """
-    wanted = decode(path)
-    matched = [group.network for group in wanted.tie_groups if (path.parent / group.network).parent.is_dir()]
-    if unmeasured is None and wanted.measured and (matched or not wanted.tie_groups or wanted.ground_control):
+    case_input = decode(path)
+    networks = [group.network for group in case_input.tie_groups if (path.parent / group.network).parent.is_dir()]
+    if unmeasured is None and case_input.measured and (networks or not case_input.tie_groups
+                                                       or case_input.ground_control):
         return None
-    if unmeasured is not None and matched:
+    if unmeasured is not None and networks:
         raise unmeasured
-    names = [image.name for image in wanted.images]
-    of_passes = members(wanted.passes, names, str(path))
-    images, shared = read_images(wanted, wanted.orientations, of_passes, path), set().union(*of_passes)
-    known = [one for j, one in enumerate(zip(images, wanted.priors(str(path), images), strict=True)) if j not in shared]
-    found = overlaps([footprint(image) for image in images])
+    names = [image.name for image in case_input.images]
+    of_passes = members(case_input.passes, names, str(path))
+    images, in_passes = read_images(case_input, case_input.orientations, of_passes, path), set().union(*of_passes)
+    priors = [pair for j, pair in enumerate(zip(images, case_input.priors(str(path), images), strict=True))
+              if j not in in_passes]
+    common = overlaps([footprint(image) for image in images])
     pairs = [
         f"{images[i].name} and {images[j].name} overlap by {area / KM**2:.2f} km^2, {share:.0%} of the smaller one"
-        for (i, j), area, share in zip(found.pairs.tolist(), found.areas.tolist(), found.shares.tolist(), strict=True)
+        for (i, j), area, share in zip(common.pairs.tolist(), common.areas.tolist(), common.shares.tolist(),
+                                       strict=True)
     ]
-    bare = [entry.name for entry in wanted.images if picture_of(entry, path.parent) is None]
-    folder = next((path.parent / group.network for group in wanted.tie_groups), None)
-    said = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
-    wants = f"mgsgraph match {path} --out {'MATCHES' if folder is None else folder.parent}"
+    without_pixels = [entry.name for entry in case_input.images if picture_of(entry, path.parent) is None]
+    folder = next((path.parent / group.network for group in case_input.tie_groups), None)
+    sentences = [f"Its tie points, {folder}, are not there yet."] if folder is not None else []
+    next_step = f"mgsgraph match {path} --out {'MATCHES' if folder is None else folder.parent}"
     if not pairs:
-        wants = "an image that overlaps (mgsgraph new)"
-    elif bare:
-        wants = f'pixels = "FILE" in [[images]] for {some(bare, len(bare))}, then {wants}'
+        next_step = "an image that overlaps (mgsgraph new)"
+    elif without_pixels:
+        next_step = f'pixels = "FILE" in [[images]] for {some(without_pixels, len(without_pixels))}, then {next_step}'
     else:
-        said.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
-    return _text([
-        Section("", f"{wanted.name}: {many(len(images), 'image')}, no measurements in them", [
-            *said, f"It needs tie points, ground control, or laser shots measured in images; next: {wants}",
+        sentences.append(f"Ready for match: {many(len(images), 'image')} with pixels, {many(len(pairs), 'overlap')}.")
+    return _as_text([
+        Section("", f"{case_input.name}: {many(len(images), 'image')}, no measurements in them", [
+            *sentences, f"It needs tie points, ground control, or laser shots measured in images; next: {next_step}",
         ], [_images_table(images)]),
-        Section("", sentences=[*reading_statements(images), *deciding_values(images), *prior_statements(known)]),
-        Section("", "Overlaps", pairs or ["none"]),
-        Section("", "", _laser_files(wanted, images, path.parent)),
+        Section("", sentences=[*reading_statements(images), *defining_values(images), *prior_statements(priors)]),
+        Section("", "Overlaps", pairs or ["none"]), Section("", "", _laser_files(case_input, images, path.parent)),
     ])  # fmt: skip
 
 
-def _laser_files(wanted: CaseInput, images: Sequence[PushbroomImage], folder: Path) -> list[str]:
+def _laser_files(case_input: CaseInput, images: Sequence[PushbroomImage], folder: Path) -> list[str]:
     """What files of laser shots hold and how much of it falls in images."""
-    said, body = list[str](), images[0].body
-    for entry in wanted.shots:
+    sentences, body = list[str](), images[0].body
+    for entry in case_input.shots:
         shots = read_profile(entry, folder)
         require_on_body(shots.footprints, body, shots.source)
-        over = footprints_in_images(images, shots.chosen(shots.ground))
-        said.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
-        said += crossings_section(over, crossings(over)).sentences
-    for cloud in wanted.altimetry:
-        found = read_altimetry(cloud, folder, body)
-        count = f"{many(len(found.ids), 'ground return')} in {many(len(found.profiles), 'profile')}"
-        said.append(f"{cloud.file}: {count}, for control by relief")
-    return said
+        registration = footprints_in_images(images, shots.chosen(shots.ground))
+        sentences.append(f"{entry.file}: {many(shots.times.size, 'shot')} of {shots.altimeter.name}")
+        sentences += crossings_section(registration, crossings(registration)).sentences
+    for cloud in case_input.altimetry:
+        returns = read_altimetry(cloud, folder, body)
+        count = f"{many(len(returns.ids), 'ground return')} in {many(len(returns.profiles), 'profile')}"
+        sentences.append(f"{cloud.file}: {count}, for control by relief")
+    return sentences
 
 
-def _with_priors(network: Network) -> Network:
+def _with_wide_priors(network: Network) -> Network:
     """The network with wide sigmas, 1 km and 10 mrad, in place of infinite ones."""
     wide = np.repeat([1e3, 1e-2], 3)
     priors = tuple(OrientationPrior(np.where(np.isinf(prior.sigmas), wide, prior.sigmas)) for prior in network.priors)
     passes = tuple(
-        replace(one, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
-        if isinstance(prior := one.prior, NodePrior)
-        else one
-        for one in network.passes
+        replace(pass_, prior=replace(prior, sigmas=np.where(np.isinf(prior.sigmas), wide, prior.sigmas)))
+        if isinstance(prior := pass_.prior, NodePrior)
+        else pass_
+        for pass_ in network.passes
     )
     return replace(network, priors=priors, passes=passes)
 
 
-def _terrain(network: Network, places: Array) -> list[str]:
+def _terrain_sentences(network: Network, places: Array) -> list[str]:
     """Terrain model as control: how many tie points lie on it, with what sigma."""
     surface = network.surface
     if surface is None:
         return []
     sigmas, ties = surface.sigmas[np.isfinite(surface.sigmas)], network.points.classes == PointClass.TIE
     covered, name = coverage(surface.grid, places[ties]), f"Terrain model {surface.grid.source}"
-    said = [f"{name}: {sigmas.size} points lie on it, sigma of their heights {span(sigmas)} m"] if sigmas.size else []
+    sentences = [f"{name}: {sigmas.size} points lie on it, height sigma {span(sigmas)} m"] if sigmas.size else []
     if covered.words:
-        said.append(f"{name}: of {covered.total} tie points it leaves out {covered.words}: these have no such row")
-    return said
+        sentences.append(f"{name}: of {covered.total} tie points it leaves out {covered.words}: these have no such row")
+    return sentences
 
 
 def _unknowns_table(network: Network) -> Table:
@@ -223,54 +226,53 @@ def _unknowns_table(network: Network) -> Table:
     terrain model's own; with a-priori sigmas.
     """
     names, rows = [image.name for image in network.images], list[tuple[str, str, str]]()
-    for one in network.passes:
-        sigmas = one.prior.node_sigmas(np.zeros(len(one.nodes)))[0]
+    for pass_ in network.passes:
+        sigmas = pass_.prior.node_sigmas(np.zeros(len(pass_.nodes)))[0]
         rows.append((
-            f"pass {one.name}, {len(one.nodes)} orientation images ({one.nodes.basis}) every {one.nodes.spacing:.3g} s",
-            some_of(names, one.images), _stated(sigmas),
+            f"pass {pass_.name}, {len(pass_.nodes)} orientation images "
+            f"({pass_.nodes.basis}) every {pass_.nodes.spacing:.3g} s", some_of(names, pass_.images),
+            _sigmas_text(sigmas),
         ))  # fmt: skip
-        rows += _mountings(one, names)
+        rows += _mounting_rows(pass_, names)
     for shared in network.shared:
         scale, unit = shared.kind.reported
         sigmas = shared.sigmas / scale
-        rows.append((shared.name, some_of(names, shared.images), f"{', '.join(f'{one:.3g}' for one in sigmas)} {unit}"))
+        rows.append((shared.name, some_of(names, shared.images),
+                     f"{', '.join(f'{sigma:.3g}' for sigma in sigmas)} {unit}"))
     for term in () if network.surface is None else network.surface.terms:
         size = f"{term.sigma / ARCSEC:.3g} arcsec" if term.unit == "rad" else f"{term.sigma:.3g} {term.unit}"
         rows.append((term.name, "terrain model", size))
-    what, of, known = ([row[k] for row in rows] for k in range(3))
-    return table_of("unknowns", {
-        "unknown": what, "of": of, "known": known,
-    })  # fmt: skip
+    unknowns, owners, prior_texts = ([row[k] for row in rows] for k in range(3))
+    return table_of("unknowns", {"unknown": unknowns, "of": owners, "known": prior_texts})
 
 
-def _mountings(one: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
+def _mounting_rows(pass_: Pass, names: Sequence[str]) -> list[tuple[str, str, str]]:
     """How the cameras of a pass are turned against that of its first image."""
-    found = dict[str, list[str]]()
-    turns = np.zeros((0, 3)) if one.axes is None else mounting_angles(one.axes) / DEG
-    for j, angles in zip(one.images.tolist(), turns.tolist(), strict=False):
-        found.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
-    first, *others = found.items() or [("", [])]
-    return [(f"mounted at {turn} deg (about x, y, z of {first[1][0]})", some(mine, len(mine)), "")
-            for turn, mine in others]  # fmt: skip
+    images_by_angles = dict[str, list[str]]()
+    mountings = np.zeros((0, 3)) if pass_.axes is None else mounting_angles(pass_.axes) / DEG
+    for j, angles in zip(pass_.images.tolist(), mountings.tolist(), strict=False):
+        images_by_angles.setdefault(", ".join(f"{angle:+.4f}" for angle in angles), []).append(names[j])
+    first, *others = images_by_angles.items() or [("", [])]
+    return [(f"mounted at {angles_text} deg (about x, y, z of {first[1][0]})", some(mounted, len(mounted)), "")
+            for angles_text, mounted in others]  # fmt: skip
 
 
 def _images_table(images: Sequence[PushbroomImage], network: Network | None = None) -> Table:
     """Size, place, and how the orientation is adjusted."""
-    grounds = [image.image_to_ground(*image.middle)
-               for image in images]  # fmt: skip
-    spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in grounds])
+    projections = [image.image_to_ground(*image.middle) for image in images]
+    spacing = np.array([np.linalg.norm(derivative[0], axis=0) for _, derivative in projections])
     bounds = np.array([eastward_bounds(footprint(image).outline) for image in images])
     return table_of("inventory_images", {
         "spacing_{}": spacing, "longitude_{}": bounds[:, 0::2], "latitude_{}": bounds[:, 1::2],
-        "orientation": None if network is None else [_orientation(network, j) for j in range(len(images))],
+        "orientation": None if network is None else [_orientation_text(network, j) for j in range(len(images))],
     }, images)  # fmt: skip
 
 
-def deciding_values(images: Sequence[PushbroomImage]) -> list[str]:
+def defining_values(images: Sequence[PushbroomImage]) -> list[str]:
     """Sentences with the constants and times that decide the geometry of images, for a look by eye: much of the input
     has no second statement that they could be held against.
     """
-    names, of_words = [image.name for image in images], dict[str, list[int]]()
+    names, images_by_text = [image.name for image in images], dict[str, list[int]]()
     for j, image in enumerate(images):
         interior, timing, body = image.interior, image.timing, image.body
         pitch = 1.0 / float(np.linalg.norm(interior.to_pixel[1, 1:]))
@@ -278,41 +280,42 @@ def deciding_values(images: Sequence[PushbroomImage]) -> list[str]:
         if timing.periods.size > 1:
             period += f" .. {timing.periods.max() / MILLISECOND:.7g}"
         distortion = type(interior.distortion).__name__.removesuffix("Distortion")
-        of_words.setdefault(
+        images_by_text.setdefault(
             f"focal length {interior.focal_length / MM:.7g} mm ({distortion or 'no'} distortion), detector pixels of "
             f"{1e6 * pitch:.5g} micrometers, {interior.sample_summing:g} per sample, the first one "
             f"{interior.first[1]:g}, principal point at pixel {interior.centre[1]:.7g}; {period} ms per line; body of "
             f"{body.equatorial / KM:.9g} and {body.polar / KM:.9g} km", [],
         ).append(j)  # fmt: skip
-    said = [f"{some_of(names, np.array(members))}: {words}." for words, members in of_words.items()]
-    begins = [f"{image.name} {utc_of_tdb(image.span[0]):%Y-%m-%dT%H:%M:%S.%f}"[:-3] for image in images]
-    return [*said, f"First lines (UTC): {some(begins, len(begins))}."]
+    sentences = [f"{some_of(names, np.array(members))}: {text}." for text, members in images_by_text.items()]
+    first_lines = [f"{image.name} {utc_of_tdb(image.span[0]):%Y-%m-%dT%H:%M:%S.%f}"[:-3] for image in images]
+    return [*sentences, f"First lines (UTC): {some(first_lines, len(first_lines))}."]
 
 
-def _orientation(network: Network, j: int) -> str:
+def _orientation_text(network: Network, j: int) -> str:
     """How an image is adjusted."""
     owner, prior, held = int(network.pass_of[j]), network.priors[j], "held; " if network.held[j] else ""
     if owner >= 0:
         return f"{held}pass {network.passes[owner].name}"
-    return f"{held}degree {prior.degree}, sigma {_stated(prior.sigmas[0])}"
+    return f"{held}degree {prior.degree}, sigma {_sigmas_text(prior.sigmas[0])}"
 
 
-def _stated(sigmas: Array) -> str:
-    """Sigmas (6,) of positions in m and rotations in rad, in words."""
+def _sigmas_text(sigmas: Array) -> str:
+    """Sigmas (6,) of positions in m and rotations in rad, as text."""
     return f"{span(sigmas[:3])} m, {span(sigmas[3:] / ARCSEC)} arcsec"
 
 
-def _points(network: Network, prediction: Prediction) -> Section:
+def _points_section(network: Network, prediction: Prediction) -> Section:
     """Points by class, with expected sigmas and residuals; ranges."""
-    counts, said, rows = network.ray_counts, list[str](), []
+    ray_counts, sentences, rows = network.ray_counts, list[str](), []
     sigmas = np.sqrt(np.diagonal(prediction.covariances, axis1=1, axis2=2))
-    for _, mine in network.of_class():
-        known = mine[np.all(np.isfinite(sigmas[mine]), axis=1)]
-        expected = sigmas[known].mean(axis=0) if known.size else np.full(3, np.nan)
-        misfit = prediction.residuals[np.isin(network.rays.point, known)]
-        rms = root_mean_square(misfit[np.all(np.isfinite(misfit), axis=1)], 0) if misfit.size else np.full(2, np.nan)
-        rows.append((mine.size, np.count_nonzero(network.points.kinds[mine] == PointKind.FREE),
-                     counts[mine].min(), counts[mine].max(), *expected, *rms))  # fmt: skip
+    for _, points in network.of_class():
+        determined = points[np.all(np.isfinite(sigmas[points]), axis=1)]
+        expected = sigmas[determined].mean(axis=0) if determined.size else np.full(3, np.nan)
+        residuals = prediction.residuals[np.isin(network.rays.point, determined)]
+        rms = (root_mean_square(residuals[np.all(np.isfinite(residuals), axis=1)], 0) if residuals.size
+               else np.full(2, np.nan))
+        rows.append((points.size, np.count_nonzero(network.points.kinds[points] == PointKind.FREE),
+                     ray_counts[points].min(), ray_counts[points].max(), *expected, *rms))  # fmt: skip
     values = np.array(rows, dtype=np.float64).reshape(-1, 9)
     table = table_of("inventory_points", {
         "class": [point_class.name.lower() for point_class, _ in network.of_class()],
@@ -320,117 +323,122 @@ def _points(network: Network, prediction: Prediction) -> Section:
         "sigma_{}": values[:, 4:7], "residual_{}": values[:, 7:],
     })  # fmt: skip
     if network.ranges.point.size:
-        misfit, ranges = prediction.range_residuals, network.ranges.values / KM
-        said.append(
-            f"{misfit.size} laser ranges of {ranges.min():.1f} to {ranges.max():.1f} km, before adjustment: residuals "
-            f"{two(root_mean_square(misfit))} m (rms), mean {two(float(misfit.mean()))} m."
+        residuals, ranges = prediction.range_residuals, network.ranges.values / KM
+        sentences.append(
+            f"{residuals.size} laser ranges of {ranges.min():.1f} to {ranges.max():.1f} km, before adjustment: "
+            f"residuals {two(root_mean_square(residuals))} m (rms), mean {two(float(residuals.mean()))} m."
         )
-    return Section("", sentences=said or ["no laser ranges"], tables=[table])
+    return Section("", sentences=sentences or ["no laser ranges"], tables=[table])
 
 
-def _weak_spots(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
+def _weaknesses(network: Network, prediction: Prediction, connected: Connectivity) -> list[str]:
     """Sentences about what will be poorly determined."""
-    points, shots, lost = network.points, network.ranges.point, network.undetermined
-    found = [one.sentence for one in duplicates(network)] + connectivity_warnings(connected)
-    found += beyond_priors_statements(network, prediction.residuals) + _poor_images(network) + bare_nodes(network)
-    found += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
-    for mine, what in (
-        (np.flatnonzero(lost), "points have fewer than two rays and no a-priori place, and stay out"),
-        (np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~lost),
+    points, ranged, undetermined = network.points, network.ranges.point, network.undetermined
+    warnings = [duplicate.sentence for duplicate in duplicates(network)] + connectivity_warnings(connected)
+    warnings += (beyond_priors_statements(network, prediction.residuals) + _poorly_covered(network)
+                 + unsupported_nodes(network))
+    warnings += mounting_warnings(network) + range_statements(network, prediction.range_residuals)
+    for indices, problem in (
+        (np.flatnonzero(undetermined), "points have fewer than two rays and no a-priori place, and stay out"),
+        (np.flatnonzero(np.any(np.isnan(prediction.places), axis=1) & ~undetermined),
          "points have parallel rays, and stay out"),
-        (shots[wild_ranges(network, prediction.range_residuals)],
-         f"ranges lie more than {_WILD:.0f} robust standard deviations from the others of their image"),
-        (np.setdiff1d(np.flatnonzero(points.classes == PointClass.LASER), shots) if shots.size else shots,
+        (ranged[outlying_ranges(network, prediction.range_residuals)],
+         f"ranges lie more than {_OUTLYING:.0f} robust standard deviations from the others of their image"),
+        (np.setdiff1d(np.flatnonzero(points.classes == PointClass.LASER), ranged) if ranged.size else ranged,
          "laser points have no range (no simultaneous image)"),
     ):  # fmt: skip
-        found += [f"{mine.size} {what}: {some_of(points.ids, mine, _NAMED)}"] if mine.size else []
+        warnings += [f"{indices.size} {problem}: {some_of(points.ids, indices, _NAMED)}"] if indices.size else []
     heights = deviating_heights(network, prediction.places, prediction.covariances)
     if heights.points.size:
         farthest = length(abs(float(heights.deviations[0])))
-        found.append(
+        warnings.append(
             f"{many(heights.points.size, 'point')} up to {farthest} above or below neighbors (false matches?): "
             f"{some_of(points.ids, heights.points, _NAMED)}"
         )
-    found += [
-        f"{many(one.shots, 'laser shot')} of {one.name} lie {abs(one.angle) / DEG:.1f} deg along the flight from where "
-        "the camera looked: a wrong clock, or a wrong profile" for one in misplaced_profiles(network)
+    warnings += [
+        f"{many(profile.shots, 'laser shot')} of {profile.name} lie {abs(profile.angle) / DEG:.1f} deg along the "
+        "flight from where the camera looked: a wrong clock, or a wrong profile"
+        for profile in misplaced_profiles(network)
     ]  # fmt: skip
-    angle = convergence(network, np.flatnonzero(points.classes == PointClass.TIE))
-    if np.any(angle < _NARROW):
-        found.append(
-            f"rays of {np.count_nonzero(angle < _NARROW)} tie points converge by less than {_NARROW / DEG:.0f} deg "
-            f"(least {angle.min() / DEG:.2f} deg): their heights are poorly known"
+    angles = convergence(network, np.flatnonzero(points.classes == PointClass.TIE))
+    if np.any(angles < _NARROW):
+        warnings.append(
+            f"rays of {np.count_nonzero(angles < _NARROW)} tie points converge by less than {_NARROW / DEG:.0f} deg "
+            f"(least {angles.min() / DEG:.2f} deg): their heights are poorly known"
         )
     controlled = network.surface is not None or network.stereo is not None
     if not (controlled or np.any(points.kinds != PointKind.FREE) or np.any(network.held)):
-        found.append(
+        warnings.append(
             "no laser, no ground control, no held image: only the a-priori sigmas of the orientation hold the block"
         )
-    return found
+    return warnings
 
 
-def wild_ranges(network: Network, values: Array) -> Index:
+def outlying_ranges(network: Network, values: Array) -> Index:
     """Ranges far from the others of their image, with the nominal orientation: its errors are common to them, or drift
     along them, and so are in the spread that is estimated from the median deviation.
     """
-    ranges, wild = network.ranges, np.zeros(values.size, dtype=bool)
+    ranges, outlying = network.ranges, np.zeros(values.size, dtype=bool)
     for j in np.unique(ranges.image):
-        mine = ranges.image == j
-        off = np.abs(values[mine] - np.median(values[mine]))
-        wild[mine] = off > _WILD * np.hypot(ranges.sigmas[mine], np.median(off) / _MEDIAN_DEVIATION)
-    return np.flatnonzero(wild)
+        of_image = ranges.image == j
+        offsets = np.abs(values[of_image] - np.median(values[of_image]))
+        outlying[of_image] = offsets > _OUTLYING * np.hypot(ranges.sigmas[of_image],
+                                                            np.median(offsets) / _MEDIAN_DEVIATION)
+    return np.flatnonzero(outlying)
 
 
-def _poor_images(network: Network) -> list[str]:
+def _poorly_covered(network: Network) -> list[str]:
     """Images outside passes, whose images lean on each other, with few points or points on few of their lines."""
-    few, short = list[str](), list[str]()
+    few_points, short_span = list[str](), list[str]()
     for j in np.flatnonzero(network.pass_of < 0).tolist():
         image, lines = network.images[j], network.rays.places[network.rays.image == j, 0]
         if lines.size < _FEW_POINTS:
-            few.append(f"{image.name} ({lines.size})")
-        elif np.ptp(lines) < _SHORT * image.lines:
-            short.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
+            few_points.append(f"{image.name} ({lines.size})")
+        elif np.ptp(lines) < _SHORT_SPAN * image.lines:
+            short_span.append(f"{image.name} ({lines.min():.0f} .. {lines.max():.0f} of {image.lines})")
     return [
-        f"{words}: {some(found, len(found))}"
-        for words, found in (
-            (f"images with fewer than {_FEW_POINTS} points, whose orientation is mostly its prior", few),
-            ("images whose points span few lines, and whose orientation is extrapolated elsewhere", short),
+        f"{heading}: {some(images, len(images))}"
+        for heading, images in (
+            (f"images with fewer than {_FEW_POINTS} points, whose orientation is mostly its prior", few_points),
+            ("images whose points span few lines, and whose orientation is extrapolated elsewhere", short_span),
         )
-        if found
+        if images
     ]
 
 
 def mounting_warnings(network: Network) -> list[str]:
     """Sentences about passes all of whose cameras have an unknown boresight, or lever arm: what these have in common is
-    not told from the pass's own attitude, or position.
+    separable from the pass's own attitude, or position, by the a-priori sigmas alone.
     """
-    found = []
-    estimated = [one for one in network.shared if one.name not in network.considered]
-    for kind, what, own in (
+    warnings = []
+    estimated = [unknown for unknown in network.shared if unknown.name not in network.considered]
+    for kind, unknowns, counterpart in (
         (SharedKind.CAMERA_BORESIGHT, "boresights", "attitude"), (SharedKind.CAMERA_LEVER_ARM, "lever arms", "position")
     ):  # fmt: skip
-        known = {j for one in estimated if one.kind is kind for j in one.images.tolist()}
-        bare = [one.name for one in network.passes if known.issuperset(one.images.tolist())]
-        if bare:
-            found.append(
-                f"{what} of all cameras of {some(bare, len(bare))} are unknown beside the pass's own {own}: what they "
-                "have in common is told from it by the a-priori sigmas alone; leave one camera out as the reference"
+        estimated_images = {j for unknown in estimated if unknown.kind is kind for j in unknown.images.tolist()}
+        passes = [pass_.name for pass_ in network.passes if estimated_images.issuperset(pass_.images.tolist())]
+        if passes:
+            warnings.append(
+                f"{unknowns} of all cameras of {some(passes, len(passes))} are unknown beside the pass's own "
+                f"{counterpart}: only the a-priori sigmas separate what they have in common from it; leave one "
+                "camera out as the reference"
             )
-    return found
+    return warnings
 
 
-def bare_nodes(network: Network) -> list[str]:
+def unsupported_nodes(network: Network) -> list[str]:
     """Sentences about passes with nodes near which hardly anything was measured."""
-    found = []
-    for k, one in enumerate(network.passes):
-        near = support_of(network.passes[k].nodes, useful_rays(network, k))
-        if near.gaps.size:
-            found.append(
-                f"pass {one.name}: fewer than {near.least} rays near {near.gaps.size} of its {len(one.nodes)} "
-                "nodes, between others that have them: closer than the data supports, and refused by adjust"
+    warnings = []
+    for k, pass_ in enumerate(network.passes):
+        support = support_of(network.passes[k].nodes, useful_rays(network, k))
+        if support.gaps.size:
+            warnings.append(
+                f"pass {pass_.name}: fewer than {support.least} rays near {support.gaps.size} of its "
+                f"{len(pass_.nodes)} nodes, between others that have them: closer than the data supports, and refused "
+                "by adjust"
             )
-        if outer := int(np.count_nonzero(near.unobserved)) - near.gaps.size:
-            found.append(
-                f"pass {one.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
+        if outer := int(np.count_nonzero(support.unobserved)) - support.gaps.size:
+            warnings.append(
+                f"pass {pass_.name}: no rays near {many(outer, 'node')} at its ends: there it follows its prior"
             )
-    return found
+    return warnings

@@ -1,4 +1,4 @@
-"""What matching found, in words and as files: networks, a table with every covariance, a record and a figure."""
+"""Results of matching as sentences and files: networks, a table with every covariance, a record and a figure."""
 
 from pathlib import Path
 from typing import Any
@@ -16,23 +16,22 @@ from mgsgraph.geometry.body import target_name
 from mgsgraph.matching.match import Matches, match_scene
 from mgsgraph.matching.scene import Scene
 from mgsgraph.matching.settings import MatchSettings
-from mgsgraph.results.section import Section, drawn, record_of, table_of
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of
 from mgsgraph.text import many, span, two
 from mgsgraph.units import ISIS_OFFSET
 from mgsgraph.workers import Progress, no_progress
 
 FORMAT = 1
 """Version of match.json's layout."""
-_SURPRISING = 3.0
-"""A-priori sigmas of an orientation beyond which a correction is worth a word."""
+_IMPLAUSIBLE = 3.0
+"""A-priori sigmas of an orientation beyond which a correction is marked."""
 
 
 def match_into(
     name: str, scene: Scene, out: Path, settings: MatchSettings, workers: int | None = None, figures: bool = True,
     progress: Progress = no_progress,
 ) -> Matches:
-    """Match a scene and write what was found to a folder that appears whole or not at all; an earlier result of
-    matching is replaced.
+    """Match a scene and write the results to a folder, atomically; an earlier result of matching is replaced.
 
     `name` is that of the case, `workers` the number of tiles at a time; without `figures` only tables and networks are
     written.
@@ -54,21 +53,22 @@ def write_matches(
     matches: Matches, scene: Scene, name: str, settings: MatchSettings, folder: str | Path, figures: bool = True
 ) -> list[str]:
     """Write networks, table, record and figure; the names of the files."""
-    with fresh_folder(folder, MATCH) as aside:
+    with fresh_folder(folder, MATCH) as temporary:
         network = control_network(matches.ties, "mgsgraph", target_name(scene.ground.body), name)
-        write_pvl_network(network, aside / "network.pvl")
-        write_binary_network(network, aside / "network.net")
-        digests = {one: sha256_of(aside / one) for one in ("network.pvl", "network.net")}
+        write_pvl_network(network, temporary / "network.pvl")
+        write_binary_network(network, temporary / "network.net")
+        digests = {file: sha256_of(temporary / file) for file in ("network.pvl", "network.net")}
         section = match_section(matches, scene, name, settings)
-        write_json(aside / MATCH, section.numbers | {FILES: digests})
-        return [MATCH, *digests, *section.write(aside, figures)]
+        write_json(temporary / MATCH, section.numbers | {FILES: digests})
+        return [MATCH, *digests, *section.write(temporary, figures)]
 
 
 def match_section(matches: Matches, scene: Scene, name: str, settings: MatchSettings) -> Section:
-    """What matching found, in the case of this name."""
+    """Results of matching, in the case of this name."""
     return Section("match", "", match_statements(matches, scene), numbers=_record(matches, scene, name, settings),
                    csv=[matches_table(matches)],
-                   sheets=drawn("mgsgraph.results.figures.matches.matches_sheet", matches, scene, name))  # fmt: skip
+                   sheets=sheets_by("mgsgraph.results.figures.matches.matches_sheet", matches, scene,
+                                    name))  # fmt: skip
 
 
 def matches_table(matches: Matches) -> Table:
@@ -99,10 +99,10 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
         "losses": matches.losses._asdict(),
         "orientations": [
             plain({
-                "images": [names[one.first], names[one.second]],
-                **record_of("agreed_orientation", one),
+                "images": [names[agreement.first], names[agreement.second]],
+                **record_of("agreed_orientation", agreement),
             })
-            for one in matches.agreements
+            for agreement in matches.agreements
         ],
         "refused": list(matches.refused),
         "statements": match_statements(matches, scene),
@@ -110,27 +110,27 @@ def _record(matches: Matches, scene: Scene, name: str, settings: MatchSettings) 
 
 
 def match_statements(matches: Matches, scene: Scene) -> list[str]:
-    """What was found, in sentences."""
-    ties, names, loss = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
+    """Results in sentences."""
+    ties, names, counts = matches.ties, [picture.image.name for picture in scene.pictures], matches.losses
     rays = np.bincount(ties.measure_point)
     sigmas = np.sqrt(np.linalg.eigvalsh(matches.covariances[~matches.reference])[:, 1])
     misfit = np.abs(matches.misfit[~matches.reference])
-    filled, whole = matches.cells
-    found = list[str]()
-    for one in matches.agreements:
-        times = one.moved / one.expected  # NaN where nothing was stated
-        beyond = f", {times:.0f} A-PRIORI SIGMAS: check it" if times > _SURPRISING else ""
-        found.append(
-            f"{names[one.first]} and {names[one.second]}: {one.agreed} of {one.candidates} coarse matches agree; they "
-            f"move the second image by {one.moved:.0f} m on the ground{beyond}."
+    filled, cell_count = matches.cells
+    sentences = list[str]()
+    for agreement in matches.agreements:
+        ratio = agreement.moved / agreement.expected  # NaN where nothing was stated
+        caution = f", {ratio:.0f} A-PRIORI SIGMAS: check it" if ratio > _IMPLAUSIBLE else ""
+        sentences.append(
+            f"{names[agreement.first]} and {names[agreement.second]}: {agreement.agreed} of {agreement.candidates} "
+            f"coarse matches agree; they move the second image by {agreement.moved:.0f} m on the ground{caution}."
         )
     return [
-        f"{many(len(rays), 'tie point')} in {span(rays)} images each, in {filled} of {whole} cells of "
-        f"{matches.cell:.3g} m ({100.0 * filled / max(whole, 1):.0f} %) of the common ground.",
+        f"{many(len(rays), 'tie point')} in {span(rays)} images each, in {filled} of {cell_count} cells of "
+        f"{matches.cell:.3g} m ({100.0 * filled / max(cell_count, 1):.0f} %) of the common ground.",
         f"Sigma of a match (largest axis): median {two(np.median(sigmas))} px, 95 % below "
         f"{two(np.quantile(sigmas, 0.95))} px; coplanarity: median {two(np.median(misfit))} m on the ground.",
         *(f"Not matched: {reason}" for reason in matches.refused), *matches.cautions,
-        f"Feature pairs: {loss.linked}, tried {loss.tried}, measured {loss.measured}, similar and sharp {loss.alike}, "
-        f"same when matched back {loss.returned}, coplanar {loss.coplanar}, height as neighbors {loss.steady}.",
-        *found,
+        f"Feature pairs: {counts.linked}, tried {counts.tried}, measured {counts.measured}, similar and sharp "
+        f"{counts.alike}, same when matched back {counts.returned}, coplanar {counts.coplanar}, height as neighbors "
+        f"{counts.steady}.", *sentences,
     ]  # fmt: skip

@@ -17,7 +17,7 @@ from mgsgraph.files.writing import page_of, require_free, write_page
 from mgsgraph.registration.case import register_case
 from mgsgraph.results.comparison import compare
 from mgsgraph.results.registration import registration_section
-from mgsgraph.results.results import figure, figures_of_merit, sentences_of, solution_sections
+from mgsgraph.results.results import figures_of_merit, sentences_of, solution_sections, value_text
 from mgsgraph.results.section import Section
 from mgsgraph.results.tables import points_table, residuals_table
 from mgsgraph.results.verdict import state_of
@@ -95,7 +95,7 @@ def _content(
     compared = None if earlier is None else compare(solution, earlier)  # refused before anything is drawn
     registration = None if case is None or not case.profiles else register_case(case, solution)
     connected = solution_connectivity(solution)
-    found = solution_sections(solution, connected)
+    sections = solution_sections(solution, connected)
     figures: dict[str, list[Any]] = {section: [] for section in _SECTIONS}
     for section, picture in solution_figures(solution, connected):
         figures[section].append(picture)
@@ -103,14 +103,14 @@ def _content(
         figures["comparison"] = comparison_figures(compared.points)
     return {
         "solution": solution,
-        "statements": sentences_of(found),
+        "statements": sentences_of(sections),
         "key_figures": _key_figures(solution),
         "registered": None if registration is None else registration_section(registration),
         "footprints": [] if registration is None else registration_figures(registration),
-        "tables": tables(solution, found),
+        "tables": tables(solution, sections),
         "compared": compared,
         "settings": _settings_tables(solution),
-        "inputs": _pairs("inputs", "Files that this page was made from", ("file", "SHA-256"), {
+        "inputs": _two_columns("inputs", "Files that this page was made from", ("file", "SHA-256"), {
             name: checksum or "could not be read" for name, checksum in inputs.items()
         }),
         "case_name": "" if case is None else case.path.name,
@@ -120,12 +120,12 @@ def _content(
 
 
 def _key_figures(solution: Solution) -> list[tuple[str, str]]:
-    """What one looks at first."""
+    """Key figures: names and values as text."""
     linear = solution.linearity
     return [
         ("state", state_of(solution)),
         *([] if linear is None else [("linear", f"{'yes' if linear.linear else 'NO'} ({linear.ratio:.3g})")]),
-        *((name, figure(value)) for name, value in figures_of_merit(solution)),
+        *((name, value_text(value)) for name, value in figures_of_merit(solution)),
     ]
 
 
@@ -134,25 +134,25 @@ def _key_figures(solution: Solution) -> list[tuple[str, str]]:
 
 def tables(solution: Solution, sections: Sequence[Section]) -> list[Table]:
     """All tables of a solution that have rows."""
-    found = [_cut(table) for section in sections for table in section.tables]
-    return [table for table in [*found, _measures(solution), _points(solution)] if len(table)]
+    section_tables = [_shortened(table) for section in sections for table in section.tables]
+    return [table for table in [*section_tables, _worst_measures(solution), _listed_points(solution)] if len(table)]
 
 
-def _cut(table: Table) -> Table:
+def _shortened(table: Table) -> Table:
     rows = np.arange(min(len(table), MOST_ROWS))
     return replace(table.take(rows), note=table.note + cut(len(table), rows.size, "the first ones", "solution.json"))
 
 
-def _measures(solution: Solution) -> Table:
+def _worst_measures(solution: Solution) -> Table:
     """Measures that fit worst, in units of their sigmas."""
     rays = solution.network.rays
-    size = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
-    sound = np.flatnonzero(np.isfinite(size))
-    chosen = sound[np.argsort(-size[sound], kind="stable")][:_MOST_MEASURES]
+    ratio = np.max(np.abs(solution.residuals / solution.network.ray_sigmas), axis=1) if rays.point.size else np.zeros(0)
+    finite = np.flatnonzero(np.isfinite(ratio))
+    chosen = finite[np.argsort(-ratio[finite], kind="stable")][:_MOST_MEASURES]
     table = residuals_table(solution).take(chosen)
     state = picked(("rejected", "used"), solution.rays_used[chosen].astype(np.int64))
-    more = Column("largest", size[chosen], head="largest over σ", page=".2f"), Column("state", state, page="s")
-    pairs = [f"{what}_{way}" for what in ("residual_before", "residual", "sigma") for way in ("line", "sample")]
+    extra = Column("largest", ratio[chosen], head="largest over σ", page=".2f"), Column("state", state, page="s")
+    pairs = [f"{part}_{axis}" for part in ("residual_before", "residual", "sigma") for axis in ("line", "sample")]
     note = (
         "Lines and samples as ISIS counts them, the first pixel's centre at (1, 1); residuals are measured minus "
         "predicted. " + cut(rays.point.size, chosen.size, "those with the largest residual over its sigma",
@@ -161,16 +161,16 @@ def _measures(solution: Solution) -> Table:
     shown = table.pick("point", "class", "image", "isis_line", "isis_sample", *pairs)
     units = {"isis_line": "px", "isis_sample": "px"}
     columns = (replace(column, unit=units.get(column.key, column.unit)) for column in shown.columns)
-    return replace(table, title="Image measures that fit worst", columns=(*columns, *more), note=note)
+    return replace(table, title="Image measures that fit worst", columns=(*columns, *extra), note=note)
 
 
-def _points(solution: Solution) -> Table:
+def _listed_points(solution: Solution) -> Table:
     """Points in their own order: all, or those without a place and those of the largest sigma."""
-    size = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
-    chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_ROWS])
+    total_sigma = np.nan_to_num(np.linalg.norm(solution.sigmas, axis=1), nan=np.inf)
+    chosen = np.sort(np.argsort(-total_sigma, kind="stable")[:MOST_ROWS])
     table = points_table(solution, chosen)
-    which = "those that nothing determines and those of the largest sigma"
-    note = table.note + cut(len(solution.network.points), chosen.size, which, "the table of points")
+    selection = "those that nothing determines and those of the largest sigma"
+    note = table.note + cut(len(solution.network.points), chosen.size, selection, "the table of points")
     return replace(table.last("rays_used", "state"), note=note)
 
 
@@ -180,11 +180,11 @@ def _points(solution: Solution) -> Table:
 def _settings_tables(solution: Solution) -> list[Table]:
     """Settings of the solver, by the names that a case file has for them; versions, and the time of each stage."""
     settings = dataclasses.asdict(solution.settings)
-    made = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
-    return [_pairs("settings", "Settings of the solver", ("setting", "value"), settings),
-            _pairs("versions", "Versions and wall time", ("what", "value"), made)]  # fmt: skip
+    about_run = {**solution.versions, **{f"{stage} (s)": f"{time:.2f}" for stage, time in solution.seconds.items()}}
+    return [_two_columns("settings", "Settings of the solver", ("setting", "value"), settings),
+            _two_columns("versions", "Versions and wall time", ("what", "value"), about_run)]  # fmt: skip
 
 
-def _pairs(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:
+def _two_columns(name: str, title: str, heads: tuple[str, str], values: Mapping[str, Any]) -> Table:
     texts = ["" if value is None else str(value) for value in values.values()]
     return Table(name, title, (Column(heads[0], list(values), page="s"), Column(heads[1], texts, page="s")))

@@ -1,4 +1,4 @@
-"""Passes in reports (strips are such): how their trajectories were corrected along time, and how well that is known.
+"""Passes in reports: how their trajectories were corrected along time, and how well that is known.
 
 Corrections are those of the orientation images alone, in the terms of the flight (`datum.frames`): along, across and
 radial; roll, pitch and yaw. What unknowns that images share do to them on top stands in `shared.csv`.
@@ -27,14 +27,14 @@ _J2000 = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 def passes_table(solution: Solution) -> Table:
     """One row per pass."""
-    found = pass_reports(solution)
-    largest, sigmas = numbers(found, "largest").reshape(-1, 6), numbers(found, "mean_sigmas").reshape(-1, 6)
+    reports = pass_reports(solution)
+    largest, sigmas = numbers(reports, "largest").reshape(-1, 6), numbers(reports, "mean_sigmas").reshape(-1, 6)
     return table_of("passes", {
-        "number": np.array([len(one.images) for one in found]), "largest_correction": largest[:, :3],
+        "number": np.array([len(report.images) for report in reports]), "largest_correction": largest[:, :3],
         "largest_roll_pitch_yaw": largest[:, 3:], "mean_sigma": sigmas[:, :3],
         "mean_sigma_roll_pitch_yaw": sigmas[:, 3:],
-        "trend": [[_trend_json(*part) for part in one.trend] for one in found],
-    }, found)  # fmt: skip
+        "trend": [[_trend_json(*trend_part) for trend_part in report.trend] for report in reports],
+    }, reports)  # fmt: skip
 
 
 def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[str, Any]:
@@ -44,18 +44,19 @@ def _trend_json(part: str, component: str, value: float, sigma: float) -> dict[s
 
 def nodes_table(solution: Solution) -> Table:
     """One row per node within a pass: its time, and corrections with sigmas in m and arcsec."""
-    found = [(one.name, one.corrections) for one in pass_reports(solution)]
-    times = np.concatenate([series.times for _, series in found])
+    corrections = [(report.name, report.corrections) for report in pass_reports(solution)]
+    times = np.concatenate([series.times for _, series in corrections])
 
-    def amounts(part: str) -> dict[str, Array]:
-        of = np.concatenate([getattr(series, "values" if part == "correction" else "sigmas") for _, series in found])
-        return {f"{part}_{{}} m": of[:, :3], f"{part}_{{}} arcsec": of[:, 3:]}
+    def amounts(quantity: str) -> dict[str, Array]:
+        values = np.concatenate([getattr(series, "values" if quantity == "correction" else "sigmas")
+                                 for _, series in corrections])
+        return {f"{quantity}_{{}} m": values[:, :3], f"{quantity}_{{}} arcsec": values[:, 3:]}
 
     return table_of("nodes", {
-        "pass": [name for name, series in found for _ in range(series.times.size)],
-        "node": np.concatenate([np.arange(1, series.times.size + 1) for _, series in found]),
+        "pass": [name for name, series in corrections for _ in range(series.times.size)],
+        "node": np.concatenate([np.arange(1, series.times.size + 1) for _, series in corrections]),
         "time_tdb": [calendar(time) for time in times.tolist()], "time_et": times,
-        "time_in_pass": np.concatenate([series.times - series.times[0] for _, series in found]),
+        "time_in_pass": np.concatenate([series.times - series.times[0] for _, series in corrections]),
         **amounts("correction"), **amounts("sigma"),
     })  # fmt: skip
 
@@ -80,20 +81,21 @@ def passes_section(solution: Solution) -> Section:
 
 def shared_table(solution: Solution) -> Table:
     """One row for each column of a shared unknown; values, sigmas and metres on the ground in or per `unit`."""
-    found = separations(solution)
-    units = [one.unit for one in found]
+    columns = separations(solution)
+    units = [column.unit for column in columns]
     return table_of("shared", {
-        "text": [f"{one.unknown.name} {one.axis}".strip() for one in found], "unit": units,
-    }, found)  # fmt: skip
+        "text": [f"{column.unknown.name} {column.axis}".strip() for column in columns], "unit": units,
+    }, columns)  # fmt: skip
 
 
 def shared_section(solution: Solution) -> Section:
     """Verdict on each column."""
     table = shared_table(solution)
-    said = [one.sentence for one in amplitudes(solution)] + [
-        f"{one.unknown.name[0].upper()}{one.unknown.name[1:]}{f', axis {one.axis}' if one.axis else ''}: {one.sentence}"
-        for one in separations(solution)
-        if one.unknown.sine is None
+    sentences = [amplitude.sentence for amplitude in amplitudes(solution)] + [
+        f"{column.unknown.name[0].upper()}{column.unknown.name[1:]}{f', axis {column.axis}' if column.axis else ''}: "
+        f"{column.sentence}"
+        for column in separations(solution)
+        if column.unknown.sine is None
     ]
-    return Section("shared", sentences=said, tables=[table], csv=[table] if solution.network.shared else [],
+    return Section("shared", sentences=sentences, tables=[table], csv=[table] if solution.network.shared else [],
                    numbers=table.drop("unit").records())  # fmt: skip

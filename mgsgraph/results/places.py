@@ -26,7 +26,7 @@ from mgsgraph.units import DEG, ISIS_OFFSET, MILLISECOND
 
 
 class Surface(NamedTuple):
-    """What image places are projected onto, and ground places without a height lie on; the first that is there."""
+    """Surface for the projection of image places, and for ground places without a height: the first field set."""
 
     terrain: TerrainGrid | None = None
     """A terrain model."""
@@ -50,7 +50,7 @@ PLACES = begins(
     r"([^\n]*,)?state,(height_from,)?(line,sample|isis_line,isis_sample|longitude_deg,latitude_deg,radius_m,geodetic_latitude_deg)[,\r\n]",
 )
 """Tables that the verb writes, by the columns that it adds."""
-_LEAST = 1e-3
+_LEAST_SIGMA = 1e-3
 """m or px, least sigma of which two digits are written, and that of what has none."""
 _SIGMA_OF = {
     **dict(zip((*PLANETOCENTRIC, *CARTESIAN), (*RADIAL, *AXES), strict=True)), "geodetic_latitude_deg": RADIAL[1],
@@ -59,7 +59,7 @@ _SIGMA_OF = {
 }  # fmt: skip
 """Which sigma each number of a table has."""
 _GIVEN = "given_"
-"""What the name of a given column gets before it where a projected one has the same."""
+"""Prefix of a given column that has the name of a computed one."""
 
 
 def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool) -> tuple[Table, str]:
@@ -69,95 +69,98 @@ def project_places(view: View, places: PlaceTable, surface: Surface, isis: bool)
     stands before the surface.
     """
     body, image = view.image.body, view.image.name
-    height, said_by = surface.height or 0.0, surface.height_from
-    level = np.array([body.equatorial + height if surface.radius is None else surface.radius])
-    require(np.all(np.isfinite(level)), "the ground", f"{level[0]}", "a finite number of metres")
-    require_near(level, body, lambda _: "the ground")
+    height, height_source = surface.height or 0.0, surface.height_from
+    levels = np.array([body.equatorial + height if surface.radius is None else surface.radius])
+    require(np.all(np.isfinite(levels)), "the ground", f"{levels[0]}", "a finite number of metres")
+    require_near(levels, body, lambda _: "the ground")
     if places.sort == "image":
-        own = places.heights is not None or places.radii is not None
-        radii = None if surface.radius is None or own else np.full(len(places.pixels), surface.radius)
-        said_by = "given" if own else said_by
-        heights, sigmas = view.ground_heights(places.pixels) if said_by == "neighbors" else (height, 0.0)
-        found = view.on_ground(
+        has_heights = places.heights is not None or places.radii is not None
+        radii = None if surface.radius is None or has_heights else np.full(len(places.pixels), surface.radius)
+        height_source = "given" if has_heights else height_source
+        heights, sigmas = view.ground_heights(places.pixels) if height_source == "neighbors" else (height, 0.0)
+        projected = view.on_ground(
             places.pixels, heights if places.heights is None else places.heights,
-            places.radii if places.radii is not None else radii, None if own else surface.terrain, sigmas,
+            places.radii if places.radii is not None else radii, None if has_heights else surface.terrain, sigmas,
         )  # fmt: skip
-        said = _statement(found, "image place", f"of {image} on the ground")
-        return ground_places_table(found, body, places.columns, said_by), said
+        sentence = _statement(projected, "image place", f"of {image} on the ground")
+        return ground_places_table(projected, body, places.columns, height_source), sentence
     if len(places.directions):
         sphere = body if surface.radius is None else Ellipsoid(surface.radius, surface.radius)
         longitude, latitude = places.directions.T
         points = on_surface(longitude, latitude, sphere, height, surface.terrain)
-        found = _by_neighbors(view, points) if said_by == "neighbors" else view.seen(points, surface.terrain)
+        projected = _seen_at_neighbor_heights(view, points) if height_source == "neighbors" else view.seen(points,
+                                                                                                           surface.terrain)
     else:
-        said_by = "given"
-        found = _beside_relief(view, places.points, surface.terrain)
-    return image_places_table(found, isis, places.columns, said_by), _statement(found, "ground place", f"in {image}")
+        height_source = "given"
+        projected = _seen_over_terrain(view, places.points, surface.terrain)
+    return image_places_table(projected, isis, places.columns, height_source), _statement(projected, "ground place",
+                                                                                          f"in {image}")
 
 
-def _beside_relief(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
+def _seen_over_terrain(view: View, points: Array, terrain: TerrainGrid | None) -> Places:
     """Ground points (n, 3) in m in the image; a terrain model may hide them, but none because it lies beneath that."""
-    found = view.seen(points)
+    seen = view.seen(points)
     if terrain is None:
-        return found
+        return seen
     raised = np.fmax(1.0, terrain.at(points) / np.linalg.norm(points, axis=1))[:, None]
-    behind = view.seen(points * raised, terrain).states
+    raised_states = view.seen(points * raised, terrain).states
     hidden = State.BEHIND_RELIEF
-    return found._replace(states=tuple(
-        hidden if other is hidden else state for state, other in zip(found.states, behind, strict=True)
+    return seen._replace(states=tuple(
+        hidden if raised is hidden else state for state, raised in zip(seen.states, raised_states, strict=True)
     ))  # fmt: skip
 
 
-def _by_neighbors(view: View, ground: Array) -> Places:
+def _seen_at_neighbor_heights(view: View, ground: Array) -> Places:
     """Ground places in the image, raised from the ellipsoid (n, 3) in m to the height of adjusted points about them."""
-    heights, doubt = view.heights_at(ground)
-    up = ground / np.linalg.norm(ground, axis=1, keepdims=True)
-    found, above = (view.seen(ground + (heights + more)[:, None] * up) for more in (0.0, 1.0))
-    moved = (above.pixels - found.pixels) * doubt[:, None]
-    assert found.covariances is not None
-    return found._replace(covariances=found.covariances + moved[:, :, None] * moved[:, None])
+    heights, height_sigmas = view.heights_at(ground)
+    vertical = ground / np.linalg.norm(ground, axis=1, keepdims=True)
+    projected, projected_higher = (view.seen(ground + (heights + rise)[:, None] * vertical) for rise in (0.0, 1.0))
+    shifts = (projected_higher.pixels - projected.pixels) * height_sigmas[:, None]
+    assert projected.covariances is not None
+    return projected._replace(covariances=projected.covariances + shifts[:, :, None] * shifts[:, None])
 
 
-def image_places_table(found: Places, isis: bool, given: Mapping[str, list[str]], height_from: str) -> Table:
+def image_places_table(projected: Places, isis: bool, given: Mapping[str, list[str]], height_from: str) -> Table:
     """Ground places in an image: line and sample, counted from 1 as in ISIS or from the first pixel's corner."""
     names, offset = (ISIS, ISIS_OFFSET) if isis else (OURS, 0.0)
-    values = dict(zip(names, (found.pixels + offset).T, strict=True))
-    if found.covariances is not None:
-        sigmas = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2))
+    values = dict(zip(names, (projected.pixels + offset).T, strict=True))
+    if projected.covariances is not None:
+        sigmas = np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2))
         values |= dict(zip(("sigma_line_px", "sigma_sample_px"), sigmas.T, strict=True))
-    return _table("Ground places in the image", found, values, given, height_from)
+    return _positions_table("Ground places in the image", projected, values, given, height_from)
 
 
-def ground_places_table(found: Places, body: Ellipsoid, given: Mapping[str, list[str]], height_from: str) -> Table:
+def ground_places_table(projected: Places, body: Ellipsoid, given: Mapping[str, list[str]], height_from: str) -> Table:
     """Image places on the ground: planetocentric, geodetic and body-fixed; longitudes 0 .. 360 degrees east."""
-    longitude, latitude, radius = planetocentric(found.points).T
-    _, upright, height = geodetic(found.points, body).T
+    longitude, latitude, radius = planetocentric(projected.points).T
+    _, geodetic_latitude, height = geodetic(projected.points, body).T
     values = dict(zip(PLANETOCENTRIC, (longitude % (2.0 * np.pi) / DEG, latitude / DEG, radius), strict=True))
-    values |= dict(zip(GEODETIC[1:], (upright / DEG, height), strict=True))
-    values |= dict(zip(CARTESIAN, found.points.T, strict=True))
-    if found.covariances is not None:
-        values |= dict(zip(RADIAL, local_sigmas(found.covariances, found.points).T, strict=True))
-        values["sigma_height_m"] = sigmas_along(upward(found.points, body)[:, None], found.covariances)[:, 0]
-        values |= dict(zip(AXES, np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2)).T, strict=True))
-    return _table("Image places on the ground", found, values, given, height_from)
+    values |= dict(zip(GEODETIC[1:], (geodetic_latitude / DEG, height), strict=True))
+    values |= dict(zip(CARTESIAN, projected.points.T, strict=True))
+    if projected.covariances is not None:
+        values |= dict(zip(RADIAL, local_sigmas(projected.covariances, projected.points).T, strict=True))
+        values["sigma_height_m"] = sigmas_along(upward(projected.points, body)[:, None], projected.covariances)[:, 0]
+        values |= dict(zip(AXES, np.sqrt(np.diagonal(projected.covariances, axis1=1, axis2=2)).T, strict=True))
+    return _positions_table("Image places on the ground", projected, values, given, height_from)
 
 
-def _table(
-    title: str, found: Places, values: Mapping[str, Array], given: Mapping[str, list[str]], height_from: str
+def _positions_table(
+    title: str, projected: Places, values: Mapping[str, Array], given: Mapping[str, list[str]], height_from: str
 ) -> Table:
     """Numbers to two digits of their sigmas; those of angles are lengths on the ground."""
-    taken, radius = {*values, "state", "height_from"}, np.linalg.norm(found.points, axis=1)
-    kept = [Column(_GIVEN + name if name in taken else name, list(texts)) for name, texts in given.items()]
-    made = []
+    new_names, radius = {*values, "state", "height_from"}, np.linalg.norm(projected.points, axis=1)
+    given_columns = [Column(_GIVEN + name if name in new_names else name, list(texts)) for name, texts in given.items()]
+    added = []
     for name, column in values.items():
-        sigma = np.fmax(values.get(_SIGMA_OF.get(name, name), np.full(len(column), np.nan)), _LEAST)
+        sigma = np.fmax(values.get(_SIGMA_OF.get(name, name), np.full(len(column), np.nan)), _LEAST_SIGMA)
         if name.endswith("_deg"):
             sigma = sigma / (radius * DEG)
         if name == PLANETOCENTRIC[0]:
-            sigma = sigma / np.maximum(np.cos(values[PLANETOCENTRIC[1]] * DEG), _LEAST)
-        made.append(Column(name, [_two_digits(*pair) for pair in zip(column.tolist(), sigma.tolist(), strict=True)]))
-    state = Column("state", [str(one) for one in found.states])
-    return Table("places", title, (*kept, state, Column("height_from", [height_from] * len(found.states)), *made))
+            sigma = sigma / np.maximum(np.cos(values[PLANETOCENTRIC[1]] * DEG), _LEAST_SIGMA)
+        added.append(Column(name, [_two_digits(*pair) for pair in zip(column.tolist(), sigma.tolist(), strict=True)]))
+    state = Column("state", [str(place_state) for place_state in projected.states])
+    return Table("places", title,
+                 (*given_columns, state, Column("height_from", [height_from] * len(projected.states)), *added))
 
 
 def _two_digits(value: float, sigma: float) -> str:
@@ -174,61 +177,65 @@ def places_text(table: Table) -> list[str]:
     for row in table.records():
         for name, value in row.items():
             sigma, unit = row.get(_SIGMA_OF.get(name, "")), " m" if name.endswith("_deg") else ""
-            after = f" +- {sigma}{unit}" if sigma is not None else ""
+            sigma_text = f" +- {sigma}{unit}" if sigma is not None else ""
             if name not in _SIGMA_OF.values():
-                lines.append(f"{name} = {'none' if value is None else value}{after}")
+                lines.append(f"{name} = {'none' if value is None else value}{sigma_text}")
         lines.append("")
     return lines[:-1]
 
 
-def _statement(found: Places, noun: str, where: str) -> str:
+def _statement(projected: Places, noun: str, place: str) -> str:
     """How many places were projected, and how many of them the image does not show."""
-    counts = Counter(found.states)
+    counts = Counter(projected.states)
     others = ", ".join(f"{count} {state}" for state, count in counts.items() if state is not State.SEEN)
-    return f"{many(len(found.states), noun)} {where}: {counts[State.SEEN]} seen" + (f", {others}" if others else "")
+    return f"{many(len(projected.states), noun)} {place}: {counts[State.SEEN]} seen" + (f", {others}" if others else "")
 
 
 # --- laser shots over images
 
 
-def crossings_table(found: tuple[Crossing, ...]) -> Table:
+def crossings_table(crossings: tuple[Crossing, ...]) -> Table:
     """One row for each image and profile that crosses it or was taken along."""
     return table_of("crossings", {
-        "utc": [f"{utc_of_tdb(one.start):{_MINUTES}}" for one in found],
-        "from_image": numbers(found, "seconds") / _DAY,
-    }, found)  # fmt: skip
+        "utc": [f"{utc_of_tdb(crossing.start):{_MINUTES}}" for crossing in crossings],
+        "from_image": numbers(crossings, "seconds") / _DAY,
+    }, crossings)  # fmt: skip
 
 
 SELECTION = begins("a selection of mgsgraph footprints", "altimeter,profile,utc,images,simultaneous,orbit,")
 """Tables of `selection_table`, by their columns."""
 
 
-def selection_table(over: Registration) -> Table:
+def selection_table(registration: Registration) -> Table:
     """Shots that fall in an image, with all that `altimetry.shots.read_shots` takes back; what is empty is unknown."""
-    shots, rows = over.shots.chosen(over.chosen), over.chosen
+    shots, rows = registration.shots.chosen(registration.chosen), registration.chosen
     longitude, latitude, radius = planetocentric(shots.footprints).T
 
-    def names(which: Mask) -> RepeatedNames:
-        seen, numbers = np.unique(which[:, rows], axis=1, return_inverse=True)
-        texts = RepeatedNames.of([";".join(over.images[j].name for j in np.flatnonzero(one)) for one in seen.T])
+    def names(mask: Mask) -> RepeatedNames:
+        combinations, numbers = np.unique(mask[:, rows], axis=1, return_inverse=True)
+        texts = RepeatedNames.of([";".join(registration.images[j].name for j in np.flatnonzero(in_images))
+                                  for in_images in combinations.T])
         return texts[numbers.ravel()]
 
     return table_of("places_shots", {
         "altimeter": RepeatedNames((shots.altimeter.name,), np.zeros(rows.size, dtype=np.int64)),
         "profile": shots.profile_names(), "utc": utc_texts(shots.times + 0.5 * MILLISECOND),
-        "images": names(over.inside), "simultaneous": names(over.inside & over.simultaneous), "orbit": shots.orbits,
+        "images": names(registration.inside), "simultaneous": names(registration.inside & registration.simultaneous),
+        "orbit": shots.orbits,
         "frame": shots.frames, "shot": shots.shots, "ground": shots.ground.astype(np.int64), "channel": shots.channels,
         "time": shots.times, "longitude": longitude / DEG % 360.0, "latitude": latitude, "radius": radius,
         **record_of("shots", shots),
     })  # fmt: skip
 
 
-def crossings_section(over: Registration, found: tuple[Crossing, ...]) -> Section:
+def crossings_section(registration: Registration, crossings: tuple[Crossing, ...]) -> Section:
     """How many shots of which profiles fall in each image, and which profiles were taken along with it."""
-    said = list[str]()
-    for image in over.images:
-        inside = [one for one in found if one.image == image.name and one.inside]
-        along = [one.profile for one in found if one.image == image.name and one.simultaneous]
-        shots, profiles = many(sum(one.inside for one in inside), "shot"), many(len(inside), "profile")
-        said.append(f"{image.name}: {shots} of {profiles} fall in it, {', '.join(along) or 'none'} taken along with it")
-    return Section("crossings", "", said, [crossings_table(found)])
+    sentences = list[str]()
+    for image in registration.images:
+        inside = [crossing for crossing in crossings if crossing.image == image.name and crossing.inside]
+        simultaneous = [crossing.profile for crossing in crossings if crossing.image == image.name
+                        and crossing.simultaneous]
+        shots, profiles = many(sum(crossing.inside for crossing in inside), "shot"), many(len(inside), "profile")
+        sentences.append(f"{image.name}: {shots} of {profiles} fall in it, "
+                         f"{', '.join(simultaneous) or 'none'} taken along with it")
+    return Section("crossings", "", sentences, [crossings_table(crossings)])

@@ -27,7 +27,7 @@ _COUNTING = "lines and samples are counted as ISIS does: the centre of the first
 
 
 def write_registration(registration: CaseRegistration, folder: str | Path, figures: bool = True) -> list[str]:
-    """Write tables and figures to a folder that appears whole or not at all; returns the names of the files.
+    """Write tables and figures to a folder, atomically; returns the names of the files.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def write_registration_into(registration: CaseRegistration, folder: Path, figure
 
 def registration_section(registration: CaseRegistration) -> Section:
     """Where shots fall, and by how much images contradict each other about them, before and after."""
-    said = [*(_falls(profile) for profile in registration.before), *registration.warnings]
+    sentences = [*(_shots_sentence(profile) for profile in registration.before), *registration.warnings]
     record = {
         "format": FORMAT,
         "name": registration.name,
@@ -73,82 +73,83 @@ def registration_section(registration: CaseRegistration) -> Section:
             state: [_profile_json(profile) for profile in profiles] for state, profiles in registration.states()
         },
         "counting": _COUNTING,
-        "statements": said,
+        "statements": sentences,
     }
     csv = [registration_table(registration), discrepancy_table(registration)]
-    return Section("registration", "", said, [_agreement_table(registration)], record, csv)
+    return Section("registration", "", sentences, [_agreement_table(registration)], record, csv)
 
 
-def _falls(profile: ProfileRegistration) -> str:
+def _shots_sentence(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
-    found = profile.found
-    seeing = [
-        f"{int(inside.sum())} fall in {image.name}{' (taken at the same time)' if np.any(same) else ''}"
-        for image, inside, same in zip(found.images, found.inside, found.simultaneous, strict=True)
-        if np.any(inside | same)
+    footprints = profile.found
+    counts = [
+        f"{int(inside.sum())} fall in {image.name}{' (taken at the same time)' if np.any(same_time) else ''}"
+        for image, inside, same_time in zip(footprints.images, footprints.inside, footprints.simultaneous, strict=True)
+        if np.any(inside | same_time)
     ]
-    shots = f"{many(found.shots.times.size, 'shot')} of {profile.name}"
-    return f"Of {shots}, {listed(seeing)}." if seeing else f"None of {shots} falls in an image."
+    shots = f"{many(footprints.shots.times.size, 'shot')} of {profile.name}"
+    return f"Of {shots}, {listed(counts)}." if counts else f"None of {shots} falls in an image."
 
 
-def _discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
+def _listed_discrepancies(registration: CaseRegistration) -> list[tuple[str, ProfileRegistration, Misregistration]]:
     return [
-        (state, profile, one)
-        for state, profiles in registration.states() for profile in profiles for one in profile.discrepancies
+        (state, profile, pair)
+        for state, profiles in registration.states() for profile in profiles for pair in profile.discrepancies
     ]  # fmt: skip
 
 
 def _agreement_table(registration: CaseRegistration) -> Table:
     """One row per orientation, profile and pair of images: mean and rms of their contradiction on the ground."""
-    every = _discrepancies(registration)
-    found, ways = [discrepancy_json(one) for _, _, one in every], ("along", "across")
+    discrepancies = _listed_discrepancies(registration)
+    records, axes = [discrepancy_json(pair) for _, _, pair in discrepancies], ("along", "across")
 
     def of(unit: str, figure: str) -> Array:
-        return np.array([[row[f"{way}_{unit}"][figure] for way in ways] for row in found]).reshape(-1, 2)
+        return np.array([[row[f"{axis}_{unit}"][figure] for axis in axes] for row in records]).reshape(-1, 2)
 
     return table_of("agreement", {
-        "orientation": [state for state, _, _ in every], "profile": [profile.name for _, profile, _ in every],
-        "image": [row["image"] for row in found], "against": [row["against"] for row in found],
-        "footprints": np.array([row["footprints"] for row in found], dtype=np.int64),
+        "orientation": [state for state, _, _ in discrepancies],
+        "profile": [profile.name for _, profile, _ in discrepancies],
+        "image": [row["image"] for row in records], "against": [row["against"] for row in records],
+        "footprints": np.array([row["footprints"] for row in records], dtype=np.int64),
         "mean_{}": of("m", "mean"), "rms_{} m": of("m", "rms"), "σ_{}": of("m", "mean_sigma"),
         "rms_{} px": of("px", "rms"),
     })  # fmt: skip
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
-    found = profile.found
+    footprints = profile.found
     return {
         "profile": profile.name,
-        "source": found.shots.source,
-        "shots": found.shots.times.size,
-        "spacing_m": found.shots.spacing,
+        "source": footprints.shots.source,
+        "shots": footprints.shots.times.size,
+        "spacing_m": footprints.shots.spacing,
         "images": [
             {
                 "image": image.name,
-                "simultaneous": bool(np.any(found.simultaneous[j])),
-                "inside": int(found.inside[j].sum()),
+                "simultaneous": bool(np.any(footprints.simultaneous[j])),
+                "inside": int(footprints.inside[j].sum()),
             }
-            for j, image in enumerate(found.images)
+            for j, image in enumerate(footprints.images)
         ],
-        "discrepancies": [discrepancy_json(one) for one in profile.discrepancies],
+        "discrepancies": [discrepancy_json(pair) for pair in profile.discrepancies],
     }
 
 
-def discrepancy_json(one: Misregistration) -> dict[str, Any]:
+def discrepancy_json(pair: Misregistration) -> dict[str, Any]:
     """A misregistration with its sigmas, in pixels, metres and line spacings."""
-    record: dict[str, Any] = {"image": one.image, "against": one.against, "footprints": one.shots.size}
+    record: dict[str, Any] = {"image": pair.image, "against": pair.against, "footprints": pair.shots.size}
     for unit, values, sigmas in (
-        ("px", one.pixels, one.pixel_sigmas), ("m", one.metres, one.metre_sigmas),
-        ("spacings", one.spacings, one.metre_sigmas / one.spacing),
+        ("px", pair.pixels, pair.pixel_sigmas), ("m", pair.metres, pair.metre_sigmas),
+        ("spacings", pair.spacings, pair.metre_sigmas / pair.spacing),
     ):
-        for k, way in enumerate(("along", "across")):
-            column, seen = values[:, k], one.shots.size > 0
-            record[f"{way}_{unit}"] = {
-                "mean": column.mean() if seen else math.nan,
+        for k, direction in enumerate(("along", "across")):
+            column, has_footprints = values[:, k], pair.shots.size > 0
+            record[f"{direction}_{unit}"] = {
+                "mean": column.mean() if has_footprints else math.nan,
                 "rms": root_mean_square(column),
-                "lowest": column.min() if seen else math.nan,
-                "highest": column.max() if seen else math.nan,
-                "mean_sigma": sigmas[:, k].mean() if seen else math.nan,
+                "lowest": column.min() if has_footprints else math.nan,
+                "highest": column.max() if has_footprints else math.nan,
+                "mean_sigma": sigmas[:, k].mean() if has_footprints else math.nan,
             }
     return record
 
@@ -156,9 +157,9 @@ def discrepancy_json(one: Misregistration) -> dict[str, Any]:
 def registration_table(registration: CaseRegistration) -> Table:
     """One row per shot and image: where it falls; unknown where unseen."""
     rows = [(p, j) for p in range(len(registration.before)) for j in range(len(registration.images))]
-    found = [registration.before[p].found for p, _ in rows]
-    sizes = [one.shots.times.size for one in found]
-    longitude, latitude, radius = planetocentric(np.concatenate([one.shots.footprints for one in found])).T
+    crossed = [registration.before[p].found for p, _ in rows]
+    sizes = [profile.shots.times.size for profile in crossed]
+    longitude, latitude, radius = planetocentric(np.concatenate([profile.shots.footprints for profile in crossed])).T
 
     def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
         return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
@@ -172,35 +173,35 @@ def registration_table(registration: CaseRegistration) -> Table:
     return table_of("registration", {
         "profile": repeated([registration.before[p].name for p, _ in rows]),
         "number": np.concatenate([np.arange(1, n + 1) for n in sizes]),
-        "shot": [shot for one in found for shot in one.shots.ids],
+        "shot": [shot for profile in crossed for shot in profile.shots.ids],
         "image": repeated([registration.images[j].name for _, j in rows]),
         "simultaneous": of_state(registration.before, "simultaneous"),
         **{f"{state}_inside": of_state(profiles, "inside") for state, profiles in registration.states()},
-        "time_et": np.concatenate([one.shots.times for one in found]), "lon": longitude / DEG % 360.0,
+        "time_et": np.concatenate([profile.shots.times for profile in crossed]), "lon": longitude / DEG % 360.0,
         "lat": latitude, "radius": radius,
-        "height_above_areoid": radius - np.concatenate([one.shots.areoid_radii for one in found]), **places,
+        "height_above_areoid": radius - np.concatenate([profile.shots.areoid_radii for profile in crossed]), **places,
     })  # fmt: skip
 
 
 def discrepancy_table(registration: CaseRegistration) -> Table:
     """One row per orientation, pair of images and footprint that both see: by how much they contradict."""
-    found = _discrepancies(registration)
-    each = [one for _, _, one in found]
+    labelled = _listed_discrepancies(registration)
+    pairs = [pair for _, _, pair in labelled]
     rows = [
-        (state, profile.name, k + 1, profile.found.shots.ids[k], one.image, one.against)
-        for state, profile, one in found for k in one.shots.tolist()
+        (state, profile.name, k + 1, profile.found.shots.ids[k], pair.image, pair.against)
+        for state, profile, pair in labelled for k in pair.shots.tolist()
     ]  # fmt: skip
     keys = ("orientation", "profile", "number", "shot", "image", "against")
-    words = {key: [row[k] for row in rows] for k, key in enumerate(keys)}
+    texts = {key: [row[k] for row in rows] for k, key in enumerate(keys)}
 
     def joined(name: str) -> Array:
-        return np.concatenate([np.zeros((0, 2)), *(getattr(one, name) for one in each)])
+        return np.concatenate([np.zeros((0, 2)), *(getattr(pair, name) for pair in pairs)])
 
     metres, sigmas = joined("metres"), joined("metre_sigmas")
-    spacing = np.concatenate([np.zeros((0, 1)), *(np.full((one.shots.size, 1), one.spacing) for one in each)])
-    return table_of("discrepancy", words | {
-        "number": np.array(words["number"], dtype=np.int64),
-        "isis_line": np.concatenate([np.zeros(0), *(one.lines for one in each)]) + ISIS_OFFSET,
+    spacing = np.concatenate([np.zeros((0, 1)), *(np.full((pair.shots.size, 1), pair.spacing) for pair in pairs)])
+    return table_of("discrepancy", texts | {
+        "number": np.array(texts["number"], dtype=np.int64),
+        "isis_line": np.concatenate([np.zeros(0), *(pair.lines for pair in pairs)]) + ISIS_OFFSET,
         "{} px": joined("pixels"), "sigma_{} px": joined("pixel_sigmas"), "{} m": metres, "sigma_{} m": sigmas,
         "{} spacings": metres / spacing, "sigma_{} spacings": sigmas / spacing,
     })  # fmt: skip

@@ -1,4 +1,4 @@
-"""A registration by relief in words and as files: the adjusted solution with all that `adjust` writes, and beside it
+"""A registration by relief as sentences and files: the adjusted solution with all that `adjust` writes, and beside it
 coregistration.json, one row per profile and one per shot.
 """
 
@@ -16,7 +16,7 @@ from mgsgraph.geometry.body import east_north_up, geodetic, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.registration.minima import ProfileState, ReliefProfile, ReliefRegistration
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
 from mgsgraph.results.verdict import headline
 from mgsgraph.text import many, root_mean_square, some
 from mgsgraph.units import DEG
@@ -24,7 +24,7 @@ from mgsgraph.units import DEG
 FORMAT = 1
 """Version of coregistration.json's layout."""
 _MOST_MINIMA = 10
-"""Of a cost surface that are written, best first."""
+"""Minima of a cost surface that are written, best first."""
 
 
 def write_coregistration(
@@ -38,7 +38,7 @@ def write_coregistration(
     registration : ReliefRegistration
         As `register_by_relief` made it, converged or not.
     folder : path
-        Absent, empty, or an earlier result, which is replaced; appears whole or not at all.
+        Absent, empty, or an earlier result, which is replaced, atomically.
     figures : bool
         False leaves the figures out.
     case : path, optional
@@ -70,7 +70,7 @@ def write_coregistration_into(
     registration: ReliefRegistration, folder: Path, figures: bool = True, case: str | Path | None = None,
     networks: Sequence[Path] = (),
 ) -> list[str]:  # fmt: skip
-    """The same into a folder that exists, file by file."""
+    """Write solution, tables and figures into a folder that exists, file by file."""
     names = write_into(registration.solution, folder, figures, case, networks)
     section = coregistration_section(registration)
     return names + write_sections_into([section], section.numbers, folder, COREGISTRATION, figures)
@@ -82,7 +82,7 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
     assert network.stereo is not None
     pairs = [[network.images[j].name for j in pair] for pair in network.stereo.images.tolist()]
 
-    said = relief_statements(registration)
+    sentences = relief_statements(registration)
     record = {
         "format": FORMAT,
         "name": registration.name,
@@ -93,36 +93,34 @@ def coregistration_section(registration: ReliefRegistration) -> Section:
         "pairs": pairs,
         "profiles": [
             row | {
-                "shift_covariance_m2": one.covariance,
-                "minima_before": _minima_json(one.before),
-                "minima_after": _minima_json(one.after),
+                "shift_covariance_m2": profile.covariance,
+                "minima_before": _minima_json(profile.before),
+                "minima_after": _minima_json(profile.after),
             }
-            for row, one in zip(profiles.records(), registration.profiles, strict=True)
+            for row, profile in zip(profiles.records(), registration.profiles, strict=True)
         ],
         "crossovers": _crossovers_json(registration.solution),
-        "statements": said,
+        "statements": sentences,
     }  # fmt: skip
     csv = [profiles, relief_shots_table(registration)]
-    return Section("coregistration", headline(registration.solution), said, [profiles], record, csv,
-                   sheets=drawn("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
+    return Section("coregistration", headline(registration.solution), sentences, [profiles], record, csv,
+                   sheets=sheets_by("mgsgraph.results.figures.relief.relief_sheets", registration))  # fmt: skip
 
 
 def _crossovers_json(solution: Solution) -> dict[str, Any]:
     """How far the heights of laser profiles differ where they cross, after."""
     network = solution.network
-    crossing, off = network.crossovers, crossover_differences(network, solution.shifts, solution.shared)
+    crossing, differences = network.crossovers, crossover_differences(network, solution.shifts, solution.shared)
     if crossing is None:
         return {"count": 0, "rms_m": None, "rms_sigmas": None}
     return {
-        "count": off.size, "rms_m": root_mean_square(off), "rms_sigmas": root_mean_square(off / crossing.sigmas)
+        "count": differences.size, "rms_m": root_mean_square(differences),
+        "rms_sigmas": root_mean_square(differences / crossing.sigmas)
     }  # fmt: skip
 
 
 def _minima_json(state: ProfileState) -> list[dict[str, Any]]:
-    return [
-        record_of("relief_minimum", one)
-        for one in state.cost.minima[:_MOST_MINIMA]
-    ]  # fmt: skip
+    return [record_of("relief_minimum", minimum) for minimum in state.cost.minima[:_MOST_MINIMA]]
 
 
 # --- tables
@@ -134,49 +132,52 @@ def profiles_table(registration: ReliefRegistration) -> Table:
     shifts = registration.solution.network.shifts
     assert shifts is not None
 
-    def of(value: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
-        return np.array([value(one) for one in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
+    def of(get: Callable[[ReliefProfile], Any], width: int = 0) -> Array:
+        return np.array([get(profile) for profile in profiles], dtype=np.float64).reshape((-1, width) if width else -1)
 
     def misplacement(when: str) -> dict[str, Array]:
-        states = [getattr(one, when) for one in profiles]
+        states = [getattr(profile, when) for profile in profiles]
         sigma = [np.sqrt(np.diag(state.misplacement_covariance)) for state in states]
         key = f"misplacement_{when}_{{}}"
         return {key: numbers(states, "misplacement").reshape(-1, 2), f"sigma_{key}": np.array(sigma).reshape(-1, 2)}
 
     def minimum(k: int, name: str) -> Array:  # of the k-th best minimum after; NaN where there is none
-        return of(lambda one: getattr(one.after.cost.minima[k], name) if len(one.after.cost.minima) > k else np.nan)
+        return of(lambda profile: getattr(profile.after.cost.minima[k], name) if len(profile.after.cost.minima) > k
+                  else np.nan)
 
     return table_of("profiles", {
-        "on_surface": np.array([int(one.taken.sum()) for one in profiles]),
-        "tied": np.array([one.after.cost.tied for one in profiles]),
-        "clear": np.array([one.after.cost.clear for one in profiles]),
+        "on_surface": np.array([int(profile.taken.sum()) for profile in profiles]),
+        "tied": np.array([profile.after.cost.tied for profile in profiles]),
+        "clear": np.array([profile.after.cost.clear for profile in profiles]),
         **misplacement("before"), **misplacement("after"), "misfit": minimum(0, "misfit"),
         "runner_up_misfit": minimum(1, "misfit"), "runner_up_weight": minimum(1, "weight"),
-        "shift_{}": of(lambda one: one.shift, 2),
-        "sigma_shift_{}": of(lambda one: np.sqrt(np.diag(one.covariance)), 2), "apriori_sigma_shift": shifts.sigmas,
+        "shift_{}": of(lambda profile: profile.shift, 2),
+        "sigma_shift_{}": of(lambda profile: np.sqrt(np.diag(profile.covariance)), 2),
+        "apriori_sigma_shift": shifts.sigmas,
     }, profiles)  # fmt: skip
 
 
 def relief_shots_table(registration: ReliefRegistration) -> Table:
     """One row per laser shot and post: its height above the stereo surface before and after."""
     profiles, network = registration.profiles, registration.solution.network
-    points = network.points.places[np.concatenate([one.mine for one in profiles])]
+    points = network.points.places[np.concatenate([profile.mine for profile in profiles])]
     longitude, latitude, _ = planetocentric(points).T
-    taken = np.concatenate([one.taken for one in profiles])
-    slopes = [np.where(one.taken[:, None], slopes_of(one.after), np.nan) for one in profiles]
+    on_surface = np.concatenate([profile.taken for profile in profiles])
+    slopes = [np.where(profile.taken[:, None], slopes_of(profile.after), np.nan) for profile in profiles]
     return table_of("relief_shots", {
-        "profile": [one.name for one in profiles for _ in one.mine],
-        "shot": [network.points.ids[i] for one in profiles for i in one.mine.tolist()], "on_surface": taken,
+        "profile": [profile.name for profile in profiles for _ in profile.mine],
+        "shot": [network.points.ids[i] for profile in profiles for i in profile.mine.tolist()],
+        "on_surface": on_surface,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
         "height": geodetic(points, network.images[0].body)[:, 2],
-        "above_surface_before": np.concatenate([_known(one.before) for one in profiles]),
-        "above_surface_after": np.concatenate([_known(one.after) for one in profiles]),
-        "sigma": np.where(taken, np.concatenate([one.sigmas for one in profiles]), np.nan),
+        "above_surface_before": np.concatenate([_covered_heights(profile.before) for profile in profiles]),
+        "above_surface_after": np.concatenate([_covered_heights(profile.after) for profile in profiles]),
+        "sigma": np.where(on_surface, np.concatenate([profile.sigmas for profile in profiles]), np.nan),
         "slope_{}": np.concatenate(slopes),
     })  # fmt: skip
 
 
-def _known(state: ProfileState) -> Array:
+def _covered_heights(state: ProfileState) -> Array:
     """(n,) m, heights above the surface; NaN beside it."""
     return np.where(state.heights.covered, state.heights.heights, np.nan)
 
@@ -191,37 +192,40 @@ def slopes_of(state: ProfileState) -> Array:
 
 
 def relief_statements(registration: ReliefRegistration) -> list[str]:
-    """What was found, in sentences with numbers and units; the table of profiles has each by itself."""
+    """Results in sentences with numbers and units; the table of profiles has each by itself."""
     profiles, solution, reach = registration.profiles, registration.solution, registration.settings.reach
-    taken = [one for one in profiles if np.any(one.taken)]
-    tied, found = [one for one in taken if one.after.cost.tied], list[str]()
-    if known := [one for one in tied if one.before.cost.tied]:
+    used = [profile for profile in profiles if np.any(profile.taken)]
+    tied, sentences = [profile for profile in used if profile.after.cost.tied], list[str]()
+    if known_before := [profile for profile in tied if profile.before.cost.tied]:
         before, after = (
-            root_mean_square(np.array([np.linalg.norm(getattr(one, state).misplacement) for one in known]))
+            root_mean_square(np.array([np.linalg.norm(getattr(profile, state).misplacement)
+                                       for profile in known_before]))
             for state in ("before", "after")
         )
-        sigma = np.nanmedian([np.sqrt(np.trace(one.after.misplacement_covariance)) for one in known])
-        found.append(f"Before, {many(len(known), 'profile')} and the images disagreed by {before:.0f} m (rms); after, "
-                     f"by {after:.1f} m (median sigma {sigma:.1f} m).")  # fmt: skip
-    for which, words in (
-        ([one for one in tied if one.after.cost.clear], f"have one clear minimum within {reach:.0f} m"),
-        ([one for one in tied if not one.after.cost.clear and one.after.cost.reached],
+        sigma = np.nanmedian([np.sqrt(np.trace(profile.after.misplacement_covariance)) for profile in known_before])
+        sentences.append(f"Before, {many(len(known_before), 'profile')} and the images disagreed by {before:.0f} m "
+                         f"(rms); after, by {after:.1f} m (median sigma {sigma:.1f} m).")  # fmt: skip
+    for members, condition in (
+        ([profile for profile in tied if profile.after.cost.clear], f"have one clear minimum within {reach:.0f} m"),
+        ([profile for profile in tied if not profile.after.cost.clear and profile.after.cost.reached],
          "have several possible minima, and heights that count as those of level ground"),
-        ([one for one in tied if not one.after.cost.reached],
+        ([profile for profile in tied if not profile.after.cost.reached],
          "keep off their best shift in adjustments, and have heights that count as those of level ground"),
-        ([one for one in taken if not one.after.cost.tied], "are not tied by relief"),
-        ([one for one in profiles if not np.any(one.taken)], "have too few shots on the surface to take part"),
+        ([profile for profile in used if not profile.after.cost.tied], "are not tied by relief"),
+        ([profile for profile in profiles if not np.any(profile.taken)],
+         "have too few shots on the surface to take part"),
     ):
-        if which:
-            names = some([one.name for one in which], len(which))
-            found.append(f"{len(which)} of {len(profiles)} profiles {words} ({names}).")
+        if members:
+            names = some([profile.name for profile in members], len(members))
+            sentences.append(f"{len(members)} of {len(profiles)} profiles {condition} ({names}).")
     if solution.network.considered:
         named = some(solution.network.considered, len(solution.network.considered))
-        found.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
-    found.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, {solution.sigma0:.3g} with them.")
+        sentences.append(f"Considered, not estimated: {named}; their a-priori sigmas are part of all sigmas.")
+    sentences.append(f"Sigma0 is {registration.before.sigma0:.3g} without stereo rows, "
+                     f"{solution.sigma0:.3g} with them.")
     if (crossing := _crossovers_json(solution))["count"]:
-        found.append(f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by "
-                     f"{crossing['rms_m']:.2g} m rms, {crossing['rms_sigmas']:.2g} of their sigmas.")  # fmt: skip
+        sentences.append(f"{many(crossing['count'], 'crossover')} of laser profiles: heights differ by "
+                         f"{crossing['rms_m']:.2g} m rms, {crossing['rms_sigmas']:.2g} of their sigmas.")  # fmt: skip
     if not solution.converged:
-        found.append(f"The adjustment has NOT CONVERGED. {solution.message}")
-    return found
+        sentences.append(f"The adjustment has NOT CONVERGED. {solution.message}")
+    return sentences

@@ -33,13 +33,7 @@ from mgsgraph.results.ground import control_section, laser_section, minima_secti
 from mgsgraph.results.passes import passes_section, shared_section
 from mgsgraph.results.section import ROWS, Section, record_of, table_of
 from mgsgraph.results.tables import TableForm, connectivity_table, orientation_table, write_large_tables
-from mgsgraph.results.verdict import (
-    drivers_section,
-    linearity_section,
-    reading_statements,
-    state_of,
-    verdict_section,
-)
+from mgsgraph.results.verdict import drivers_section, linearity_section, reading_statements, state_of, verdict_section
 from mgsgraph.text import many, short
 from mgsgraph.units import ARCSEC
 
@@ -52,23 +46,23 @@ _NOTE = (
 
 def images_section(solution: Solution) -> Section:
     """How each class of points fits, and each image."""
-    rays, said = ray_statistics(solution), list[str]()
+    rays, sentences = ray_statistics(solution), list[str]()
     for point_class in PointClass:
         if count := int(rays.count[:, point_class].sum()):
             line, sample = rays.rms_of_classes[point_class]
-            said.append(
+            sentences.append(
                 f"{point_class.name.capitalize()} points fit to {line:.2g} lines and {sample:.2g} samples "
                 f"(rms of {many(count, 'ray')})."
             )
-    record = [_image(solution, j, rays) for j in range(len(solution.network.images))]
-    return Section("images", sentences=said, tables=[images_table(solution)], numbers=record)
+    record = [_image_record(solution, j, rays) for j in range(len(solution.network.images))]
+    return Section("images", sentences=sentences, tables=[images_table(solution)], numbers=record)
 
 
 def images_table(solution: Solution) -> Table:
     """One row per image: measurements, residuals, corrections; in large blocks those that fit worst first."""
     network, rays, count = solution.network, ray_statistics(solution), len(solution.network.images)
-    found = [orientation_statistics(solution, j) for j in range(len(network.images))]
-    mean, sigma = (np.array([getattr(one, name) for one in found]) for name in ("mean", "mean_sigma"))
+    statistics = [orientation_statistics(solution, j) for j in range(len(network.images))]
+    mean, sigma = (np.array([getattr(statistic, name) for statistic in statistics]) for name in ("mean", "mean_sigma"))
     sigma = np.where(network.held[:, None], np.nan, sigma)
     passes = [network.passes[owner].name if owner >= 0 else "" for owner in network.pass_of.tolist()]
     held = dict.fromkeys(np.flatnonzero(network.held).tolist(), ("correction_{}", f"{'held':>23}"))
@@ -79,65 +73,53 @@ def images_table(solution: Solution) -> Table:
     return table if count <= ROWS else table.take(worst_first(solution))
 
 
-def _image(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
+def _image_record(solution: Solution, j: int, rays: RayStatistics) -> dict[str, Any]:
     """What a record holds of an image."""
     image, owner = solution.network.images[j], int(solution.network.pass_of[j])
     line, sample = rays.rms_of_images[j]
     record: dict[str, Any] = {
-        "name": image.name,
-        "held": bool(solution.network.held[j]),
-        "pass": solution.network.passes[owner].name if owner >= 0 else None,
-        "lines": image.lines,
-        "samples": image.samples,
-        "rays": int(rays.total[j]),
-        "rays_used": int(rays.count[j].sum()),
-        "residual_rms_line_px": line,
-        "residual_rms_sample_px": sample,
+        "name": image.name, "held": bool(solution.network.held[j]),
+        "pass": solution.network.passes[owner].name if owner >= 0 else None, "lines": image.lines,
+        "samples": image.samples, "rays": int(rays.total[j]), "rays_used": int(rays.count[j].sum()),
+        "residual_rms_line_px": line, "residual_rms_sample_px": sample,
     }
-    for c in filter(lambda one: one.measured, PointClass):
-        record[c.name.lower()] = {"count": int(rays.count[j, c])} | {
-            f"{what}_{way}_px": getattr(rays, what)[j, c, k]
-            for what in ("mean", "rms") for k, way in enumerate(("line", "sample"))
+    for point_class in filter(lambda member: member.measured, PointClass):
+        record[point_class.name.lower()] = {"count": int(rays.count[j, point_class])} | {
+            f"{statistic}_{axis}_px": getattr(rays, statistic)[j, point_class, k]
+            for statistic in ("mean", "rms") for k, axis in enumerate(("line", "sample"))
         }  # fmt: skip
-    return record | {"orientation": _orientation(solution, j)}
+    return record | {"orientation": _orientation_record(solution, j)}
 
 
-def _orientation(solution: Solution, j: int) -> dict[str, Any]:
-    found = orientation_statistics(solution, j)
+def _orientation_record(solution: Solution, j: int) -> dict[str, Any]:
+    statistics = orientation_statistics(solution, j)
     record: dict[str, Any] = {"places": PLACES}
     for k, component in enumerate(ORIENTATION):
         unit, factor = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
         record[f"{component.replace(' ', '_')}_{unit}"] = {
-            "mean": found.mean[k] / factor, "rms": found.rms[k] / factor, "sigma_mean": found.mean_sigma[k] / factor,
+            "mean": statistics.mean[k] / factor, "rms": statistics.rms[k] / factor,
+            "sigma_mean": statistics.mean_sigma[k] / factor,
         }
     return record
 
 
 def solution_sections(solution: Solution, connected: Connectivity | None = None) -> list[Section]:
-    """Findings in the order in which they are read; `connected` saves finding it anew. Those with a name are in
+    """Findings in the order in which they are read; `connected` saves computing it again. Those with a name are in
     solution.json.
     """
     connected = connected or solution_connectivity(solution)
     return [
-        verdict_section(solution),
-        Section("", sentences=_ending(solution)),
-        drivers_section(solution),
-        linearity_section(solution.linearity),
-        minima_section(solution.minima),
-        images_section(solution),
-        ranges_section(solution),
-        laser_section(solution),
-        control_section(solution),
-        shared_section(solution),
-        passes_section(solution),
-        points_section(solution),
+        verdict_section(solution), Section("", sentences=_termination(solution)), drivers_section(solution),
+        linearity_section(solution.linearity), minima_section(solution.minima), images_section(solution),
+        ranges_section(solution), laser_section(solution), control_section(solution), shared_section(solution),
+        passes_section(solution), points_section(solution),
         Section("", sentences=reading_statements(solution.network.images)),
         Section("connectivity", sentences=connectivity_statements(connected), numbers=connectivity_json(connected)),
     ]
 
 
 def statements(solution: Solution, connected: Connectivity | None = None) -> list[str]:
-    """Sentences with figures and units; `connected` saves finding it anew."""
+    """Sentences with figures and units; `connected` saves computing it again."""
     return sentences_of(solution_sections(solution, connected))
 
 
@@ -147,19 +129,19 @@ def sentences_of(sections: Sequence[Section]) -> list[str]:
 
 
 def summary_table(solution: Solution, sections: Sequence[Section] | None = None) -> str:
-    """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves finding them anew."""
-    tables = [Section("", tables=one.tables).text() for one in sections or solution_sections(solution)]
+    """Figures of merit and tables as aligned text of at most 110 columns; `sections` saves computing them again."""
+    tables = [Section("", tables=section.tables).text() for section in sections or solution_sections(solution)]
     seconds = ", ".join(f"{stage} {time:.2f}" for stage, time in solution.seconds.items())
-    return "\n\n".join([_head(solution), *filter(None, tables), f"Seconds: {seconds}"])
+    return "\n\n".join([_heading(solution), *filter(None, tables), f"Seconds: {seconds}"])
 
 
-def _ending(solution: Solution) -> list[str]:
+def _termination(solution: Solution) -> list[str]:
     cost = f"the cost went from {solution.cost_initial:.4g} to {solution.cost_final:.4g}"
     return [f"{solution.message} It took {many(solution.iterations, 'iteration')}; {cost}."]
 
 
 def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
-    """What one looks at first: names and numbers."""
+    """Key figures: names and numbers."""
     fit, network = solution.fit, solution.network
     return [
         ("cost with the nominal orientation", solution.cost_initial), ("cost at the solution", solution.cost_final),
@@ -169,17 +151,17 @@ def figures_of_merit(solution: Solution) -> list[tuple[str, float]]:
     ]  # fmt: skip
 
 
-def figure(value: float) -> str:
-    """A figure of merit in words."""
+def value_text(value: float) -> str:
+    """A figure of merit as text."""
     if isinstance(value, int):
         return str(value)
     return f"{value:.6g}" if math.isfinite(value) else "not defined"
 
 
-def _head(solution: Solution) -> str:
-    words = [f"{name} {figure(value)}" for name, value in figures_of_merit(solution)]
-    head = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
-    return "\n".join([head, *(f"  {', '.join(words[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
+def _heading(solution: Solution) -> str:
+    figures = [f"{name} {value_text(value)}" for name, value in figures_of_merit(solution)]
+    heading = f"{short(solution.name, 60)}: {state_of(solution)}, {many(solution.iterations, 'iteration')}"
+    return "\n".join([heading, *(f"  {', '.join(figures[first:last])}" for first, last in ((0, 3), (3, 7), (7, 10)))])
 
 
 
@@ -190,7 +172,7 @@ _SIGMAS = "standard deviations for sigma0 = 1, as the a-priori sigmas imply; tim
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """Options that overrule all case files alike."""
+    """Options that override every case file."""
 
     loss: Loss | None = None
     """Robust loss."""
@@ -205,23 +187,23 @@ class Overrides:
     tables: TableForm | None = None
     """Form of the tables of points and residuals, as `write_results`."""
     device: Device | None = None
-    """Who goes over the points, as `SolverSettings.device`."""
+    """Processor that evaluates the points, as `SolverSettings.device`."""
 
     def over(self, settings: SolverSettings) -> SolverSettings:
         """A case file's settings with these over them."""
-        chosen = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
-        return dataclasses.replace(settings, **{name: value for name, value in chosen.items() if value is not None})
+        overrides = {name: getattr(self, name) for name in ("loss", "reject", "starts", "device")}
+        return dataclasses.replace(settings, **{name: value for name, value in overrides.items() if value is not None})
 
 
 AS_WRITTEN = Overrides()
-"""Nothing overrules the case files."""
+"""No option overrides the case files."""
 
 
 def write_results(
     solution: Solution, folder: str | Path, figures: bool = True, case: str | Path | None = None,
     networks: Sequence[Path] = (), tables: TableForm | None = None,
 ) -> list[str]:  # fmt: skip
-    """Write tables, archive and figures to a folder that appears whole or not at all.
+    """Write tables, archive and figures to a folder, atomically.
 
     Parameters
     ----------
@@ -254,8 +236,8 @@ def write_results(
     >>> [name for name in files if name.endswith(".csv")]
     ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv']
     """
-    with fresh_folder(folder) as aside:
-        return write_into(solution, aside, figures, case, networks, tables)
+    with fresh_folder(folder) as temporary:
+        return write_into(solution, temporary, figures, case, networks, tables)
 
 
 def write_into(
@@ -265,10 +247,10 @@ def write_into(
     """Write tables, archive and figures into a folder that exists; returns the names of the files."""
     connected = solution_connectivity(solution)
     sections = solution_sections(solution, connected)
-    known: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
+    inputs: dict[str, Any] = {} if case is None else {"case": str(Path(case).resolve())}
     files = [{"path": str(path.resolve()), "sha256": sha256_of(path)} for path in networks if path.is_file()]
-    known |= {"networks": files} if files else {}
-    write_json(folder / RECORD, solution_json(solution, connected, sections) | known)
+    inputs |= {"networks": files} if files else {}
+    write_json(folder / RECORD, solution_json(solution, connected, sections) | inputs)
     orientation_table(solution).write_csv(folder / "orientation.csv")
     large = write_large_tables(solution, folder, tables)
     connectivity_table(connected).write_csv(folder / "connectivity.csv")
@@ -276,7 +258,7 @@ def write_into(
     names = [RECORD, large[0], "orientation.csv", large[1], "connectivity.csv", ARCHIVE]
     names += [name for section in sections for name in section.write(folder, figures=False)]
     if figures:
-        from mgsgraph.results.figures import write_figures  # matplotlib takes its time
+        from mgsgraph.results.figures import write_figures  # matplotlib loads slowly
 
         names += write_figures(solution, folder, connected)
     return names
@@ -309,31 +291,25 @@ def solution_json(
     """All figures of merit of a solution, as plain values for strict JSON: what isn't a number is None.
 
     Units stand in the keys' names. `sigma_mean` is the mean standard deviation over the places, not that of the mean.
-    `connected` and `sections` save finding them anew.
+    `connected` and `sections` save computing them again.
     """
     network, fit = solution.network, solution.fit
     connected = connected or solution_connectivity(solution)
     sections = sections or solution_sections(solution, connected)
     scaled = {
-        c.name.lower(): point_statistics(solution, c).mean_sigma * solution.sigma0 for c in network.classes
+        point_class.name.lower(): point_statistics(solution, point_class).mean_sigma * solution.sigma0
+        for point_class in network.classes
     }  # fmt: skip
     record = {
-        "program": PROGRAM,
-        "format": FORMAT,
-        "name": solution.name,
-        "status": "converged" if solution.converged else "not converged",
-        **record_of("solution", solution),
-        "degrees_of_freedom": fit.degrees_of_freedom,
-        "observations": fit.observations,
-        "unknowns": fit.unknowns,
+        "program": PROGRAM, "format": FORMAT, "name": solution.name,
+        "status": "converged" if solution.converged else "not converged", **record_of("solution", solution),
+        "degrees_of_freedom": fit.degrees_of_freedom, "observations": fit.observations, "unknowns": fit.unknowns,
         "islands": [[network.images[j].name for j in island] for island in connected.islands],
         "undetermined": [network.points.ids[i] for i in np.flatnonzero(~solution.determined)],
         **{section.name: section.numbers for section in sections if section.name},
         "sigmas": {"meaning": _SIGMAS, "sigma0": solution.sigma0, "scaled_by_sigma0": {"mean_sigma_m": scaled}},
-        "settings": dataclasses.asdict(solution.settings),
-        "seconds": dict(solution.seconds),
-        "versions": dict(solution.versions),
-        "statements": sentences_of(sections),
+        "settings": dataclasses.asdict(solution.settings), "seconds": dict(solution.seconds),
+        "versions": dict(solution.versions), "statements": sentences_of(sections),
     }
-    found: dict[str, Any] = plain(record)
-    return found
+    plain_record: dict[str, Any] = plain(record)
+    return plain_record

@@ -23,13 +23,13 @@ ROWS = 24
 """Rows of a table that are printed; the files have all."""
 
 
-_TAKEN: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
+_ATTRIBUTE_KINDS: dict[str, tuple[str, Callable[[Iterable[Any]], Any]]] = {
     "items": ("values", list),
-    "counts": ("values", lambda found: np.array(list(found), dtype=np.int64)),
-    "numbers": ("values", lambda found: np.array(list(found), dtype=np.float64)),
+    "counts": ("values", lambda values: np.array(list(values), dtype=np.int64)),
+    "numbers": ("values", lambda values: np.array(list(values), dtype=np.float64)),
     "units": ("unit", list),
 }
-"""What the file of tables takes from an attribute of records: the field of a column, and how."""
+"""Keys of tables.toml that name an attribute of records: field of the column that it fills, and the conversion."""
 
 
 @cache
@@ -43,29 +43,29 @@ def columns_of(table: str, values: Mapping[str, Any], records: Sequence[Any] | N
 
     With records, all columns of the file in its order: it names the attribute of those that have no values here.
     """
-    known, found = _layouts()[table]["columns"], list[Column]()
-    assert records is None or values.keys() <= known.keys(), f"{table}: none of {values.keys() - known.keys()}"
-    for name in values if records is None else known:
+    layouts, columns = _layouts()[table]["columns"], list[Column]()
+    assert records is None or values.keys() <= layouts.keys(), f"{table}: none of {values.keys() - layouts.keys()}"
+    for name in values if records is None else layouts:
         value = values.get(name)
         if not isinstance(value, Column):
-            layout = {"key": name, "values": value} | known[name]
-            for kind in _TAKEN.keys() & layout:
-                part, take = _TAKEN[kind]
-                layout[part] = take(map(attrgetter(layout.pop(kind)), records or ()))
+            layout = {"key": name, "values": value} | layouts[name]
+            for kind in _ATTRIBUTE_KINDS.keys() & layout:
+                target, convert = _ATTRIBUTE_KINDS[kind]
+                layout[target] = convert(map(attrgetter(layout.pop(kind)), records or ()))
             value = Column(**layout) if layout["values"] is not None else None
-        found += [] if value is None else [value]
-    return tuple(found)
+        columns += [] if value is None else [value]
+    return tuple(columns)
 
 
-def record_of(name: str, found: Any) -> dict[str, Any]:
+def record_of(name: str, record: Any) -> dict[str, Any]:
     """Members of a record for JSON, from attributes that `templates/tables.toml` names."""
-    return {key: attrgetter(attribute)(found) for key, attribute in _layouts()["records"][name].items()}
+    return {key: attrgetter(attribute)(record) for key, attribute in _layouts()["records"][name].items()}
 
 
-def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **more: Any) -> Table:
+def table_of(layout: str, values: Mapping[str, Any], records: Sequence[Any] | None = None, **overrides: Any) -> Table:
     """The table of a layout in `templates/tables.toml`, with `columns_of`; name, title or note may be given here."""
-    known = {"name": layout} | _layouts()[layout] | more
-    return Table(**known | {"columns": columns_of(layout, values, records)})
+    members = {"name": layout} | _layouts()[layout] | overrides
+    return Table(**members | {"columns": columns_of(layout, values, records)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,52 +75,52 @@ class Section:
     name: str
     """Its key in a record."""
     title: str = ""
-    """What it is about, where that needs saying."""
+    """Heading, where one is needed."""
     sentences: Sequence[str] = ()
-    """What was found, in words."""
+    """Results in sentences."""
     tables: Sequence[Table] = ()
     """What is shown: columns with a layout in text on the terminal, those with a format of the page there."""
     numbers: Any = None
-    """What a record holds of it, with units in the keys."""
+    """Its JSON content, with units in the keys."""
     csv: Sequence[Table] = ()
     """Tables that become files by their names."""
     files: Mapping[str, Callable[[Path], None]] = field(default_factory=dict)
-    """What writes further files, by their names."""
+    """Functions that write further files, by file name."""
     sheets: Callable[[], Iterable["Sheet"]] | None = None
-    """What draws its figures."""
+    """Function that draws its figures."""
 
-    def text(self, most: int | None = ROWS) -> str:
+    def text(self, max_rows: int | None = ROWS) -> str:
         """Lines for the terminal, with so many rows of each table at most; None: with all."""
-        found = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
+        lines = [*([self.title] if self.title else []), *(f"- {sentence}" for sentence in self.sentences)]
         for table in self.tables:
-            rows = table.text(most, f"more row: see {table.name}.csv", indent=2, units=True)
+            rows = table.text(max_rows, f"more row: see {table.name}.csv", indent=2, units=True)
             if len(table) and rows:
-                found += [*([""] if found else []), table.title, *rows]
-        return "\n".join(found)
+                lines += [*([""] if lines else []), table.title, *rows]
+        return "\n".join(lines)
 
     def write(self, folder: Path, figures: bool) -> list[str]:
         """Write its files into a folder, with figures or without; their names."""
-        every = {f"{table.name}.csv": table.write_csv for table in self.csv} | dict(self.files)
-        for name, write in every.items():
+        writers = {f"{table.name}.csv": table.write_csv for table in self.csv} | dict(self.files)
+        for name, write in writers.items():
             write(folder / name)
         if not figures or self.sheets is None:
-            return list(every)
-        from mgsgraph.results.figures.sheet import save  # matplotlib takes its time
+            return list(writers)
+        from mgsgraph.results.figures.sheet import save  # matplotlib loads slowly
 
-        return [*every, *save(self.sheets(), folder)]
+        return [*writers, *save(self.sheets(), folder)]
 
     def write_folder(self, folder: str | Path, kind: str, figures: bool = True) -> list[str]:
         """Write its numbers as the record, and its files, to a folder of its own (`write_sections`)."""
         return write_sections([self], self.numbers, folder, kind, figures)
 
 
-def drawn(function: str, *given: Any) -> Callable[[], Iterable["Sheet"]]:
-    """What draws figures by a function with a dotted name: matplotlib takes its time, and is loaded then."""
+def sheets_by(function: str, *arguments: Any) -> Callable[[], Iterable["Sheet"]]:
+    """A callable that draws figures by the function of this dotted name; it imports matplotlib only then."""
     module, _, name = function.rpartition(".")
 
     def sheets() -> Iterable["Sheet"]:
-        made = getattr(import_module(module), name)(*given)
-        return made if isinstance(made, Iterable) else [made] if made is not None else []
+        result = getattr(import_module(module), name)(*arguments)
+        return result if isinstance(result, Iterable) else [result] if result is not None else []
 
     return sheets
 
@@ -128,7 +128,7 @@ def drawn(function: str, *given: Any) -> Callable[[], Iterable["Sheet"]]:
 def write_sections(
     sections: Iterable[Section], record: Mapping[str, Any], folder: str | Path, kind: str, figures: bool = True
 ) -> list[str]:
-    """Write a record and the files of sections to a folder that appears whole or not at all; the names of the files.
+    """Write a record and the files of sections to a folder, atomically; the names of the files.
 
     Parameters
     ----------
@@ -148,13 +148,13 @@ def write_sections(
     InputError
         If the folder holds anything else, or can't be written.
     """
-    with fresh_folder(folder, kind) as aside:
-        return write_sections_into(sections, record, aside, kind, figures)
+    with fresh_folder(folder, kind) as temporary:
+        return write_sections_into(sections, record, temporary, kind, figures)
 
 
 def write_sections_into(
     sections: Iterable[Section], record: Mapping[str, Any], folder: Path, kind: str, figures: bool = True
 ) -> list[str]:
-    """The same into a folder that exists."""
+    """Write a record and the files of sections into a folder that exists; the names of the files."""
     write_json(folder / kind, {"program": PROGRAM, **record})
     return [kind, *(name for section in sections for name in section.write(folder, figures))]

@@ -14,12 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from mgsgraph.adjustment.solution import Solution, orientation_profiles
-from mgsgraph.analysis.statistics import (
-    PLACES,
-    local_sigmas,
-    rejected_points,
-    used_ray_counts,
-)
+from mgsgraph.analysis.statistics import PLACES, local_sigmas, rejected_points, used_ray_counts
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.files.output.table import Column, Table, padded, picked, write_parquet
 from mgsgraph.files.rasters.raster_file import geographic_crs
@@ -44,8 +39,8 @@ def points_table(solution: Solution, rows: slice | Index = slice(None)) -> Table
     longitude, latitude, radius = planetocentric(places).T
     a, b = np.triu_indices(3)
     return table_of("points", {
-        "id": network.points.ids[rows], "class": _names(PointClass, network.points.classes[rows]),
-        "kind": _names(PointKind, network.points.kinds[rows]), "rejected": rejected,
+        "id": network.points.ids[rows], "class": _member_names(PointClass, network.points.classes[rows]),
+        "kind": _member_names(PointKind, network.points.kinds[rows]), "rejected": rejected,
         "rays": network.ray_counts[rows], "rays_used": used_ray_counts(solution)[rows], "{}": places,
         "lon": longitude / DEG % 360.0, "lat": latitude, "radius": radius,
         "height": geodetic(places, network.images[0].body)[:, 2],
@@ -62,13 +57,14 @@ def orientation_table(solution: Solution) -> Table:
     images = solution.network.images
     profiles = orientation_profiles(solution, places=PLACES)
 
-    def of(name: str) -> Array:
+    def values_of(name: str) -> Array:
         return np.asarray(getattr(profiles, name))
 
     names = RepeatedNames(tuple(image.name for image in images), np.repeat(np.arange(len(images)), PLACES))
-    before, after = of("position_before"), of("position_after")
+    before, after = values_of("position_before"), values_of("position_after")
     return table_of("orientation", {
-        "image": names, "isis_line": of("lines") + ISIS_OFFSET, "time_et": of("times"), "{}_before m": before,
+        "image": names, "isis_line": values_of("lines") + ISIS_OFFSET, "time_et": values_of("times"),
+        "{}_before m": before,
         "{}_after m": after, "{}_difference m": after - before, **record_of("orientation", profiles),
     })  # fmt: skip
 
@@ -81,26 +77,28 @@ def residuals_table(solution: Solution) -> Table:
     height, of which zero is measured, belongs to no image alone, and to no nominal orientation.
     """
     network, rays, ranges = solution.network, solution.network.rays, solution.network.ranges
-    on, heights, height_sigmas = _stereo_heights(solution)
-    k, r, h = rays.point.size, ranges.point.size, on.size
-    point = np.concatenate([rays.point, ranges.point, on])
-    image = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
-    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[on]])
+    stereo_points, heights, height_sigmas = _stereo_heights(solution)
+    k, r, h = rays.point.size, ranges.point.size, stereo_points.size
+    point_numbers = np.concatenate([rays.point, ranges.point, stereo_points])
+    image_numbers = np.concatenate([rays.image, ranges.image, np.full(h, -1)])
+    used = np.concatenate([solution.rays_used, solution.ranges_used, solution.stereo_used[stereo_points]])
     before, after, sigmas = solution.residuals_before, solution.residuals, network.ray_sigmas
     tested = solution.test_dimensions
     if tested is not None:
         of_measures, of_points = np.split(tested, [k + r])
-        tested = np.concatenate([of_measures, of_points[on]])
+        tested = np.concatenate([of_measures, of_points[stereo_points]])
     of_rays = {
-        f"{name}_{way}": padded(values[:, c], 0, r + h)
-        for c, way in enumerate(("line", "sample"))
+        f"{name}_{axis}": padded(values[:, column], 0, r + h)
+        for column, axis in enumerate(("line", "sample"))
         for name, values in (("residual_before", before), ("residual", after), ("sigma", sigmas),
                              ("normalised", after / sigmas))
     }  # fmt: skip
     return table_of("measures", {
         "kind": picked(("image", "range", "stereo height"), np.repeat(np.arange(3), [k, r, h])),
-        "point": picked(network.points.ids, point), "class": _names(PointClass, network.points.classes[point]),
-        "image": picked(["", *(one.name for one in network.images)], image + 1), "used": used, "tested": tested,
+        "point": picked(network.points.ids, point_numbers),
+        "class": _member_names(PointClass, network.points.classes[point_numbers]),
+        "image": picked(["", *(image.name for image in network.images)], image_numbers + 1), "used": used,
+        "tested": tested,
         "isis_line": padded(np.concatenate([rays.places[:, 0], _shot_lines(solution)]), 0, h) + ISIS_OFFSET,
         "isis_sample": padded(rays.places[:, 1], 0, r + h) + ISIS_OFFSET, **of_rays,
         "range": padded(ranges.values, k, h), "residual_before_range": padded(solution.range_residuals_before, k, h),
@@ -122,8 +120,8 @@ def _stereo_heights(solution: Solution) -> tuple[Index, Array, Array]:
     control, heights = solution.network.stereo, solution.stereo_heights
     if control is None or heights is None:
         return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
-    on = np.flatnonzero(control.surface >= 0)
-    return on, heights[on], control.sigmas[on]
+    points = np.flatnonzero(control.surface >= 0)
+    return points, heights[points], control.sigmas[points]
 
 
 def connectivity_table(connected: Connectivity) -> Table:
@@ -131,12 +129,12 @@ def connectivity_table(connected: Connectivity) -> Table:
     names, points = connected.names, connected.points
     marks = connected.bridges, (points == 0) & (connected.areas > 0.0), (points > 0) & (connected.gaps > 0.0)
     remarks = [
-        ", ".join(word for word, there in zip(_REMARKS, row, strict=True) if there) for row in zip(*marks, strict=True)
+        ", ".join(word for word, flag in zip(_REMARKS, row, strict=True) if flag) for row in zip(*marks, strict=True)
     ]
     return table_of("connectivity", {
         "image_a": picked(names, connected.pairs[:, 0]), "image_b": picked(names, connected.pairs[:, 1]),
         "common_points": points,
-        **{f"{c.name.lower()}_points": connected.common[:, c] for c in PointClass if c.measured},
+        **{f"{kind.name.lower()}_points": connected.common[:, kind] for kind in PointClass if kind.measured},
         "remark": remarks, "overlap": connected.areas, "overlap_share": connected.shares, "gap": connected.gaps,
     })  # fmt: skip
 
@@ -145,13 +143,13 @@ def _shot_lines(solution: Solution) -> Array:
     """(r,) line of the carrying image that was read when the shot was taken."""
     ranges, lines = solution.network.ranges, np.empty(solution.network.ranges.point.size)
     order = np.argsort(ranges.image, kind="stable")
-    for mine in np.split(order, np.flatnonzero(np.diff(ranges.image[order])) + 1) if order.size else []:
-        image = solution.network.images[ranges.image[mine[0]]]
-        lines[mine] = image.timing.lines(ranges.times[mine] - image.trajectory.epoch)
+    for rows in np.split(order, np.flatnonzero(np.diff(ranges.image[order])) + 1) if order.size else []:
+        image = solution.network.images[ranges.image[rows[0]]]
+        lines[rows] = image.timing.lines(ranges.times[rows] - image.trajectory.epoch)
     return lines
 
 
-def _names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
+def _member_names(kind: type[PointClass] | type[PointKind], codes: np.ndarray) -> Sequence[str]:
     return picked([member.name.lower() for member in kind], codes)
 
 
@@ -161,22 +159,22 @@ TableForm = Literal["csv", "parquet"]
 MOST_CSV_ROWS = 200_000
 """Rows of the longer table up to which both are CSV, unless another form is asked for."""
 GEOMETRY = "geometry"
-"""Name of the column."""
+"""Name of the column of positions or shapes."""
 _VERSION = "1.1.0"
 _POINT = np.dtype([("order", "u1"), ("kind", "<u4"), ("place", "<f8", 2)])
 """A point in the plane as OGC's well-known binary."""
 
 
-def form_of(solution: Solution, wanted: TableForm | None = None) -> TableForm:
+def form_of(solution: Solution, requested: TableForm | None = None) -> TableForm:
     """The form that is asked for, or else the one for tables of this length."""
     network = solution.network
     rows = max(len(network.points), network.rays.point.size + network.ranges.point.size)
-    return wanted or ("csv" if rows <= MOST_CSV_ROWS else "parquet")
+    return requested or ("csv" if rows <= MOST_CSV_ROWS else "parquet")
 
 
-def write_large_tables(solution: Solution, folder: Path, wanted: TableForm | None = None) -> list[str]:
+def write_large_tables(solution: Solution, folder: Path, requested: TableForm | None = None) -> list[str]:
     """Write points and residuals into a folder; the names of the two files."""
-    form = form_of(solution, wanted)
+    form = form_of(solution, requested)
     names = [f"points.{form}", f"residuals.{form}"]
     if form == "csv":
         points_table(solution).write_csv(folder / names[0])
@@ -199,8 +197,8 @@ def with_points(table: Table, places: Array) -> Table:
     geometry["order"], geometry["kind"] = 1, 1
     geometry["place"][:, 0] = np.where(east > 180.0, east - 360.0, east)
     geometry["place"][:, 1] = latitude / DEG
-    known = np.packbits(np.isfinite(longitude), bitorder="little")
-    buffers = [pa.py_buffer(known), pa.py_buffer(geometry)]
+    validity = np.packbits(np.isfinite(longitude), bitorder="little")
+    buffers = [pa.py_buffer(validity), pa.py_buffer(geometry)]
     return with_shapes(table, pa.Array.from_buffers(pa.binary(_POINT.itemsize), len(places), buffers))
 
 

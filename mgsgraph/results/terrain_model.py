@@ -1,4 +1,4 @@
-"""A terrain model made of a case, in words and as files: rasters, the record, the table of check shots, the figure."""
+"""A terrain model made of a case, as sentences and files: rasters, the record, the table of check shots, the figure."""
 
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
@@ -36,7 +36,7 @@ from mgsgraph.workers import Progress, no_progress
 FORMAT = 2
 """Version of dem.json's layout: 2 has the coordinate system as WKT2, not in PROJ's words."""
 _UNEXPLAINED = 1.5
-"""Times what matching explains from which on rays that miss each other are worth a word."""
+"""Ratio of the distance of rays to its sigma by matching, above which a pair of images is named."""
 
 
 def make_dem(
@@ -57,7 +57,7 @@ def make_dem(
     case : path
         Case file, for the pixels, the ground beforehand, and the laser profiles.
     out : path
-        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; appears whole or not at all.
+        Folder with dem.tif, ortho.tif, dem.json, shots.csv and the figure; written atomically.
     settings : DemSettings, optional
         Choices.
     workers : int, optional
@@ -85,10 +85,10 @@ def make_dem(
     require_replaceable(out, DEM)
     posterior = adjusted if isinstance(adjusted, Posterior) else Posterior.of(adjusted)
     require_reference(posterior, settings)
-    wanted = decode(path)
-    adjusted_names([image.name for image in wanted.images], posterior, settings.images, str(path))
-    profiles = check_profiles(posterior, wanted, path, settings.mola)
-    name, scene = read_scene(path, *expected_ground(posterior, wanted))
+    case_input = decode(path)
+    adjusted_names([image.name for image in case_input.images], posterior, settings.images, str(path))
+    profiles = check_profiles(posterior, case_input, path, settings.mola)
+    name, scene = read_scene(path, *expected_ground(posterior, case_input))
     scene = adjusted_scene(scene, posterior, settings.images)
     matches, window = densely_matched(scene, settings.spacing, workers, progress)
     dem = dem_of(name, posterior, scene, matches, window, settings, profiles, workers, progress)
@@ -97,21 +97,17 @@ def make_dem(
     return dem
 
 
-def write_dem(
-    dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figures: bool, progress: Progress
-) -> None:
-    """Write everything to a folder that is there."""
+def write_dem(dem: Dem, scene: Scene, settings: DemSettings, folder: Path, figures: bool, progress: Progress) -> None:
+    """Write all files into an existing folder."""
     grid = ortho_grid(dem, scene, settings)
     progress("ortho image", 0, 1)
     tags = {"case": dem.name, "images": some(dem.images, len(dem.images), 20), "sigmas": "for sigma0 = 1"}
     write_model(dem.model, dem.heights, dem.reference, tags, folder / "dem.tif")
-    write_ortho(
-        scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress
-    )
+    write_ortho(scene.pictures[dem.ortho], dem.model, scene.ground, grid, folder / "ortho.tif", progress)
     shots_table(dem).write_csv(folder / "shots.csv")
     write_json(folder / DEM, _record(dem, settings, grid.post))
     if figures:
-        from mgsgraph.results.figures.dem import dem_sheet, read_ortho  # matplotlib takes its time to load
+        from mgsgraph.results.figures.dem import dem_sheet, read_ortho  # matplotlib loads slowly
         from mgsgraph.results.figures.sheet import save
 
         progress("figure", 0, 1)
@@ -121,91 +117,78 @@ def write_dem(
 
 
 def dem_section(dem: Dem) -> Section:
-    """What the terrain model is and how good."""
-    grid, there = dem.model.map, np.isfinite(dem.heights)
+    """Size, heights and sigmas of the terrain model, and its checks."""
+    grid, has_height = dem.model.map, np.isfinite(dem.heights)
     low, high = (float(value) for value in (np.nanmin(dem.heights), np.nanmax(dem.heights)))
-    whole, matching, orientation = (
-        float(np.median(band[there])) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
+    total, matching, orientation = (
+        float(np.median(band[has_height])) for band in (dem.model.sigmas, dem.model.matching, dem.model.orientation)
     )
-    offered = sum(one.shots.times.size for one in dem.profiles)
-    said = [
+    offered = sum(profile.shots.times.size for profile in dem.profiles)
+    sentences = [
         f"The terrain model has {grid.rows} x {grid.columns} posts every {grid.post:.3g} m, of which "
-        f"{int(there.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
+        f"{int(has_height.sum())} have a height ({dem.covered / KM**2:.4g} km^2): {low:.0f} to {high:.0f} m above "
         f"{dem.reference}.",
-        f"Sigma of a height (median, for sigma0 = 1): {whole:.3g} m, of which {matching:.3g} m by matching and relief, "
+        f"Sigma of a height (median, for sigma0 = 1): {total:.3g} m, of which {matching:.3g} m by matching and relief, "
         f"independent beyond {dem.window:.0f} m, and {orientation:.3g} m by the orientation, common to neighbours.",
     ]
-    if odd := [" and ".join(one.images) for one in dem.pairs if one.miss > _UNEXPLAINED * one.miss_sigma]:
-        said.append(
-            f"Rays of {some(odd, len(odd))} miss each other by more than matching explains: the rest is the "
-            "orientation's, by its sigmas or by motion that the adjustment doesn't follow."
+    if inconsistent := [" and ".join(pair.images) for pair in dem.pairs if pair.miss > _UNEXPLAINED * pair.miss_sigma]:
+        sentences.append(
+            f"Rays of {some(inconsistent, len(inconsistent))} miss each other by more than matching explains: the rest "
+            "is the orientation's, by its sigmas or by motion that the adjustment doesn't follow."
         )
     if not dem.profiles:
-        said.append("Not checked by laser shots: there are none that took no part in the adjustment.")
+        sentences.append("Not checked by laser shots: there are none that took no part in the adjustment.")
     elif not len(dem.checks):
-        said.append(f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model.")
-    return Section("dem", "", said, [_pairs_table(dem), _checks_table(dem)])
+        sentences.append(f"Not checked by laser shots: of {offered} that took no part none lies on the terrain model.")
+    return Section("dem", "", sentences, [_pairs_table(dem), _checks_table(dem)])
 
 
 def _pairs_table(dem: Dem) -> Table:
     """One row per pair of images."""
     pairs = dem.pairs
     return table_of("pairs", {
-        "pair": [" and ".join(one.images) for one in pairs], "images": [list(one.images) for one in pairs],
+        "pair": [" and ".join(pair.images) for pair in pairs], "images": [list(pair.images) for pair in pairs],
     }, pairs)  # fmt: skip
 
 
 def _checks_table(dem: Dem) -> Table:
     """One row per profile with shots on the model, and one for all of them."""
-    names = [*(one.name for one in dem.profiles), "all"]
+    names = [*(profile.name for profile in dem.profiles), "all"]
     members = [*(dem.checks.profile == k for k in range(len(dem.profiles))), np.ones(len(dem.checks), dtype=bool)]
-    rows = [(name, check_figures(dem.checks, mine)) for name, mine in zip(names, members, strict=True) if np.any(mine)]
+    rows = [(name, check_figures(dem.checks, mask)) for name, mask in zip(names, members, strict=True) if np.any(mask)]
 
-    def of(key: str) -> Array:
+    def values_of(key: str) -> Array:
         return np.array([figures[key] for _, figures in rows], dtype=np.float64)
 
     return table_of("checks", {
-        "profile": [name for name, _ in rows], "shots": of("shots"), "mean": of("mean_m"), "rms": of("rms_m"),
-        "rms_by_sigma": of("rms_by_sigma"), "beyond": of("beyond_3_sigma"),
+        "profile": [name for name, _ in rows], "shots": values_of("shots"), "mean": values_of("mean_m"),
+        "rms": values_of("rms_m"), "rms_by_sigma": values_of("rms_by_sigma"), "beyond": values_of("beyond_3_sigma"),
     })  # fmt: skip
 
 
 def _record(dem: Dem, settings: DemSettings, pixel: float) -> dict[str, Any]:
-    grid, there, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
+    grid, has_height, checks = dem.model.map, np.isfinite(dem.heights), dem.checks
     quantiles = {
-        name: np.quantile(band[there], [0.05, 0.5, 0.95])
+        name: np.quantile(band[has_height], [0.05, 0.5, 0.95])
         for name, band in zip(BANDS[1:4], (dem.model.sigmas, dem.model.matching, dem.model.orientation), strict=True)
     }
     return {
-        "program": PROGRAM,
-        "format": FORMAT,
-        "name": dem.name,
-        "images": list(dem.images),
+        "program": PROGRAM, "format": FORMAT, "name": dem.name, "images": list(dem.images),
         "ortho_image": dem.images[dem.ortho],
         "settings": {
             **record_of("dem_settings", settings), "images": list(settings.images),
             "mola": [str(path) for path in settings.mola],
         },
-        "pairs": _pairs_table(dem).records(),
-        "coordinate_system": grid.crs,
-        "heights_above": dem.reference,
-        "post_m": grid.post,
-        "spacing_m": dem.spacing,
-        "window_m": dem.window,
-        "ortho_pixel_m": pixel,
-        "rows": grid.rows,
-        "columns": grid.columns,
-        "posts_with_heights": int(there.sum()),
-        "area_m2": dem.covered,
-        "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)],
-        "quantiles_5_50_95_m": quantiles,
+        "pairs": _pairs_table(dem).records(), "coordinate_system": grid.crs, "heights_above": dem.reference,
+        "post_m": grid.post, "spacing_m": dem.spacing, "window_m": dem.window, "ortho_pixel_m": pixel,
+        "rows": grid.rows, "columns": grid.columns, "posts_with_heights": int(has_height.sum()), "area_m2": dem.covered,
+        "height_m": [np.nanmin(dem.heights), np.nanmax(dem.heights)], "quantiles_5_50_95_m": quantiles,
         "checks": [
             {
-                **record_of("dem_check", one),
-                "shift_sigma_m": np.sqrt(np.diag(one.shift_covariance)),
-                **(check_figures(checks, mine) if np.any(mine := checks.profile == k) else {"shots": 0}),
+                **record_of("dem_check", profile), "shift_sigma_m": np.sqrt(np.diag(profile.shift_covariance)),
+                **(check_figures(checks, mask) if np.any(mask := checks.profile == k) else {"shots": 0}),
             }
-            for k, one in enumerate(dem.profiles)
+            for k, profile in enumerate(dem.profiles)
         ],
         "all_checks": check_figures(checks, np.ones(len(checks), dtype=bool)) if len(checks) else {"shots": 0},
         "statements": dem_section(dem).sentences,
@@ -220,8 +203,7 @@ def shots_table(dem: Dem) -> Table:
         "profile": picked(checks.profiles, checks.profile), "shot": checks.ids,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude, "{}": checks.plane,
         "shot_above_sphere": radius - dem.model.map.radius, "model_above_sphere": checks.heights,
-        "model_minus_shot": checks.differences, "sigma": checks.sigmas,
-        "sigma_without_orientation": checks.independent,
+        "model_minus_shot": checks.differences, "sigma": checks.sigmas, "sigma_without_orientation": checks.independent,
     })  # fmt: skip
 
 
@@ -232,7 +214,7 @@ def write_model(model: HeightGrid, heights: Array, reference: str, tags: Mapping
     """Write dem.tif: `heights` (rows, columns) in m above `reference`, the model's sigmas and counts, and more tags."""
     counts = np.where(np.isfinite(heights), model.counts, np.nan)
     bands = (heights, model.sigmas, model.matching, model.orientation, counts)
-    with _on(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
+    with _map_geotiff(model.map, path, len(BANDS), dtype="float32", nodata=np.nan) as file:
         file.update_tags(program=PROGRAM, heights=f"above {reference}", **tags)
         for k, (name, values) in enumerate(zip(BANDS, bands, strict=True), start=1):
             file.write(np.where(np.isfinite(heights), values, np.nan).astype(np.float32), k)
@@ -247,14 +229,14 @@ def write_ortho(
     from rasterio.windows import Window
 
     low, high = picture.levels
-    with _on(grid, path, 1, dtype="uint8", nodata=0) as file:
+    with _map_geotiff(grid, path, 1, dtype="uint8", nodata=0) as file:
         file.update_tags(program=PROGRAM, image=picture.image.name, grey_1=f"{low:g}", grey_255=f"{high:g}")
         file.set_band_description(1, picture.image.name)
         for row, column, grey in ortho_tiles(picture, model, ground, grid, progress):
             file.write(grey, 1, window=Window(column, row, grey.shape[1], grey.shape[0]))
 
 
-def _on(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
+def _map_geotiff(grid: MapGrid, path: Path, bands: int, **kind: Any) -> AbstractContextManager[Any]:
     """A GeoTIFF on the posts of a map."""
     corner, steps = (grid.west, grid.north), (grid.post, grid.post)
     return geotiff(path, (bands, grid.rows, grid.columns), grid.crs, corner, steps, **kind)

@@ -6,19 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mgsgraph.analysis.two_step_statistics import (
-    POINT_AXES,
-    POSE_AXES,
-    STAGES,
-    GroupStatistics,
-    TwoStepStatistics,
-)
+from mgsgraph.analysis.two_step_statistics import POINT_AXES, POSE_AXES, STAGES, GroupStatistics, TwoStepStatistics
 from mgsgraph.files.output.folders import fresh_folder
 from mgsgraph.files.output.table import Table, picked
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.results import write_into
-from mgsgraph.results.section import Section, drawn, record_of, table_of, write_sections_into
+from mgsgraph.results.section import Section, record_of, sheets_by, table_of, write_sections_into
 from mgsgraph.results.verdict import headline
 from mgsgraph.text import many, some_of
 from mgsgraph.units import ARCSEC, DEG
@@ -48,10 +42,10 @@ def write_two_steps(
     InputError
         If the folder holds anything else, or can't be written.
     """
-    with fresh_folder(folder) as aside:
-        write_into(statistics.steps.fitted, aside, figures, networks=networks)
+    with fresh_folder(folder) as temporary:
+        write_into(statistics.steps.fitted, temporary, figures, networks=networks)
         section = two_steps_section(statistics)
-        write_sections_into([section], section.numbers, aside, "two_steps.json", figures)
+        write_sections_into([section], section.numbers, temporary, "two_steps.json", figures)
 
 
 def two_steps_section(statistics: TwoStepStatistics) -> Section:
@@ -62,60 +56,61 @@ def two_steps_section(statistics: TwoStepStatistics) -> Section:
         "two_steps", headline(statistics.steps.fitted), two_steps_statements(statistics),
         [_step_table(statistics), _statistics_table([statistics.whole])], two_steps_json(statistics), csv,
         sheets=None if not np.any(statistics.used) else
-        drawn("mgsgraph.results.figures.dem.height_map_sheets", statistics),
+        sheets_by("mgsgraph.results.figures.dem.height_map_sheets", statistics),
     )  # fmt: skip
 
 
 def _step_table(statistics: TwoStepStatistics) -> Table:
     steps = statistics.steps
-    both, surface = (steps.free, steps.fitted), steps.fitted.network.surface
+    solutions, surface = (steps.free, steps.fitted), steps.fitted.network.surface
     assert surface is not None
-    out = np.array([[0 if one is None else int(one.sum()) for one in (step.rays_rejected, step.ranges_rejected)]
-                    for step in both])  # fmt: skip
-    rows = np.isfinite(surface.sigmas) & steps.fitted.determined
+    rejected = np.array([[0 if mask is None else int(mask.sum()) for mask in (step.rays_rejected, step.ranges_rejected)]
+                         for step in solutions])  # fmt: skip
+    height_rows = np.isfinite(surface.sigmas) & steps.fitted.determined
     return table_of("steps", {
         "step": ["step 1, no terrain", "step 2, terrain"],
-        "rays": np.array([int(step.rays_used.sum()) for step in both]), "rays_rejected": out[:, 0],
-        "ranges": np.array([int(step.ranges_used.sum()) for step in both]), "ranges_rejected": out[:, 1],
-        "heights": ["-", str(int(np.count_nonzero(rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
+        "rays": np.array([int(step.rays_used.sum()) for step in solutions]), "rays_rejected": rejected[:, 0],
+        "ranges": np.array([int(step.ranges_used.sum()) for step in solutions]), "ranges_rejected": rejected[:, 1],
+        "heights": ["-", str(int(np.count_nonzero(height_rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
         "iterations": np.array([len(history) for history in steps.history]), "seconds": np.array(steps.seconds),
-        "state": ["" if step.converged else "NOT CONVERGED" for step in both],
-    }, both)  # fmt: skip
+        "state": ["" if step.converged else "NOT CONVERGED" for step in solutions],
+    }, solutions)  # fmt: skip
 
 
-# --- in words
+# --- sentences
 
 
 def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
-    """What the tables do not say."""
-    steps, whole, heights = statistics.steps, statistics.whole, statistics.whole.heights
-    limit, off, found = steps.free.settings.reject, np.flatnonzero(steps.off), list[str]()
-    if bad := [name for name, one in (("step 1", steps.free), ("step 2", steps.fitted)) if not one.converged]:
-        found.append(f"NOT CONVERGED: {' and '.join(bad)}. Nothing below is a result.")
+    """Sentences on what the tables do not hold."""
+    steps, block, heights = statistics.steps, statistics.whole, statistics.whole.heights
+    limit, rejected_heights, sentences = steps.free.settings.reject, np.flatnonzero(steps.off), list[str]()
+    if failed := [name for name, step in (("step 1", steps.free), ("step 2", steps.fitted)) if not step.converged]:
+        sentences.append(f"NOT CONVERGED: {' and '.join(failed)}. The values below are not valid.")
     if limit:
-        found.append(
-            f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected(statistics), 'ray')}, which stay "
-            f"out of step 2; the height rows of {many(off.size, 'point')} were rejected (matched wrongly in all "
-            f"images, or other ground than the model's; {some_of(steps.network.points.ids, off) or 'none'})."
-            + ("" if steps.at_rest else " Which ones these are did not converge.")
+        sentences.append(
+            f"Beyond {limit:g} standard deviations step 1 rejected {many(_rejected_rays(statistics), 'ray')}, which "
+            f"stay out of step 2; the height rows of {many(rejected_heights.size, 'point')} were rejected (matched "
+            "wrongly in all images, or other ground than the model's; "
+            f"{some_of(steps.network.points.ids, rejected_heights) or 'none'})."
+            + ("" if steps.at_rest else " The set of rejected heights did not converge.")
         )
     else:
-        found.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
-    if whole.points and not np.all(np.isfinite(whole.mean[:2])):
-        found.append("Some orientation has no prior: there is no a-priori sigma.")
+        sentences.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
+    if block.points and not np.all(np.isfinite(block.mean[:2])):
+        sentences.append("Some orientation has no prior: there is no a-priori sigma.")
     if heights.count:
-        found.append(
+        sentences.append(
             f"Heights above the terrain are of {many(heights.count, 'point')}, where the rays alone put them."
         )
-    for count, why in (
+    for count, reason in (
         (statistics.without_row, "had no height row, beside the terrain model or over missing posts"),
         (statistics.left_out, "with a height row left out of these heights: over missing posts, or without a place"),
     ):
-        found += [f"{many(count, 'tie point')} {why}."] if count else []
-    return found
+        sentences += [f"{many(count, 'tie point')} {reason}."] if count else []
+    return sentences
 
 
-def _rejected(statistics: TwoStepStatistics) -> int:
+def _rejected_rays(statistics: TwoStepStatistics) -> int:
     """Rays that step 1 rejected."""
     rejected = statistics.steps.free.rays_rejected
     return 0 if rejected is None else int(rejected.sum())
@@ -136,17 +131,12 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
                 "rays_used": int(solution.rays_used.sum()),
                 "ranges_used": int(solution.ranges_used.sum()),
                 "cost": [solution.cost_initial, solution.cost_final],
-                "iterations": [
-                    record_of("iteration", one)
-                    for one in history
-                ],
+                "iterations": [record_of("iteration", iteration) for iteration in history],
                 "seconds": seconds,
             }
-            for solution, history, seconds in zip(
-                (steps.free, steps.fitted), steps.history, steps.seconds, strict=True
-            )
+            for solution, history, seconds in zip((steps.free, steps.fitted), steps.history, steps.seconds, strict=True)
         ],
-        "rays_rejected": _rejected(statistics),
+        "rays_rejected": _rejected_rays(statistics),
         "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
         "heights_at_rest": steps.at_rest,
         "ties_without_height": statistics.without_row,
@@ -157,8 +147,9 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
 
 
 def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
-    """One row per strip and quantity: before, after step 1, after step 2, and the factors of either."""
-    names, quantities, units, values = zip(*((g.name, *row) for g in groups for row in _quantities(g)), strict=True)
+    """One row per pass and quantity: before, after step 1, after step 2, and the factors of either."""
+    names, quantities, units, values = zip(*((group.name, *row) for group in groups for row in _quantities(group)),
+                                           strict=True)
     stages = np.array(values)
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
@@ -169,12 +160,12 @@ def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
 
 
 def _quantities(group: GroupStatistics) -> list[tuple[str, str, Array]]:
-    found = [(f"point_sigma_mean_{axis}", "m", group.mean[:, k]) for k, axis in enumerate(POINT_AXES)]
-    found += [(f"point_sigma_median_{axis}", "m", group.median[:, k]) for k, axis in enumerate(POINT_AXES)]
+    rows = [(f"point_sigma_mean_{axis}", "m", group.mean[:, k]) for k, axis in enumerate(POINT_AXES)]
+    rows += [(f"point_sigma_median_{axis}", "m", group.median[:, k]) for k, axis in enumerate(POINT_AXES)]
     for k, axis in enumerate(POSE_AXES):
         unit, scale = ("m", 1.0) if k < 3 else ("arcsec", ARCSEC)
-        found.append((f"pose_sigma_{axis}", unit, group.poses[:, k] / scale))
-    return [*found, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
+        rows.append((f"pose_sigma_{axis}", unit, group.poses[:, k] / scale))
+    return [*rows, ("terrain_rms_height", "m", group.heights.rms), ("terrain_mean_height", "m", group.heights.mean)]
 
 
 def _heights_table(statistics: TwoStepStatistics) -> Table:

@@ -1,5 +1,5 @@
-"""The verdict in words: whether a solution may be used and why (not), what was not tested, what could still hide; what
-drives an adjustment that did not converge, linearity, and what readers of images decided.
+"""The verdict in sentences: whether a solution may be used and why (not), what was not tested, undetected errors; what
+drives an adjustment that did not converge, linearity, and remarks of the readers of images.
 """
 
 import math
@@ -24,7 +24,7 @@ from mgsgraph.results.section import Section, record_of, table_of
 from mgsgraph.text import length, listed, many, short, some, some_of, two
 from mgsgraph.units import ARCSEC, DEG
 
-_KEYS = {
+_SIGMA_KEYS = {
     "tie image points": "sigma_factor in [ties]",
     "laser image points": "image_sigma_px",
     "control image points": "those in the file of ground control",
@@ -39,14 +39,14 @@ _KEYS = {
 """Where a case states the sigmas of a group."""
 
 
-_LOOSE = 5.0
-"""Factor from which on it is told that stated sigmas may be too small by it."""
-_SHOWN = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
+_NAMED_FACTOR = 5.0
+"""Least factor by which the sigmas of a group could be too small unnoticed for the group to be named."""
+_STATE_WORDS = {State.VALID: "valid", State.SUSPECT: "SUSPECT", State.INVALID: "INVALID"}
 
 
 def state_of(solution: Solution) -> str:
     """Valid, SUSPECT or INVALID, and whether it converged."""
-    return f"{_SHOWN[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
+    return f"{_STATE_WORDS[verdict(solution).state]}, {'converged' if solution.converged else 'NOT CONVERGED'}"
 
 
 def headline(solution: Solution) -> str:
@@ -56,71 +56,74 @@ def headline(solution: Solution) -> str:
 
 def verdict_section(solution: Solution) -> Section:
     """Reasons, what was not tested, and what could still hide."""
-    found = verdict(solution)
-    table = group_tests_table(found)
-    said = [*reason_sentences(found.reasons), *tested_sentences(found, solution, None)]
-    return Section("verdict", sentences=said, tables=[table], numbers={
-        **record_of("verdict", found),
+    assessment = verdict(solution)
+    table = group_tests_table(assessment)
+    sentences = [*reason_sentences(assessment.reasons), *tested_sentences(assessment, solution, None)]
+    return Section("verdict", sentences=sentences, tables=[table], numbers={
+        **record_of("verdict", assessment),
         "level": LEVEL,
-        "reasons": [record_of("reason", one) for one in found.reasons],
+        "reasons": [record_of("reason", reason) for reason in assessment.reasons],
         "groups": [
-            {**record_of("group_test", one),
-             "may_be_too_small_by": one.hidden_factor(level_of_groups(found.groups), POWER)}
-            for one in found.groups
+            {**record_of("group_test", group),
+             "may_be_too_small_by": group.hidden_factor(level_of_groups(assessment.groups), POWER)}
+            for group in assessment.groups
         ],
-        "corrections": [record_of("correction", one) for one in found.corrections],
-        "undetected": [record_of("undetected", one) for one in found.undetected],
+        "corrections": [record_of("correction", correction) for correction in assessment.corrections],
+        "undetected": [record_of("undetected", error) for error in assessment.undetected],
         "power": POWER,
     })  # fmt: skip
 
 
-def group_tests_table(found: Verdict) -> Table:
+def group_tests_table(assessment: Verdict) -> Table:
     """One row per group of observations or priors: how it fits its stated sigmas."""
-    marked = {one.what for one in found.of(Cause.GROUP)}
+    worse_groups = {reason.what for reason in assessment.of(Cause.GROUP)}
     return table_of("group_tests", {
-        "state": ["WORSE than stated" if one.name in marked else "" if one.tested else "not tested"
-                  for one in found.groups],
-    }, found.groups)  # fmt: skip
+        "state": ["WORSE than stated" if group.name in worse_groups else "" if group.tested else "not tested"
+                  for group in assessment.groups],
+    }, assessment.groups)  # fmt: skip
 
 
 def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
-    """One for each cause, of its gravest reason, with the number of others."""
+    """One sentence for each cause: its gravest reason, and the number of similar ones."""
     of_cause = dict[Cause, list[Reason]]()
-    for one in reasons:
-        of_cause.setdefault(one.cause, []).append(one)
-    said = []
-    for every in of_cause.values():
-        more = f" ({many(len(every) - 1, 'similar result')}.)" if len(every) > 1 else ""
-        said.append(_reason(every[0]) + more)
-    return said
+    for reason in reasons:
+        of_cause.setdefault(reason.cause, []).append(reason)
+    sentences = []
+    for same_cause in of_cause.values():
+        similar = f" ({many(len(same_cause) - 1, 'similar result')}.)" if len(same_cause) > 1 else ""
+        sentences.append(_reason_sentence(same_cause[0]) + similar)
+    return sentences
 
 
-def _reason(one: Reason) -> str:
-    chance = f" (p = {max(one.p_value, 1e-99):.0e})" if math.isfinite(one.p_value) else ""
-    size, key = two(abs(one.size)), _KEYS.get(one.what.split(",")[0])
+def _reason_sentence(reason: Reason) -> str:
+    chance = f" (p = {max(reason.p_value, 1e-99):.0e})" if math.isfinite(reason.p_value) else ""
+    size, key = two(abs(reason.size)), _SIGMA_KEYS.get(reason.what.split(",")[0])
     return {
-        Cause.NOT_CONVERGED: one.what,
-        Cause.LEFT_OUT: f"{one.count} {one.what} ({one.size:.0%}) were left out or rejected: look for a common cause.",
+        Cause.NOT_CONVERGED: reason.what,
+        Cause.LEFT_OUT: f"{reason.count} {reason.what} ({reason.size:.0%}) were left out or rejected: look for "
+        "a common cause.",
         Cause.SIGMA0: f"Residuals are {size} times larger than stated: an input is wrong (images, columns, a unit, a "
         "camera), or there are gross blunders (--reject 4).",
-        Cause.ORIENTATION: f"The orientation of {one.what} moved by {size} prior sigmas: an input is wrong, or these "
-        "sigmas are too small.",
-        Cause.CORRECTION: f"The {one.what} is corrected by {size} prior sigmas, {_deviate(one.p_value)} times what is "
-        f"expected{chance}: check this input and its prior.",
-        Cause.COMMON_ERROR: f"Residuals and corrections look like an error of {one.what}: {size} sigmas{chance}.",
-        Cause.GROUP: f"{one.what[0].upper()}{one.what[1:]} fit {size} times worse than stated{chance}: look for "
+        Cause.ORIENTATION: f"The orientation of {reason.what} moved by {size} prior sigmas: an input is wrong, or "
+        "these sigmas are too small.",
+        Cause.CORRECTION: f"The {reason.what} is corrected by {size} prior sigmas, {_deviate(reason.p_value)} times "
+        f"what is expected{chance}: check this input and its prior.",
+        Cause.COMMON_ERROR: f"Residuals and corrections look like an error of {reason.what}: {size} sigmas{chance}.",
+        Cause.GROUP: f"{reason.what[0].upper()}{reason.what[1:]} fit {size} times worse than stated{chance}: look for "
         f"blunders (--reject 4), or enlarge {key or 'their sigmas'}.",
-        Cause.OFFSET: f"The {one.what} have a mean residual of {one.size:+.2g} {one.unit}, expected 0{chance}.",
-        Cause.OBSERVATION: f"{many(one.count, 'point')} with outliers, the largest {one.what} with "
+        Cause.OFFSET: f"The {reason.what} have a mean residual of {reason.size:+.2g} {reason.unit}, "
+        f"expected 0{chance}.",
+        Cause.OBSERVATION: f"{many(reason.count, 'point')} with outliers, the largest {reason.what} with "
         f"{size} sigmas{chance}: --reject 4 rejects blunders.",
-        Cause.NOMINAL: f"Nominal residuals of {one.what} are {two(one.size)} {one.unit}, more than priors explain.",
-        Cause.PROFILE: f"{many(one.count, 'laser shot')} of {one.what} lie {math.degrees(abs(one.size)):.1f} deg along "
-        "the flight from where the camera looked: a wrong clock or a wrong profile.",
-        Cause.HEIGHT: f"Point {one.what} lies {length(abs(one.size))} {'above' if one.size > 0.0 else 'below'} its "
-        "neighbors: a false match, or a wrong measurement.",
-        Cause.DUPLICATE: f"{one.what}.",
-        Cause.UNTESTED: f"Nothing could be tested: {one.what}.",
-    }[one.cause]  # fmt: skip
+        Cause.NOMINAL: f"Nominal residuals of {reason.what} are {two(reason.size)} {reason.unit}, "
+        "more than priors explain.",
+        Cause.PROFILE: f"{many(reason.count, 'laser shot')} of {reason.what} lie {math.degrees(abs(reason.size)):.1f} "
+        "deg along the flight from where the camera looked: a wrong clock or a wrong profile.",
+        Cause.HEIGHT: f"Point {reason.what} lies {length(abs(reason.size))} "
+        f"{'above' if reason.size > 0.0 else 'below'} its neighbors: a false match, or a wrong measurement.",
+        Cause.DUPLICATE: f"{reason.what}.",
+        Cause.UNTESTED: f"Nothing could be tested: {reason.what}.",
+    }[reason.cause]  # fmt: skip
 
 
 def _deviate(p_value: float) -> str:
@@ -128,24 +131,24 @@ def _deviate(p_value: float) -> str:
     return two(-NormalDist().inv_cdf(0.5 * max(p_value, 1e-99)))
 
 
-def tested_sentences(found: Verdict, solution: Solution, most: int | None) -> list[str]:
+def tested_sentences(assessment: Verdict, solution: Solution, max_count: int | None) -> list[str]:
     """What was tested, what was not, and what errors of inputs could hide, `most` of either kind."""
-    if not found.groups:
+    if not assessment.groups:
         freedom = solution.fit.degrees_of_freedom
         return [f"Nothing was tested ({many(freedom, 'degree')} of freedom): sigmas rest on the stated ones alone."]
-    of = len(solution.network.points)
-    sample = f" of {found.points:,} of {of:,} points" if found.points < 0.9 * of else ""
-    untested = f" Not tested: {listed(list(found.untested))}." if found.untested else ""
-    level = level_of_groups(found.groups)
-    factors = [(one.hidden_factor(level, POWER), one.name) for one in found.groups if one.tested]
-    factors = sorted((one for one in factors if one[0] > _LOOSE), reverse=True)[:most]
+    point_count = len(solution.network.points)
+    sample = f" of {assessment.points:,} of {point_count:,} points" if assessment.points < 0.9 * point_count else ""
+    untested = f" Not tested: {listed(list(assessment.untested))}." if assessment.untested else ""
+    level = level_of_groups(assessment.groups)
+    factors = [(group.hidden_factor(level, POWER), group.name) for group in assessment.groups if group.tested]
+    factors = sorted((pair for pair in factors if pair[0] > _NAMED_FACTOR), reverse=True)[:max_count]
     hidden = [f"{name} (up to {two(factor)} times)" for factor, name in factors]
-    said = [f"{found.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
-    said += [f"These sigmas could be too small, and no test would show it: {', '.join(hidden)}."] if hidden else []
-    return said + hidden_sentences(found.undetected, most)
+    sentences = [f"{assessment.tests:,} tests{sample} ({LEVEL:.1%} false alarms).{untested}"]
+    sentences += [f"These sigmas could be too small, and no test would show it: {', '.join(hidden)}."] if hidden else []
+    return sentences + hidden_sentences(assessment.undetected, max_count)
 
 
-_OF_KIND = {
+_ERROR_KINDS = {
     "clock": ("clock", "attitude time", "position time"),
     "position": ("along position", "across position", "radial position"),
     "pointing": ("roll", "pitch", "yaw"),
@@ -153,42 +156,44 @@ _OF_KIND = {
     "laser": ("range",),
     "control": SHIFTS,
 }
-"""Errors of inputs by kind: of each the one that moves points most is told."""
+"""Errors of inputs by kind: of each the one that moves points most is named."""
 
 
-_LARGE = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
-"""Errors of inputs larger than which nobody makes; those that do no harm then are not told."""
+_LARGEST_ERRORS = {"s": 10.0, "m": 1e3, "rad": DEG, "": 0.01}
+"""Largest plausible errors of inputs, by unit; an untested error that is harmless at this size is not named."""
 
 
-def hidden_sentences(found: Sequence[Undetected], most: int | None) -> list[str]:
-    """The errors of inputs that could move points most without being found; those that nothing tests."""
-    worst, bare = list[Undetected](), list[Undetected]()
-    for names in _OF_KIND.values():
-        mine = [one for one in found if one.what in names and one.moves > 0.0]
-        tested = [one for one in mine if one.tested]
+def hidden_sentences(errors: Sequence[Undetected], max_count: int | None) -> list[str]:
+    """The errors of inputs that could move points most undetected, and those that no test covers."""
+    largest, untested = list[Undetected](), list[Undetected]()
+    for names in _ERROR_KINDS.values():
+        of_kind = [error for error in errors if error.what in names and error.moves > 0.0]
+        tested = [error for error in of_kind if error.tested]
         if tested:
-            worst.append(max(tested, key=lambda one: one.effect_in_sigmas))
-        harmful = [one for one in mine if not one.tested and one.in_sigmas * _LARGE[one.unit] > 1.0]
-        bare += sorted(harmful, key=lambda one: -one.in_sigmas)[:1]
-    worst.sort(key=lambda one: -one.effect_in_sigmas)
-    could = [
-        f"{one.what} of {one.of} by {_amount(one.size, one.unit)} (moves points by {length(one.effect)}, "
-        f"{two(one.effect_in_sigmas)} sigmas)" for one in worst[:most]
+            largest.append(max(tested, key=lambda error: error.effect_in_sigmas))
+        harmful = [error for error in of_kind if not error.tested and error.in_sigmas
+                   * _LARGEST_ERRORS[error.unit] > 1.0]
+        untested += sorted(harmful, key=lambda error: -error.in_sigmas)[:1]
+    largest.sort(key=lambda error: -error.effect_in_sigmas)
+    hidden = [
+        f"{error.what} of {error.of} by {_size_text(error.size, error.unit)} (moves points by {length(error.effect)}, "
+        f"{two(error.effect_in_sigmas)} sigmas)" for error in largest[:max_count]
     ]  # fmt: skip
-    said = [f"Largest error{'s' * (len(could) > 1)} that no test shows: {'; '.join(could)}."] if could else []
-    nothing = [f"{one.what} of {one.of} (moves points by {_per_unit(one)})" for one in bare[:most]]
-    said += [f"No test shows an error of: {'; '.join(nothing)}."] if nothing else []
-    loose = max(found, key=lambda one: np.nan_to_num(one.effect_without_terrain, posinf=1e99, nan=-1.0))
-    if loose.size_without_terrain > 0.0:
-        said.append(
-            f"If the terrain fits at a wrong position: {loose.what} of {loose.of} by "
-            f"{_amount(loose.size_without_terrain, loose.unit)} (moves points by "
-            f"{length(loose.effect_without_terrain)}) stays undetected."
+    sentences = [f"Largest error{'s' * (len(hidden) > 1)} that no test shows: {'; '.join(hidden)}."] if hidden else []
+    texts = [f"{error.what} of {error.of} (moves points by {_effect_per_unit(error)})"
+             for error in untested[:max_count]]
+    sentences += [f"No test shows an error of: {'; '.join(texts)}."] if texts else []
+    without_terrain = max(errors, key=lambda error: np.nan_to_num(error.effect_without_terrain, posinf=1e99, nan=-1.0))
+    if without_terrain.size_without_terrain > 0.0:
+        sentences.append(
+            f"If the terrain fits at a wrong position: {without_terrain.what} of {without_terrain.of} by "
+            f"{_size_text(without_terrain.size_without_terrain, without_terrain.unit)} (moves points by "
+            f"{length(without_terrain.effect_without_terrain)}) stays undetected."
         )
-    return said
+    return sentences
 
 
-def _amount(size: float, unit: str) -> str:
+def _size_text(size: float, unit: str) -> str:
     if not math.isfinite(size):
         return "any size"
     if not unit:
@@ -196,63 +201,64 @@ def _amount(size: float, unit: str) -> str:
     return f"{two(size / ARCSEC)} arcsec" if unit == "rad" else length(size) if unit == "m" else f"{two(size)} {unit}"
 
 
-def _per_unit(one: Undetected) -> str:
+def _effect_per_unit(error: Undetected) -> str:
     """By how much an error of one unit moves points."""
-    factor, unit = {"rad": (ARCSEC, "arcsec"), "": (0.01, "%")}.get(one.unit, (1.0, one.unit))
-    return f"{two(one.moves * factor)} m per {unit}"
+    factor, unit = {"rad": (ARCSEC, "arcsec"), "": (0.01, "%")}.get(error.unit, (1.0, error.unit))
+    return f"{two(error.moves * factor)} m per {unit}"
 
 
-def linearity_section(found: Linearity | None) -> Section:
-    """What a solution's linearity means."""
-    if found is None:
+def linearity_section(linearity: Linearity | None) -> Section:
+    """Whether joint covariances hold, by the linearity check."""
+    if linearity is None:
         return Section("linearity")
-    drawn = f"(cost ratio {found.ratio:.3g} over {found.draws} samples of {found.unknowns} unknowns)"
-    said = f"Linearity check passed {drawn}." if found.linear else (
-        f"Linearity check failed {drawn}: single sigmas may hold, joint covariances of orientation and shifts don't. "
+    samples = f"(cost ratio {linearity.ratio:.3g} over {linearity.draws} samples of {linearity.unknowns} unknowns)"
+    sentence = f"Linearity check passed {samples}." if linearity.linear else (
+        f"Linearity check failed {samples}: single sigmas may hold, joint covariances of orientation and shifts don't. "
         "Use likelihood intervals: `mgsgraph analyze RESULT --likelihood IMAGE` (docs/analysis.md)."
     )
-    return Section("linearity", sentences=[said], numbers=record_of("linearity", found))  # fmt: skip
+    return Section("linearity", sentences=[sentence], numbers=record_of("linearity", linearity))  # fmt: skip
 
 
-# --- what drives it
+# --- what drives an adjustment that did not converge
 
 
 def drivers_section(solution: Solution) -> Section:
-    """Which images and points drive an adjustment that did not converge; nothing of one that did."""
-    found = solution.drivers
-    if found is None:
+    """Which images and points drive an adjustment that did not converge; empty for one that did."""
+    drivers = solution.drivers
+    if drivers is None:
         return Section("drivers")
-    said = " ".join(driver_sentences(found, solution.network))
+    sentence = " ".join(driver_sentences(drivers, solution.network))
     table = drivers_table(solution)
-    return Section("drivers", sentences=[said], tables=[table], csv=[table], numbers={
-        **record_of("drivers", found),
+    return Section("drivers", sentences=[sentence], tables=[table], csv=[table], numbers={
+        **record_of("drivers", drivers),
         "outstanding": [
             {
-                "quantity": str(one.quantity), "kind": str(one.kind), "count": one.outstanding, "of": one.of,
-                "share": one.share, "names": _names(solution, one)[: min(one.outstanding, one.members.size)],
+                "quantity": str(group.quantity), "kind": str(group.kind), "count": group.outstanding, "of": group.of,
+                "share": group.share,
+                "names": _member_names(solution, group)[: min(group.outstanding, group.members.size)],
             }
-            for one in found.outstanding
+            for group in drivers.outstanding
         ],
     })  # fmt: skip
 
 
 def drivers_table(solution: Solution) -> Table:
     """One row per image or point and quantity, those that stand out and others with the largest shares."""
-    every = () if solution.drivers is None else solution.drivers.contributions
-    rows = [(one, rank) for one in every for rank in range(one.members.size)]
+    groups = () if solution.drivers is None else solution.drivers.contributions
+    rows = [(group, rank) for group in groups for rank in range(group.members.size)]
     return table_of("drivers", {
-        "quantity": [str(one.quantity) for one, _ in rows], "kind": [str(one.kind) for one, _ in rows],
-        "name": list(chain.from_iterable(_names(solution, one) for one in every)),
-        "share": np.concatenate([np.zeros(0), *(one.shares for one in every)]),
-        "stands_out": ["yes" if rank < one.outstanding else "" for one, rank in rows],
+        "quantity": [str(group.quantity) for group, _ in rows], "kind": [str(group.kind) for group, _ in rows],
+        "name": list(chain.from_iterable(_member_names(solution, group) for group in groups)),
+        "share": np.concatenate([np.zeros(0), *(group.shares for group in groups)]),
+        "stands_out": ["yes" if rank < group.outstanding else "" for group, rank in rows],
     })  # fmt: skip
 
 
-def _names(solution: Solution, one: Contributions) -> list[str]:
+def _member_names(solution: Solution, group: Contributions) -> list[str]:
     network = solution.network
-    if one.kind == Kind.IMAGE:
-        return [network.images[j].name for j in one.members.tolist()]
-    return [network.points.ids[i] for i in one.members.tolist()]
+    if group.kind == Kind.IMAGE:
+        return [network.images[j].name for j in group.members.tolist()]
+    return [network.points.ids[i] for i in group.members.tolist()]
 
 
 # --- the input
@@ -270,23 +276,24 @@ def reading_statements(images: Sequence[PushbroomImage]) -> list[str]:
 
 def beyond_priors_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose residuals (k, 2) with the nominal orientation no error within the a-priori sigmas explains."""
-    found = [
-        f"{network.images[one.image].name} {one.size:.0f} px (expected {one.expected:.2g})"
-        for one in unexplained_residuals(network, residuals)
+    implausible = [
+        f"{network.images[excess.image].name} {excess.size:.0f} px (expected {excess.expected:.2g})"
+        for excess in unexplained_residuals(network, residuals)
     ]
-    return found and [
+    return implausible and [
         "residuals with the nominal orientation are larger than a-priori sigmas explain, median of "
-        f"{some(found, len(found))}: images, lines and samples, or labels may be interchanged, or sigmas too small"
+        f"{some(implausible, len(implausible))}: images, lines and samples, or labels may be interchanged, or sigmas "
+        "too small"
     ]
 
 
 def range_statements(network: Network, residuals: Array) -> list[str]:
     """Images whose range residuals (r,) with the nominal orientation no error within the a-priori sigmas explains."""
-    found = [
-        f"{network.images[one.image].name} {one.size:+.4g} m (expected {one.expected:.2g})"
-        for one in unexplained_ranges(network, residuals)
+    implausible = [
+        f"{network.images[excess.image].name} {excess.size:+.4g} m (expected {excess.expected:.2g})"
+        for excess in unexplained_ranges(network, residuals)
     ]
-    return found and [
+    return implausible and [
         "laser ranges minus the distances to their footprints have a mean that no a-priori sigma explains, "
-        f"{some(found, len(found))}: look at the ranges, the footprints' radii and the orbit first"
+        f"{some(implausible, len(implausible))}: look at the ranges, the footprints' radii and the orbit first"
     ]

@@ -29,7 +29,7 @@ from mgsgraph.project.decisions import Measure
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import read_state
-from mgsgraph.results.answers import Questions, answered
+from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.linked import LinkedImages
 from mgsgraph.studio.map_points import MapPoints
 from mgsgraph.studio.marks import projected
@@ -114,7 +114,7 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
 def _answer(posterior: Posterior | None, point: str) -> str | None:
     """What `mgsgraph analyze --point` prints; None before any adjustment, or of an undetermined point."""
     with suppress(InputError):
-        return None if posterior is None else "\n".join(next(answered(posterior, Questions(points=(point,)))).sentences)
+        return None if posterior is None else "\n".join(next(replies(posterior, Questions(points=(point,)))).sentences)
     return None
 
 

@@ -15,7 +15,7 @@ from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.results.answers import Questions, answered
+from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.figures import drawn, map_figure
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
@@ -253,7 +253,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
                 "sentence": sentence}  # fmt: skip
 
     def answers(content: Any, _: str) -> Any:
-        sections = answered(opened.posterior(), questions_of(content))
+        sections = replies(opened.posterior(), questions_of(content))
         return [{"text": "\n".join(section.sentences), "record": plain(section.numbers)} for section in sections]
 
     getting: dict[str, Callable[[Request], Any]] = {

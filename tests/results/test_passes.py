@@ -29,7 +29,7 @@ from mgsgraph.network.joining import seconds
 from mgsgraph.results.archive import read_solution
 from mgsgraph.results.figures.dem import height_map_sheets
 from mgsgraph.results.figures.orientation import pass_curve
-from mgsgraph.results.inventory import bare_nodes
+from mgsgraph.results.inventory import unsupported_nodes
 from mgsgraph.results.passes import calendar, nodes_table
 from mgsgraph.results.results import write_results
 from mgsgraph.results.two_steps import (
@@ -132,15 +132,15 @@ def test_bare_nodes_are_counted() -> None:
     strip = net.passes[0]
     strip = replace(strip, nodes=evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 6.0))
     net = replace(net, passes=(strip,), rays=net.rays.chosen(net.rays.image < 5))
-    assert bare_nodes(net) == []
+    assert unsupported_nodes(net) == []
     times = np.empty(net.rays.point.size)
     for j in range(5):
         mine = net.rays.image == j
         times[mine] = net.images[j].timing.at(net.rays.places[mine, 0])[0]
     gone = (times > strip.nodes.times[2]) & (times < strip.nodes.times[4])
-    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(~gone)))
+    (said,) = unsupported_nodes(replace(net, rays=net.rays.chosen(~gone)))
     assert said.startswith(f"pass HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
-    (said,) = bare_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
+    (said,) = unsupported_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
     assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 

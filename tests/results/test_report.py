@@ -136,7 +136,7 @@ def test_an_earlier_page_stays_whole_and_no_other_file_is_replaced(solution: Sol
 def test_one_that_has_not_converged_is_marked(tmp_path: Path) -> None:
     bad = adjust_network(networks.network(networks.pair()), SolverSettings(max_iterations=1), "A <b>&")
     text = text_of(bad, tmp_path)
-    assert "NOT CONVERGED: nothing on this page is a result" in text
+    assert "NOT CONVERGED: the values on this page are not valid" in text
     assert "<h1>Report on A &lt;b&gt;&amp;</h1>" in text
     assert "<b>" not in text
 
@@ -224,7 +224,7 @@ def test_points_by_their_names(solution: Solution) -> None:
     found = compare(solution, earlier)
     n = len(names) - 1
     said = found.section.sentences[1]
-    assert f"{n} points of both, 1 new, 1 gone; they moved by 5 m (rms), median 5 m, at most 5 m" in said
+    assert f"{n} points of both, 1 new, 1 removed; they moved by 5 m (rms), median 5 m, at most 5 m" in said
     table = named(found.section.tables, "points_compared")
     assert {row[4] for row in table.rows} == {"5.00"}
     size = max(np.linalg.norm(solution.sigmas[1:], axis=1))
@@ -348,7 +348,7 @@ LABELS = ("A", "B")
 def test_a_solution_and_itself_have_nothing_apart(solution: Solution) -> None:
     found = compare(solution, solution, LABELS)
     assert "differs by at most 0 sigmas" in found.section.sentences[0]
-    assert "0 new, 0 gone; they moved by 0 m (rms)" in found.section.sentences[1]
+    assert "0 new, 0 removed; they moved by 0 m (rms)" in found.section.sentences[1]
     assert {table.name for table in found.section.tables}.isdisjoint({"settings_compared", "input_compared"})
     rows = named(found.section.tables, "sigmas_compared").rows
     ratios = np.array([[float(text) for text in row[4:]] for row in rows])

@@ -87,7 +87,7 @@ def test_laser_in_words(solution: Solution, case: Case) -> None:
 
 
 def test_losses_in_words(lossy: Solution) -> None:
-    assert said(lossy, "1 point of 52 stayed out", lossy.network.points.ids[1])
+    assert said(lossy, "1 point of 52 took no part", lossy.network.points.ids[1])
     assert said(lossy, "2 rays of 103 and 0 ranges of 12 were rejected")
     assert said(lossy, "1 point lost all rays", lossy.network.points.ids[2])
     assert "nan" not in " ".join(statements(lossy))

@@ -30,9 +30,9 @@ from mgsgraph.files.rasters.raster_file import geographic_crs
 from mgsgraph.geometry.body import Ellipsoid, from_planetocentric
 from mgsgraph.network import PointClass
 from mgsgraph.results import tables as large_tables
-from mgsgraph.results.answers import Questions, answered, write_sigma_raster
+from mgsgraph.results.answers import Questions, replies, write_sigma_raster
 from mgsgraph.results.ground import control_section, surface_heights
-from mgsgraph.results.inventory import wild_ranges
+from mgsgraph.results.inventory import outlying_ranges
 from mgsgraph.results.results import solution_json, statements, write_results
 from mgsgraph.results.tables import form_of, orientation_table, points_table, residuals_table
 from mgsgraph.units import ARCSEC, DEG
@@ -167,9 +167,9 @@ def test_ranges_that_drift_together_are_not_wild(case: Case) -> None:
     drift = np.linspace(-800.0, 800.0, ranges.point.size)
     rng = np.random.default_rng(1)
     values = drift + rng.normal(0.0, ranges.sigmas)
-    assert not wild_ranges(case.network, values).size
+    assert not outlying_ranges(case.network, values).size
     values[4] += 20e3
-    assert wild_ranges(case.network, values).tolist() == [4]
+    assert outlying_ranges(case.network, values).tolist() == [4]
 
 
 # --- CSV
@@ -376,7 +376,7 @@ def test_every_question_has_its_answer_in_words_and_figures() -> None:
         points=points[:1], pairs=((points[0], points[1]),), poses=((images[0], 100.0), (images[1], 50.0)),
         projections=((points[0], images[1]),), correlations=True,
     )  # fmt: skip
-    found = {answer.numbers["question"]: answer for answer in answered(posterior, asked)}
+    found = {section.numbers["question"]: section for section in replies(posterior, asked)}
     assert list(found) == ["point", "pair", "pose", "projection", "correlations"]
     assert len(found["correlations"].numbers["names"]) == 3 + 3 + 6 + 6 + 2
     assert "95 % error ellipsoid" in found["point"].text()

@@ -22,7 +22,7 @@ def draw_figures(solution: Solution, connected: Connectivity | None = None) -> I
     ----------
     solution : Solution
     connected : Connectivity, optional
-        Of the solution; saves finding it anew.
+        Of the solution; saves computing it again.
 
     Yields
     ------

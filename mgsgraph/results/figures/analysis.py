@@ -20,7 +20,7 @@ from mgsgraph.results.figures.sheet import AFTER, BEFORE, FLAT, INK, SOFT, Sheet
 from mgsgraph.text import many, short
 from mgsgraph.units import DEG
 
-_ACROSS = 4
+_PANELS_IN_ROW = 4
 """Panels in a row."""
 _SIDE = 2.75
 """inch, of a panel with its labels."""
@@ -29,18 +29,18 @@ _SIDE = 2.75
 @plain_style()
 def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet:
     """A panel for each group that has residuals which other rows control."""
-    shown = [one for one in statistics if one.values.size]
-    across = min(max(len(shown), 1), _ACROSS)
+    shown = [group for group in statistics if group.values.size]
+    across = min(max(len(shown), 1), _PANELS_IN_ROW)
     down = -(-max(len(shown), 1) // across)
     title = f"Normalized residuals against the normal distribution: {short(name)}"
-    sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _caption(shown))
-    drawn = sheet.panels(down, across).ravel().tolist()
-    for k, (panel, one) in enumerate(zip(drawn, shown, strict=False)):
-        _draw(panel, one)
-        panel.set_title(short(one.name, 38))
+    sheet = new_sheet("quantiles", max(6.0, _SIDE * across + 0.6), _SIDE * down, title, _quantile_caption(shown))
+    panels = sheet.panels(down, across).ravel().tolist()
+    for k, (panel, group) in enumerate(zip(panels, shown, strict=False)):
+        _draw_quantiles(panel, group)
+        panel.set_title(short(group.name, 38))
         panel.set_xlabel("expected if normal (sigmas)" if k + across >= len(shown) else "")
         panel.set_ylabel("found (sigmas)" if k % across == 0 else "")
-    for panel in drawn[len(shown) :]:
+    for panel in panels[len(shown) :]:
         panel.set_axis_off()
     sheet.legend([
         Line2D([], [], ls="", marker="o", ms=3.5, mew=0.0, color=AFTER, label="normalized residuals"),
@@ -50,58 +50,59 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
     return sheet
 
 
-def _draw(panel: Axes, one: ResidualStatistics) -> None:
-    plot = one.quantiles()
-    ends = np.array([min(-2.5, plot.promised[0]), max(2.5, plot.promised[-1])])
-    panel.fill_between(plot.promised, plot.low, plot.high, color=SOFT, alpha=0.3, lw=0.0)
+def _draw_quantiles(panel: Axes, group: ResidualStatistics) -> None:
+    quantiles = group.quantiles()
+    ends = np.array([min(-2.5, quantiles.promised[0]), max(2.5, quantiles.promised[-1])])
+    panel.fill_between(quantiles.promised, quantiles.low, quantiles.high, color=SOFT, alpha=0.3, lw=0.0)
     panel.plot(ends, ends, color=INK, lw=1.0)
-    panel.plot(plot.promised, plot.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
+    panel.plot(quantiles.promised, quantiles.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
     panel.locator_params(nbins=6)
     panel.text(
-        0.05, 0.95, f"rms {number(one.rms)}\n{one.values.size} residuals\n{number(one.effective)} independent",
+        0.05, 0.95, f"rms {number(group.rms)}\n{group.values.size} residuals\n{number(group.effective)} independent",
         transform=panel.transAxes, va="top", size=7.5, linespacing=1.35,
     )  # fmt: skip
 
 
-def _caption(shown: Sequence[ResidualStatistics]) -> str:
-    """What one sees, with figures."""
+def _quantile_caption(shown: Sequence[ResidualStatistics]) -> str:
+    """Caption with the main numbers."""
     if not shown:
         return "No residual is controlled by other rows."
-    off = [one.name for one in shown if one.as_promised is False]
+    inconsistent = [group.name for group in shown if group.as_promised is False]
     return (
-        f"Inconsistent with the stated sigmas (1% tests): {', '.join(off) or 'no group'}. Residuals over their own "
-        "sigmas should lie on the line: steeper means sigmas that are too small, flatter too large ones, bent ends "
-        "long tails. Correlated residuals count as fewer independent ones."
+        f"Inconsistent with the stated sigmas (1% tests): {', '.join(inconsistent) or 'no group'}. Residuals over "
+        "their own sigmas should lie on the line: steeper means sigmas that are too small, flatter too large ones, "
+        "bent ends long tails. Correlated residuals count as fewer independent ones."
     )
 
 
 
 _MOST_IMAGES = 4
-"""That are drawn: those with the clearest vibrations first."""
-_ABOVE = 1.3
-"""Times its amplitude, where a vibration's mark stands."""
+"""Images that are drawn, those with the clearest vibrations first."""
+_MARK_FACTOR = 1.3
+"""Height of a vibration's mark, in units of its amplitude."""
 
 
 @plain_style()
-def vibrations_sheet(found: ResidualVibrations, name: str) -> Sheet:
+def vibrations_sheet(tested: ResidualVibrations, name: str) -> Sheet:
     """A row of panels per image, a column per turn."""
-    named = [one.image for one in found.vibrations]
-    images = list(dict.fromkeys([*named, *(one.image for one in found.spectra)]))
-    drawn = images[:_MOST_IMAGES]
+    with_vibrations = [vibration.image for vibration in tested.vibrations]
+    images = list(dict.fromkeys([*with_vibrations, *(spectrum.image for spectrum in tested.spectra)]))
+    shown = images[:_MOST_IMAGES]
     sheet = new_sheet(
-        "vibrations", 9.6, 1.4 + 1.9 * len(drawn), f"Vibrations in residuals: {short(name, 50)}",
-        _vibration_caption(found, len(images) - len(drawn)),
+        "vibrations", 9.6, 1.4 + 1.9 * len(shown), f"Vibrations in residuals: {short(name, 50)}",
+        _vibration_caption(tested, len(images) - len(shown)),
     )  # fmt: skip
-    grid = sheet.panels(len(drawn), len(TURNS), sharex="col")
-    for row, image in enumerate(drawn):
+    grid = sheet.panels(len(shown), len(TURNS), sharex="col")
+    for row, image in enumerate(shown):
         for column, turn in enumerate(TURNS):
             panel: Axes = grid[row, column]
-            one = next(each for each in found.spectra if (each.image, each.turn) == (image, turn))
-            _draw_spectrum(panel, one)
+            spectrum = next(candidate for candidate in tested.spectra
+                            if (candidate.image, candidate.turn) == (image, turn))
+            _draw_spectrum(panel, spectrum)
             if row == 0:
                 panel.set_title(turn)
             panel.set(
-                xlabel="frequency (Hz)" if row == len(drawn) - 1 else "",
+                xlabel="frequency (Hz)" if row == len(shown) - 1 else "",
                 ylabel=f"{short(image, 18)} (px)" if column == 0 else "",
             )
     sheet.legend([
@@ -113,28 +114,28 @@ def vibrations_sheet(found: ResidualVibrations, name: str) -> Sheet:
     return sheet
 
 
-def _draw_spectrum(panel: Axes, one: ImageSpectrum) -> None:
+def _draw_spectrum(panel: Axes, spectrum: ImageSpectrum) -> None:
     panel.set_xscale("log")
-    panel.set_xlim(one.frequencies[0], one.frequencies[-1])
+    panel.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
     panel.xaxis.set_major_formatter("{x:g}")
     panel.xaxis.set_minor_formatter(NullFormatter())
-    if one.blind:
+    if spectrum.blind:
         panel.set_yticks([])
         panel.text(
-            0.5, 0.5, f"not seen: residuals show\n{_percent(one.share)} of it", transform=panel.transAxes,
+            0.5, 0.5, f"not seen: residuals show\n{_percent(spectrum.share)} of it", transform=panel.transAxes,
             ha="center", va="center", color=INK,
         )  # fmt: skip
         return
-    bottom = 0.1 * float(np.median(one.floor))
-    panel.fill_between(one.frequencies, bottom, one.floor, color=SOFT, alpha=0.45, lw=0.0)
-    panel.plot(one.frequencies, one.level, color=INK, ls="--", lw=0.7)
-    panel.plot(one.frequencies, np.maximum(one.amplitudes, bottom), color=AFTER, lw=0.8)
+    bottom = 0.1 * float(np.median(spectrum.floor))
+    panel.fill_between(spectrum.frequencies, bottom, spectrum.floor, color=SOFT, alpha=0.45, lw=0.0)
+    panel.plot(spectrum.frequencies, spectrum.level, color=INK, ls="--", lw=0.7)
+    panel.plot(spectrum.frequencies, np.maximum(spectrum.amplitudes, bottom), color=AFTER, lw=0.8)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.yaxis.set_minor_formatter(NullFormatter())
-    top = max(float(one.amplitudes.max()), float(np.quantile(one.level, 0.9)))
-    for peak in one.peaks:
-        height = _ABOVE * peak.amplitude
+    top = max(float(spectrum.amplitudes.max()), float(np.quantile(spectrum.level, 0.9)))
+    for peak in spectrum.peaks:
+        height = _MARK_FACTOR * peak.amplitude
         panel.plot([peak.frequency], [height], color=BEFORE, marker="v", ms=6.0)
         panel.annotate(f"   {number(peak.frequency)} Hz, {number(peak.amplitude, 2)} px", (peak.frequency, height),
                        va="center", size=8.0)  # fmt: skip
@@ -146,9 +147,9 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1g} %" if share > 1e-4 else "less than 0.01 %"
 
 
-def _vibration_caption(found: ResidualVibrations, left_out: int) -> str:
+def _vibration_caption(tested: ResidualVibrations, left_out: int) -> str:
     return (
-        f"{many(len(found.vibrations), 'vibration')} above the dashed level, which noise alone crosses somewhere in "
+        f"{many(len(tested.vibrations), 'vibration')} above the dashed level, which noise alone crosses somewhere in "
         f"{100.0 * FALSE_ALARMS:g} % of such panels. Panels without a curve: residuals don't show such rotations, "
         "which heights of points absorb." + f" {many(left_out, 'more image')} not drawn." * bool(left_out)
     )
@@ -163,19 +164,20 @@ _WIDTH = 3.1
 """inch, of a panel with its labels."""
 
 
-def unexplained_sheets(found: Unexplained, name: str) -> Iterator[Sheet]:
-    """Up to four panels of what is named; no sheet where nothing is."""
-    if found.patterns:
-        yield _pattern_sheet(found, name)
+def unexplained_sheets(tested: Unexplained, name: str) -> Iterator[Sheet]:
+    """Up to four panels of named effects; no sheet if no effect is named."""
+    if tested.patterns:
+        yield _pattern_sheet(tested, name)
 
 
 @plain_style()
-def _pattern_sheet(found: Unexplained, name: str) -> Sheet:
-    drawn = found.patterns[:_MOST_PANELS]
+def _pattern_sheet(tested: Unexplained, name: str) -> Sheet:
+    shown = tested.patterns[:_MOST_PANELS]
     title = f"What the adjustment cannot explain: {short(name)}"
-    sheet = new_sheet("unexplained", 1.0 + _WIDTH * max(len(drawn), 2), 3.4, title, _pattern_caption(found, len(drawn)))
-    for panel, one in zip(sheet.panels(1, len(drawn))[0], drawn, strict=True):
-        _draw_pattern(panel, one)
+    sheet = new_sheet("unexplained", 1.0 + _WIDTH * max(len(shown), 2), 3.4, title,
+                      _pattern_caption(tested, len(shown)))
+    for panel, pattern in zip(sheet.panels(1, len(shown))[0], shown, strict=True):
+        _draw_pattern(panel, pattern)
     sheet.legend([
         Line2D([], [], ls="", marker="o", ms=4, mew=0.0, color=AFTER, label="residuals, medians"),
         Patch(color=AFTER, alpha=0.2, lw=0.0, label="middle half of them"),
@@ -184,15 +186,16 @@ def _pattern_sheet(found: Unexplained, name: str) -> Sheet:
     return sheet
 
 
-def _draw_pattern(panel: Axes, one: Pattern) -> None:
-    effect = one.effect
+def _draw_pattern(panel: Axes, pattern: Pattern) -> None:
+    effect = pattern.effect
     unit = "m" if effect.kind is not EffectKind.CORRELATION and effect.unit != "px" else effect.unit
     panel.axhline(0.0, color=SOFT, lw=0.8)
     if effect.kind is EffectKind.CORRELATION:
-        panel.errorbar(one.along, one.residuals, 2.0 * one.shown, color=AFTER, ls="", marker="o", ms=4, capsize=2)
+        panel.errorbar(pattern.along, pattern.residuals, 2.0 * pattern.shown, color=AFTER, ls="", marker="o", ms=4,
+                       capsize=2)
         panel.set(xlabel=f"points within ({unit})", ylabel="correlation and 2 sigma")
     else:
-        middles, quartiles, shown = binned(one)
+        middles, quartiles, shown = binned(pattern)
         panel.fill_between(middles, quartiles[:, 0], quartiles[:, 2], color=AFTER, alpha=0.2, lw=0.0)
         panel.plot(middles, quartiles[:, 1], ls="", marker="o", ms=4, mew=0.0, color=AFTER)
         panel.plot(middles, shown, color=INK, lw=1.2)
@@ -202,30 +205,30 @@ def _draw_pattern(panel: Axes, one: Pattern) -> None:
     panel.set_title(f"{effect.kind}: {short(effect.where, 30)}")
 
 
-def binned(one: Pattern) -> tuple[Array, Array, Array]:
+def binned(pattern: Pattern) -> tuple[Array, Array, Array]:
     """(b,) medians of what residuals vary with, (b, 3) their quartiles, and (b,) means of the effect, in bins of equal
     numbers.
     """
-    order = np.argsort(one.along, kind="stable")
+    order = np.argsort(pattern.along, kind="stable")
     bins = np.array_split(order, max(1, min(_BINS, order.size // _FEWEST_IN_BIN)))
-    quartiles = np.array([np.quantile(one.residuals[mine], [0.25, 0.5, 0.75]) for mine in bins])
-    middles, shown = (np.array([function(values[mine]) for mine in bins])
-                      for function, values in ((np.median, one.along), (np.mean, one.shown)))  # fmt: skip
+    quartiles = np.array([np.quantile(pattern.residuals[rows], [0.25, 0.5, 0.75]) for rows in bins])
+    middles, shown = (np.array([function(values[rows]) for rows in bins])
+                      for function, values in ((np.median, pattern.along), (np.mean, pattern.shown)))  # fmt: skip
     return middles, quartiles, shown
 
 
-def _pattern_caption(found: Unexplained, drawn: int) -> str:
-    """What one sees, with figures."""
+def _pattern_caption(tested: Unexplained, drawn_count: int) -> str:
+    """Caption with the main numbers."""
     return (
-        f"{len(found.effects)} effects are named by {found.tests} tests, {drawn} are drawn; clearest: "
-        f"{found.effects[0].sentence}. Residuals show of an effect what the adjustment did not absorb."
+        f"{len(tested.effects)} effects are named by {tested.tests} tests, {drawn_count} are drawn; clearest: "
+        f"{tested.effects[0].sentence}. Residuals show of an effect what the adjustment did not absorb."
     )
 
 
 
 
 
-_TOP = 5.0
+_TOP_FACTOR = 5.0
 """Times the median sigma where colors end: cells at the rim of the overlap may have any."""
 
 
@@ -237,15 +240,15 @@ def raster_sheet(grid: SigmaGrid, name: str) -> Sheet:
     height = float(np.clip(2.4 * ratio, 1.6, 6.0)) + 1.2
     statement = grid.sentence[0].upper() + grid.sentence[1:]
     bands = grid.values[:3]
-    low, middle, high = (one(bands, axis=(1, 2)) for one in (np.nanmin, np.nanmedian, np.nanmax))
+    low, middle, high = (statistic(bands, axis=(1, 2)) for statistic in (np.nanmin, np.nanmedian, np.nanmax))
     title = "Sigmas of new points over the overlap" + ": nearly the same everywhere" * bool(np.all(high < FLAT * low))
     sheet = new_sheet(name, 9.4, height, title, f"{statement}.", band=0.0)
     west, north = grid.west / DEG, grid.north / DEG
     extent = (west, west + columns * grid.steps[0] / DEG, north - rows * grid.steps[1] / DEG, north)
-    panels, tops = sheet.panels(1, 3)[0], np.minimum(high, _TOP * middle).tolist()
-    for panel, band, top, what in zip(panels, bands, tops, ("east", "north", "up"), strict=True):
+    panels, tops = sheet.panels(1, 3)[0], np.minimum(high, _TOP_FACTOR * middle).tolist()
+    for panel, band, top, direction in zip(panels, bands, tops, ("east", "north", "up"), strict=True):
         shown = panel.imshow(band, extent=extent, aspect="auto", vmin=0.0, vmax=top, interpolation="nearest")
-        sheet.colour_bar(shown, panel, f"sigma {what} (m)", MaxNLocator(4), "max")
+        sheet.colour_bar(shown, panel, f"sigma {direction} (m)", MaxNLocator(4), "max")
         panel.grid(visible=False)
         panel.locator_params(axis="both", nbins=4)
         panel.set_xlabel("east longitude (deg)")

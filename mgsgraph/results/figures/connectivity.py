@@ -25,7 +25,7 @@ _MARKS = (
 
 
 def links_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
-    """The figure of a solution; `connected` saves finding it anew. None of two images, of which one number says all."""
+    """The figure of a solution; `connected` saves computing it again. No figure of fewer than three images."""
     if len(solution.network.images) >= _FEWEST:
         yield connectivity_sheet(connected or solution_connectivity(solution))
 
@@ -38,13 +38,13 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
     sheet = new_sheet("connectivity", side + 2.6, side, "Common points of the images", _caption(connected))
     panel: Axes = sheet.panels()[0, 0]
     panel.grid(visible=False)
-    known = values[np.isfinite(values)]
-    high = float(known.max()) if known.size else 1.0
-    drawn = panel.imshow(
+    finite = values[np.isfinite(values)]
+    high = float(finite.max()) if finite.size else 1.0
+    mappable = panel.imshow(
         np.ma.masked_invalid(values), cmap="viridis", vmin=0.0, vmax=high, interpolation="nearest",
         extent=(-0.5, count - 0.5, count - 0.5, -0.5), aspect="auto",
     )  # fmt: skip
-    sheet.colour_bar(drawn, panel, "points that two images share", MaxNLocator(6, integer=True))
+    sheet.colour_bar(mappable, panel, "points that two images share", MaxNLocator(6, integer=True))
     if count > _NAMED:
         panel.set(ylabel="image")
     else:
@@ -57,29 +57,29 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
             panel.annotate(f"{values[j, k]:.0f}", (k, j), ha="center", va="center", size=7.5, color=ink)
     weakest: Index = connected.spine[: min(WEAKEST, connected.spine.size // 2)]
     marked = [connected.pairs[rows[:MOST_ROWS]] for rows in (weakest, worth_tying(connected), connected.apart)]
-    alone = connected.unconnected if count > 1 else np.zeros(0, dtype=np.int64)
+    isolated = connected.unconnected if count > 1 else np.zeros(0, dtype=np.int64)
     handles = []
-    for (label, marker, color), pairs in zip(_MARKS, (*marked, np.stack([alone, alone], axis=1)), strict=True):
+    for (label, marker, color), pairs in zip(_MARKS, (*marked, np.stack([isolated, isolated], axis=1)), strict=True):
         if pairs.size:
-            both = np.concatenate([pairs, pairs[:, ::-1]])
+            cells = np.concatenate([pairs, pairs[:, ::-1]])
             size = float(np.clip(140.0 / count, 3.0, 16.0))
-            handles += panel.plot(*both.T, ls="", marker=marker, ms=size, mfc="none", mec=color, mew=1.2, label=label)
+            handles += panel.plot(*cells.T, ls="", marker=marker, ms=size, mfc="none", mec=color, mew=1.2, label=label)
     sheet.legend(handles)
     return sheet
 
 
-def adjacency(connected: Connectivity, most: int = MOST_ROWS) -> Array:
+def adjacency(connected: Connectivity, max_rows: int = MOST_ROWS) -> Array:
     """(r, r) most points that a pair of images of each row and column shares, symmetric; NaN where none does."""
-    row = image_rows(len(connected.names), most)
-    found = np.full((int(row[-1]) + 1,) * 2, 0.0)
-    one, other = row[connected.pairs[connected.links]].T
+    row = image_rows(len(connected.names), max_rows)
+    matrix = np.full((int(row[-1]) + 1,) * 2, 0.0)
+    first, second = row[connected.pairs[connected.links]].T
     points = connected.points[connected.links].astype(np.float64)
-    np.maximum.at(found, (one, other), points)
-    np.maximum.at(found, (other, one), points)
-    return np.where(found > 0.0, found, np.nan)
+    np.maximum.at(matrix, (first, second), points)
+    np.maximum.at(matrix, (second, first), points)
+    return np.where(matrix > 0.0, matrix, np.nan)
 
 
 def _caption(connected: Connectivity) -> str:
-    several = -(-len(connected.names) // MOST_ROWS)
-    words = f" A cell has up to {several} by {several} images, and the most points of a pair of them." * (several > 1)
-    return f"{' '.join(connectivity_statements(connected)) or 'One image.'}{words}"
+    per_row = -(-len(connected.names) // MOST_ROWS)
+    remark = f" A cell has up to {per_row} by {per_row} images, and the most points of a pair of them." * (per_row > 1)
+    return f"{' '.join(connectivity_statements(connected)) or 'One image.'}{remark}"

@@ -20,16 +20,7 @@ from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.dem.checking import check_figures
 from mgsgraph.registration.dem.model import Dem
 from mgsgraph.results.figures.map import outlines_of, points_window, window_sheet
-from mgsgraph.results.figures.sheet import (
-    INK,
-    MOST_MARKS,
-    Sheet,
-    limit,
-    new_sheet,
-    number,
-    plain_style,
-    sheet_name,
-)
+from mgsgraph.results.figures.sheet import INK, MOST_MARKS, Sheet, limit, new_sheet, number, plain_style, sheet_name
 from mgsgraph.text import many, short, some
 from mgsgraph.units import KM
 
@@ -40,7 +31,7 @@ _TALL, _WIDE, _NARROW, _LOW = 7.0, 3.0, 1.45, 2.4
 _LETTERS = 2.4
 """inch, width of labels beside the panels in all."""
 _SHOWN = (0.02, 0.98)
-"""Quantiles to which colours reach."""
+"""Quantiles to which colors reach."""
 
 
 def read_ortho(path: Path) -> NDArray[np.uint8]:
@@ -61,12 +52,12 @@ def dem_sheet(dem: Dem, ortho: NDArray[np.uint8]) -> Sheet:
     sheet = new_sheet(
         "dem", 3.0 * width + _LETTERS, height + 1.0, f"Terrain model: {short(dem.name, 60)}", _caption(dem), band=0.0
     )
-    where, sigma, checks = sheet.panels(1, 3)[0]
+    height_panel, sigma_panel, shots_panel = sheet.panels(1, 3)[0]
     step = max(1, -(-max(grid.rows, grid.columns) // _MOST_POSTS))
     heights = dem.heights[::step, ::step]
-    _heights(sheet, where, dem, heights, step)
-    _sigmas(sheet, sigma, dem, step)
-    _shots(sheet, checks, dem, ortho)
+    _draw_heights(sheet, height_panel, dem, heights, step)
+    _draw_sigmas(sheet, sigma_panel, dem, step)
+    _draw_shots(sheet, shots_panel, dem, ortho)
     return sheet
 
 
@@ -82,48 +73,48 @@ def _norm(values: Array) -> Normalize:
     return Normalize(float(low), float(max(high, low + 1e-9)))
 
 
-def _heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> None:
+def _draw_heights(sheet: Sheet, panel: Axes, dem: Dem, heights: Array, step: int) -> None:
     norm, post = _norm(heights), dem.model.map.post * step
     light = LightSource(315.0, 45.0)
     flat = np.where(np.isfinite(heights), heights, np.nanmean(heights))
-    colours = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
-    tall = 1.0 / max(float(np.nanstd(np.gradient(flat, post)[0])) * 4.0, 1e-9)  # slopes that can be seen
-    shaded = light.shade_rgb(colours, flat, vert_exag=min(tall, 10.0), dx=post, dy=post, blend_mode="soft")
+    colors = np.asarray(ScalarMappable(norm, "gist_earth").to_rgba(flat))[:, :, :3]
+    exaggeration = 1.0 / max(float(np.nanstd(np.gradient(flat, post)[0])) * 4.0, 1e-9)  # slopes that can be seen
+    shaded = light.shade_rgb(colors, flat, vert_exag=min(exaggeration, 10.0), dx=post, dy=post, blend_mode="soft")
     shaded = np.dstack([shaded, np.isfinite(heights)])
     panel.imshow(shaded, extent=_extent(dem), interpolation="nearest", aspect="equal")
     shown = ScalarMappable(norm, "gist_earth")
     sheet.colour_bar(shown, panel, f"above {dem.reference.split(' of ')[0]} (m)", MaxNLocator(2), "both")
-    _axes(panel, "north of the middle (km)")
+    _label_axes(panel, "north of the middle (km)")
 
 
-def _sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
+def _draw_sigmas(sheet: Sheet, panel: Axes, dem: Dem, step: int) -> None:
     sigmas = np.ma.masked_invalid(np.where(np.isfinite(dem.heights), dem.model.sigmas, np.nan)[::step, ::step])
     norm = Normalize(0.0, _norm(sigmas.filled(np.nan)).vmax)
     shown = panel.imshow(
         sigmas, extent=_extent(dem), cmap="viridis", norm=norm, interpolation="nearest", aspect="equal"
     )
     sheet.colour_bar(shown, panel, "sigma of height (m)", MaxNLocator(2), "max")
-    _axes(panel)
+    _label_axes(panel)
 
 
-def _shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
+def _draw_shots(sheet: Sheet, panel: Axes, dem: Dem, ortho: NDArray[np.uint8]) -> None:
     checks = dem.checks
     grey = np.ma.masked_equal(ortho, 0)
     panel.imshow(grey, extent=_extent(dem), cmap="Greys_r", vmin=0, vmax=255, interpolation="nearest", aspect="equal")
-    widest = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
-    norm = Normalize(-max(widest, 1e-9), max(widest, 1e-9))
-    some = thinned(len(checks), MOST_MARKS)
+    half_range = float(np.quantile(np.abs(checks.differences), 0.98)) if len(checks) else 1.0
+    norm = Normalize(-max(half_range, 1e-9), max(half_range, 1e-9))
+    drawn = thinned(len(checks), MOST_MARKS)
     shown = panel.scatter(
-        checks.plane[some, 0] / KM, checks.plane[some, 1] / KM, c=checks.differences[some], cmap="RdBu_r", norm=norm,
+        checks.plane[drawn, 0] / KM, checks.plane[drawn, 1] / KM, c=checks.differences[drawn], cmap="RdBu_r", norm=norm,
         s=9.0, edgecolors=INK, linewidths=0.2, zorder=3,
     )  # fmt: skip
     if len(checks):
         sheet.colour_bar(shown, panel, "model minus shot (m)", MaxNLocator(2), "both")
-    _axes(panel)
+    _label_axes(panel)
     panel.set_title("ortho image")
 
 
-def _axes(panel: Axes, north: str = "") -> None:
+def _label_axes(panel: Axes, north: str = "") -> None:
     panel.grid(visible=False)
     panel.xaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     panel.yaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10]))
@@ -131,18 +122,19 @@ def _axes(panel: Axes, north: str = "") -> None:
 
 
 def _caption(dem: Dem) -> str:
-    checks, there = dem.checks, np.isfinite(dem.heights)
+    checks, has_height = dem.checks, np.isfinite(dem.heights)
     text = (
         f"Heights every {number(dem.model.map.post)} m from "
         f"{some([short(name, 30) for name in dem.images], len(dem.images))}, lit from the north-west; sigma "
-        f"{number(float(np.median(dem.model.sigmas[there])))} m (median)"
+        f"{number(float(np.median(dem.model.sigmas[has_height])))} m (median)"
     )
     if not len(checks):
         return f"{text}. No laser shot that took no part in the adjustment lies on it."
-    off = check_figures(checks, np.ones(len(checks), dtype=bool))
+    differences = check_figures(checks, np.ones(len(checks), dtype=bool))
     return (
-        f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot {number(off['mean_m'])} m on "
-        f"the average, {number(off['rms_m'])} m rms, {number(off['rms_by_sigma'], 2)} times what is stated."
+        f"{text}. {many(len(checks), 'laser shot')} that took no part: model minus shot "
+        f"{number(differences['mean_m'])} m on the average, {number(differences['rms_m'])} m rms, "
+        f"{number(differences['rms_by_sigma'], 2)} times what is stated."
     )
 
 
@@ -151,12 +143,12 @@ def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:
     """Heights above the terrain model where the rays alone put the points, before and after both steps, on one scale of
     colors.
     """
-    solution, mine = statistics.steps.fitted, statistics.points[statistics.used]
-    heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[mine])
-    places, most = plane_coordinates(solution.places[mine], centre), limit(heights)
+    solution, points = statistics.steps.fitted, statistics.points[statistics.used]
+    heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[points])
+    places, half_range = plane_coordinates(solution.places[points], centre), limit(heights)
     outlines = outlines_of(solution, centre)
     about = solution.name, centre, np.concatenate([places, *outlines.values()]), outlines
     for k, (values, when) in enumerate(((heights[0], "before"), (heights[-1], "after step 2")), 1):
-        quantity, classes = (f"height above the terrain {when}", "m"), solution.network.points.classes[mine]
-        shown = points_window(about, places, values, quantity, classes, scale=(-most, most))
+        quantity, classes = (f"height above the terrain {when}", "m"), solution.network.points.classes[points]
+        shown = points_window(about, places, values, quantity, classes, scale=(-half_range, half_range))
         yield replace(window_sheet(shown), name=sheet_name("height_map", k, 2))

@@ -1,4 +1,4 @@
-"""The map: outlines of the images, ground points coloured by one quantity, error ellipses, corrections and relief.
+"""The map: outlines of the images, ground points colored by one quantity, error ellipses, corrections and relief.
 
 Few points are drawn one by one, many as medians of cells; a block of any size and a window of the studio are one
 figure. A block that is far longer than wide has a scale of its own in each direction.
@@ -41,14 +41,14 @@ from mgsgraph.results.figures.sheet import (
 from mgsgraph.text import many, short
 from mgsgraph.units import DEG, KM
 
-_MOST = 40
+_MOST_DRAWN = 40
 """Ellipses and corrections that are drawn, spread over the map: more hide the points."""
 _FEWEST, _FEW = 3, 12
 """Points of which a comparison is drawn; images up to which outlines bear numbers."""
-_MOVED = "#D55E00"
+_MOVEMENT_COLOR = "#D55E00"
 CELLS = 100
 """Cells along the longer side of a block of many points."""
-_LONG = 6.0
+_LONG_RATIO = 6.0
 """Length over width from which on a map has two scales."""
 _WIDEST, _TALLEST, LEAST = 7.2, 7.4, 3.0
 """inch: bounds of a map."""
@@ -71,12 +71,12 @@ class MapWindow:
     places: Array
     """(n, 2) of points, or of middles of some cells."""
     values: Array
-    """(n,) of points by which they are coloured, or (rows, columns) of cells, from the south-west; NaN where nothing is
+    """(n,) of points by which they are colored, or (rows, columns) of cells, from the south-west; NaN where nothing is
     known."""
     quantity: tuple[str, str]
     """What that is: title and unit."""
     scale: tuple[float, float]
-    """Ends of the colours; below and above zero for what has a sign."""
+    """Ends of the colors; below and above zero for what has a sign."""
     count: int
     """Points in the window."""
     classes: Index | None
@@ -92,7 +92,7 @@ class MapWindow:
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
-    """The map of a solution; `connected` saves finding the footprints anew. None where no point has a place."""
+    """The map of a solution; `connected` saves computing the footprints again. None where no point has a place."""
     if np.any(solution.determined):
         yield window_sheet(block_window(solution, connected))
 
@@ -104,17 +104,17 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
     centre = centre_of(solution.places)
     outlines = outlines_of(solution, centre, connected)
     classes = solution.network.points.classes
-    known = np.flatnonzero(solution.determined & (classes != PointClass.POST))
-    if not known.size:
-        known = np.flatnonzero(solution.determined)
-    places, covariances = plane_coordinates(solution.places[known], centre), solution.covariances[known]
-    axes = east_north_up(solution.places[known])
+    rows = np.flatnonzero(solution.determined & (classes != PointClass.POST))
+    if not rows.size:
+        rows = np.flatnonzero(solution.determined)
+    places, covariances = plane_coordinates(solution.places[rows], centre), solution.covariances[rows]
+    axes = east_north_up(solution.places[rows])
     sigmas = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[known])
-    flat = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
+    moved = np.einsum("nij,nj->ni", axes[:, :2], (solution.places - solution.places_before)[rows])
+    horizontal = np.einsum("nij,njk,nlk->nil", axes[:, :2], covariances, axes[:, :2])
     corners = np.concatenate([places, *outlines.values()])
     about = (solution.name, centre, corners, outlines)
-    return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[known], flat, moved)
+    return points_window(about, places, sigmas, ("3-D sigma", "m"), classes[rows], horizontal, moved)
 
 
 def points_window(
@@ -131,8 +131,8 @@ def points_window(
     if len(places) <= MOST_MARKS:
         return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
                          covariances, moved, None, 0.0)  # fmt: skip
-    middles, (cells, *ways) = cell_medians(box, places, values, *(() if moved is None else moved.T))
-    arrows = np.column_stack([one.ravel() for one in ways]) if ways else None
+    middles, (cells, *components) = cell_medians(box, places, values, *(() if moved is None else moved.T))
+    arrows = np.column_stack([component.ravel() for component in components]) if components else None
     return MapWindow(name, centre, box, outlines, middles, cells, quantity, scale, len(places), None, None, arrows,
                      None, 0.0)  # fmt: skip
 
@@ -141,8 +141,8 @@ def outlines_of(solution: Solution, centre: Array, connected: Connectivity | Non
     """(k, 2) m of each image."""
     footprints = (connected or solution_connectivity(solution)).footprints
     return {
-        image.name: plane_coordinates(one.outline, centre)
-        for image, one in zip(solution.network.images, footprints, strict=True)
+        image.name: plane_coordinates(footprint.outline, centre)
+        for image, footprint in zip(solution.network.images, footprints, strict=True)
     }
 
 
@@ -151,9 +151,9 @@ def comparison_sheet(points: CommonPoints, labels: tuple[str, str]) -> Sheet | N
     if len(points.places) < _FEWEST:
         return None
     centre = centre_of(points.places)
-    places, (here, _) = plane_coordinates(points.places, centre), points.rows
+    places, (later_rows, _) = plane_coordinates(points.places, centre), points.rows
     about = (f"{labels[1]} minus {labels[0]}", centre, places, dict[str, Array]())
-    classes, size = points.solution.network.points.classes[here], np.linalg.norm(points.moved, axis=1)
+    classes, size = points.solution.network.points.classes[later_rows], np.linalg.norm(points.moved, axis=1)
     shown = points_window(about, places, size, ("3-D movement", "m"), classes, moved=points.moved[:, :2])
     return replace(window_sheet(shown), name="comparison")
 
@@ -163,12 +163,12 @@ def cell_medians(box: Array, places: Array, *values: Array) -> tuple[Array, list
     and the medians (rows, columns) of values (n,) at places (n, 2) in each; NaN where there are none.
     """
     size = np.maximum(box[2:] - box[:2], 1e-6)
-    fewest = CELLS // 5 if size.max() > _LONG * size.min() else 1
+    fewest = CELLS // 5 if size.max() > _LONG_RATIO * size.min() else 1
     columns, rows = np.maximum(np.ceil(CELLS * size / size.max()), fewest).astype(int).tolist()
     cell = cell_numbers((places - box[:2])[:, ::-1], size[::-1], (rows, columns))
-    row, column = (one.ravel() + 0.5 for one in np.indices((rows, columns)))
+    row, column = (index.ravel() + 0.5 for index in np.indices((rows, columns)))
     middles = box[:2] + np.column_stack([column, row]) * size / [columns, rows]
-    return middles, [medians(one, cell, rows * columns).reshape(rows, columns) for one in values]
+    return middles, [medians(quantity, cell, rows * columns).reshape(rows, columns) for quantity in values]
 
 
 def map_axes(panel: Axes, low: Array, high: Array, centre: Array) -> None:
@@ -180,7 +180,7 @@ def map_axes(panel: Axes, low: Array, high: Array, centre: Array) -> None:
 
 
 def _is_long(size: Array) -> bool:
-    return bool(size.max() > _LONG * size.min())
+    return bool(size.max() > _LONG_RATIO * size.min())
 
 
 def frame(corners: Array) -> tuple[Array, Array, tuple[float, float]]:
@@ -201,35 +201,36 @@ def frame(corners: Array) -> tuple[Array, Array, tuple[float, float]]:
 
 
 @plain_style()
-def window_sheet(shown: MapWindow) -> Sheet:
-    """A window of the map, its points coloured by one quantity."""
-    low, high, (width, height) = frame(shown.box.reshape(2, 2) / KM)
-    longest = float((shown.box[2:] - shown.box[:2]).max())
-    factors = _factor(shown, _radii(shown), _ELLIPSE * longest), _factor(shown, _lengths(shown), _ARROW * longest)
-    title, unit = shown.quantity
-    name = f"{short(shown.name, int(8.5 * width) + 20 - len(title))}: {title}"
-    sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(shown, factors), band=0.0)
+def window_sheet(window: MapWindow) -> Sheet:
+    """A window of the map, its points colored by one quantity."""
+    low, high, (width, height) = frame(window.box.reshape(2, 2) / KM)
+    longest = float((window.box[2:] - window.box[:2]).max())
+    factors = _enlargement(window, _ellipse_radii(window), _ELLIPSE * longest), _enlargement(window, _movements(window),
+                                                                                             _ARROW * longest)
+    title, unit = window.quantity
+    name = f"{short(window.name, int(8.5 * width) + 20 - len(title))}: {title}"
+    sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(window, factors), band=0.0)
     panel: Axes = sheet.panels()[0, 0]
-    map_axes(panel, low, high, shown.centre)
-    if shown.relief is not None:
-        x0, y0, x1, y1 = (shown.box / KM).tolist()
+    map_axes(panel, low, high, window.centre)
+    if window.relief is not None:
+        x0, y0, x1, y1 = (window.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(shown.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1,
+            np.ma.masked_invalid(window.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1,
             aspect=panel.get_aspect(),
         )
-    named = _draw_outlines(panel, shown.outlines, low, high)
-    norm, cmap = Normalize(*shown.scale), "coolwarm" if shown.scale[0] == -shown.scale[1] else "viridis"
-    handles = _draw_points(panel, shown, norm, cmap)
-    if shown.covariances is not None:
-        panel.add_collection(_ellipses(panel, shown, factors[0]), autolim=False)
+    named = _draw_outlines(panel, window.outlines, low, high)
+    norm, cmap = Normalize(*window.scale), "coolwarm" if window.scale[0] == -window.scale[1] else "viridis"
+    handles = _draw_points(panel, window, norm, cmap)
+    if window.covariances is not None:
+        panel.add_collection(_ellipses(panel, window, factors[0]), autolim=False)
         label = f"95 % ellipses × {factors[0]:g}"
         handles.append(Line2D([], [], ls="", marker="o", ms=8, mfc="none", mec=INK, label=label))
-    if shown.moved is not None:
-        _arrows(panel, shown, factors[1])
-        handles.append(Line2D([], [], color=_MOVED, label=f"movements × {factors[1]:g}"))
-    place = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
-    ends = "both" if shown.scale[0] else "max"
-    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=place, extend=ends, ticks=MaxNLocator(5))
+    if window.moved is not None:
+        _arrows(panel, window, factors[1])
+        handles.append(Line2D([], [], color=_MOVEMENT_COLOR, label=f"movements × {factors[1]:g}"))
+    bar_axes = panel.inset_axes((1.0 + 0.2 / width, 0.02, 0.2 / width, 0.5))
+    ends = "both" if window.scale[0] else "max"
+    bar = sheet.figure.colorbar(ScalarMappable(norm, cmap), cax=bar_axes, extend=ends, ticks=MaxNLocator(5))
     bar.set_label(f"{title} ({unit})")
     panel.legend(handles=handles + named, loc="upper left", bbox_to_anchor=(1.0 + 0.1 / width, 1.0), borderaxespad=0.0)
     return sheet
@@ -244,9 +245,10 @@ def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Ar
         corners = outline[np.all((outline / KM > low) & (outline / KM < high), axis=1)] / KM
         if not len(corners) or len(outlines) > _FEW:
             continue
-        others = np.concatenate([np.full((1, 2), np.inf), *(one / KM for key, one in outlines.items() if key != name)])
-        apart = np.linalg.norm((corners[:, None] - others) / (high - low), axis=2)
-        place = corners[np.argmax(np.nanmin(apart, axis=1))].tolist()
+        others = np.concatenate([np.full((1, 2), np.inf),
+                                 *(other / KM for key, other in outlines.items() if key != name)])
+        distances = np.linalg.norm((corners[:, None] - others) / (high - low), axis=2)
+        place = corners[np.argmax(np.nanmin(distances, axis=1))].tolist()
         panel.annotate(
             f"{k}", place, size=7.5, weight="bold", ha="center", va="center", zorder=8,
             bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": INK, "lw": 0.6},
@@ -255,85 +257,85 @@ def _draw_outlines(panel: Axes, outlines: dict[str, Array], low: Array, high: Ar
     return handles
 
 
-def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> list[Line2D]:
+def _draw_points(panel: Axes, window: MapWindow, norm: Normalize, cmap: str) -> list[Line2D]:
     """Points by the mark of their class, or cells; handles of the marks."""
-    if shown.classes is None:
-        x0, y0, x1, y1 = (shown.box / KM).tolist()
+    if window.classes is None:
+        x0, y0, x1, y1 = (window.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(shown.values), extent=(x0, x1, y0, y1), origin="lower", cmap=cmap,
+            np.ma.masked_invalid(window.values), extent=(x0, x1, y0, y1), origin="lower", cmap=cmap,
             norm=norm, interpolation="nearest", zorder=3, aspect=panel.get_aspect(),
         )  # fmt: skip
         return []
     handles = []
     for kind in PointClass:
-        mine = np.flatnonzero(shown.classes == kind)
-        if mine.size:
-            x, y = shown.places[mine].T / KM
-            marker, size = CLASS_MARKER[kind], 14.0 if len(shown.places) <= 1500 else 5.0
+        rows = np.flatnonzero(window.classes == kind)
+        if rows.size:
+            x, y = window.places[rows].T / KM
+            marker, size = CLASS_MARKER[kind], 14.0 if len(window.places) <= 1500 else 5.0
             panel.scatter(
-                x, y, c=shown.values[mine], s=size, marker=marker, cmap=colormaps[cmap].with_extremes(bad=SOFT),
+                x, y, c=window.values[rows], s=size, marker=marker, cmap=colormaps[cmap].with_extremes(bad=SOFT),
                 norm=norm, lw=0.25, ec=INK, zorder=3, plotnonfinite=True,
             )  # fmt: skip
             handles.append(Line2D([], [], ls="", marker=marker, ms=4.5, color=SOFT, label=CLASS_NAME[kind]))
     return handles
 
 
-def _some(shown: MapWindow, values: Array) -> Index:
+def _drawn_rows(window: MapWindow, values: Array) -> Index:
     """Rows of values (n, ...) that are known, not too many of them, one after the other along the map's longer side."""
-    known = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
-    return known[np.argsort(shown.places[known, _longer(shown)], kind="stable")][thinned(known.size, _MOST)]
+    rows = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
+    return rows[np.argsort(window.places[rows, _longer_axis(window)], kind="stable")][thinned(rows.size, _MOST_DRAWN)]
 
 
-def _longer(shown: MapWindow) -> int:
+def _longer_axis(window: MapWindow) -> int:
     """0 where the map is wider than high, 1 otherwise: ellipses and arrows take the scale of that axis."""
-    return int(np.argmax(shown.box[2:] - shown.box[:2]))
+    return int(np.argmax(window.box[2:] - window.box[:2]))
 
 
-def _radii(shown: MapWindow) -> Array:
+def _ellipse_radii(window: MapWindow) -> Array:
     """(n,) m, longer semi-axes of the 95 % ellipses."""
-    if shown.covariances is None:
+    if window.covariances is None:
         return np.zeros(0)
-    known = np.all(np.isfinite(shown.covariances), axis=(1, 2))
-    return error_ellipses(shown.covariances[known])[0][:, 1]
+    known = np.all(np.isfinite(window.covariances), axis=(1, 2))
+    return error_ellipses(window.covariances[known])[0][:, 1]
 
 
-def _lengths(shown: MapWindow) -> Array:
-    return np.zeros(0) if shown.moved is None else np.linalg.norm(shown.moved, axis=1)
+def _movements(window: MapWindow) -> Array:
+    return np.zeros(0) if window.moved is None else np.linalg.norm(window.moved, axis=1)
 
 
-def _factor(shown: MapWindow, lengths: Array, wanted: float) -> float:
+def _enlargement(window: MapWindow, lengths: Array, target: float) -> float:
     """By which lengths (n,) in m are enlarged: what was asked, or a round number that makes the long ones as wanted."""
     lengths = lengths[np.isfinite(lengths)]
-    if shown.factor > 0.0 or not lengths.size:
-        return shown.factor or 1.0
-    return round_figure(wanted / max(float(np.quantile(lengths, 0.95)), 1e-12))
+    if window.factor > 0.0 or not lengths.size:
+        return window.factor or 1.0
+    return round_figure(target / max(float(np.quantile(lengths, 0.95)), 1e-12))
 
 
-def _ellipses(panel: Axes, shown: MapWindow, factor: float) -> EllipseCollection:
-    assert shown.covariances is not None
-    known = _some(shown, shown.covariances)
-    semi_axes, ways = error_ellipses(shown.covariances[known])
+def _ellipses(panel: Axes, window: MapWindow, factor: float) -> EllipseCollection:
+    assert window.covariances is not None
+    rows = _drawn_rows(window, window.covariances)
+    semi_axes, directions = error_ellipses(window.covariances[rows])
     shorter, longer = 2.0 * factor * semi_axes.T / KM
-    angles = np.degrees(np.arctan2(ways[:, 1, 1], ways[:, 0, 1]))  # of the longer one, from the east
+    angles = np.degrees(np.arctan2(directions[:, 1, 1], directions[:, 0, 1]))  # of the longer one, from the east
     return EllipseCollection(
-        longer, shorter, angles, units="y" if _longer(shown) else "x", offsets=shown.places[known] / KM,
+        longer, shorter, angles, units="y" if _longer_axis(window) else "x", offsets=window.places[rows] / KM,
         offset_transform=panel.transData, facecolors="none", edgecolors=INK, linewidths=0.7, zorder=4,
     )  # fmt: skip
 
 
-def _arrows(panel: Axes, shown: MapWindow, factor: float) -> Quiver:
-    assert shown.moved is not None
-    known = _some(shown, shown.moved)
-    east, north = factor * shown.moved[known].T / KM
+def _arrows(panel: Axes, window: MapWindow, factor: float) -> Quiver:
+    assert window.moved is not None
+    rows = _drawn_rows(window, window.moved)
+    east, north = factor * window.moved[rows].T / KM
     return panel.quiver(
-        *(shown.places[known].T / KM), east, north, angles="uv", scale_units="xy"[_longer(shown)], scale=1.0,
-        width=0.003, color=_MOVED, zorder=5,
+        *(window.places[rows].T / KM), east, north, angles="uv", scale_units="xy"[_longer_axis(window)], scale=1.0,
+        width=0.003, color=_MOVEMENT_COLOR, zorder=5,
     )  # fmt: skip
 
 
-def message(shown: MapWindow) -> str:
-    """The one thing that the map says."""
-    (title, unit), values = shown.quantity, shown.values[np.isfinite(shown.values)]
+def message(window: MapWindow) -> str:
+    """Main statement of the map, one sentence."""
+    (title, unit), values = window.quantity, window.values[np.isfinite(window.values)]
     if not values.size:
         return f"{title} of no point is known."
     middle, (low, high) = number(float(np.median(values))), np.quantile(values, [1.0 - SHARE, SHARE])
@@ -342,19 +344,19 @@ def message(shown: MapWindow) -> str:
     return f"{title}: {middle} {unit} (median), {number(float(values[np.argmax(np.abs(values))]))} {unit} at most."
 
 
-def _caption(shown: MapWindow, factors: Sequence[float]) -> str:
-    what = "one by one" if shown.classes is not None else f"medians of {np.isfinite(shown.values).sum()} cells"
-    words = [
-        message(shown), f"{many(shown.count, 'point')}, {what}; colors reach from {number(shown.scale[0])} to "
-        f"{number(shown.scale[1])} {shown.quantity[1]}. Sigmas are for sigma0 = 1."
+def _caption(window: MapWindow, factors: Sequence[float]) -> str:
+    form = "one by one" if window.classes is not None else f"medians of {np.isfinite(window.values).sum()} cells"
+    sentences = [
+        message(window), f"{many(window.count, 'point')}, {form}; colors reach from {number(window.scale[0])} to "
+        f"{number(window.scale[1])} {window.quantity[1]}. Sigmas are for sigma0 = 1."
     ]  # fmt: skip
-    for values, drawn, factor in zip((shown.covariances, shown.moved), ("95 % error ellipses", "Movements"), factors,
+    for values, marks, factor in zip((window.covariances, window.moved), ("95 % error ellipses", "Movements"), factors,
                                      strict=True):  # fmt: skip
         if values is not None:
-            of = many(_some(shown, values).size, "cell" if shown.classes is None else "point")
-            words.append(f"{drawn} of {of}, {factor:g} times true size.")
-    if shown.relief is not None:
-        words.append("Shaded relief of the terrain model, light from the north-west.")
-    if _is_long(shown.box[2:] - shown.box[:2]):
-        words.append("The map has two scales; ellipses and arrows take that of its longer side.")
-    return " ".join(words)
+            count = many(_drawn_rows(window, values).size, "cell" if window.classes is None else "point")
+            sentences.append(f"{marks} of {count}, {factor:g} times true size.")
+    if window.relief is not None:
+        sentences.append("Shaded relief of the terrain model, light from the north-west.")
+    if _is_long(window.box[2:] - window.box[:2]):
+        sentences.append("The map has two scales; ellipses and arrows take that of its longer side.")
+    return " ".join(sentences)

@@ -15,22 +15,22 @@ from mgsgraph.units import KM
 def matches_sheet(matches: Matches, scene: Scene, name: str) -> Sheet:
     """Where the matches are, and along the flight by how much the nominal orientations contradict each other there."""
     plane, nominal = _nominal(matches, scene)
-    filled, whole = matches.cells
+    filled, cell_count = matches.cells
     across, along = np.median(nominal, axis=0)
     caption = (
-        f"{len(matches.ties.ids)} tie points from {len(scene.pictures)} images in {filled} of {whole} cells of "
+        f"{len(matches.ties.ids)} tie points from {len(scene.pictures)} images in {filled} of {cell_count} cells of "
         f"{number(matches.cell)} m (the map's two scales differ). By the nominal orientations the second sees them "
         f"{number(across)} m off across the plane of the two rays and {number(along)} m along it (medians)."
     )
     sheet = new_sheet("matches", 9.0, 4.6, f"Matches between images: {name}", caption)
-    where, contradiction = sheet.panels(1, 2, sharey=True)[0]
-    some = thinned(len(plane), MOST_MARKS)
-    for one in footprints(scene):
-        where.plot(*(scene.ground.chart.plane(one.outline) / KM).T, color=INK, lw=0.8)
-    where.plot(*(plane[some] / KM).T, "o", ms=2.0, color=SOFT)
-    where.set(xlabel="across the flight (km)", ylabel="along the flight (km)", title="where")
+    map_panel, contradiction = sheet.panels(1, 2, sharey=True)[0]
+    marked = thinned(len(plane), MOST_MARKS)
+    for footprint in footprints(scene):
+        map_panel.plot(*(scene.ground.chart.plane(footprint.outline) / KM).T, color=INK, lw=0.8)
+    map_panel.plot(*(plane[marked] / KM).T, "o", ms=2.0, color=SOFT)
+    map_panel.set(xlabel="across the flight (km)", ylabel="along the flight (km)", title="where")
     for k, color in enumerate((AFTER, BEFORE)):
-        contradiction.plot(nominal[some, k], plane[some, 1] / KM, ".", ms=2.5, color=color)
+        contradiction.plot(nominal[marked, k], plane[marked, 1] / KM, ".", ms=2.5, color=color)
     contradiction.set(xlabel="second minus first (m on the ground)", title="contradiction of the nominal orientations")
     sheet.legend([
         Line2D([], [], color=INK, lw=1.0, label="footprints"),
@@ -51,8 +51,8 @@ def _nominal(matches: Matches, scene: Scene) -> tuple[Array, Array]:
     others = np.flatnonzero(~reference)
     anchors = first[ties.measure_point[others]]
     plane, nominal = np.empty((others.size, 2)), np.empty((others.size, 2))
-    for i, j, mine in by_pair(picture[anchors], picture[others]):
-        places = ties.measures[anchors[mine]], ties.measures[others[mine]]
-        plane[mine] = scene.pictures[i].on_chart(scene.ground, places[0])
-        nominal[mine] = match_offsets(scene.pictures[i], scene.pictures[j], places, scene.ground)
+    for i, j, rows in by_pair(picture[anchors], picture[others]):
+        places = ties.measures[anchors[rows]], ties.measures[others[rows]]
+        plane[rows] = scene.pictures[i].on_chart(scene.ground, places[0])
+        nominal[rows] = match_offsets(scene.pictures[i], scene.pictures[j], places, scene.ground)
     return plane, nominal

@@ -50,15 +50,16 @@ def orientation_sheets(solution: Solution) -> Iterator[Sheet]:
     network = solution.network
     if count := len(network.passes):
         curves = [pass_curve(solution, k, count) for k in range(count)]
-        pictures = sum(len(one.images) for one in network.passes)
-        head = f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, without shared unknowns"
-        yield _sheet("passes", curves, _PASSES, head, "passes, each from its first orientation image to its last")
-    own = np.flatnonzero(network.pass_of < 0).tolist()
-    if own:
-        held = int(np.count_nonzero(network.held[own]))
-        head = f"{many(len(own), 'image')}{f', of which {held} are held at nominal' if held else ''}"
-        curves = [image_curve(solution, j, len(own)) for j in own]
-        yield _sheet("orientation", curves, _IMAGES, head, "images, each from its first line to its last")
+        pictures = sum(len(pass_.images) for pass_ in network.passes)
+        heading = f"{count} {'pass' if count == 1 else 'passes'} of {many(pictures, 'image')}, without shared unknowns"
+        yield _curves_sheet("passes", curves, _PASSES, heading,
+                            "passes, each from its first orientation image to its last")
+    outside_passes = np.flatnonzero(network.pass_of < 0).tolist()
+    if outside_passes:
+        held = int(np.count_nonzero(network.held[outside_passes]))
+        heading = f"{many(len(outside_passes), 'image')}{f', of which {held} are held at nominal' if held else ''}"
+        curves = [image_curve(solution, j, len(outside_passes)) for j in outside_passes]
+        yield _curves_sheet("orientation", curves, _IMAGES, heading, "images, each from its first line to its last")
 
 
 def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
@@ -71,15 +72,15 @@ def image_curve(solution: Solution, image: int, curves: int = 1) -> Curve:
     )  # fmt: skip
 
 
-def pass_curve(solution: Solution, strip: int, curves: int = 1) -> Curve:
+def pass_curve(solution: Solution, number: int, curves: int = 1) -> Curve:
     """Corrections along, across and radially in m, of roll, pitch and yaw in arcsec."""
-    one, nodes = solution.network.passes[strip], node_times(solution, strip)
-    start, stop = np.array(one.nodes.coverage) + one.nodes.epoch
+    pass_, nodes = solution.network.passes[number], node_times(solution, number)
+    start, stop = np.array(pass_.nodes.coverage) + pass_.nodes.epoch
     times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
-    along, at_nodes = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
+    corrections, at_nodes = strip_corrections(solution, number, times), strip_corrections(solution, number, nodes)
     units = np.repeat([1.0, ARCSEC], 3)
     return Curve(
-        one.name, (times - start) / (stop - start), along.values / units, along.sigmas / units,
+        pass_.name, (times - start) / (stop - start), corrections.values / units, corrections.sigmas / units,
         (nodes - start) / (stop - start), at_nodes.values / units,
     )  # fmt: skip
 
@@ -94,33 +95,34 @@ def components(profile: OrientationProfile) -> tuple[Array, Array]:
 
 
 @plain_style()
-def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, across: str) -> Sheet:
+def _curves_sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], heading: str, across: str) -> Sheet:
     """Six panels; each curve takes one unit of the horizontal axis."""
     count, gap = len(curves), [np.nan]  # no line from one curve to the next
-    at = np.concatenate([np.append(k + 0.02 + 0.96 * one.shares, gap) for k, one in enumerate(curves)])
+    positions = np.concatenate([np.append(k + 0.02 + 0.96 * curve.shares, gap) for k, curve in enumerate(curves)])
     values, sigmas = (
-        np.concatenate([np.vstack([getattr(one, part), np.full((1, 6), np.nan)]) for one in curves])
+        np.concatenate([np.vstack([getattr(curve, part), np.full((1, 6), np.nan)]) for curve in curves])
         for part in ("values", "sigmas")
     )
-    dots = np.concatenate([k + 0.02 + 0.96 * one.node_shares for k, one in enumerate(curves)])
-    heights = np.concatenate([one.node_values for one in curves])
+    node_positions = np.concatenate([k + 0.02 + 0.96 * curve.node_shares for k, curve in enumerate(curves)])
+    node_values = np.concatenate([curve.node_values for curve in curves])
     sheet = new_sheet(
-        name, 11.0 if count > 4 or dots.size else 7.2, 8.4, "Corrections of the exterior orientation",
-        _caption(head, curves, rows),
+        name, 11.0 if count > 4 or node_positions.size else 7.2, 8.4, "Corrections of the exterior orientation",
+        _caption(heading, curves, rows),
     )  # fmt: skip
     grid = sheet.panels(6, 1, sharex="col")[:, 0]
     for n, panel in enumerate(grid):
         value, sigma = values[:, n], sigmas[:, n]
         panel.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
-        panel.fill_between(at, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
-        panel.plot(at, value, color=AFTER)
-        panel.plot(dots, heights[:, n], color=INK, ls="", marker="o", ms=_MARK if dots.size < 60 else 0.5 * _MARK)
+        panel.fill_between(positions, value - sigma, value + sigma, color=AFTER, alpha=0.22, lw=0.0)
+        panel.plot(positions, value, color=AFTER)
+        panel.plot(node_positions, node_values[:, n], color=INK, ls="", marker="o", ms=_MARK if node_positions.size < 60
+                   else 0.5 * _MARK)
         low, high = float(np.nanmin(value - sigma)), float(np.nanmax(value + sigma))
-        room = 0.12 * max(high - low, 1e-9)
-        panel.set(ylabel=rows[n], ylim=(low - room, high + room), xlim=(0.0, count))
+        margin = 0.12 * max(high - low, 1e-9)
+        panel.set(ylabel=rows[n], ylim=(low - margin, high + margin), xlim=(0.0, count))
         panel.locator_params(axis="y", nbins=5)
     if count <= _NAMED:
-        grid[-1].set_xticks(np.arange(count) + 0.5, [short(one.name, 60 // count + 6) for one in curves])
+        grid[-1].set_xticks(np.arange(count) + 0.5, [short(curve.name, 60 // count + 6) for curve in curves])
         for panel in grid:
             panel.set_xticks(np.arange(count + 1), minor=True)
             panel.grid(visible=False, axis="x", which="major")
@@ -131,18 +133,18 @@ def _sheet(name: str, curves: Sequence[Curve], rows: Sequence[str], head: str, a
         Patch(color=AFTER, alpha=0.22, lw=0.0, label="± 1 sigma (sigma0 = 1)"),
     ]
     nodes = Line2D([], [], color=INK, ls="", marker="o", ms=_MARK, label="orientation images")
-    sheet.legend([*handles, nodes] if dots.size else handles)
+    sheet.legend([*handles, nodes] if node_positions.size else handles)
     return sheet
 
 
-def _caption(head: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
-    """What one sees, with figures."""
-    moved = np.max([np.abs(one.values).max(axis=0) for one in curves], axis=0)
-    ratios = [np.abs(one.values) / np.where(one.sigmas > 0.0, one.sigmas, np.inf) for one in curves]
-    k = int(np.argmax([one.max() for one in ratios]))
+def _caption(heading: str, curves: Sequence[Curve], rows: Sequence[str]) -> str:
+    """Caption with the main numbers."""
+    largest = np.max([np.abs(curve.values).max(axis=0) for curve in curves], axis=0)
+    ratios = [np.abs(curve.values) / np.where(curve.sigmas > 0.0, curve.sigmas, np.inf) for curve in curves]
+    k = int(np.argmax([ratio.max() for ratio in ratios]))
     row = rows[int(np.argmax(ratios[k].max(axis=0)))].split("(")[0].strip()
     return (
-        f"{head}: the largest correction is {number(float(ratios[k].max()), 2)} sigmas ({row} of "
-        f"{short(curves[k].name)}). Positions moved by up to {number(moved[:3].max())} m, attitudes by up to "
-        f"{number(moved[3:].max())} arcsec."
+        f"{heading}: the largest correction is {number(float(ratios[k].max()), 2)} sigmas ({row} of "
+        f"{short(curves[k].name)}). Positions moved by up to {number(largest[:3].max())} m, attitudes by up to "
+        f"{number(largest[3:].max())} arcsec."
     )

@@ -12,10 +12,7 @@ from mgsgraph.registration.case import CaseRegistration
 from mgsgraph.results.figures import draw_figures
 from mgsgraph.results.figures.map import comparison_sheet
 from mgsgraph.results.figures.registration import discrepancy_sheets, overlay_sheets
-from mgsgraph.results.figures.sheet import (
-    Sheet,
-    encoded,
-)
+from mgsgraph.results.figures.sheet import Sheet, encoded
 
 _QUALITY = 80
 """Of JPEG, for sheets that are pictures."""
@@ -41,17 +38,17 @@ class Picture:
     """CSS pixels."""
 
 
-def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
+def pictures_of(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
     """Sheets as pictures, in order: PNG, or JPEG for what shows pixels. Title and caption are left to the page."""
-    how: dict[str, Any] = {"kind": "jpg", "quality": _QUALITY} if as_picture else {"kind": "png"}
-    found = []
+    encoding: dict[str, Any] = {"kind": "jpg", "quality": _QUALITY} if as_picture else {"kind": "png"}
+    pictures = []
     for sheet in sheets:
-        data = base64.b64encode(encoded(sheet, words=False, optimize=True, **how)).decode()
+        data = base64.b64encode(encoded(sheet, with_text=False, optimize=True, **encoding)).decode()
         width, height = (float(inch) for inch in sheet.figure.get_size_inches())
         size = round(_CSS * width), round(_CSS * (height - sheet.above - sheet.below))
         uri = f"data:image/{'jpeg' if as_picture else 'png'};base64,{data}"
-        found.append(Picture(sheet.name, sheet.title, sheet.caption, uri, *size))
-    return found
+        pictures.append(Picture(sheet.name, sheet.title, sheet.caption, uri, *size))
+    return pictures
 
 
 # --- by the page's sections
@@ -59,15 +56,15 @@ def drawn(sheets: Iterable[Sheet], as_picture: bool = False) -> list[Picture]:
 
 def solution_figures(solution: Solution, connected: Connectivity) -> list[tuple[str, Picture]]:
     """`figures.draw_figures` as pictures, each with its section of the page."""
-    return [(section, drawn([sheet])[0]) for section, sheet in draw_figures(solution, connected)]
+    return [(section, pictures_of([sheet])[0]) for section, sheet in draw_figures(solution, connected)]
 
 
 def registration_figures(registration: CaseRegistration) -> list[Picture]:
     """Footprints on images, and discrepancies of pairs of images."""
-    return [*drawn(overlay_sheets(registration), as_picture=True), *drawn(discrepancy_sheets(registration))]
+    return [*pictures_of(overlay_sheets(registration), as_picture=True), *pictures_of(discrepancy_sheets(registration))]
 
 
 def comparison_figures(points: CommonPoints) -> list[Picture]:
     """The map of the differences from an earlier solution; none of fewer than three common points."""
     sheet = comparison_sheet(points, ("the earlier one", "this one"))
-    return drawn([] if sheet is None else [sheet])
+    return pictures_of([] if sheet is None else [sheet])

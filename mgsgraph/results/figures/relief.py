@@ -37,10 +37,10 @@ from mgsgraph.units import KM
 
 _NAMED_MINIMA = 1e-3
 """Weight from which on a minimum is marked, besides the best two."""
-_NEAR = 0.3
+_SHARE_DRAWN = 0.3
 """Share of the reach that is drawn of cost surfaces after the adjustment."""
 _LEAST_TOP = 5.0
-"""sigmas, upper end of the colours at least: what stays below it does not tie a profile."""
+"""sigmas, upper end of the colors at least: what stays below it does not tie a profile."""
 _STATES = ("before", "after")
 _MISFIT = "root of the misfit above the best (sigmas)"
 
@@ -50,21 +50,22 @@ def relief_sheets(registration: ReliefRegistration) -> Iterator[Sheet]:
     how far they were off; and the shifts of all.
     """
     profiles = registration.profiles
-    off = [float(np.nan_to_num(np.linalg.norm(one.before.misplacement))) for one in profiles]
-    order = sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -off[p]))
+    misplacements = [float(np.nan_to_num(np.linalg.norm(profile.before.misplacement))) for profile in profiles]
+    order = sorted(range(len(profiles)), key=lambda p: (profiles[p].after.cost.clear, -misplacements[p]))
     shown = sorted(order[:MOST_SHEETS])
-    yield _costs(registration, shown)
+    yield _cost_sheet(registration, shown)
     for k, p in enumerate(shown):
         name = sheet_name("profiles", k + 1, len(shown))
-        yield _posts(profiles[p], name) if profiles[p].of_posts else _profile(registration, profiles[p], name)
-    yield _shifts(registration)
+        yield _posts_sheet(profiles[p], name) if profiles[p].of_posts else _profile_sheet(registration, profiles[p],
+                                                                                          name)
+    yield _shift_sheet(registration)
 
 
 # --- cost surfaces
 
 
 @plain_style()
-def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
+def _cost_sheet(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
     """Misfit over shifts of some profiles, before above after."""
     profiles, shifts = registration.profiles, registration.solution.network.shifts
     assert shifts is not None
@@ -75,16 +76,16 @@ def _costs(registration: ReliefRegistration, chosen: Sequence[int]) -> Sheet:
         f"Misfit over shifts: {short(registration.name, 50)}", _costs_caption(registration, len(chosen)),
     )  # fmt: skip
     grid = sheet.panels(2, count)
-    top = _top([profiles[p].before.cost for p in chosen])
+    top = _color_limit([profiles[p].before.cost for p in chosen])
     shown = None
-    for c, p in enumerate(chosen):
-        one = profiles[p]
-        for row, state in enumerate((one.before, one.after)):
-            panel = grid[row, c]
-            shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _NEAR) or shown
-            panel.set_title(f"{short(one.name, 24)}, {_STATES[row]}")
-            panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if c == 0 else "")
-        grid[0, c].add_patch(Circle((0.0, 0.0), float(shifts.sigmas[p]), fill=False, ls="--", ec=BEFORE))
+    for column, p in enumerate(chosen):
+        profile = profiles[p]
+        for row, state in enumerate((profile.before, profile.after)):
+            panel = grid[row, column]
+            shown = _draw_cost(panel, state.cost, top, 1.0 if row == 0 else _SHARE_DRAWN) or shown
+            panel.set_title(f"{short(profile.name, 24)}, {_STATES[row]}")
+            panel.set(xlabel="shift east (m)", ylabel="shift north (m)" if column == 0 else "")
+        grid[0, column].add_patch(Circle((0.0, 0.0), float(shifts.sigmas[p]), fill=False, ls="--", ec=BEFORE))
     if shown is not None:
         sheet.colour_bar(shown, grid.ravel().tolist(), _MISFIT, MaxNLocator(6), "max")
     sheet.legend(_cost_handles())
@@ -100,8 +101,8 @@ def _cost_handles() -> list[Line2D]:
     ]
 
 
-def _top(costs: Sequence[CostSurface]) -> float:
-    """Upper end of the colours, in sigmas: what most shifts of some profiles stay below."""
+def _color_limit(costs: Sequence[CostSurface]) -> float:
+    """Upper end of the colors, in sigmas: what most shifts of some profiles stay below."""
     values = [np.sqrt(np.nanquantile(_above_best(cost), 0.9)) for cost in costs if cost.minima]
     return max(float(np.median(values)), _LEAST_TOP) if values else _LEAST_TOP
 
@@ -127,21 +128,21 @@ def _draw_cost(panel: Axes, cost: CostSurface, top: float, share: float) -> Axes
         cmap="viridis_r", vmin=0.0, vmax=top, interpolation="nearest",
     )  # fmt: skip
     panel.plot(0.0, 0.0, "+", ms=8, mew=1.2, color=INK, zorder=4)
-    for k, one in enumerate(cost.minima):
+    for k, minimum in enumerate(cost.minima):
         if k == 0:
-            panel.plot(*one.shift, "X", ms=7, mfc="white", mec=INK, mew=0.8, zorder=5)
-        elif k == 1 or one.weight >= _NAMED_MINIMA:
-            panel.plot(*one.shift, "o", ms=6, mfc="none", mec="#CC79A7", mew=1.4, zorder=5)
+            panel.plot(*minimum.shift, "X", ms=7, mfc="white", mec=INK, mew=0.8, zorder=5)
+        elif k == 1 or minimum.weight >= _NAMED_MINIMA:
+            panel.plot(*minimum.shift, "o", ms=6, mfc="none", mec="#CC79A7", mew=1.4, zorder=5)
     return shown
 
 
-def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
+def _costs_caption(registration: ReliefRegistration, drawn_count: int) -> str:
     profiles = registration.profiles
-    clear = sum(one.after.cost.clear for one in profiles)
+    clear = sum(profile.after.cost.clear for profile in profiles)
     return (
-        f"{clear} of {many(len(profiles), 'profile')} have one clear minimum; {shown} are drawn. Colors: how badly a "
-        "profile fits the stereo surface when it is shifted as a whole, level and slope along the track removed; above "
-        "where the images were adjusted without relief, below with it, where zero is agreement."
+        f"{clear} of {many(len(profiles), 'profile')} have one clear minimum; {drawn_count} are drawn. Colors: how "
+        "badly a profile fits the stereo surface when it is shifted as a whole, level and slope along the track "
+        "removed; above where the images were adjusted without relief, below with it, where zero is agreement."
     )
 
 
@@ -149,65 +150,70 @@ def _costs_caption(registration: ReliefRegistration, shown: int) -> str:
 
 
 @plain_style()
-def _profile(registration: ReliefRegistration, one: ReliefProfile, name: str) -> Sheet:
+def _profile_sheet(registration: ReliefRegistration, profile: ReliefProfile, name: str) -> Sheet:
     """Heights of the shots and of the surface under them along the track, and their difference, before and after."""
-    colour, marker = CLASS_COLOUR[one.point_class], CLASS_MARKER[one.point_class]
-    title = f"Laser profile {short(one.name, 30)} against the stereo surface"
-    sheet = new_sheet(name, 10.0, 4.6, title, _profile_caption(one))
+    colour, marker = CLASS_COLOUR[profile.point_class], CLASS_MARKER[profile.point_class]
+    title = f"Laser profile {short(profile.name, 30)} against the stereo surface"
+    sheet = new_sheet(name, 10.0, 4.6, title, _profile_caption(profile))
     grid = sheet.panels(2, 2, heights=[2.0, 1.0], sharex=True, sharey="row")
-    along = _sides(one)[:, 0]
+    along = _plane_positions(profile)[:, 0]
     order = np.argsort(along, kind="stable")
     along, body = along[order], registration.solution.network.images[0].body
-    for (upper, lower), state, words in zip(grid.T, (one.before, one.after), _states(one), strict=True):
-        heights, off = geodetic(state.points, body)[order, 2], _differences(one, state)[order]
-        upper.plot(along, heights - off, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
+    for (upper, lower), state, heading in zip(grid.T, (profile.before, profile.after), _panel_titles(profile),
+                                              strict=True):
+        heights, differences = geodetic(state.points, body)[order, 2], _heights_above(profile, state)[order]
+        upper.plot(along, heights - differences, color=AFTER, lw=1.0, marker=".", ms=2.5, zorder=2)
         upper.plot(along, heights, ls="", marker=marker, ms=3.0, mfc="none", mew=0.7, color=colour, zorder=3)
-        upper.set_title(words)
+        upper.set_title(heading)
         lower.axhline(0.0, color=SOFT, lw=0.8, zorder=1)
-        lower.plot(along, off, color=INK, lw=0.7, marker=".", ms=3.0, zorder=2)
+        lower.plot(along, differences, color=INK, lw=0.7, marker=".", ms=3.0, zorder=2)
         lower.set_xlabel("along the track (km)")
     grid[0, 0].set_ylabel("height above the ellipsoid (m)")
     grid[1, 0].set_ylabel("shot minus surface (m)")
     sheet.legend([
-        Line2D([], [], ls="", marker=marker, ms=5, mfc="none", color=colour, label=CLASS_NAME[one.point_class]),
+        Line2D([], [], ls="", marker=marker, ms=5, mfc="none", color=colour, label=CLASS_NAME[profile.point_class]),
         Line2D([], [], color=AFTER, lw=1.0, marker=".", ms=4, label="stereo surface at the shots"),
     ])  # fmt: skip
     return sheet
 
 
 @plain_style()
-def _posts(one: ReliefProfile, name: str) -> Sheet:
+def _posts_sheet(profile: ReliefProfile, name: str) -> Sheet:
     """A terrain model's posts minus the stereo surface: a map after, and histograms before and after."""
-    off = np.array([_differences(one, state) for state in (one.before, one.after)])
-    most, reach, sides = limit(off), float(np.nanmax(np.abs(off), initial=1.0)), _sides(one)
-    title = f"Terrain model {short(one.name, 30)} minus the stereo surface"
-    sheet = new_sheet(name, 10.0, 3.4, title, _profile_caption(one), band=0.0)
-    where, many_of = sheet.panels(1, 2)[0]
-    some = np.flatnonzero(one.taken)[thinned(int(one.taken.sum()), MOST_MARKS)]
-    shown = where.scatter(*sides[some].T, c=off[1, some], s=9.0, cmap="RdBu_r", vmin=-most, vmax=most, lw=0.2, ec=INK)
-    where.set(xlabel="along the longer side (km)", ylabel="across (km)")
-    sheet.colour_bar(shown, where, "post minus surface, after (m)", MaxNLocator(5), "both")
-    many_of.hist(off.T, 40, range=(-reach, reach), histtype="step", color=[BEFORE, AFTER], label=_states(one))
-    many_of.set(xlabel="post minus surface (m)", ylabel="posts")
-    many_of.legend()
+    differences = np.array([_heights_above(profile, state) for state in (profile.before, profile.after)])
+    half_range, reach, sides = limit(differences), float(np.nanmax(np.abs(differences),
+                                                                   initial=1.0)), _plane_positions(profile)
+    title = f"Terrain model {short(profile.name, 30)} minus the stereo surface"
+    sheet = new_sheet(name, 10.0, 3.4, title, _profile_caption(profile), band=0.0)
+    map_panel, histogram_panel = sheet.panels(1, 2)[0]
+    marked = np.flatnonzero(profile.taken)[thinned(int(profile.taken.sum()), MOST_MARKS)]
+    shown = map_panel.scatter(*sides[marked].T, c=differences[1, marked], s=9.0, cmap="RdBu_r", vmin=-half_range,
+                              vmax=half_range, lw=0.2, ec=INK)
+    map_panel.set(xlabel="along the longer side (km)", ylabel="across (km)")
+    sheet.colour_bar(shown, map_panel, "post minus surface, after (m)", MaxNLocator(5), "both")
+    histogram_panel.hist(differences.T, 40, range=(-reach, reach), histtype="step", color=[BEFORE, AFTER],
+                         label=_panel_titles(profile))
+    histogram_panel.set(xlabel="post minus surface (m)", ylabel="posts")
+    histogram_panel.legend()
     return sheet
 
 
-def _sides(one: ReliefProfile) -> Array:
+def _plane_positions(profile: ReliefProfile) -> Array:
     """(n, 2) km, where the points of a profile or model lie along its longer side and across."""
-    apart = one.before.points - one.before.points.mean(axis=0)
-    sides = apart @ np.linalg.svd(apart, full_matrices=False)[2][:2].T
+    offsets = profile.before.points - profile.before.points.mean(axis=0)
+    sides = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][:2].T
     return np.asarray((sides - sides.min(axis=0)) / KM)
 
 
-def _differences(one: ReliefProfile, state: ProfileState) -> Array:
+def _heights_above(profile: ReliefProfile, state: ProfileState) -> Array:
     """(n,) m, heights of what lies on the surface above it; NaN elsewhere."""
-    return np.where(one.taken & state.heights.covered, vertical(state), np.nan)
+    return np.where(profile.taken & state.heights.covered, vertical(state), np.nan)
 
 
-def _states(one: ReliefProfile) -> list[str]:
+def _panel_titles(profile: ReliefProfile) -> list[str]:
     """Titles of the panels before and after."""
-    return [f"{s}: {number(rms)} m rms" for s, rms in zip(_STATES, (one.rms_before, one.rms_after), strict=True)]
+    return [f"{s}: {number(rms)} m rms"
+            for s, rms in zip(_STATES, (profile.rms_before, profile.rms_after), strict=True)]
 
 
 def vertical(state: ProfileState) -> Array:
@@ -216,11 +222,12 @@ def vertical(state: ProfileState) -> Array:
     return np.asarray(state.heights.heights / up)
 
 
-def _profile_caption(one: ReliefProfile) -> str:
-    east, north = (number(size) for size in one.before.misplacement.tolist())
+def _profile_caption(profile: ReliefProfile) -> str:
+    east, north = (number(size) for size in profile.before.misplacement.tolist())
     return (
-        f"{one.unit.capitalize()} minus surface: {number(one.rms_before)} m rms before, {number(one.rms_after)} m "
-        f"after; before, it had to move {east} m east and {north} m north to fit. {many(one.taken.sum(), one.unit)}."
+        f"{profile.unit.capitalize()} minus surface: {number(profile.rms_before)} m rms before, "
+        f"{number(profile.rms_after)} m after; before, it had to move {east} m east and {north} m north to fit. "
+        f"{many(profile.taken.sum(), profile.unit)}."
     )
 
 
@@ -228,12 +235,12 @@ def _profile_caption(one: ReliefProfile) -> str:
 
 
 @plain_style()
-def _shifts(registration: ReliefRegistration) -> Sheet:
+def _shift_sheet(registration: ReliefRegistration) -> Sheet:
     """Shift of each profile onto the stereo surface, before and after."""
     profiles = registration.profiles
-    shifts = [np.array([getattr(one, state).misplacement for one in profiles]) for state in _STATES]
-    most = [number(float(np.nanmax(np.linalg.norm(one, axis=1), initial=0.0))) for one in shifts]
-    caption = f"The largest shift onto the stereo surface is {most[0]} m before and {most[1]} m after."
+    shifts = [np.array([getattr(profile, state).misplacement for profile in profiles]) for state in _STATES]
+    largest = [number(float(np.nanmax(np.linalg.norm(vectors, axis=1), initial=0.0))) for vectors in shifts]
+    caption = f"The largest shift onto the stereo surface is {largest[0]} m before and {largest[1]} m after."
     sheet = new_sheet("shifts", 6.4, 4.4, f"Shifts onto the stereo surface: {short(registration.name, 24)}", caption)
     panel = sheet.panels()[0, 0]
     for values, label, colour in zip(shifts, _STATES, (BEFORE, AFTER), strict=True):

@@ -45,40 +45,41 @@ def residual_matrix(solution: Solution, point_class: PointClass) -> Array | None
     part, by row of images and bin of lines; NaN where nothing was measured. None where there are none.
     """
     rays, images = solution.network.rays, solution.network.images
-    mine = np.flatnonzero(used_rays(solution) & (solution.network.points.classes[rays.point] == point_class))
-    if not mine.size:
+    rows_used = np.flatnonzero(used_rays(solution) & (solution.network.points.classes[rays.point] == point_class))
+    if not rows_used.size:
         return None
-    image, row = rays.image[mine], image_rows(len(images))
+    image, row = rays.image[rows_used], image_rows(len(images))
     middle = float(np.median(np.bincount(image)[np.unique(image)]))
     bins, rows = int(np.clip(middle / _PER_BIN, *_BINS)), int(row[-1]) + 1
-    lengths = np.array([one.lines for one in images], dtype=np.float64)
-    along = np.clip(rays.places[mine, 0] / lengths[image] * bins, 0.0, bins - 1.0).astype(np.int64)
+    lengths = np.array([picture.lines for picture in images], dtype=np.float64)
+    along = np.clip(rays.places[rows_used, 0] / lengths[image] * bins, 0.0, bins - 1.0).astype(np.int64)
     cells = row[image] * bins + along
-    found = [medians(solution.residuals[mine, k], cells, rows * bins).reshape(rows, bins) for k in range(2)]
-    return np.stack(found)
+    matrices = [medians(solution.residuals[rows_used, k], cells, rows * bins).reshape(rows, bins) for k in range(2)]
+    return np.stack(matrices)
 
 
 @plain_style()
 def residual_sheets(solution: Solution) -> list[Sheet]:
     """Medians of the residuals of all images along their lines, and the rms and largest residual of each image."""
-    names, row = [one.name for one in solution.network.images], image_rows(len(solution.network.images))
-    found = [(c, one) for c in _SHOWN if (one := residual_matrix(solution, c)) is not None]
+    names, row = [image.name for image in solution.network.images], image_rows(len(solution.network.images))
+    matrices = [(point_class, matrix) for point_class in _SHOWN
+                if (matrix := residual_matrix(solution, point_class)) is not None]
     spreads, largest = _spreads(solution, row)
-    count, several = spreads.size, -(-len(names) // spreads.size)
-    widths = [1.25] * (2 * len(found)) + [1.0]
+    count, per_row = spreads.size, -(-len(names) // spreads.size)
+    widths = [1.25] * (2 * len(matrices)) + [1.0]
     sheet = new_sheet(
         "residuals", max(7.2, 1.6 + 1.9 * len(widths)), min(2.0 + 0.35 * count, 7.0), "Image residuals",
         _residual_caption(solution, spreads, largest),
     )  # fmt: skip
     panels = sheet.panels(1, len(widths), widths=widths, sharey="all")[0]
-    for n, (point_class, one) in enumerate(found):
-        _draw_matrix(sheet, panels[2 * n : 2 * n + 2].tolist(), point_class, one)
+    for n, (point_class, matrix) in enumerate(matrices):
+        _draw_matrix(sheet, panels[2 * n : 2 * n + 2].tolist(), point_class, matrix)
     panels[-1].barh(np.arange(count), spreads, height=0.7, color=AFTER, lw=0.0)
     panels[-1].plot(largest, np.arange(count), ls="", marker="o", ms=3.0, color=BEFORE)
     panels[-1].set(xlabel="px", xlim=(0.0, None), title="rms and largest")
     ticks = np.unique(np.linspace(0, count - 1, min(count, _NAMED)).round().astype(int)).tolist()
     panels[0].set_yticks(ticks, [short(names[int(np.searchsorted(row, k))], 20) for k in ticks], size=7.0)
-    panels[0].set(ylabel="image" if several == 1 else f"images, up to {several} in a row", ylim=(count - 0.5, -0.5))
+    panels[0].set(ylabel="image" if per_row == 1 else f"images, up to {per_row} in a row", ylim=(count - 0.5, -0.5))
     for panel in panels[1:]:
         panel.tick_params(labelleft=False)
     sheet.legend([
@@ -88,19 +89,19 @@ def residual_sheets(solution: Solution) -> list[Sheet]:
     return [sheet]
 
 
-def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, found: Array) -> None:
+def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, matrix: Array) -> None:
     """Line and sample residuals side by side, on one scale."""
-    most, largest = limit(found), float(np.nanmax(np.abs(found)))
+    scale, largest = limit(matrix), float(np.nanmax(np.abs(matrix)))
     shown: ScalarMappable
-    for panel, values, what in zip(panels, found, ("line", "sample"), strict=True):
+    for panel, values, direction in zip(panels, matrix, ("line", "sample"), strict=True):
         panel.set_facecolor(_EMPTY)
         panel.grid(visible=False)
-        rows, reach = values.shape[0], float(np.nanmax(np.abs(values)))
+        rows, peak = values.shape[0], float(np.nanmax(np.abs(values)))
         shown = panel.imshow(
-            np.ma.masked_invalid(values), cmap="RdBu_r", vmin=-most, vmax=most, aspect="auto",
+            np.ma.masked_invalid(values), cmap="RdBu_r", vmin=-scale, vmax=scale, aspect="auto",
             interpolation="nearest", extent=(0.0, 100.0, rows - 0.5, -0.5),
         )  # fmt: skip
-        panel.set(xlabel="% of the lines", title=what + f" (below {number(reach, 1)} px)" * (reach < _PALE * most))
+        panel.set(xlabel="% of the lines", title=direction + f" (below {number(peak, 1)} px)" * (peak < _PALE * scale))
     label = f"{CLASS_NAME[point_class]}: median residual, up to {number(largest)} px"
     sheet.colour_bar(shown, panels, label, MaxNLocator(4), extend="both")
 
@@ -108,17 +109,17 @@ def _draw_matrix(sheet: Sheet, panels: list[Axes], point_class: PointClass, foun
 def _spreads(solution: Solution, row: Index) -> tuple[Array, Array]:
     """(rows,) px, rms of the residuals of line and sample together, and the largest of either."""
     used = np.flatnonzero(used_rays(solution))
-    squares, rows = solution.residuals[used] ** 2, row[solution.network.rays.image[used]]
+    squared, rows = solution.residuals[used] ** 2, row[solution.network.rays.image[used]]
     largest = np.full(int(row[-1]) + 1, np.nan)
-    np.fmax.at(largest, rows, squares.max(axis=1))
-    return np.sqrt(means(squares.mean(axis=1), rows, largest.size)), np.sqrt(largest)
+    np.fmax.at(largest, rows, squared.max(axis=1))
+    return np.sqrt(means(squared.mean(axis=1), rows, largest.size)), np.sqrt(largest)
 
 
 def _residual_caption(solution: Solution, spreads: Array, largest: Array) -> str:
-    """What one sees, with figures."""
+    """Caption with the main numbers."""
     rejected = int(np.count_nonzero(~solution.rays_used & np.all(np.isfinite(solution.residuals), axis=1)))
-    said = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
-    middle, most, worst = (number(float(one)) for one in said)
+    figures = np.nanmedian(spreads), np.nanmax(spreads), np.nanmax(largest)
+    middle, most, worst = (number(float(value)) for value in figures)
     return (
         f"The rms of an image is {middle} px (median), {most} px at most; the largest residual is {worst} px. Rejected "
         f"measurements: {rejected}. Colors: median residual (measured minus predicted) along the lines of "

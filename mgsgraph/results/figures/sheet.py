@@ -1,4 +1,4 @@
-"""What every figure needs, said once: style, size, title, caption, legend, and how a sheet becomes files.
+"""What every figure needs: style, size, title, caption, legend, and how a sheet becomes files.
 
 A function that draws a sheet is decorated by `plain_style()`, makes its panels by `Sheet.panels`, and leaves where they
 stand to matplotlib's constrained layout. No pyplot, and the user's matplotlib settings are neither used nor changed.
@@ -51,31 +51,14 @@ CLASS_NAME = {PointClass.TIE: "tie points", PointClass.LASER: "laser points", Po
               PointClass.POST: "posts of terrain models"}  # fmt: skip
 
 _STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.5,
+    "font.family": "DejaVu Sans", "font.size": 8.5,
     "text.parse_math": False,  # names of users may hold dollar signs
-    "axes.titlesize": 9.0,
-    "axes.titlepad": 4.0,
-    "axes.labelsize": 8.5,
-    "axes.edgecolor": "#555555",
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-4, 6),
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "legend.handletextpad": 0.5,
-    "legend.columnspacing": 1.6,
-    "lines.linewidth": 1.4,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "xtick.color": "#444444",
-    "ytick.color": "#444444",
-    "svg.fonttype": "path",
-    "svg.hashsalt": "mgsgraph",
+    "axes.titlesize": 9.0, "axes.titlepad": 4.0, "axes.labelsize": 8.5, "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.7, "axes.grid": True, "axes.axisbelow": True, "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 6), "grid.color": "#E4E4E4", "grid.linewidth": 0.6, "legend.frameon": False,
+    "legend.fontsize": 8.5, "legend.handletextpad": 0.5, "legend.columnspacing": 1.6, "lines.linewidth": 1.4,
+    "text.color": INK, "axes.labelcolor": INK, "xtick.color": "#444444", "ytick.color": "#444444",
+    "svg.fonttype": "path", "svg.hashsalt": "mgsgraph",
 }
 _DPI = 150
 _MARGIN, _TITLE, _BAND, _CAPTION_LINE = 0.12, 0.33, 0.27, 0.165
@@ -95,7 +78,7 @@ def plain_style() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet(Record):
-    """One drawn figure and its words."""
+    """One drawn figure with its title and caption."""
 
     name: str
     """File name without suffix."""
@@ -115,10 +98,10 @@ class Sheet(Record):
         widths: Sequence[float] | None = None, **shared: Any,
     ) -> NDArray[np.object_]:
         """Axes (rows, columns) that fill the sheet, of relative heights and widths; `shared`: sharex, sharey."""
-        made: NDArray[np.object_] = self.figure.subplots(
+        axes: NDArray[np.object_] = self.figure.subplots(
             rows, columns, squeeze=False, height_ratios=heights, width_ratios=widths, **shared
         )
-        return made
+        return axes
 
     def band_height(self) -> float:
         """Middle of the legend band as a share of the figure's height."""
@@ -132,11 +115,11 @@ class Sheet(Record):
         )
 
     def colour_bar(
-        self, shown: ScalarMappable, above: Axes | list[Axes], label: str, ticks: Locator, extend: str = "neither"
+        self, mappable: ScalarMappable, above: Axes | list[Axes], label: str, ticks: Locator, extend: str = "neither"
     ) -> None:
         """A horizontal colour bar above one panel or several."""
         bar = self.figure.colorbar(
-            shown, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend,
+            mappable, ax=above, location="top", fraction=0.04, aspect=40, pad=0.02, ticks=ticks, extend=extend,
         )
         bar.minorticks_off()
         bar.set_label(label)
@@ -162,15 +145,15 @@ def new_sheet(
 
 
 @plain_style()
-def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> bytes:
+def encoded(sheet: Sheet, kind: str, with_text: bool = True, **options: Any) -> bytes:
     """A sheet as png, jpg, svg or pdf; the same sheet gives the same bytes. Without `words`, for a page that says title
     and caption itself, these are cut off a png or jpg.
     """
     file = BytesIO()
     drawn_by = {"svg": FigureCanvasSVG, "pdf": FigureCanvasPdf}.get(kind, FigureCanvasAgg)
     canvas: Any = drawn_by(sheet.figure)  # savefig would draw twice
-    _lay_out(sheet.figure)
-    if words:
+    _fix_layout(sheet.figure)
+    if with_text:
         getattr(canvas, f"print_{kind}")(file, **options)
         return file.getvalue()
     canvas.draw()
@@ -180,7 +163,7 @@ def encoded(sheet: Sheet, kind: str, words: bool = True, **options: Any) -> byte
     return file.getvalue()
 
 
-def _lay_out(figure: Figure) -> None:
+def _fix_layout(figure: Figure) -> None:
     """Align labels, and put panels where constrained layout wants them, once; to a millionth of the sheet, for the last
     digits of its solver differ from run to run.
     """
@@ -233,11 +216,11 @@ MOST_ROWS = 500
 
 def means(values: Array, groups: Index, number: int) -> Array:
     """(number,) mean of the finite values (n,) of each group (n,), counted from 0; NaN where there are none."""
-    sound = np.isfinite(values)
-    values, groups = values[sound], groups[sound]
-    of = counts(groups, number)
+    finite = np.isfinite(values)
+    values, groups = values[finite], groups[finite]
+    group_sizes = counts(groups, number)
     total = np.bincount(groups, weights=values, minlength=number)
-    return np.where(of > 0, total / np.maximum(of, 1), np.nan)
+    return np.where(group_sizes > 0, total / np.maximum(group_sizes, 1), np.nan)
 
 
 def cell_numbers(places: Array, size: Array | tuple[float, float], cells: tuple[int, int]) -> Index:
@@ -250,10 +233,10 @@ def cell_numbers(places: Array, size: Array | tuple[float, float], cells: tuple[
 
 def limit(values: Array) -> float:
     """Half the width of a colour scale about zero that covers 98 % of the values; 1 where nothing is finite."""
-    sound = np.abs(values[np.isfinite(values)])
-    return (float(np.quantile(sound, SHARE)) if sound.size else 0.0) or 1.0
+    finite = np.abs(values[np.isfinite(values)])
+    return (float(np.quantile(finite, SHARE)) if finite.size else 0.0) or 1.0
 
 
-def image_rows(images: int, most: int = MOST_ROWS) -> Index:
+def image_rows(images: int, max_rows: int = MOST_ROWS) -> Index:
     """(images,) row of each of so many images in a picture of at most `most` rows, from 0, none of them empty."""
-    return np.arange(images) * min(images, most) // max(images, 1)
+    return np.arange(images) * min(images, max_rows) // max(images, 1)
