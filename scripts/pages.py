@@ -66,10 +66,11 @@ _COMMANDS = """<!-- written by scripts/pages.py -->
 # Commands
 
 For users of the command line: every verb with its options, as `mgsgraph VERB --help` says it. This page is made from
-the commands themselves. Exit status: 0 done (an adjustment is valid or suspect), 1 invalid or not
-converged (results are written), 2 bad input (one line on standard error), 130 interrupted. Output is atomic: an earlier result is replaced only when the new one is there, a folder
-with anything else in it is refused. Without `--out` results lie in the working directory, in NAME-VERB: NAME is that of
-the case file or result (of a `case.toml` that of its folder). An image is named by any unique part of its name.
+the commands themselves. Exit status: 0 done (an adjustment is valid or suspect), 1 invalid or not converged (results
+are written), 2 bad input (one line on standard error), 130 interrupted. Output is atomic: an earlier result is
+replaced only when the new one is complete; a folder with anything else in it is refused. Without `--out` results lie
+in the working directory, in NAME-VERB: NAME is that of the case file or result (of a `case.toml` that of its folder).
+An image is named by any unique part of its name.
 """
 _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files
