@@ -66,20 +66,20 @@ _COMMANDS = """<!-- written by scripts/pages.py -->
 # Commands
 
 For users of the command line: every verb with its options, as `mgsgraph VERB --help` says it. This page is made from
-the commands themselves. Bad input is one line on standard error and exit status 2; 0 is done, 1 not converged (results
-are written), 130 interrupted. Output is atomic: an earlier result is replaced only when the new one is there, a folder
-with anything else in it is refused. Without `--out` results lie in the working directory, in NAME-VERB: NAME is that of
-the case file or result (of a `case.toml` that of its folder). An image is named by any unique part of its name.
+the commands themselves. Exit status: 0 done (an adjustment is valid or suspect), 1 invalid or not converged (results
+are written), 2 bad input (one line on standard error), 130 interrupted. Output is atomic: an earlier result is
+replaced only when the new one is complete; a folder with anything else in it is refused. Without `--out` results lie
+in the working directory, in NAME-VERB: NAME is that of the case file or result (of a `case.toml` that of its folder).
+An image is named by any unique part of its name.
 """
 _INPUT_KEYS = """<!-- written by scripts/pages.py -->
 # Keys of input files
 
-For users who ask which statements of their files decide the geometry. Keys that bear on geometry, by format: *read*,
-*compared* with what says the same a second time, or *refused* where they say anything else than the last column (the
-file is to be converted first). `mgsgraph check` names a key that looks geometric and is not listed. What has no second
-statement in the input rests on that one key: `mgsgraph check CASE --details` prints the values of those that decide the
-geometry. This page is made from `mgsgraph/files/geometric_keys.py`, which the readers use. Names are regular
-expressions.
+For users who ask which keys of their files determine the geometry. The tables list these keys by format. A key is
+*read*, *compared* with a second statement of the same fact, or *refused* if it differs from the last column (convert
+the file first). `mgsgraph check` names a key that looks geometric and is not listed. A key without a second statement
+stays unchecked: `mgsgraph check CASE --details` prints the values of those that determine the geometry. This page is
+made from `mgsgraph/files/geometric_keys.py`, which the readers use. Names are regular expressions.
 """
 _KEYS = "<!-- keys: written by scripts/pages.py -->\n"
 _LIES = "\n## Lies"

@@ -179,7 +179,6 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/exchange.md": (nothing, "PointId of 1 point (they are counted anew)"),
     "docs/export.md": (adjusted, "Dimensions:"),
     "docs/gtsam.md": (a_case, "posterior sigmas from the minimum"),
-    "docs/migrate.md": (nothing, "network_without_laser.net"),
     "docs/matching.md": (pixels, "5 of 20 tie points"),
     "docs/files.md": (adjusted, "SIM/A"),
     "docs/passes.md": (nothing, "HRSC/01: "),
@@ -483,7 +482,7 @@ def test_pages_about_the_program_are_as_the_program_is(monkeypatch: pytest.Monke
         assert path.read_text(encoding="utf-8") == text, "write it anew: python scripts/pages.py"
 
 
-THEORY = ("theory", "theory_common", "estimation")
+THEORY = ("theory", "theory_common", "estimation", "api")
 
 
 def theory() -> str:
@@ -523,6 +522,25 @@ ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = dict(
     re.findall(r"^### (.+)\n```output\n(.+)\n```$", (ROOT / "docs/faq.md").read_text(encoding="utf-8"), re.MULTILINE)
 )
+OTHERS = {
+    "A file is missing": "nothing.toml: no such file; check the path; those in a case file begin at its folder",
+    "No format": "data/case.toml: no key 'format'; expected format = 1; write it at the head of the case file",
+    "OpenCV is not there": 'matching: OpenCV is not installed; pip install "mgsgraph[match]"',
+    "No such point, no such image": "image SIMA: no such image among 2; expected one of their names, e.g. SIM/A, SIM/B",
+    "No project there": "nowhere: no such project; make one with: mgsgraph project init nowhere",
+    "Not a result": "other: a folder with neither solution.npz nor project.sqlite; "
+    "expected results of `mgsgraph adjust`, or a project",
+    "A column is unknown": "points.csv, line 1: an unknown column 'sampel'; "
+    "expected names of columns in the first line; rename it to 'sample'; …",
+    "A value is of the wrong kind": "data/case.toml, line 20, ties.sigma_px: 'one'; "
+    "expected a number; all keys: mgsgraph new --keys",
+    "The folder is taken": "other: exists and is not a result of mgsgraph; choose another --out",
+    "A cube without tables": "E0200665.cub: no table …; "
+    "expected the tables of spiceinit; run spiceinit on the cube (attach=yes), or name the label and its kernels",
+    "No leap seconds": "E0200665.img, start time …: SPICE says: …; load a leapseconds kernel",
+}
+"""Messages that say all; no page repeats them."""
+MESSAGES |= OTHERS
 CHANGED = {
     "A key is unknown": ("sigma_px", "sigm_px"),
     "A value is of the wrong kind": ("sigma_px = 1.0", 'sigma_px = "one"'),

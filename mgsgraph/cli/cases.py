@@ -236,7 +236,7 @@ def align(
     holds what `mgsgraph adjust` writes, and coregistration.json, profiles.csv, shots.csv
     and figures: see docs/align.md.
 
-    Exit status: 0 converged, 1 not converged (results are written), 2 bad input.
+    Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input.
     """
     from mgsgraph.analysis.verdict import is_valid
     from mgsgraph.cli.progress import counting_bars

@@ -284,7 +284,7 @@ def solve(
 ) -> None:  # fmt: skip
     """Adjust everything in PROJECT by batch, compare it with the incremental result, and write PROJECT/solutions/NNNN.
 
-    Exit status: 0 converged, 1 invalid (results are written), 2 bad input (nothing has
+    Exit status: 0 valid or suspect, 1 invalid (results are written), 2 bad input (nothing has
     changed).
     """
     from mgsgraph.analysis.verdict import is_valid

@@ -141,11 +141,7 @@ def analyze(
             return
     with stage("analyzing"):
         name, posterior, warning = read_posterior(adjusted)
-<<<<<<< HEAD
-        sections = list(analysed(posterior, request, name))
-=======
-        found = list(analysis_sections(posterior, wanted, name))
->>>>>>> fd3c969a6e8624b6837cb56bd02324ecf1d4825c
+        sections = list(analysis_sections(posterior, request, name))
         if out is not None:
             write_analysis(name, sections, out, figures=not no_figures)  # before printing: the reader of a pipe may end
     print_sentences(warning)
