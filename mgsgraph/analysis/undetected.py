@@ -21,7 +21,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import FIXED, GROUND, IMAGE, OUT, RANGE, SURFACE
-from mgsgraph.network import Network, SharedKind
+from mgsgraph.network import Network, PointClass, SharedKind
 from mgsgraph.network.shared import image_effect
 from mgsgraph.record import Record
 
@@ -160,7 +160,10 @@ def _errors(rows: ResidualRows) -> Iterator[_Error]:
         if chosen.size:
             off = rows.scale[chosen] * from_middle(network, rows.measure[chosen])
             yield _Error("focal length", of, "", chosen, off, (IMAGE, images[0] if len(images) == 1 else -1))
-    for kind, of in ((GROUND, "laser shots and control"), (SURFACE, "the terrain model"), (RANGE, "the laser")):
+    control = bool(np.any(network.points.classes == PointClass.CONTROL))
+    laser = bool(np.any(network.points.classes == PointClass.LASER))
+    ground = " and ".join(name for name, used in (("laser shots", laser), ("control points", control)) if used)
+    for kind, of in ((GROUND, ground), (SURFACE, "the terrain model"), (RANGE, "the laser")):
         chosen = rows.of_kind(kind)
         for axis, what in enumerate(("range",) if kind == RANGE else SHIFTS) if chosen.size else ():
             up = rows.at.layout.network_order(rows.at.points)[rows.point[chosen]]

@@ -202,7 +202,7 @@ _CASE_FILE = Output("a case file", lambda path: kind_of(path) is Kind.CASE)
 _PLAIN = "case"
 """Name of most case files."""
 _NOT_TAKEN = (Kind.CASE, Kind.LIST, Kind.OWN_RECORD, *(kind for kind in INSTEAD if kind is not Kind.RASTER))
-_UNKNOWN, _NO_TEXT = "of no kind known here", "a name that is no Unicode text, as a case file is"
+_UNKNOWN, _NO_TEXT = "an unknown kind of file", "a name that is no Unicode text, as a case file is"
 """Why a file is left out."""
 _ROUGH = "a rough guess: the label has no times of its lines; name the image itself, or a text file of them"
 _HEAD = """\
@@ -239,7 +239,7 @@ def draft_case(given: Sequence[Path], out: Path, name: str = "", replace: bool =
     Raises
     ------
     InputError
-        No image among the files, or images of several bodies; a file given by its name that is of no kind known here;
+        No image among the files, or images of several bodies; a file given by its name that is of an unknown kind;
         a case file that is there already.
     """
     require(not out.is_dir(), str(out), "a folder", "a case file (case.toml in it, say)")

@@ -1,5 +1,6 @@
 """Verbs that pass networks and solutions on to other programs."""
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +71,10 @@ def convert(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options
         )
     except Lossy as error:
-        print_brief(*items(f"Not held: {line}" for line in error.lost), more=0)
+        print_brief(*items(f"Not kept: {line}" for line in error.lost), more=0)
         raise
     messages = [f"Wrote {path}" for path in written.written]
-    losses = [f"Not held: {line}" for line in written.lost]
+    losses = [f"Not kept: {line}" for line in written.lost]
     print_brief(*messages[:_FILES], *items((*written.notes, *losses)), *messages[_FILES:], more=0)
 
 
@@ -104,7 +105,7 @@ def export(
     """
     from mgsgraph.export.solution_export import (
         ExportSettings,
-        export_solution,
+        exporting,
         require_supported,
         settings_for,
         target_of,
@@ -123,8 +124,13 @@ def export(
     settings = ExportSettings(scaled, support, files, networks, raster, verify)
     require_supported(targets, settings)
     print_sentences(results.warning)
-    for target in dict.fromkeys(targets):
-        folder = out / target if out is not None and len(targets) > 1 else folder_for(out, solution, target)
-        exported = export_solution(results.folder, target, folder, settings_for(target, settings))
+    several = out is not None and len(set(targets)) > 1
+    folders = {target: out / target if out and several else folder_for(out, solution, target) for target in targets}
+    with ExitStack() as stack:
+        exports = [
+            stack.enter_context(exporting(results.folder, target, folder, settings_for(target, settings)))
+            for target, folder in folders.items()
+        ]
+    for exported in exports:
         print_sentences(exported.sentence, *exported.notes)
-        click.echo(f"The files are in {folder}")
+        click.echo(f"The files are in {exported.folder}")

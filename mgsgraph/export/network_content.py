@@ -180,11 +180,11 @@ def _notes(met: Counter[str], source: str) -> tuple[str, ...]:
     types = [f"{met[word]} {word}" for word in MEASURE_TYPES.values() if met[word]]
     places = [f"AprioriLine and AprioriSample of {met['AprioriLine']}"] if met["AprioriLine"] else []
     places += [f"GoodnessOfFit of {met['GoodnessOfFit']}"] if met["GoodnessOfFit"] else []
-    sentences = [f"Kept of {source}: all of {many(met['taken'], 'point')}" +
-            (f" and their measures ({listed([*types, *places])})" if types else "")]  # fmt: skip
+    sentences = [f"Kept from {source}: {many(met['taken'], 'point')}" +
+            (f" with measures ({listed([*types, *places])})" if types else "")]  # fmt: skip
     for word, sentence in (
-        ("sigmas", "Not held: that {} had no sigma; those of the adjustment are written"),
-        ("moved", "Not held: what it says of {} elsewhere than those that were adjusted"),
+        ("sigmas", "Not kept: {} without a sigma; the sigmas of the adjustment are written"),
+        ("moved", "Not kept: {} with other coordinates than the adjusted ones"),
         ("elsewhere", "Left out: {} in images that were not adjusted"),
     ):
         sentences += [sentence.format(many(met[word], "measure"))] if met[word] else []

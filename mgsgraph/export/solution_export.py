@@ -112,8 +112,13 @@ def export_solution(
     >>> print(*done.files)
     SIM_A.adjusted_state.json SIM_A.json SIM_B.adjusted_state.json SIM_B.json
     """
-    path, out, settings = Path(path), Path(out), settings or ExportSettings()
-    target = target_of(target)
+    with exporting(Path(path), target_of(target), Path(out), settings or ExportSettings()) as done:
+        return done
+
+
+@contextmanager
+def exporting(path: Path, target: Target, out: Path, settings: ExportSettings) -> Iterator[Exported]:
+    """The same, written when this is entered, and put in its place at the end: of several exports all or none."""
     require_supported((target,), settings)
     _require_same_target(out, target)
     solution = read_solution(path)
@@ -124,7 +129,7 @@ def export_solution(
         if settings.verify:
             done = _verified(done, solution, temporary)
         write_json(temporary / EXPORT, _record(done, solution, settings))
-    return done
+        yield done
 
 
 def _verified(done: Exported, solution: Solution, folder: Path) -> Exported:

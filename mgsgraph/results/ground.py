@@ -98,10 +98,10 @@ def laser_section(solution: Solution, brief: bool = False) -> Section:
     rays, ranges = int(np.sum(solution.rays_used & laser[network.rays.point])), int(solution.ranges_used.sum())
     counts = f"{many(int(laser.sum()), 'point')}, {many(rays, 'ray')}, {many(ranges, 'range')}"
     average, sigmas = ("mean", tie_points.mean_sigma) if median is None else ("median", tie_points.median_sigma)
-    sentence = f"Without the laser, sigmas of tie points would be {gain:.2g} times larger." if brief else (
+    size = "the same" if gain < _SAME_RATIO else f"{gain:.2g} times larger"
+    sentence = f"Without the laser, sigmas of tie points would be {size}." if brief else (
         f"Without the laser ({counts}) the tie points' {average} sigmas would be "
-        f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: "
-        + ("it adds little." if gain < _SAME_RATIO else f"{gain:.2g} times larger.")
+        f"{three(without if median is None else median)} m in x, y, z, not {three(sigmas)} m: {size}."
     )
     return Section("laser_effect", sentences=[sentence], numbers={
         "tie_mean_sigma_m": tie_points.mean_sigma,

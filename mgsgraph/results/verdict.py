@@ -187,10 +187,14 @@ def hidden_sentences(errors: Sequence[Undetected], max_count: int | None) -> lis
     if without_terrain.size_without_terrain > 0.0:
         sentences.append(
             f"If the terrain fits at a wrong position: {without_terrain.what} of {without_terrain.of} by "
-            f"{_size_text(without_terrain.size_without_terrain, without_terrain.unit)} (moves points by "
-            f"{length(without_terrain.effect_without_terrain)}) stays undetected."
+            f"{_size_text(without_terrain.size_without_terrain, without_terrain.unit)} (moves points "
+            f"{_move_text(without_terrain.effect_without_terrain)}) stays undetected."
         )
     return sentences
+
+
+def _move_text(effect: float) -> str:
+    return f"by {length(effect)}" if math.isfinite(effect) else "without limit"
 
 
 def _size_text(size: float, unit: str) -> str:

@@ -225,7 +225,7 @@ def test_what_was_written_and_lost_is_said(network: Path, capsys: pytest.Capture
 
     said = capsys.readouterr().out.splitlines()
     assert said[0] == f"Wrote {network.parent / 'run-a__b.match'}"
-    assert all(line.startswith("- Not held: ") for line in said[1:])
+    assert all(line.startswith("- Not kept: ") for line in said[1:])
     assert len(said) > 1
 
 
@@ -289,7 +289,7 @@ def test_strict_is_exit_status_two_and_one_line(network: Path) -> None:
     done = run("convert", network, folder / "x.csv", "--strict")
 
     assert done.returncode == 2
-    assert "- Not held: NetworkId, TargetName, UserName" in done.stdout
+    assert "- Not kept: NetworkId, TargetName, UserName" in done.stdout
     assert "it can't hold 1 kind of things" in done.stderr
     assert not (folder / "x.csv").exists()
 
