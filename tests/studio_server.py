@@ -94,9 +94,10 @@ class Browser:
 
 
 @contextmanager
-def studio(path: Path, *more: str) -> Iterator[Studio]:
+def studio(path: Path, *more: str, no_browser: bool = True) -> Iterator[Studio]:
     """Run `mgsgraph studio PATH`."""
-    words = [sys.executable, "-W", "error", "-m", "mgsgraph", "studio", str(path), "--no-browser", *more]
+    words = [sys.executable, "-W", "error", "-m", "mgsgraph", "studio", str(path), *more]
+    words += ["--no-browser"] if no_browser else []
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             found = Studio(process)

@@ -37,6 +37,7 @@ HOST = "127.0.0.1"
 _COOKIE = "mgsgraph_studio_{}"
 """Name of the cookie; cookies know no ports, and two studios may run."""
 _ENTRANCE = '<!doctype html><title>mgsgraph studio</title><script src="/page/enter.js" data-secret="{}"></script>'
+FORWARD = '<!doctype html><title>mgsgraph studio</title><meta http-equiv="refresh" content="0;url={}">'
 IDLE = 12 * 3600.0
 """s without a request, after which the command ends."""
 _SECONDS: dict[object, float] = {h11.IDLE: 10.0, h11.SEND_BODY: 30.0}
@@ -138,7 +139,7 @@ class _Guard:
         await (refusal or self._app)(scope, receive, _with_headers(send))
 
 
-class Timed(H11Protocol):
+class _Timed(H11Protocol):
     """Connections that are closed where a request does not come whole in time, or where there are too many."""
 
     _state: object = None
@@ -216,13 +217,13 @@ def serve(
 
         access = Access(place.getsockname()[1], entered)
         server = uvicorn.Server(uvicorn.Config(
-            application(opened, access), http=Timed, ws="none", log_level="error", access_log=False,
+            application(opened, access), http=_Timed, ws="none", log_level="error", access_log=False,
             timeout_graceful_shutdown=2,
         ))  # fmt: skip
         announce(access.address)
         if show is not None:
             page.touch(0o600)
-            page.write_text(f'<meta http-equiv="refresh" content="0;url={access.address}">', encoding="utf-8")
+            page.write_text(FORWARD.format(access.address), encoding="utf-8")
             show(page.as_uri())
         # while a browser starts, its first answers are prepared
         threading.Thread(target=_prepare, args=(opened,), daemon=True).start()

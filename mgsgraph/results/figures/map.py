@@ -280,7 +280,7 @@ def _draw_points(panel: Axes, shown: MapWindow, norm: Normalize, cmap: str) -> l
 
 def _some(shown: MapWindow, values: Array) -> Index:
     """Rows of values (n, ...) that are known, not too many of them, one after the other along the map's longer side."""
-    known = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
+    known = np.flatnonzero(np.all(np.isfinite(values), axis=tuple(range(1, values.ndim))))
     return known[np.argsort(shown.places[known, _longer(shown)], kind="stable")][thinned(known.size, _MOST)]
 
 
