@@ -13,7 +13,7 @@ from http.cookiejar import CookieJar
 from pathlib import Path
 from typing import Any
 
-_ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+)/\?token=(\S+)")
+_ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+)(/\?token=\S+)")
 
 
 @dataclass
@@ -21,36 +21,48 @@ class Studio:
     """A running studio."""
 
     process: "subprocess.Popen[str]"
-    root: str
+    root: str = ""
     """http://127.0.0.1:PORT."""
-    token: str
+    printed: str = ""
+    """Path of an address that was read and not used."""
 
-    @property
-    def address(self) -> str:
-        """What the command has printed."""
-        return f"{self.root}/?token={self.token}"
+    def read(self) -> None:
+        """Read the next address that the command prints."""
+        assert self.process.stdout is not None
+        while (found := _ADDRESS.search(line := self.process.stdout.readline())) is None:
+            assert line, self.process.communicate()[1]
+        self.root, self.printed = found[1], found[2]
+
+    def entrance(self) -> str:
+        """Path of the address that was printed last; it works once."""
+        if not self.printed:
+            self.read()
+        path, self.printed = self.printed, ""
+        return path
 
     def browser(self, name: str = "") -> "Browser":
         """One that has been at the address."""
         found = Browser(self.root, name)
-        found.ask(f"/?token={self.token}")
+        _, _, page = found.ask(self.entrance())
+        found.secret = page.decode().rpartition('data-secret="')[2].partition('"')[0]
+        assert found.secret
         return found
 
 
 class Browser:
-    """Asks with its cookies."""
+    """Asks with its cookies and its secret."""
 
     def __init__(self, root: str, name: str = "") -> None:
-        self.root, self.name = root, name
+        self.root, self.name, self.secret, self.cookies = root, name, "", CookieJar()
         self._opener = urllib.request.build_opener(
-            urllib.request.ProxyHandler({}), urllib.request.HTTPCookieProcessor(CookieJar())
+            urllib.request.ProxyHandler({}), urllib.request.HTTPCookieProcessor(self.cookies)
         )
 
     def ask(
         self, path: str, body: Any = None, headers: dict[str, str] | None = None
     ) -> tuple[int, dict[str, str], bytes]:
         """Status, headers and body of an answer; headers that are empty are not sent."""
-        sent = {"X-Browser": self.name} if self.name else {}
+        sent = {"X-Browser": self.name, "X-Secret": self.secret}
         data = None
         if body is not None:
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
@@ -82,17 +94,15 @@ class Browser:
 
 
 @contextmanager
-def studio(path: Path, *more: str) -> Iterator[Studio]:
+def studio(path: Path, *more: str, no_browser: bool = True) -> Iterator[Studio]:
     """Run `mgsgraph studio PATH`."""
-    words = [sys.executable, "-W", "error", "-m", "mgsgraph", "studio", str(path), "--no-browser", *more]
+    words = [sys.executable, "-W", "error", "-m", "mgsgraph", "studio", str(path), *more]
+    words += ["--no-browser"] if no_browser else []
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
-            found = _ADDRESS.search(process.stdout.readline())
-            if found is None:
-                process.kill()
-                raise AssertionError(process.communicate()[1])
-            yield Studio(process, found[1], found[2])
+            found = Studio(process)
+            found.read()
+            yield found
         finally:
             process.kill()
 
@@ -114,7 +124,7 @@ class Page:
         self.tab.on("pageerror", lambda one: self.complaints.append(str(one)))
         self.tab.on("request", lambda one: self.asked.append(one.url))
         self.root = running.root
-        self.tab.goto(running.address)
+        self.tab.goto(running.root + running.entrance())
         self.tab.wait_for_selector("#map[data-ready]")
 
     def run(self, script: str, *arguments: Any) -> Any:

@@ -335,7 +335,7 @@ def _print_impact(
 @click.argument("path", type=PATH, metavar="CASE|RESULT|PROJECT")
 @CASE
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
-@click.option("--no-browser", is_flag=True, help="Print the address, open no browser.")
+@click.option("--no-browser", is_flag=True, help="Open no browser; the address is printed anyway.")
 @click.option(
     "--review", type=PATH, metavar="FILE",
     help="Write a page (.html) for the review of tie points, or with --verdicts a network (.pvl, .net, .csv), and end.",
@@ -355,8 +355,8 @@ def studio(
 ) -> None:  # fmt: skip
     """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, points, questions.
 
-    The page is for this machine alone; its address holds a token that lasts as long as the command. Changes of a
-    project are stored one by one: the command may be ended at any time (Ctrl+C).
+    The page is for this machine and your account alone; the printed address works once. Changes of a project are
+    stored one by one: the command may be ended at any time (Ctrl+C), and ends after 12 hours without a request.
 
     --review shows the images of CASE around its tie points instead, in one file for any browser, so that a user can
     accept or reject each; with those of RESULT, their residuals. It saves verdicts as CSV. With --verdicts, and a
@@ -370,6 +370,8 @@ def studio(
         return
     if ties is not None or worst is not None or points or verdicts is not None:
         raise click.UsageError("--ties, --worst, --point and --verdicts go with --review FILE")
+    import webbrowser
+
     from mgsgraph.cli.progress import stage_bar
     from mgsgraph.errors import InputError
 
@@ -383,14 +385,12 @@ def studio(
         opened = Opened(path, of_case)
         opened.footprints()
 
-    def ready(address: str) -> None:
-        click.echo(f"The studio is at {address}\nCtrl+C ends it; changes of a project are stored when they are made.")
-        if not no_browser:
-            import webbrowser
+    click.echo("Ctrl+C ends the studio; changes of a project are stored when they are made.")
 
-            webbrowser.open_new_tab(address)
+    def announce(address: str) -> None:
+        click.echo(f"An address for one browser, which works once: {address}")
 
-    serve(opened, port, ready)
+    serve(opened, port, announce, None if no_browser else webbrowser.open_new_tab)
 
 
 def _review(

@@ -18,6 +18,7 @@ from mgsgraph.project import edits, history
 from mgsgraph.project.changes import Changed
 from mgsgraph.project.decisions import Measure
 from mgsgraph.project.project import Project
+from mgsgraph.studio.inputs import number_of, place_of, text_of
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 
@@ -71,7 +72,7 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         No project; another process changes it; the change is refused. Nothing has changed then.
     """
-    kind = _text(content, "kind")
+    kind = text_of(content, "kind")
     if kind not in _KINDS:
         raise InputError("change, kind", repr(kind)[:60], f"one of {', '.join(_KINDS)}")
 
@@ -88,45 +89,42 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
 
 def _measure(project: Project, content: Mapping[str, Any]) -> Changed:
     rows = content.get("measures")
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+    if not isinstance(rows, list):
         raise InputError("change, measures", repr(rows)[:60], "a list of {image, line, sample}")
-    measures = [
-        Measure(_text(row, "image"), _number(row, "line"), _number(row, "sample"), *_sigmas(row)) for row in rows
-    ]
-    return edits.measure(project, _text(content, "point"), measures)
+    measures = [Measure(*place_of(row), *_sigmas(row)) for row in rows]
+    return edits.measure(project, text_of(content, "point"), measures)
 
 
 def _sigmas(row: Mapping[str, Any]) -> tuple[float, float]:
-    sigma = _number(row, "sigma_px") if "sigma_px" in row else 0.0
+    sigma = number_of(row, "sigma_px", 0.0)
     return sigma, sigma
 
 
 def _move(project: Project, content: Mapping[str, Any]) -> Changed:
-    at = _number(content, "line"), _number(content, "sample")
-    return edits.move(project, _text(content, "point"), _text(content, "image"), *at)
+    return edits.move(project, text_of(content, "point"), *place_of(content))
 
 
 def _hold(project: Project, content: Mapping[str, Any]) -> Changed:
     """At a place in degrees (geodetic, that is planetographic latitude) and m above the ellipsoid, with sigmas in m."""
-    point = _text(content, "point")
+    point = text_of(content, "point")
     names = project.store.image_names()
     body = project.store.image(names[0]).image.body
-    place = np.array([_number(content, "longitude_deg") * DEG, _number(content, "geodetic_latitude_deg") * DEG,
-                      _number(content, "height_m")])  # fmt: skip
+    place = np.array([number_of(content, "longitude_deg") * DEG, number_of(content, "geodetic_latitude_deg") * DEG,
+                      number_of(content, "height_m")])  # fmt: skip
     if abs(place[1]) > 0.5 * np.pi:
         raise InputError("change, geodetic_latitude_deg", f"{place[1] / DEG:g}", "-90 to 90")
-    sigmas = np.array([_number(content, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
+    sigmas = np.array([number_of(content, f"sigma_{axis}_m") for axis in ("east", "north", "up")])
     return edits.hold(project, point, from_geodetic(place[None], body)[0], sigmas)
 
 
 _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Changed]] = {
     "measure": _measure,
     "move": _move,
-    "reject": lambda project, content: edits.reject(project, _text(content, "point"), _text(content, "image")),
-    "accept": lambda project, content: edits.accept(project, _text(content, "point"), _text(content, "image")),
+    "reject": lambda project, content: edits.reject(project, text_of(content, "point"), text_of(content, "image")),
+    "accept": lambda project, content: edits.accept(project, text_of(content, "point"), text_of(content, "image")),
     "hold": _hold,
-    "release": lambda project, content: edits.release(project, _text(content, "point")),
-    "remove": lambda project, content: edits.remove_point(project, _text(content, "point")),
+    "release": lambda project, content: edits.release(project, text_of(content, "point")),
+    "remove": lambda project, content: edits.remove_point(project, text_of(content, "point")),
     "undo": lambda project, content: history.undo(project),
 }
 
@@ -147,17 +145,3 @@ def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, A
          "sigmas": None if new else float(moved.in_sigmas[order[k]])}
         for k, (name, new) in enumerate(zip(names, moved.new[order].tolist(), strict=True))
     ]  # fmt: skip
-
-
-def _text(content: Mapping[str, Any], key: str) -> str:
-    value = content.get(key, "" if key in ("point", "image") else None)
-    if not isinstance(value, str):
-        raise InputError(f"change, {key}", repr(value)[:60], "a text")
-    return value
-
-
-def _number(content: Mapping[str, Any], key: str) -> float:
-    value = content.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"change, {key}", repr(value)[:60], "a finite number")
-    return float(value)

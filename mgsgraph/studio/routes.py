@@ -1,11 +1,13 @@
 """Addresses of the page: what is open, the map, images, points, changes, questions and figures."""
 
+from asyncio import Semaphore
 from collections.abc import Awaitable, Callable, Mapping
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -18,6 +20,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.figures import drawn, map_figure
+from mgsgraph.studio.inputs import bounded, number, number_of, place_of, text_of
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
 from mgsgraph.studio.map_points import (
     CLASSES,
@@ -41,6 +44,8 @@ if TYPE_CHECKING:
 
 _LONGEST = 200_000
 """bytes of a request's body."""
+_AT_ONCE, _MOST_WAITING = 4, 40
+"""Questions of one kind that are answered at a time, and those that wait or are answered."""
 BROWSER = "x-browser"
 """Header by which the page says which browser asks."""
 
@@ -87,20 +92,6 @@ class Views:
 # --- requests
 
 
-def number_of(query: Mapping[str, str], key: str, default: float | None = None) -> float:
-    """A finite number of an address's query; InputError where it is invalid or missing."""
-    text = query.get(key)
-    if text is None and default is not None:
-        return default
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise InputError(f"request, {key}", repr(text)[:60], "a finite number")
-    return value
-
-
 def _box(query: Mapping[str, str]) -> Array:
     """(4,) m on the map, x and y, low and high; InputError for an empty box."""
     box = np.array([number_of(query, key) for key in ("x0", "y0", "x1", "y1")])
@@ -123,6 +114,11 @@ def _kinds(query: Mapping[str, str]) -> Mask:
     return np.array([name in names for name in CLASSES])
 
 
+def _name(request: Request) -> str:
+    """Name of an image or a point: in the query, for in a path `A/tests` would be two things."""
+    return text_of(request.query_params, "name")
+
+
 def _browser(request: Request) -> str:
     """Which browser asks; empty where it does not say."""
     return request.headers.get(BROWSER, "")[:80]
@@ -133,12 +129,11 @@ def questions_of(content: dict[str, Any]) -> Questions:
     expected = "points, pairs, poses, projections or pixels"
     try:
         pixels = tuple(
-            Pixel(str(pixel["image"]), float(pixel["line"]), float(pixel["sample"]), float(pixel.get("sigma_px", 1.0)))
-            for pixel in content.get("pixels", ())
+            Pixel(*place_of(pixel), number_of(pixel, "sigma_px", 1.0)) for pixel in content.get("pixels", ())
         )
         questions = Questions(
             tuple(map(str, content.get("points", ()))), tuple((str(a), str(b)) for a, b in content.get("pairs", ())),
-            tuple((str(image), float(line)) for image, line in content.get("poses", ())),
+            tuple((str(image), number(line, "request, line")) for image, line in content.get("poses", ())),
             tuple((str(point), str(image)) for point, image in content.get("projections", ())), pixels,
             bool(content.get("correlations", False)),
         )  # fmt: skip
@@ -190,18 +185,19 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         return {"longitude_deg": longitude % 360.0, "latitude_deg": latitude}
 
     def tile(request: Request) -> Any:
-        at, query = request.path_params, request.query_params
+        query, name = request.query_params, _name(request)
+        level, row, column = (int(number_of(query, key)) for key in ("level", "row", "column"))
         contrast = number_of(query, "low"), number_of(query, "high")
-        if at["name"] not in views.tiles.pictures:
+        if name not in views.tiles.pictures:
             _ = views.linked  # which finds the pictures
-        return _png(views.tiles.tile(at["name"], at["level"], at["row"], at["column"], *contrast), 86400)
+        return _png(views.tiles.tile(name, level, row, column, *contrast), 86400)
 
     def ground(request: Request) -> Any:
         query, linked = request.query_params, views.linked
         required = [name for name in query.getlist("with") if name]
         at = number_of(query, "line"), number_of(query, "sample")
         try:
-            at_pixel, predictions = linked.under(request.path_params["name"], *at, required=required)
+            at_pixel, predictions = linked.under(_name(request), *at, required=required)
         except NoGround as error:  # no error: users look at limbs, too
             return {"sentence": str(error), "others": {}}
         map_m = np.asarray(opened.map_places(at_pixel.point[None]))[0].tolist()
@@ -222,7 +218,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         return map_figure(opened, box, size, value, kinds, layers, factor)
 
     def figure(request: Request) -> Any:
-        return drawn("map", request.path_params["kind"], lambda: figure_of_map(request))
+        return drawn("map", text_of(request.query_params, "kind"), lambda: figure_of_map(request))
 
     def changed(content: Any, browser: str) -> Any:
         if content.get("kind") == "take over":
@@ -238,13 +234,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
             raise
 
     def refined(content: Any, _: str) -> Any:
-        try:
-            reference = content["reference"]
-            fixed = str(reference["image"]), float(reference["line"]), float(reference["sample"])
-            clicked = str(content["image"]), float(content["line"]), float(content["sample"])
-        except (TypeError, KeyError, ValueError):
-            expected = "reference {image, line, sample}, image, line, sample"
-            raise InputError("refine", repr(content)[:80], expected) from None
+        fixed, clicked = place_of(content.get("reference")), place_of(content)
         match = refine(views.linked, opened.pictures, fixed, clicked)
         line, sample = match.place.tolist()
         sentence = (f"Refined against {fixed[0]}: line {line:.2f}, sample {sample:.2f}, sigma {match.sigma:.2g} px, "
@@ -266,15 +256,15 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         "/api/map/residuals": lambda request: residual_vectors(opened, request.query_params.get("image", "")),
         "/api/map/where": where,
         "/api/select": select,
-        "/api/images/{name:path}/tiles/{level:int}/{row:int}/{column:int}.png": tile,
-        "/api/images/{name:path}/ground": ground,
-        "/api/images/{name:path}": lambda request: views.image_record(request.path_params["name"]),
-        "/api/points/{name:path}/tests": lambda request: tests_of(opened, request.path_params["name"]),
-        "/api/points/{name:path}/correlations": lambda request: correlations(opened, request.path_params["name"]),
-        "/api/points/{name:path}": lambda request: point_sheet(opened, request.path_params["name"]),
+        "/api/image": lambda request: views.image_record(_name(request)),
+        "/api/image/tile.png": tile,
+        "/api/image/ground": ground,
+        "/api/point": lambda request: point_sheet(opened, _name(request)),
+        "/api/point/tests": lambda request: tests_of(opened, _name(request)),
+        "/api/point/correlations": lambda request: correlations(opened, _name(request)),
         "/api/chip.png": picture,
         "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
-        "/api/figure/map.{kind:str}": figure,
+        "/api/map/figure": figure,
     }
     posting: dict[str, Callable[[Any, str], Any]] = {
         "/api/changes": changed,
@@ -287,22 +277,49 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     ]
 
 
-def _got(answer: Callable[[Request], Any]) -> Callable[[Request], Response]:
-    def endpoint(request: Request) -> Response:
-        result = answer(request)
+_Endpoint = Callable[[Request], Awaitable[Response]]
+
+
+def _got(answer: Callable[[Request], Any]) -> _Endpoint:
+    queued = in_turn(answer)
+
+    async def endpoint(request: Request) -> Response:
+        for key, value in request.query_params.multi_items():
+            bounded(value, f"request, {key}"[:60])
+        result = await queued(request)
         return result if isinstance(result, Response) else JSONResponse(result)
 
     return endpoint
 
 
-def _posted(answer: Callable[[Any, str], Any]) -> Callable[[Request], Awaitable[Response]]:
+def _posted(answer: Callable[[Any, str], Any]) -> _Endpoint:
+    queued = in_turn(answer)
+
     async def endpoint(request: Request) -> Response:
         body = b""
         async for part in request.stream():
             body += part
             if len(body) > _LONGEST:
                 raise InputError("request", f"more than {_LONGEST} bytes", "a shorter one")
-        content = json_object(body, "request")
-        return JSONResponse(await run_in_threadpool(answer, content, _browser(request)))
+        content = bounded(json_object(body, "request"), "request")
+        return JSONResponse(await queued(content, _browser(request)))
 
     return endpoint
+
+
+def in_turn(answer: Callable[..., Any]) -> Callable[..., Awaitable[Any]]:
+    """Answer one kind of question, a few at a time; with too many waiting, others are refused by status 503."""
+    places, waiting = Semaphore(_AT_ONCE), 0
+
+    async def queued(*about: Any) -> Any:
+        nonlocal waiting
+        if waiting >= _MOST_WAITING:
+            raise HTTPException(503, "Too many questions of this kind are waiting for their answers; ask again later.")
+        waiting += 1
+        try:
+            async with places:
+                return await run_in_threadpool(answer, *about)
+        finally:
+            waiting -= 1
+
+    return queued

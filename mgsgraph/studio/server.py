@@ -1,28 +1,30 @@
-"""The studio's server: a page and its addresses on this machine alone, for whoever has the token.
+"""The studio's server: a page and its addresses on this machine alone, for browsers that have access.
 
-The token comes with the first address and stays in a cookie that scripts of other pages can't send; addresses under
-other host names (a page elsewhere that resolves to this machine) and changes from other origins are refused. Nothing is
-asked of the network.
+Addresses under other host names (a page elsewhere that resolves to this machine) and changes from other origins are
+refused. Nothing is asked of the network.
 """
 
+import asyncio
 import secrets
 import socket
 import threading
+import time
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import urlsplit
 
+import h11
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.studio.changes import EditLock
@@ -34,6 +36,13 @@ PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
 _COOKIE = "mgsgraph_studio_{}"
 """Name of the cookie; cookies know no ports, and two studios may run."""
+_ENTRANCE = '<!doctype html><title>mgsgraph studio</title><script src="/page/enter.js" data-secret="{}"></script>'
+FORWARD = '<!doctype html><title>mgsgraph studio</title><meta http-equiv="refresh" content="0;url={}">'
+IDLE = 12 * 3600.0
+"""s without a request, after which the command ends."""
+_SECONDS: dict[object, float] = {h11.IDLE: 10.0, h11.SEND_BODY: 30.0}
+"""s, time for the headers of a request and for its body."""
+_MOST_CONNECTIONS = 200
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; "
                                "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -42,21 +51,68 @@ _HEADERS = {
 }  # fmt: skip
 
 
-def application(opened: Opened, token: str, port: int) -> Starlette:
-    """The server's application.
+class Access:
+    """Who may ask: a browser enters with a token, which is printed and works once; then it sends a cookie and a secret.
+
+    The cookie alone shows the page, which holds nothing: browsers send it to every port of this machine. The secret
+    stays with the page, in a storage that pages of other ports can't read.
 
     Parameters
     ----------
-    opened : Opened
-        What it shows.
-    token : str
-        Secret that a browser has to send.
     port : int
         Of the server.
+    entered : callable
+        Called with the next address when one has been used.
     """
 
+    def __init__(self, port: int, entered: Callable[[str], Any]) -> None:
+        self.host, self._entered = f"{HOST}:{port}", entered
+        self._cookie_name = _COOKIE.format(port)
+        self._cookie, self._secret, self._token = (secrets.token_urlsafe(24) for _ in range(3))
+        self.last = time.monotonic()
+        """s, time of the last request that was answered."""
+
+    @property
+    def address(self) -> str:
+        """Where a browser enters, once."""
+        return f"http://{self.host}/?token={self._token}"
+
+    def refusal(self, request: Request) -> Response | None:
+        """Answer to a request that is refused, or enters; None for others."""
+        path = request.scope["path"]
+        if request.headers.get("host", "") != self.host:
+            return PlainTextResponse(f"Ask for this page at {HOST}.", 421)
+        if request.method != "GET" and request.headers.get("origin") != f"http://{self.host}":
+            return PlainTextResponse("Changes come from the studio's own page alone.", 403)
+        if path == "/" and _same(request.query_params.get("token", ""), self._token):
+            self._token = secrets.token_urlsafe(24)
+            with suppress(OSError):  # nobody reads what the command prints
+                self._entered(self.address)
+            answer = HTMLResponse(_ENTRANCE.format(self._secret), headers={"Cache-Control": "no-store"})
+            answer.set_cookie(self._cookie_name, self._cookie, httponly=True, samesite="strict")
+            return answer
+        known = path == "/" or path.startswith("/page/") or _same(request.headers.get("x-secret", ""), self._secret)
+        if not (known and _same(request.cookies.get(self._cookie_name, ""), self._cookie)):
+            sentence = "This studio does not know the browser: open the address that the command has printed last."
+            return PlainTextResponse(sentence, 403)
+        self.last = time.monotonic()
+        return None
+
+
+def _same(text: str, secret: str) -> bool:
+    return secrets.compare_digest(text.encode(), secret.encode())
+
+
+def application(opened: Opened, access: Access) -> Starlette:
+    """The server's application, which shows what is opened to those who have access."""
+    files = {file.name: file for file in PAGE.iterdir()}
+
     def index(_: Request) -> Response:
-        return FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-store"})
+        return FileResponse(files["index.html"], headers={"Cache-Control": "no-store"})
+
+    def of_page(request: Request) -> Response:
+        file = files.get(request.path_params["name"])
+        return Response(status_code=404) if file is None else FileResponse(file)
 
     def error(request: Request, exception: Exception) -> Response:
         # the page shows it; for any other status a browser would write a line of its own to its console
@@ -65,54 +121,53 @@ def application(opened: Opened, token: str, port: int) -> Starlette:
     def memory(_: Request, exception: Exception) -> Response:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
-    addresses: list[Route | Mount] = [
-        Route("/", index), *routes(opened, Views(opened), EditLock()), Mount("/page", StaticFiles(directory=PAGE)),
-    ]  # fmt: skip
     return Starlette(
-        routes=addresses,
-        middleware=[Middleware(_Guard, token=token, port=port), Middleware(GZipMiddleware, minimum_size=2000)],
+        routes=[Route("/", index), *routes(opened, Views(opened), EditLock()), Route("/page/{name}", of_page)],
+        middleware=[Middleware(_Guard, access=access), Middleware(GZipMiddleware, minimum_size=2000)],
         exception_handlers={MgsgraphError: error, MemoryError: memory},
     )
 
 
 class _Guard:
-    """Passes requests of this machine's browser that have the token."""
+    """Passes requests of browsers that have access."""
 
-    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
-        self._app, self._token, self._cookie = app, token, _COOKIE.format(port)
-        self._hosts = {f"{host}:{port}" for host in (HOST, "localhost")}
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        request = Request(scope)
-        refusal = self._refusal(request)
-        if refusal is not None:
-            await refusal(scope, receive, _with_headers(send))
-            return
-        await self._app(scope, receive, _with_headers(send))
+        refusal = self._access.refusal(Request(scope)) if scope["type"] == "http" else None
+        await (refusal or self._app)(scope, receive, _with_headers(send))
 
-    def _refusal(self, request: Request) -> Response | None:
-        """Answer to a request that is refused; None for others."""
-        if request.headers.get("host", "") not in self._hosts:
-            return PlainTextResponse(f"Ask for this page at {HOST}.", 421)
-        origin = request.headers.get("origin")
-        if request.method != "GET" and (origin is None or urlsplit(origin).netloc not in self._hosts):
-            return PlainTextResponse("Changes come from the studio's own page alone.", 403)
-        token = request.query_params.get("token")
-        if request.url.path == "/" and token is not None and self._is_token(token):
-            answer = RedirectResponse("/", 303)
-            answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict")
-            return answer
-        if not self._is_token(request.cookies.get(self._cookie, "")):
-            return PlainTextResponse(
-                "This studio needs its token: open the address that the command has printed.", 403
-            )
-        return None
 
-    def _is_token(self, text: str) -> bool:
-        return secrets.compare_digest(text.encode(), self._token.encode())
+class _Timed(H11Protocol):
+    """Connections that are closed where a request does not come whole in time, or where there are too many."""
+
+    _state: object = None
+    _timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
+        super().connection_made(transport)
+        if len(self.connections) > _MOST_CONNECTIONS:
+            transport.abort()
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._watch()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._watch()
+
+    def _watch(self) -> None:
+        """Begin to wait for headers or a body; what is waited for already has its time."""
+        if self.conn.their_state is self._state:
+            return
+        self._state = self.conn.their_state
+        if self._timer is not None:
+            self._timer.cancel()
+        seconds = _SECONDS.get(self._state)
+        self._timer = None if seconds is None else self.loop.call_later(seconds, self.transport.abort)
 
 
 def _with_headers(send: Send) -> Callable[[Message], Awaitable[None]]:
@@ -137,19 +192,50 @@ def listening(port: int | None) -> socket.socket:
     return listener
 
 
-def serve(opened: Opened, port: int | None, ready: Callable[[str], Any]) -> None:
-    """Serve until an interrupt; `ready` is called with the address, which holds the token."""
-    token = secrets.token_urlsafe(24)
-    with closing(listening(port)) as place:
-        number = place.getsockname()[1]
-        config = uvicorn.Config(
-            application(opened, token, number), log_level="warning", access_log=False, timeout_graceful_shutdown=2
-        )
-        server = uvicorn.Server(config)
-        ready(f"http://{HOST}:{number}/?token={token}")
+def serve(
+    opened: Opened, port: int | None, announce: Callable[[str], Any], show: Callable[[str], Any] | None = None
+) -> None:
+    """Serve until an interrupt, or 12 hours without a request.
+
+    Parameters
+    ----------
+    opened : Opened
+    port : int, optional
+        Any free one when absent.
+    announce : callable
+        Called with each address that works once.
+    show : callable, optional
+        Opens a page in a browser. It is a file for this user alone, which leads to the address: other users see the
+        command line of a browser.
+    """
+    with closing(listening(port)) as place, TemporaryDirectory(prefix="mgsgraph-studio-") as folder:
+        page = Path(folder) / "studio.html"
+
+        def entered(address: str) -> None:
+            page.unlink(missing_ok=True)
+            announce(address)
+
+        access = Access(place.getsockname()[1], entered)
+        server = uvicorn.Server(uvicorn.Config(
+            application(opened, access), http=_Timed, ws="none", log_level="error", access_log=False,
+            timeout_graceful_shutdown=2,
+        ))  # fmt: skip
+        announce(access.address)
+        if show is not None:
+            page.touch(0o600)
+            page.write_text(FORWARD.format(access.address), encoding="utf-8")
+            show(page.as_uri())
         # while a browser starts, its first answers are prepared
         threading.Thread(target=_prepare, args=(opened,), daemon=True).start()
+        threading.Thread(target=end_when_idle, args=(server, access), daemon=True).start()
         server.run(sockets=[place])
+
+
+def end_when_idle(server: uvicorn.Server, access: Access) -> None:
+    """Wait until no request has come for long, and end the server."""
+    while (left := access.last + IDLE - time.monotonic()) > 0.0:
+        time.sleep(left)
+    server.should_exit = True
 
 
 def _prepare(opened: Opened) -> None:

@@ -156,7 +156,7 @@ def test_a_second_browser_is_told(page: Callable[..., Page]) -> None:
     one, other = page(), page()
     name = one.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
     change = """async name => {
-      const sheet = await studio.request(`/api/points/${name}`);
+      const sheet = await studio.request(`/api/point?${new URLSearchParams({name})}`);
       const asked = {kind: 'reject', point: name, image: sheet.rays[0].image};
       return studio.change(asked).then(() => '', error => error.message);
     }"""
@@ -460,7 +460,7 @@ def test_questions_by_keys(seen: Page, tie: str) -> None:
     seen.until("document.querySelectorAll('#questions pre').length === 5")
     press(seen, "Where is the selected point?")
     seen.until("document.querySelectorAll('#questions pre').length === 6")
-    sheet = seen.run("name => studio.request(`/api/points/${name}`)", tie)
+    sheet = seen.run("name => studio.request(`/api/point?${new URLSearchParams({name})}`)", tie)
     for ray in sheet["rays"]:
         seen.run("place => studio.place(place)", {key: ray[key] for key in ("image", "line", "sample")})
         press(seen, "Add as a ray")

@@ -57,8 +57,7 @@ def test_other_hosts_and_origins_are_refused(running: Studio, browser_: Browser)
 
 
 def test_nothing_comes_from_outside_and_the_cookie_is_no_scripts(running: Studio) -> None:
-    fresh = Browser(running.root)
-    status, headers, _ = fresh.ask(f"/?token={running.token}")
+    status, headers, _ = running.browser().ask("/")
     assert status == 200
     assert headers["content-security-policy"].startswith("default-src 'self'")
     page = Path("mgsgraph/studio/page")
@@ -132,24 +131,25 @@ def test_selections(browser_: Browser) -> None:
 def test_the_window_of_the_map_is_a_figure(kind: str, browser_: Browser) -> None:
     x0, y0, x1, y1 = browser_.json("/api/scene")["map"]["bounds_m"]
     asked = f"x0={x0}&y0={y0}&x1={x1}&y1={y1}&w=800&h=600&value=moved_up&layers=footprints,points,ellipses,moved,relief"
-    status, heads, data = browser_.ask(f"/api/figure/map.{kind}?{asked}&factor=3")
+    status, heads, data = browser_.ask(f"/api/map/figure?kind={kind}&{asked}&factor=3")
     assert status == 200, data[:300]
     assert f"map.{kind}" in heads["content-disposition"]
-    assert data == browser_.ask(f"/api/figure/map.{kind}?{asked}&factor=3")[2]
+    assert data == browser_.ask(f"/api/map/figure?kind={kind}&{asked}&factor=3")[2]
     for said in {"svg": (b"dc:title", b"dc:description"), "pdf": (b"/Subject",)}.get(kind, ()):
         assert said in data
     assert data.lstrip()[:5] in (b"<?xml", b"%PDF-") or data.startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("path", [
-    "/api/figure/map.gif?x0=0&y0=0&x1=1&y1=1", "/api/figure/map.svg?x0=0&y0=0&x1=1&y1=1&layers=nothing",
-    "/api/figure/map.svg?x0=0&y0=0&x1=1&y1=1&factor=-1",
+    "/api/map/figure?kind=gif&x0=0&y0=0&x1=1&y1=1", "/api/map/figure?kind=svg&x0=0&y0=0&x1=1&y1=1&layers=nothing",
+    "/api/map/figure?kind=svg&x0=0&y0=0&x1=1&y1=1&factor=-1",
     "/api/map/points?x0=0&y0=0&x1=0&y1=1", "/api/map/points?x0=a&y0=0&x1=1&y1=1", "/api/select?least=x",
     "/api/map/points?x0=0&y0=0&x1=1&y1=1&value=nothing", "/api/map/points?x0=0&y0=0&x1=1&y1=1&classes=nothing",
-    "/api/map/residuals?image=nowhere", "/api/points/nobody", "/api/points/nobody/tests", "/api/images/nowhere",
+    "/api/map/residuals?image=nowhere", "/api/point?name=nobody", "/api/point/tests?name=nobody",
+    "/api/image?name=nowhere",
     "/api/chip.png?image=nowhere&line=1&sample=1",
-    "/api/images/none/ground?line=1&sample=1",
-    "/api/images/none/tiles/0/0/0.png?low=0&high=1",
+    "/api/image/ground?name=none&line=1&sample=1",
+    "/api/image/tile.png?name=none&level=0&row=0&column=0&low=0&high=1",
 ])  # fmt: skip
 def test_bad_requests_are_one_line(path: str, browser_: Browser) -> None:
     browser_.refused(path)
@@ -173,7 +173,7 @@ def test_bad_changes_are_one_line_and_change_nothing(body: Any, browser_: Browse
 
 def a_tie(browser_: Browser) -> tuple[str, dict[str, Any]]:
     name = browser_.json("/api/select?value=sigma&classes=tie")["names"][0]
-    return name, browser_.json(f"/api/points/{name}")
+    return name, browser_.json(f"/api/point?name={name}")
 
 
 def test_the_sheet_says_what_the_solution_knows(browser_: Browser, solved: Path) -> None:
@@ -184,10 +184,10 @@ def test_the_sheet_says_what_the_solution_knows(browser_: Browser, solved: Path)
         j = [image.name for image in solution.network.images].index(ray["image"])
         (row,) = np.flatnonzero((solution.network.rays.point == k) & (solution.network.rays.image == j))
         np.testing.assert_allclose(ray["residual_px"], solution.residuals[row], atol=1e-5)
-    tests = browser_.json(f"/api/points/{name}/tests")["rays"]
+    tests = browser_.json(f"/api/point/tests?name={name}")["rays"]
     assert {ray["image"] for ray in sheet["rays"]} == set(tests)
     assert all(0.0 <= one <= 1.0 for ray in tests.values() for one in ray["redundancy"])
-    along = browser_.json(f"/api/points/{name}/correlations")["rows"]
+    along = browser_.json(f"/api/point/correlations?name={name}")["rows"]
     assert all(abs(value) <= 1.0 + 1e-9 for row in along for value in row["correlation"])
 
 
@@ -198,11 +198,11 @@ def test_a_change_is_stored_adjusted_and_undone(running: Studio, browser_: Brows
     done = browser_.json("/api/changes", body)
     assert done["revision"] == browser_.json("/api/scene")["revision"]
     assert name in [one["name"] for one in done["moved"]]
-    after = browser_.json(f"/api/points/{name}")
+    after = browser_.json(f"/api/point?name={name}")
     assert next(one for one in after["rays"] if one["image"] == ray["image"])["line"] == ray["line"] + 3.0
     assert after["edited"]
     browser_.json("/api/changes", {"kind": "undo"})
-    again = browser_.json(f"/api/points/{name}")
+    again = browser_.json(f"/api/point?name={name}")
     assert again["place"]["longitude_deg"] == pytest.approx(sheet["place"]["longitude_deg"], abs=1e-7)
 
 
@@ -273,7 +273,7 @@ def test_a_server_that_is_killed_loses_nothing(solved: Path, tmp_path: Path) -> 
     with studio(folder) as running:
         browser_ = running.browser("one")
         names = browser_.json("/api/select?value=sigma&classes=tie")["names"]
-        rays = {name: browser_.json(f"/api/points/{name}")["rays"][0] for name in names[:6]}
+        rays = {name: browser_.json(f"/api/point?name={name}")["rays"][0] for name in names[:6]}
 
         def work() -> None:
             for k in range(1000):

@@ -282,7 +282,7 @@ def _draw_points(panel: Axes, window: MapWindow, norm: Normalize, cmap: str) -> 
 
 def _drawn_rows(window: MapWindow, values: Array) -> Index:
     """Rows of values (n, ...) that are known, not too many of them, one after the other along the map's longer side."""
-    rows = np.flatnonzero(np.all(np.isfinite(values.reshape(len(values), -1)), axis=1))
+    rows = np.flatnonzero(np.all(np.isfinite(values), axis=tuple(range(1, values.ndim))))
     return rows[np.argsort(window.places[rows, _longer_axis(window)], kind="stable")][thinned(rows.size, _MOST_DRAWN)]
 
 

@@ -15,6 +15,14 @@ function identity() {
   }
 }
 
+// An answer of the server, which wants the secret of this session; an Error with its sentence where it refuses
+export async function ask(path, {headers, ...options} = {}) {
+  const answer = await fetch(path, {...options, headers: {...headers, 'X-Secret': localStorage.secret || ''}});
+  if (answer.ok) return answer;
+  const text = await answer.text(), found = text.startsWith('{') ? JSON.parse(text).error : text.slice(0, 500);
+  throw Object.assign(new Error(found || `The studio answered with ${answer.status}.`), {status: answer.status});
+}
+
 export class App extends EventTarget {
   constructor(saying) {
     super();
@@ -43,11 +51,10 @@ export class App extends EventTarget {
     }
     let answer;
     try {
-      answer = await fetch(path, options);
-    } catch {
-      throw new Error('The studio does not answer: has its command been ended? What was stored is in the project.');
+      answer = await ask(path, options);
+    } catch (error) {
+      throw error.status ? error : new Error('The studio does not answer: has its command been ended? What was stored is in the project.');
     }
-    if (!answer.ok) throw new Error((await answer.text()).slice(0, 500) || `The studio answered with ${answer.status}.`);
     const found = await answer.json();
     if (found.error) throw new Error(found.error);
     return found;

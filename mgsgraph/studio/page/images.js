@@ -226,9 +226,9 @@ export class Images {
   // --- the server's answers
 
   ground(name, place, others) {
-    const asked = new URLSearchParams({line: place[0], sample: place[1]});
+    const asked = new URLSearchParams({name, line: place[0], sample: place[1]});
     for (const one of others) asked.append('with', one);
-    return this.app.request(`/api/images/${encodeURIComponent(name)}/ground?${asked}`);
+    return this.app.request(`/api/image/ground?${asked}`);
   }
 
   // Ask for the ground under the cross: one question at a time, the last one asked is answered

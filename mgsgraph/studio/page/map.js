@@ -1,6 +1,7 @@
 // The map: outlines of the images, points one by one or in cells, vectors, ellipses, relief. What was drawn last follows
 // the hand at once (a picture that is moved and scaled); when the hand rests, it is drawn anew from the server's answer.
 
+import {ask} from './app.js';
 import {MapPicture} from './map_picture.js';
 import {MapSelection} from './map_selection.js';
 import {download, make, short} from './plot.js';
@@ -87,7 +88,8 @@ export class MapPanel {
       const asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
       asked.set('layers', layers.join(','));
       asked.set('factor', this.factor.value || 0);
-      download(`/api/figure/map.${kind}?${asked}`, `map.${kind}`);
+      asked.set('kind', kind);
+      download(`/api/map/figure?${asked}`, `map.${kind}`).catch(error => this.app.say(error.message, 'error'));
     });
     return menu;
   }
@@ -309,8 +311,8 @@ export class MapPanel {
   }
 
   async readRelief(asked, box) {
-    const answer = await fetch(`/api/map/relief.png?${asked}`);
-    if (answer.ok) this.layers.relief = {box, picture: await createImageBitmap(await answer.blob())};
+    const answer = await ask(`/api/map/relief.png?${asked}`);
+    this.layers.relief = {box, picture: await createImageBitmap(await answer.blob())};
   }
 
   // --- drawing

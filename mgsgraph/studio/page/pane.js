@@ -42,7 +42,7 @@ export class Pane {
   async load(again = false) {
     const name = this.name;
     try {
-      const image = await this.owner.app.request(`/api/images/${encodeURIComponent(name)}`);
+      const image = await this.owner.app.request(`/api/image?${new URLSearchParams({name})}`);
       if (name !== this.name) return;
       const same = again && this.layer && image.picture?.version === this.image?.picture?.version;
       this.image = image;

@@ -1,5 +1,7 @@
 // Axes for small diagrams on a canvas: round ticks, units in the labels, colours of the page.
 
+import {ask} from './app.js';
+
 const MARGIN = {left: 74, right: 14, top: 12, bottom: 40};
 
 export function make(tag, properties = {}, ...children) {
@@ -10,12 +12,16 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
+// An address in this page of what the server answers: pictures and links can't send the secret
+export async function blobOf(address) {
+  return URL.createObjectURL(await (await ask(address)).blob());
+}
+
 // Saves what an address gives as a file
-export function download(address, name) {
-  const link = make('a', {href: address, download: name});
-  document.body.append(link);
-  link.click();
-  link.remove();
+export async function download(address, name) {
+  const href = await blobOf(address);
+  make('a', {href, download: name}).click();
+  setTimeout(() => URL.revokeObjectURL(href), 60000);
 }
 
 // The largest of 1, 2 and 5 times a power of ten that a value holds

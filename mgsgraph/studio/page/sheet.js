@@ -1,7 +1,7 @@
 // The sheet of the selected point: its place and sigmas, every ray with chip, residual and tests; what a person may
 // change of it. Each change is stored at once, and the map and this sheet say what it did.
 
-import {make, short} from './plot.js';
+import {blobOf, make, short} from './plot.js';
 
 export class Sheet {
   constructor(app, element) {
@@ -20,7 +20,7 @@ export class Sheet {
   }
 
   get path() {
-    return `/api/points/${encodeURIComponent(this.app.selection)}`;
+    return `/api/point?${new URLSearchParams({name: this.app.selection})}`;
   }
 
   async show() {
@@ -46,7 +46,7 @@ export class Sheet {
   // Tests and correlations take longer: they come when they are there
   async readMore(name) {
     if (!this.sheet.answer) return;
-    const [tests, along] = await Promise.allSettled([this.app.request(`${this.path}/tests`), this.app.request(`${this.path}/correlations`)]);
+    const [tests, along] = await Promise.allSettled([...['tests', 'correlations'].map(one => this.app.request(this.path.replace('?', `/${one}?`)))]);
     if (name !== this.app.selection) return;
     if (tests.status === 'fulfilled') this.showTests(tests.value);
     else this.testWords.textContent = tests.reason.message;
@@ -85,7 +85,11 @@ export class Sheet {
     const chip = make('td');
     if (ray.picture) {
       const asked = new URLSearchParams({image: ray.image, line: ray.line, sample: ray.sample});
-      const image = make('img', {src: `/api/chip.png?${asked}`, width: 130, height: 130, alt: `Pixels around the measure in ${ray.image}`});
+      const image = make('img', {width: 130, height: 130, alt: `Pixels around the measure in ${ray.image}`});
+      blobOf(`/api/chip.png?${asked}`).then(src => {
+        image.onload = () => URL.revokeObjectURL(src);
+        image.src = src;
+      }, error => this.app.say(error.message, 'error'));
       chip.append(make('div', {className: 'chip'}, image));
     }
     const tests = ['redundancy', 'w', 'detectable_px'].map(() => number('…'));

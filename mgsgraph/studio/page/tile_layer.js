@@ -1,5 +1,7 @@
 // The picture of an image by tiles: those of the level that suits the zoom, coarser ones while these are on their way.
 
+import {ask} from './app.js';
+
 const KEPT = 400; // tiles of a picture in memory
 const AT_ONCE = 6; // requests
 
@@ -106,15 +108,11 @@ export class TileLayer {
 
   async fetch(key, control) {
     const {version} = this.image.picture;
-    const path = `/api/images/${encodeURIComponent(this.name)}/tiles/${key}.png`;
-    const asked = new URLSearchParams({low: this.low, high: this.high, v: version});
+    const [level, row, column] = key.split('/');
+    const asked = new URLSearchParams({name: this.name, level, row, column, low: this.low, high: this.high, v: version});
     const tiles = this.tiles;
     try {
-      const answer = await fetch(`${path}?${asked}`, {signal: control.signal});
-      if (!answer.ok) {
-        const found = await answer.json().catch(() => ({error: `HTTP status ${answer.status}`}));
-        throw new Error(found.error);
-      }
+      const answer = await ask(`/api/image/tile.png?${asked}`, {signal: control.signal});
       tiles.set(key, await createImageBitmap(await answer.blob()));
       while (tiles.size > KEPT) {
         const oldest = tiles.keys().next().value;
@@ -123,6 +121,7 @@ export class TileLayer {
       }
     } catch (error) {
       if (error.name === 'AbortError') return;
+      if (error.status === 503) return void await new Promise(done => { setTimeout(done, 300); }); // too many at once
       this.failed = true;
       this.say(`${this.name}: ${error.message}`);
     } finally {
