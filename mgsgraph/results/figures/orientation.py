@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.analysis.statistics import node_times, strip_corrections
+from mgsgraph.analysis.statistics import node_times, pass_corrections
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.text import many, short
@@ -76,7 +76,7 @@ def pass_curve(solution: Solution, strip: int, curves: int = 1) -> Curve:
     one, nodes = solution.network.passes[strip], node_times(solution, strip)
     start, stop = np.array(one.nodes.coverage) + one.nodes.epoch
     times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
-    along, at_nodes = strip_corrections(solution, strip, times), strip_corrections(solution, strip, nodes)
+    along, at_nodes = pass_corrections(solution, strip, times), pass_corrections(solution, strip, nodes)
     units = np.repeat([1.0, ARCSEC], 3)
     return Curve(
         one.name, (times - start) / (stop - start), along.values / units, along.sigmas / units,
