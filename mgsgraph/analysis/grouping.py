@@ -49,7 +49,7 @@ class Grouping:
     stereo: Index
     """(n,) of each point's height above a stereo surface; of no meaning where it has none."""
     unknowns: tuple[Index, ...]
-    """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of strips,
+    """Of the priors of each variable's columns: images, then shifts, then shared unknowns, then those of passes,
     then factors of errors in common."""
     crossovers: int = 0
     """Of crossovers; of no meaning without any."""
@@ -89,7 +89,7 @@ class Grouping:
 def group_rows(network: Network) -> Grouping:
     """The usual groups: image points of ties, of laser shots and of control, ranges, ground priors, heights above
     the terrain and above stereo surfaces, position and pointing priors, shifts, tilts of the terrain, one of each kind
-    of shared unknown, and position and pointing of strips' nodes and trends. Groups without any row are left out.
+    of shared unknown, and position and pointing of passes' nodes and trends. Groups without any row are left out.
 
     Image places that are projections with the nominal orientation are no measures and make a group of their own.
     """
@@ -101,7 +101,7 @@ def group_rows(network: Network) -> Grouping:
     parts = [np.where(np.arange(prior.sigmas.size) % 6 < 3, POSITION, POINTING) for prior in network.priors]
     parts += [np.array([_SHIFT[term.unit] for term in terms]) for terms in network.shift_terms]
     parts += [np.full(shared.sigmas.size, f"{shared.kind} priors") for shared in network.shared]
-    parts += [part for pass_ in network.passes for part in _of_strip(pass_)]
+    parts += [part for pass_ in network.passes for part in _labels_of_pass(pass_)]
     parts += _of_common(network, of_ray)
     n = len(network.points)
     ground = np.full(n if np.any(network.points.covariances) else 0, GROUND_PRIORS)
@@ -145,11 +145,11 @@ def _of_common(network: Network, of_ray: NDArray[np.object_]) -> list[NDArray[np
     return parts
 
 
-def _of_strip(strip: Pass) -> list[NDArray[np.str_]]:
-    """Labels of the priors of a strip's unknowns."""
-    count = len(strip.nodes)
-    labels = [np.where(angular, NODE_POINTING, NODE_POSITION) for angular in strip.angular[:count]]
-    return labels + [np.where(angular, POINTING_TREND, POSITION_TREND) for angular in strip.angular[count:]]
+def _labels_of_pass(pass_: Pass) -> list[NDArray[np.str_]]:
+    """Labels of the priors of a pass's unknowns."""
+    count = len(pass_.nodes)
+    labels = [np.where(angular, NODE_POINTING, NODE_POSITION) for angular in pass_.angular[:count]]
+    return labels + [np.where(angular, POINTING_TREND, POSITION_TREND) for angular in pass_.angular[count:]]
 
 
 def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
@@ -191,15 +191,15 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
             for k, shared in enumerate(network.shared)
         ),
         passes=tuple(
-            _scaled_strip(pass_, of_unknown[first:]) for pass_, first in zip(network.passes, firsts, strict=True)
+            _scaled_pass(pass_, of_unknown[first:]) for pass_, first in zip(network.passes, firsts, strict=True)
         ),
     )
 
 
-def _scaled_strip(strip: Pass, factors: Sequence[Array]) -> Pass:
+def _scaled_pass(pass_: Pass, factors: Sequence[Array]) -> Pass:
     """A strip with its a-priori sigmas times factors, `factors` being those of its unknowns, then others'."""
-    trend = strip.prior.trend_sigmas.size
-    return strip.scaled(factors[0], factors[len(strip.nodes)] if trend else np.zeros(0))
+    trend = pass_.prior.trend_sigmas.size
+    return pass_.scaled(factors[0], factors[len(pass_.nodes)] if trend else np.zeros(0))
 
 
 

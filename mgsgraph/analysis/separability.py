@@ -26,7 +26,7 @@ from mgsgraph.adjustment.frames import camera_axes, flight_axes
 from mgsgraph.adjustment.marginals import JointCovariance, SquareRoot
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import unknown_name
-from mgsgraph.analysis.statistics import strip_turns
+from mgsgraph.analysis.statistics import pass_turns
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import Angles
 from mgsgraph.geometry.records import Array, Index
@@ -210,7 +210,7 @@ def _means(network: Network, k: int, angles: Angles) -> Array:
     start, stop = nodes.coverage
     times = np.linspace(start, stop, _PLACES)
     basis, _ = nodes.dense(times, nodes.epoch)
-    turns = strip_turns(network, k, times + nodes.epoch, angles)
+    turns = pass_turns(network, k, times + nodes.epoch, angles)
     units = np.array([1.0] * 3 + [ARCSEC] * 3)
     return np.asarray(np.einsum("tn,tqc->qnc", basis, turns) / _PLACES / units[:, None, None])
 

@@ -3,7 +3,7 @@
 Tables, words and figures all take their numbers here, so that they can't contradict each other. Medians of groups of
 many values, without a loop, and robust ends of scales; by them, how well each image fits.
 
-Orientation and points in the axes of the flight: sigmas along the lines of an image, and the corrections of strips over
+Orientation and points in the axes of the flight: sigmas along the lines of an image, and the corrections of passes over
 time, which are those of the orientation images alone: unknowns that images share are not in them.
 """
 
@@ -332,13 +332,13 @@ def pose_sigmas(
     return result
 
 
-def strip_turns(network: Network, strip: int, times: Array, angles: Angles) -> Array:
-    """(n, 6, 6) from the components of a strip's corrections, m and rad, to along, across and radial, roll, pitch and
+def pass_turns(network: Network, pass_number: int, times: Array, angles: Angles) -> Array:
+    """(n, 6, 6) from the components of a pass's corrections, m and rad, to along, across and radial, roll, pitch and
     yaw of its flight, at times (n,) in s TDB past J2000.
 
-    Each time is taken from an image of the strip that knows it (`network.joining.nominal_poses`).
+    Each time is taken from an image of the pass that knows it (`network.joining.nominal_poses`).
     """
-    pose = nominal_poses(network.pictures(strip), times, network.passes[strip].axes)
+    pose = nominal_poses(network.pictures(pass_number), times, network.passes[pass_number].axes)
     axes = OrientationCorrection(np.zeros((1, 6)), angles).axes(pose, Moments.of_times(times, 0.0))
     return _turns(pose, axes)
 
@@ -366,8 +366,8 @@ def flight_axes_at(places: Array, velocities: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StripCorrections:
-    """Corrections of a strip at some times, in the axes of the flight."""
+class PassCorrections:
+    """Corrections of a pass at some times, in the axes of the flight."""
 
     times: Array
     """(n,) s TDB past J2000."""
@@ -377,30 +377,30 @@ class StripCorrections:
     """(n, 6) m and rad, standard deviations of `values`, for sigma0 = 1."""
 
 
-def strip_corrections(solution: Solution, strip: str | int, times: Array) -> StripCorrections:
-    """Corrections of a strip at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
-    strip = solution.network.pass_number(strip)
-    nodes = solution.network.passes[strip].nodes
+def pass_corrections(solution: Solution, pass_: str | int, times: Array) -> PassCorrections:
+    """Corrections of a pass at times (n,) in s TDB past J2000, by the four nodes nearest to each."""
+    pass_ = solution.network.pass_number(pass_)
+    nodes = solution.network.passes[pass_].nodes
     first, basis, _ = nodes.at(times - nodes.epoch, nodes.epoch)
-    values = np.einsum("nk,nkc->nc", basis, solution.nodes[strip][first[:, None] + np.arange(SUPPORT)])
-    variable = int(solution.network.first_of_passes[strip])
+    values = np.einsum("nk,nkc->nc", basis, solution.nodes[pass_][first[:, None] + np.arange(SUPPORT)])
+    variable = int(solution.network.first_of_passes[pass_])
     covariance = np.empty((times.size, 6, 6))
     for k in np.unique(first).tolist():
         members = first == k
         joint = solution.joint_covariance.of(range(variable + k, variable + k + SUPPORT))
         joint = joint.reshape(SUPPORT, 6, SUPPORT, 6)
         covariance[members] = np.einsum("np,piqj,nq->nij", basis[members], joint, basis[members])
-    turn = strip_turns(solution.network, strip, times, solution.settings.angles)
+    turn = pass_turns(solution.network, pass_, times, solution.settings.angles)
     sigmas = np.sqrt(np.maximum(np.einsum("nij,njk,nik->ni", turn, covariance, turn), 0.0))
-    return StripCorrections(times, np.einsum("nij,nj->ni", turn, values), sigmas)
+    return PassCorrections(times, np.einsum("nij,nj->ni", turn, values), sigmas)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassReport(Record):
-    """Nodes, corrections and trend of one strip."""
+    """Nodes, corrections and trend of one pass."""
 
     name: str
-    """Name of the strip."""
+    """Name of the pass."""
     basis: str
     """Interpolation between its nodes."""
     images: tuple[str, ...]
@@ -413,8 +413,8 @@ class PassReport(Record):
     """Lines of the most nadir-looking image between two nodes."""
     ground: float
     """m on the ground between two nodes; NaN where that image misses the body."""
-    corrections: StripCorrections
-    """Corrections at the nodes within the strip."""
+    corrections: PassCorrections
+    """Corrections at the nodes within the pass."""
     trend: tuple[tuple[str, str, float, float], ...]
     """Bias and drift of the observed trajectory: "bias" or "drift", component (of the camera's own axes), value and
     sigma in m or rad."""
@@ -444,14 +444,14 @@ def pass_reports(solution: Solution) -> list[PassReport]:
     return [_report(solution, k) for k in range(len(solution.network.passes))]
 
 
-def node_times(solution: Solution, strip: str | int) -> Array:
-    """(k,) s TDB past J2000 of the nodes of a strip."""
-    nodes = solution.network.passes[solution.network.pass_number(strip)].nodes
+def node_times(solution: Solution, pass_: str | int) -> Array:
+    """(k,) s TDB past J2000 of the nodes of a pass."""
+    nodes = solution.network.passes[solution.network.pass_number(pass_)].nodes
     return nodes.times + nodes.epoch
 
 
-def _report(solution: Solution, strip: int) -> PassReport:
-    pass_, pictures = solution.network.passes[strip], solution.network.pictures(strip)
+def _report(solution: Solution, pass_number: int) -> PassReport:
+    pass_, pictures = solution.network.passes[pass_number], solution.network.pictures(pass_number)
     image = pictures[straightest(pictures)]
     start, stop = seconds(image)
     spacing = pass_.nodes.spacing
@@ -460,15 +460,15 @@ def _report(solution: Solution, strip: int) -> PassReport:
     return PassReport(
         pass_.name, pass_.nodes.basis, tuple(picture.name for picture in pictures),
         len(pass_.nodes), spacing, lines, float(np.linalg.norm(derivative[0, :, 0])) * lines,
-        strip_corrections(solution, strip, node_times(solution, strip)), _trend(solution, strip),
+        pass_corrections(solution, pass_number, node_times(solution, pass_number)), _trend(solution, pass_number),
     )  # fmt: skip
 
 
-def _trend(solution: Solution, strip: int) -> tuple[tuple[str, str, float, float], ...]:
-    prior, values = solution.network.passes[strip].prior, solution.trends[strip]
+def _trend(solution: Solution, pass_number: int) -> tuple[tuple[str, str, float, float], ...]:
+    prior, values = solution.network.passes[pass_number].prior, solution.trends[pass_number]
     if not isinstance(prior, NodePrior) or not values.size:
         return ()
-    variable = int(solution.network.first_of_passes[strip + 1]) - 1
+    variable = int(solution.network.first_of_passes[pass_number + 1]) - 1
     sigmas = np.sqrt(np.diagonal(solution.joint_covariance.block(variable, variable)))
     biases = int(np.count_nonzero(prior.bias))
     return tuple(

@@ -228,10 +228,10 @@ def _hrsc_images(tables: CaseInput, of_pass: Sequence[int], path: Path) -> dict[
 
 
 def _hrsc_pass(entries: Sequence[ImageInput], spice: SpiceInput | None, path: Path) -> list[PushbroomImage]:
-    from mgsgraph.files.labels.labelled_image import read_strip, with_focal_length
+    from mgsgraph.files.labels.labelled_image import read_pass_images, with_focal_length
 
     folder, first = path.parent, entries[0]
-    images = read_strip(
+    images = read_pass_images(
         [folder / entry.label for entry in entries if entry.label is not None],
         _required_kernels(first, spice, folder, f"{path}, image {first.name}"),
         [entry.name for entry in entries],

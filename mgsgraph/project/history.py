@@ -79,4 +79,5 @@ def _restored(project: Project, verb: str, change: Change, former: Former, why: 
     project.mark(change.number, verb == "redo")
     what = f"change {change.number} ({change.verb} {change.what})"
     recorded = record_change(project, verb, what, {}, impact, why, replaced, change.number)
-    return Changed(verb, "", f"{verb.capitalize()} of {what}.", impact, recorded)
+    point = str(change.summary.get("point", ""))
+    return Changed(verb, point, f"{verb.capitalize()} of {what}.", impact, recorded)

@@ -133,15 +133,15 @@ def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, A
     """Points that moved, at their new places: new points first, then by motion in sigmas."""
     moved = impact.points
     order = np.argsort(-np.nan_to_num(moved.in_sigmas, nan=np.inf), kind="stable")[:_MOST_MOVED]
-    names, place = [moved.ids[k] for k in order.tolist()], dict[str, Array]()
+    names, position_of = [moved.ids[k] for k in order.tolist()], dict[str, Array]()
     for members in dict.fromkeys(project.store.bundles_of(names).values()):
         bundle = project.store.bundle(members)
-        place |= zip(bundle.network.points.ids, bundle.places, strict=True)
-    places = np.array([place.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
+        position_of |= zip(bundle.network.points.ids, bundle.places, strict=True)
+    places = np.array([position_of.get(name, np.full(3, np.nan)) for name in names]).reshape(-1, 3)
     vectors = np.einsum("nij,nj->ni", east_north_up(np.where(np.isfinite(places), places, 1.0)), moved.moves[order])
     plane = opened.map_places(places)
     return [
         {"name": name, "map_m": vector(plane[k]), "vector_m": vector(vectors[k]),
-         "sigmas": None if new else float(moved.in_sigmas[order[k]])}
-        for k, (name, new) in enumerate(zip(names, moved.new[order].tolist(), strict=True))
+         "sigmas": None if is_new else float(moved.in_sigmas[order[k]])}
+        for k, (name, is_new) in enumerate(zip(names, moved.new[order].tolist(), strict=True))
     ]  # fmt: skip

@@ -33,12 +33,12 @@ def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
         raise InputError("figure", f"{view}.{kind}"[:60], f"one of {', '.join(_TYPES)}")
     with _MATPLOTLIB:
         sheet = make()
-        about: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
+        metadata: dict[str, str | None] = {"Title": sheet.title, "Description": sheet.caption}
         if kind == "pdf":
-            about = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
+            metadata = {"Title": sheet.title, "Subject": sheet.caption, "Creator": "mgsgraph", "CreationDate": None}
         elif kind == "svg":
-            about |= {"Date": None, "Creator": "mgsgraph"}
-        data = encoded(sheet, kind, metadata=about)
+            metadata |= {"Date": None, "Creator": "mgsgraph"}
+        data = encoded(sheet, kind, metadata=metadata)
     return Response(data, media_type=_TYPES[kind], headers={
         "Content-Disposition": f'attachment; filename="{view}.{kind}"', "Cache-Control": "no-store",
     })  # fmt: skip
@@ -79,11 +79,11 @@ def map_figure(
         raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
     points = map_points(opened)
     record = points.window(box, size, value, kinds)
-    about: tuple[Index | None, Array | None] = None, None
+    classes_and_ellipses: tuple[Index | None, Array | None] = None, None
     if record["form"] == "points":
-        inside = points.inside(box, kinds)
-        places, values, moved = points.plane[inside], points.value(value)[inside], points.moved[inside][:, :2]
-        about = points.classes[inside], points.local[inside][:, :2, :2] if "ellipses" in layers else None
+        chosen = points.inside(box, kinds)
+        places, values, moved = points.plane[chosen], points.value(value)[chosen], points.moved[chosen][:, :2]
+        classes_and_ellipses = points.classes[chosen], points.local[chosen][:, :2, :2] if "ellipses" in layers else None
     else:
         places, values, moved = _cells(record)
     low, high = record["low"], record["high"]
@@ -95,7 +95,7 @@ def map_figure(
         opened.now.name, opened.centre, box,
         dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
         places, values if "points" in layers else np.full_like(values, np.nan), (record["title"], record["unit"]),
-        (low, high), record["count"], *about, moved if "moved" in layers else None,
+        (low, high), record["count"], *classes_and_ellipses, moved if "moved" in layers else None,
         shaded_relief(opened, box, size) if shaded else None, factor,
     ))  # fmt: skip
 
@@ -106,7 +106,7 @@ def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
     values = np.full(rows * columns, np.nan)
     values[cells] = np.array(record["values"], dtype=np.float64)
     row, column = np.divmod(cells, columns)
-    some = (row % _STEP == _STEP // 2) & (column % _STEP == _STEP // 2)
+    is_drawn = (row % _STEP == _STEP // 2) & (column % _STEP == _STEP // 2)
     box = np.array(record["box"])
-    places = box[:2] + (np.column_stack([column, row])[some] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
-    return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[some]
+    places = box[:2] + (np.column_stack([column, row])[is_drawn] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
+    return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[is_drawn]

@@ -262,9 +262,9 @@ class LinkedImages:
         numbers = {self.block.network.image_number(name) for name in required} - {number}
         candidates = [j for j in self._candidates(ground.point) if j != number]
         predictions = (self._prediction(number, place, ground, j) for j in sorted({*candidates, *numbers}))
-        return ground, [p for p in predictions if p is not None and (p.inside or p.image in numbers)]
+        return ground, [item for item in predictions if item is not None and (item.inside or item.image in numbers)]
 
-    def _prediction(self, first: int, place: Array, ground: Ground, other: int) -> Prediction | None:
+    def _prediction(self, clicked: int, place: Array, ground: Ground, other: int) -> Prediction | None:
         picture, correction = self.block.images[other], self.block.corrections[other]
         places, by_point = picture.ground_to_image(ground.point[None], correction)
         if not np.all(np.isfinite(places)):
@@ -275,7 +275,7 @@ class LinkedImages:
         jacobian = by_point[0] @ ground.slopes
         inside = bool(np.all((places[0] >= 0.0) & (places[0] <= [picture.lines, picture.samples])))
         by_height = by_point[0] @ ground.by_height
-        ellipse = self._ellipse((first, other), (place, places[0]), ground, jacobian, by_height) if inside else None
+        ellipse = self._ellipse((clicked, other), (place, places[0]), ground, jacobian, by_height) if inside else None
         return Prediction(other, places[0], jacobian, inside, ellipse)
 
     def _ellipse(
@@ -288,8 +288,8 @@ class LinkedImages:
         for number, place, factor in zip(pair, places, (-jacobian, np.eye(2)), strict=True):
             picture, correction = self.block.images[number], self.block.corrections[number] or self._nominal
             by_pose = picture.by_correction(ground.point[None], place[None], correction)[0, :, :6]
-            for v, part in designs(self.block.network, number, self._angles, place[:1])[0].items():
-                parts[v] = parts.get(v, np.zeros((2, part.shape[1]))) + factor @ by_pose @ part
+            for variable, part in designs(self.block.network, number, self._angles, place[:1])[0].items():
+                parts[variable] = parts.get(variable, np.zeros((2, part.shape[1]))) + factor @ by_pose @ part
         covariance = np.zeros((2, 2))
         if parts:
             design = np.concatenate(list(parts.values()), axis=1)

@@ -62,9 +62,9 @@ class MapPoints:
     @cached_property
     def local(self) -> Array:
         """(n, 3, 3) m^2, covariances east, north, up; NaN before any adjustment."""
-        n = len(self.classes)
+        count = len(self.classes)
         if self.block.covariances is None:
-            return np.full((n, 3, 3), np.nan)
+            return np.full((count, 3, 3), np.nan)
         frames = self.frames()
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
@@ -121,8 +121,8 @@ class MapPoints:
         """(k,) points with a place in a box (4,) of x and y, low and high, of some classes."""
         x, y = self.plane.T
         with np.errstate(invalid="ignore"):
-            within = (x >= box[0]) & (x <= box[2]) & (y >= box[1]) & (y <= box[3])
-        return np.flatnonzero(within if kinds is None else within & kinds[self.classes])
+            is_inside = (x >= box[0]) & (x <= box[2]) & (y >= box[1]) & (y <= box[3])
+        return np.flatnonzero(is_inside if kinds is None else is_inside & kinds[self.classes])
 
     def window(self, box: Array, size: tuple[float, float], value: str, kinds: Mask) -> dict[str, Any]:
         """Points in a box, singly or as medians of cells, as JSON; `size`: of the window, CSS pixels."""
@@ -156,16 +156,16 @@ class MapPoints:
         shape = np.maximum(np.ceil(np.array(size) / _CELL), 1.0)
         shape *= min(1.0, float(np.sqrt(_MOST_CELLS / shape.prod())))
         columns, rows = (int(max(k, 1.0)) for k in shape)
-        side = np.array([(box[2] - box[0]) / columns, (box[3] - box[1]) / rows])
-        place = np.minimum(((self.plane[chosen] - box[:2]) / side).astype(np.int64), [columns - 1, rows - 1])
+        cell_size = np.array([(box[2] - box[0]) / columns, (box[3] - box[1]) / rows])
+        place = np.minimum(((self.plane[chosen] - box[:2]) / cell_size).astype(np.int64), [columns - 1, rows - 1])
         cell, total = place[:, 1] * columns + place[:, 0], columns * rows
-        number, middle = counts(cell, total), medians(values[chosen], cell, total)
+        point_counts, cell_medians = counts(cell, total), medians(values[chosen], cell, total)
         arrows = [medians(self.moved[chosen, k], cell, total) for k in range(2)]
-        some = np.flatnonzero(number)
+        filled = np.flatnonzero(point_counts)
         return {
-            "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": some.tolist(),
-            "numbers": number[some].tolist(), "values": digits(middle[some]),
-            "moved": [digits(arrow[some]) for arrow in arrows],
+            "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": filled.tolist(),
+            "numbers": point_counts[filled].tolist(), "values": digits(cell_medians[filled]),
+            "moved": [digits(arrow[filled]) for arrow in arrows],
         }  # fmt: skip
 
     # --- selections
@@ -286,18 +286,18 @@ def residual_vectors(opened: Opened, image: str) -> dict[str, Any]:
     points, measured = block.network.rays.point[rays], block.network.rays.places[rays]
     places = block.places[points]
     frames = east_north_up(np.where(np.isfinite(places), places, 1.0))
-    at = projected(block, j, places, measured[:, 0])
+    base = projected(block, j, places, measured[:, 0])
     slopes = np.stack(
-        [(projected(block, j, places + _STEP * frames[:, k], measured[:, 0]) - at) / _STEP for k in range(2)], axis=-1
+        [(projected(block, j, places + _STEP * frames[:, k], measured[:, 0]) - base) / _STEP for k in range(2)], axis=-1
     )
-    residuals = measured - at
-    good = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(residuals).all(axis=1))
-    good = good[np.abs(np.linalg.det(slopes[good])) > 1e-12]
-    moves = np.linalg.solve(slopes[good], residuals[good][..., None])[..., 0]
+    residuals = measured - base
+    solvable = np.flatnonzero(np.isfinite(slopes).all(axis=(1, 2)) & np.isfinite(residuals).all(axis=1))
+    solvable = solvable[np.abs(np.linalg.det(slopes[solvable])) > 1e-12]
+    moves = np.linalg.solve(slopes[solvable], residuals[solvable][..., None])[..., 0]
     return {
-        "image": image, "places": np.round(opened.map_places(places[good]), 2).tolist(),
-        "vectors": np.round(moves, 4).tolist(), "residuals": np.round(residuals[good], 4).tolist(),
-        "median_px": float(np.median(np.linalg.norm(residuals[good], axis=1))) if good.size else None,
+        "image": image, "places": np.round(opened.map_places(places[solvable]), 2).tolist(),
+        "vectors": np.round(moves, 4).tolist(), "residuals": np.round(residuals[solvable], 4).tolist(),
+        "median_px": float(np.median(np.linalg.norm(residuals[solvable], axis=1))) if solvable.size else None,
     }  # fmt: skip
 
 

@@ -40,7 +40,7 @@ def ties_of(block: Block, image: int) -> dict[str, Any]:
         "count": int(total), "names": [network.points.ids[i] for i in points.tolist()],
         "measured": measured.tolist(), "residuals": _pairs(measured - predicted),
         "sigmas": network.ray_sigmas[shown].tolist(), "used": block.used[shown].tolist(),
-        "kinds": [PointClass(k).name.lower() for k in network.points.classes[points].tolist()],
+        "kinds": [PointClass(class_).name.lower() for class_ in network.points.classes[points].tolist()],
     }  # fmt: skip
 
 
@@ -86,13 +86,13 @@ def laser_profiles(block: Block) -> list[tuple[str, Index]]:
     """
     points, shifts = block.network.points, block.network.shifts
     laser = np.flatnonzero(points.classes == PointClass.LASER)
-    owner = [points.ids[i].rpartition(":")[0] or "laser shots" for i in laser.tolist()]
+    owner = [points.ids[point].rpartition(":")[0] or "laser shots" for point in laser.tolist()]
     if shifts is not None:
         profile = np.asarray(shifts.profile)[laser].tolist()
-        owner = [shifts.names[p] if p >= 0 else name for p, name in zip(profile, owner, strict=True)]
+        owner = [shifts.names[k] if k >= 0 else name for k, name in zip(profile, owner, strict=True)]
     profiles = dict[str, list[int]]()
-    for name, i in zip(owner, laser.tolist(), strict=True):
-        profiles.setdefault(name, []).append(i)
+    for name, point in zip(owner, laser.tolist(), strict=True):
+        profiles.setdefault(name, []).append(point)
     return [(name, np.array(members)) for name, members in profiles.items()]
 
 

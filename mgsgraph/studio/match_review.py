@@ -235,8 +235,8 @@ def _worst(badness: Sequence[Array], most: int) -> Index:
     """(m,) the worst points in the network's order: in turn the next one by each kind of badness (n,), NaN where
     unknown.
     """
-    orders = [np.argsort(np.where(np.isnan(bad), np.inf, -bad), kind="stable") for bad in badness]
-    orders = [order[: int(np.sum(~np.isnan(bad)))] for order, bad in zip(orders, badness, strict=True)]
+    orders = [np.argsort(np.where(np.isnan(values), np.inf, -values), kind="stable") for values in badness]
+    orders = [order[: int(np.sum(~np.isnan(values)))] for order, values in zip(orders, badness, strict=True)]
     turn = np.concatenate([len(orders) * np.arange(order.size) + k for k, order in enumerate(orders)])
     points = np.concatenate(orders)[np.argsort(turn)]
     firsts = np.unique(points, return_index=True)[1]
@@ -256,23 +256,23 @@ def _choice(ties: TiePoints, chosen: Index, by_name: bool, solved: bool) -> str:
 
 def _residuals(ties: TiePoints, solution: Solution | None) -> tuple[Array, Mask]:
     """Residuals (k, 2) in pixels of the measures in a solution, and (k,) which of them it rejected."""
-    k = ties.measure_point.size
+    count = ties.measure_point.size
     if solution is None:
-        return np.full((k, 2), np.nan), np.zeros(k, dtype=np.bool_)
+        return np.full((count, 2), np.nan), np.zeros(count, dtype=np.bool_)
     rays, ids = solution.network.rays, solution.network.points.ids
     names = [image.name for image in solution.network.images]
     solved = zip((ids[i] for i in rays.point.tolist()), (names[j] for j in rays.image.tolist()), strict=True)
-    row_of = {measure: r for r, measure in enumerate(solved)}
+    row_of = {measure: row for row, measure in enumerate(solved)}
     reviewed = zip((ties.ids[i] for i in ties.measure_point.tolist()), ties.measure_image, strict=True)
     rows = np.array([row_of.get(measure, -1) for measure in reviewed], dtype=np.int64)
     moved = np.any(np.abs(rays.places[rows] - ties.measures) > _SAME_MEASURE, axis=1)
-    for r in np.flatnonzero((rows < 0) | moved)[:1]:
-        label = f"point {ties.ids[int(ties.measure_point[r])]}, image {ties.measure_image[r]}"
-        state = "no such measure" if rows[r] < 0 else "measured at another place"
+    for row in np.flatnonzero((rows < 0) | moved)[:1]:
+        label = f"point {ties.ids[int(ties.measure_point[row])]}, image {ties.measure_image[row]}"
+        state = "no such measure" if rows[row] < 0 else "measured at another place"
         expected, remedy = f"the measures of {ties.source}", "adjust these, or leave the solution out"
         raise InputError(f"solution {solution.name!r}, {label}", state, expected, remedy)
     rejected = solution.rays_rejected
-    return solution.residuals[rows], np.zeros(k, dtype=np.bool_) if rejected is None else rejected[rows]
+    return solution.residuals[rows], np.zeros(count, dtype=np.bool_) if rejected is None else rejected[rows]
 
 
 def _patches(pictures: Pictures, image: Index, measures: Array, step: Array) -> NDArray[np.uint8]:

@@ -80,10 +80,10 @@ class Block:
         """A block at its linearisation point: a project after its last change."""
         state, network = posterior.linearised, posterior.network
         numbers, places = range(len(network.images)), state.places
-        used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
+        is_used = unmarked(network).rays & np.isfinite(places[network.rays.point, 0])
         return cls(
             network, state.settings, state.values, tuple(map(posterior.image, numbers)),
-            tuple(map(posterior.correction, numbers)), places, state.point_covariances, used, lambda: state.joint,
+            tuple(map(posterior.correction, numbers)), places, state.point_covariances, is_used, lambda: state.joint,
             _terrain(network),
         )  # fmt: skip
 
@@ -238,8 +238,8 @@ class Opened:
         with self._lock:
             if self._state is None or self._state[0] != self.revision:
                 revision = self.revision
-                read = {"project": _project, "result": _result, "case": _of_case}[self.kind]
-                self._state = revision, read(self.path, self._case)
+                read_state = {"project": _project, "result": _result, "case": _of_case}[self.kind]
+                self._state = revision, read_state(self.path, self._case)
                 self._made = {}
             return self._state[1]
 
@@ -291,12 +291,12 @@ class Opened:
 
     def _read_near(self, point: str) -> About | None:
         if self.kind == "project" and not (self.is_read and self.now.solution is not None):
-            near = posterior_near(self.path, point)
-            return None if near is None else (Block.of_posterior(near), near)
+            posterior = posterior_near(self.path, point)
+            return None if posterior is None else (Block.of_posterior(posterior), posterior)
         solution = self.now.solution
         members = None if solution is None else near_points(solution.network, solution.places, point)
-        near = None if members is None or solution is None else posterior_of_points(solution, members)
-        return None if near is None else (Block.of_posterior(near), near)
+        posterior = None if members is None or solution is None else posterior_of_points(solution, members)
+        return None if posterior is None else (Block.of_posterior(posterior), posterior)
 
     # --- the map
 
@@ -313,7 +313,7 @@ class Opened:
                 outlines = solution_connectivity(self.now.solution).footprints
             else:
                 outlines = network_footprints(block.network, block.places, block.corrections.__getitem__)
-            return [self.map_places(f.outline) if len(f.outline) else np.zeros((0, 2)) for f in outlines]
+            return [self.map_places(area.outline) if len(area.outline) else np.zeros((0, 2)) for area in outlines]
 
         return self.once("footprints", make)
 
@@ -357,11 +357,11 @@ def near_points(network: Network, places: Array, point: str) -> Index | None:
         return None
     rays, ranges = network.rays, network.ranges
     images = np.union1d(rays.image[rays.point == number], ranges.image[ranges.point == number])
-    shared = np.zeros(len(network.points), dtype=bool)
-    shared[rays.point[np.isin(rays.image, images)]] = shared[ranges.point[np.isin(ranges.image, images)]] = True
-    members = np.flatnonzero(shared & np.all(np.isfinite(places), axis=1))
-    away = np.linalg.norm(places[members] - places[number], axis=1)
-    return np.sort(members[np.argsort(away, kind="stable")[:_MOST_NEAR]])
+    is_near = np.zeros(len(network.points), dtype=bool)
+    is_near[rays.point[np.isin(rays.image, images)]] = is_near[ranges.point[np.isin(ranges.image, images)]] = True
+    members = np.flatnonzero(is_near & np.all(np.isfinite(places), axis=1))
+    distances = np.linalg.norm(places[members] - places[number], axis=1)
+    return np.sort(members[np.argsort(distances, kind="stable")[:_MOST_NEAR]])
 
 
 def _mark(path: Path) -> tuple[int, int] | None:
@@ -387,7 +387,7 @@ def _centre(block: Block) -> Array:
     """Middle (3,) in m of the points, or of what the images see where no point has a place."""
     if np.any(np.all(np.isfinite(block.places), axis=1)):
         return centre_of(block.places)
-    outlines = [f.outline for f in network_footprints(block.network, block.places) if len(f.outline)]
+    outlines = [area.outline for area in network_footprints(block.network, block.places) if len(area.outline)]
     if not outlines:
         raise InputError("studio", "no point with a place, and no image that sees the ground", "one of them")
     return centre_of(np.concatenate(outlines))

@@ -102,11 +102,11 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     """A measure with its residual."""
     rays = block.network.rays
     image = int(rays.image[ray])
-    at = projected(block, image, block.places[point][None], rays.places[[ray], 0])[0]
+    predicted = projected(block, image, block.places[point][None], rays.places[[ray], 0])[0]
     return {
         "image": block.images[image].name, "line": float(rays.places[ray, 0]), "sample": float(rays.places[ray, 1]),
-        "sigma_px": block.network.ray_sigmas[ray].tolist(), "residual_px": vector(rays.places[ray] - at),
-        "predicted": vector(at), "used": bool(block.used[ray]),
+        "sigma_px": block.network.ray_sigmas[ray].tolist(), "residual_px": vector(rays.places[ray] - predicted),
+        "predicted": vector(predicted), "used": bool(block.used[ray]),
         "picture": opened.pictures.get(block.images[image].name) is not None,
     }  # fmt: skip
 
@@ -154,19 +154,19 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
         raise InputError(str(opened.path), "nothing has been adjusted", "an adjusted block")
     if not np.any(np.nan_to_num(points.local[number])):
         raise InputError(f"point {point}", "held or without a place: it has no correlations", "a free point")
-    cross, frames = cross_covariances(posterior.linearised, number), points.frames()
-    axes = np.einsum("ab,nbd,nad->na", frames[number], cross, frames)
+    covariances, frames = cross_covariances(posterior.linearised, number), points.frames()
+    axes = np.einsum("ab,nbd,nad->na", frames[number], covariances, frames)
     variances = np.diagonal(points.local, axis1=1, axis2=2)
     with np.errstate(invalid="ignore", divide="ignore"):
         coefficients = axes / np.sqrt(variances[number] * variances)
-    looked_at = np.flatnonzero(np.all(np.isfinite(coefficients), axis=1) & (np.arange(len(coefficients)) != number))
-    size = np.abs(coefficients[looked_at]).max(axis=1, initial=0.0)
-    chosen = looked_at[np.argsort(-size, kind="stable")[:_SHOWN]]
-    away = np.linalg.norm(block.places - block.places[number], axis=1)
+    candidates = np.flatnonzero(np.all(np.isfinite(coefficients), axis=1) & (np.arange(len(coefficients)) != number))
+    largest = np.abs(coefficients[candidates]).max(axis=1, initial=0.0)
+    chosen = candidates[np.argsort(-largest, kind="stable")[:_SHOWN]]
+    distances = np.linalg.norm(block.places - block.places[number], axis=1)
     ids = block.network.points.ids
     rows = [{"name": ids[k], "correlation": coefficients[k].tolist()} for k in chosen.tolist()]
-    return {"axes": ["east", "north", "up"], "rows": rows, "looked_at": int(looked_at.size),
-            "distance_m": {ids[k]: float(away[k]) for k in chosen.tolist()}}  # fmt: skip
+    return {"axes": ["east", "north", "up"], "rows": rows, "looked_at": int(candidates.size),
+            "distance_m": {ids[k]: float(distances[k]) for k in chosen.tolist()}}  # fmt: skip
 
 
 def chip(path: Path, line: float, sample: float) -> bytes:

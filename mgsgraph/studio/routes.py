@@ -69,8 +69,8 @@ class Views:
         with self._lock:
             if self._linked is None or self._linked[0] != self.opened.revision:
                 self._linked = self.opened.revision, LinkedImages(self.opened.block())
-                pictures, images = self.opened.pictures, self._linked[1].block.images
-                self.tiles.pictures = {i.name: (pictures.get(i.name), i.lines, i.samples) for i in images}
+                files, images = self.opened.pictures, self._linked[1].block.images
+                self.tiles.pictures = {item.name: (files.get(item.name), item.lines, item.samples) for item in images}
             return self._linked[1]
 
     def image_record(self, name: str) -> dict[str, Any]:
@@ -195,13 +195,13 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     def ground(request: Request) -> Any:
         query, linked = request.query_params, views.linked
         required = [name for name in query.getlist("with") if name]
-        at = number_of(query, "line"), number_of(query, "sample")
+        pixel = number_of(query, "line"), number_of(query, "sample")
         try:
-            at_pixel, predictions = linked.under(_name(request), *at, required=required)
+            ground_at_pixel, predictions = linked.under(_name(request), *pixel, required=required)
         except NoGround as error:  # no error: users look at limbs, too
             return {"sentence": str(error), "others": {}}
-        map_m = np.asarray(opened.map_places(at_pixel.point[None]))[0].tolist()
-        return ground_record(at_pixel, predictions, linked.block) | {"map_m": map_m}
+        map_m = np.asarray(opened.map_places(ground_at_pixel.point[None]))[0].tolist()
+        return ground_record(ground_at_pixel, predictions, linked.block) | {"map_m": map_m}
 
     def picture(request: Request) -> Any:
         query = request.query_params

@@ -19,7 +19,7 @@ from mgsgraph.adjustment.settings import Angles, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.adjustment.two_steps import adjust_in_two_steps
 from mgsgraph.analysis.spacing import respaced
-from mgsgraph.analysis.statistics import node_times, pass_reports, strip_corrections
+from mgsgraph.analysis.statistics import node_times, pass_corrections, pass_reports
 from mgsgraph.analysis.two_step_statistics import TwoStepStatistics, owners, two_step_statistics
 from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import evenly_spaced
@@ -54,7 +54,7 @@ def test_the_course_is_what_each_image_has(angles: Angles) -> None:
     solved = adjust_network(respaced(block().network, 3.0), SolverSettings(angles=angles), "block")
     for image in (0, 2, 9):
         profile = orientation_profile(solved, image, 7)
-        course = strip_corrections(solved, image // 5, profile.times)
+        course = pass_corrections(solved, image // 5, profile.times)
         for part, correction, sigma in (
             (slice(0, 3), profile.position_after - profile.position_before, profile.position_sigma),
             (slice(3, 6), profile.rotation, profile.rotation_sigma),
@@ -68,7 +68,7 @@ def test_axes_are_those_of_the_analysis(solution: Solution) -> None:
     for strip, image in ((0, 2), (1, 7)):
         picture = solution.network.images[image]
         middle = picture.moments(np.array([0.5 * picture.lines]))
-        course = strip_corrections(solution, strip, middle.times + middle.epoch)
+        course = pass_corrections(solution, strip, middle.times + middle.epoch)
         correction, _ = solution.correction(image).at(middle)
         np.testing.assert_allclose(course.values, correction @ flight_frame(picture).turn.T, rtol=1e-6, atol=1e-9)
 
@@ -81,7 +81,7 @@ def test_course_and_truth_agree_within_sigmas(solution: Solution) -> None:
         truth = replace(solution, nodes=tuple(block().corrections[5 * k].nodes.dense(
             times - block().corrections[5 * k].nodes.epoch, block().corrections[5 * k].nodes.epoch
         )[0] @ block().true_nodes(k) for k in range(2)))  # fmt: skip
-        found, true = (strip_corrections(one, k, times) for one in (solution, truth))
+        found, true = (pass_corrections(one, k, times) for one in (solution, truth))
         errors.append((found.values - true.values) / found.sigmas)
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 2.0
 
@@ -223,13 +223,13 @@ def test_sigmas_of_points_are_those_of_the_solutions(which: str) -> None:
 
 
 def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
-    """As `analysis.statistics.strip_corrections` has them at the nodes, between which they hardly change."""
+    """As `analysis.statistics.pass_corrections` has them at the nodes, between which they hardly change."""
     found, net = merit("block"), networks("block")
     means = np.empty((2, len(net.passes), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):
         for k, strip in enumerate(net.passes):
             image = net.images[int(strip.images[2])]
-            nodes = strip_corrections(solution, k, node_times(solution, k))
+            nodes = pass_corrections(solution, k, node_times(solution, k))
             at = image.moments(np.linspace(0.0, float(image.lines), 101))
             times = at.times + at.epoch
             means[step, k] = [np.interp(times, nodes.times, nodes.sigmas[:, axis]).mean() for axis in range(6)]

@@ -65,11 +65,11 @@ class _Sampling:
 def read_labelled_image(
     label: Path, kernels: Sequence[Path], name: str | None = None, line_times: LineTimesSource = None, **how: Any
 ) -> PushbroomImage:
-    """Read an image's geometry; parameters and errors as of `read_strip`."""
-    return read_strip([label], kernels, [name], [line_times], **how)[0]
+    """Read an image's geometry; parameters and errors as of `read_pass_images`."""
+    return read_pass_images([label], kernels, [name], [line_times], **how)[0]
 
 
-def read_strip(
+def read_pass_images(
     labels: Sequence[Path],
     kernels: Sequence[Path],
     names: Sequence[str | None] = (),
@@ -134,7 +134,7 @@ def read_strip(
 def _sampled(
     scans: Sequence[LineScanLabel], names: Sequence[str | None], how: _Sampling
 ) -> tuple[PushbroomImage, ...]:
-    """Images of labels by the kernels that are loaded; parameters as in `read_strip`."""
+    """Images of labels by the kernels that are loaded; parameters as in `read_pass_images`."""
     camera, target = scans[0].camera, scans[0].target
     constant_sets = [_Constants.of(label, how.constants) for label in scans]
     times = [_line_times(label, constants) for label, constants in zip(scans, constant_sets, strict=True)]

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from mgsgraph.adjustment.solution import OrientationProfile, Solution, orientation_profile
-from mgsgraph.analysis.statistics import node_times, strip_corrections
+from mgsgraph.analysis.statistics import node_times, pass_corrections
 from mgsgraph.geometry.records import Array
 from mgsgraph.results.figures.sheet import AFTER, INK, SOFT, Sheet, new_sheet, number, plain_style
 from mgsgraph.text import many, short
@@ -77,7 +77,7 @@ def pass_curve(solution: Solution, number: int, curves: int = 1) -> Curve:
     pass_, nodes = solution.network.passes[number], node_times(solution, number)
     start, stop = np.array(pass_.nodes.coverage) + pass_.nodes.epoch
     times = np.linspace(start, stop, max(_PLACES // curves, _PER_INTERVAL * nodes.size + 1))
-    corrections, at_nodes = strip_corrections(solution, number, times), strip_corrections(solution, number, nodes)
+    corrections, at_nodes = pass_corrections(solution, number, times), pass_corrections(solution, number, nodes)
     units = np.repeat([1.0, ARCSEC], 3)
     return Curve(
         pass_.name, (times - start) / (stop - start), corrections.values / units, corrections.sigmas / units,

@@ -19,7 +19,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.cameras.camera import LineTimes, LineTimesLocation, LineTimesSource, NaifKeywords
 from mgsgraph.files.cameras.label import DETECTORS, HRSC, HRSC_HEAD, read_line_scan_label
 from mgsgraph.files.labels.kernels import loaded, pool_numbers
-from mgsgraph.files.labels.labelled_image import read_labelled_image, read_strip
+from mgsgraph.files.labels.labelled_image import read_labelled_image, read_pass_images
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.body import planetocentric
 from mgsgraph.geometry.image import PushbroomImage
@@ -282,7 +282,7 @@ def labels(label: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def strip(labels: Sequence[Path], shared_data: Path, times: Path) -> dict[str, PushbroomImage]:
-    images = read_strip(labels, kernels(shared_data), DETECTORS, line_times=[times] * 9)
+    images = read_pass_images(labels, kernels(shared_data), DETECTORS, line_times=[times] * 9)
     return {image.name: image for image in images}
 
 
@@ -429,7 +429,7 @@ def test_a_strip_spans_lines_taken_at_other_times(
     text = labels[1].read_text().replace("T12:08:53.843Z", "T12:08:56.843Z").replace("T12:12:10.561Z", "T12:12:13.561Z")
     (tmp_path / "late.lbl").write_text(text)
     late = times_file(tmp_path, [(time + 3.0, period, line) for time, period, line in CHANGES])
-    one, other = read_strip([labels[0], tmp_path / "late.lbl"], kernels(shared_data), line_times=[times, late])
+    one, other = read_pass_images([labels[0], tmp_path / "late.lbl"], kernels(shared_data), line_times=[times, late])
     assert one.trajectory is other.trajectory
     np.testing.assert_allclose(other.timing.start_times - one.timing.start_times, 3.0, rtol=0, atol=1e-7)
     first, last = one.timing.at(np.zeros(1))[0][0], other.timing.at(np.array([LINES]))[0][0]
@@ -465,11 +465,11 @@ def test_settings_are_heard(label: Path, shared_data: Path, times: Path, image: 
 
 def test_strips_that_do_not_belong_together(labels: list[Path], shared_data: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="1 names and 0 line times for 9 labels"):
-        read_strip(labels, kernels(shared_data), ["one"])
+        read_pass_images(labels, kernels(shared_data), ["one"])
     other = tmp_path / "BLUE.lbl"
     other.write_text(labels[3].read_text().replace("= MARS\n", "= PHOBOS\n"))
     with pytest.raises(InputError, match=r"BLUE\.lbl: an image of PHOBOS; expected one of MARS"):
-        read_strip([labels[0], other], kernels(shared_data))
+        read_pass_images([labels[0], other], kernels(shared_data))
 
 
 # --- in a case
