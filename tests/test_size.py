@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
-    "cli": (1442, 15195, 11),
+    "cli": (1449, 15224, 11),
     "studio": (1895, 28283, 13),
     "fetch": (1365, 16582, 9),
     "project": (2438, 32736, 14),
@@ -25,16 +25,16 @@ CEILINGS = {
     "planning": (886, 13942, 6),
     "case": (2180, 32558, 11),
     "analysis": (5107, 82532, 29),
-    "adjustment": (7585, 116097, 43),
+    "adjustment": (7611, 116529, 44),
     "matching": (2094, 34449, 13),
     "network": (3262, 53138, 16),
     "files": (8893, 123682, 54),
-    "kernel": (2659, 45915, 15),
+    "kernel": (2662, 45941, 15),
     "geometry": (2892, 48407, 18),
     "factors": (867, 13743, 18),
     "single files": (839, 9729, 10),
     "scripts": (6879, 110225, 50),
-    "tests": (36711, 557666, 200),
+    "tests": (36963, 559410, 202),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -64,8 +64,7 @@ class SolverSettings(Record):
     worth it, and a hundred thousand observations or more. A GPU gives the same result to 1e-9."""
     deterministic: bool = False
     """On a GPU: whether the same sweep gives the same bits twice. What is added to the same numbers is then one block
-    of threads' task, which takes longer where few images share many points. On a CPU that is so anyway, for the same
-    number of threads."""
+    of threads' task, which takes longer where few images share many points. On a CPU that is so anyway."""
 
     def __post_init__(self) -> None:
         for name, kind in _CHOICES:

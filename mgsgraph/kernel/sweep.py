@@ -69,6 +69,10 @@ ROW_NUMBERS = 4
 
 _WORTHWHILE = 5000.0
 """Observations below which a second thread costs more than it saves."""
+_MOST_PARTS = 16
+"""Parts of a sweep, each summed by itself."""
+_PER_SUM = 4
+"""Numbers in the sums of all parts for each observation: with more, adding them takes longer than parts save."""
 
 
 @inlined
@@ -263,12 +267,15 @@ def sweep_all(
     joint: Array | None = None,
     values: Array | None = None,
 ) -> tuple[Array, Array]:
-    """A sweep over all pieces, shared by `threads`; blocks and gradient, summed.
+    """A sweep over all pieces, in parts that `threads` share; blocks and gradient, summed.
 
-    The threads' sums are added in their order, so that the result depends on their number alone (in the last digits).
+    The number of parts depends on the rows alone, and their sums are added in their order: any number of threads gives
+    the same bits.
     """
-    count = min(threads(), 1 + int(rows.weight.shape[1] / _WORTHWHILE))
-    edges = even_parts(rows, count) if count > 1 else np.array([0, rows.piece.shape[0]])
+    observations = rows.weight.shape[1]
+    fitting = max(2, _PER_SUM * observations // max(1, target.size))
+    count = min(1 + int(observations / _WORTHWHILE), fitting, _MOST_PARTS)
+    edges = even_parts(rows, count)
     with_matrix, with_gradient = task == SYSTEM, task in (GRADIENT, SYSTEM)
     states = np.empty(rows.kind.size, dtype=np.int8) if states is None else states
     costs = np.empty(rows.piece.shape[0]) if costs is None else costs
@@ -284,10 +291,9 @@ def sweep_all(
         sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
         return blocks, gradient
 
-    if count == 1:
-        return part(0)
-    running = _threads(count - 1).map(part, range(1, count))
-    blocks, gradient = part(0)
+    sharing = min(threads(), count)
+    running = iter((_threads(sharing).map if sharing > 1 else map)(part, range(count)))
+    blocks, gradient = next(running)
     for more, slope in running:
         if with_matrix:
             blocks += more

@@ -102,6 +102,7 @@ def test_the_same_answer(two: Connection, how: dict[str, Any], monkeypatch: pyte
     monkeypatch.setattr(sweep, "sweep_all", nobody)
     spread = adjust_network(many(), SolverSettings(**how), cluster=two)
     assert_the_same(alone, spread)
+    assert (spread.minima is None) == (alone.minima is None)
     if how.get("reject"):
         assert not np.all(spread.rays_used)
         assert "passes" in spread.message
@@ -194,7 +195,7 @@ def test_a_gpu_on_a_cluster_is_refused(
     two: Connection, case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command line hands the cluster on."""
-    monkeypatch.setattr(connection, "open_cluster", lambda _: nullcontext(two))
+    monkeypatch.setattr(connection, "open_cluster", lambda *_, **__: nullcontext(two))
     arguments = ["adjust", str(case_file), "--out", str(tmp_path / "o"), "--cluster", "local:2", "--device", "cuda"]
     with pytest.raises(InputError, match=r"^--cluster local:2: solver, device 'cuda'; expected 'cpu' on a cluster"):
         group(arguments, standalone_mode=False)
