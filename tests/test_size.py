@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
     "cli": (1442, 15195, 11),
-    "studio": (1895, 28283, 13),
+    "studio": (1966, 29090, 14),
     "fetch": (1365, 16582, 9),
     "project": (2446, 32746, 14),
     "export": (2665, 38356, 17),
@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (839, 9729, 10),
     "scripts": (6879, 110225, 50),
-    "tests": (36711, 557666, 200),
+    "tests": (37060, 562300, 202),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
