@@ -386,11 +386,10 @@ def studio(
         opened.footprints()
 
     click.echo("Ctrl+C ends the studio; changes of a project are stored when they are made.")
-
-    def announce(address: str) -> None:
-        click.echo(f"An address for one browser, which works once: {address}")
-
-    serve(opened, port, announce, None if no_browser else webbrowser.open_new_tab)
+    serve(
+        opened, port, lambda address: click.echo(f"An address for one browser, which works once: {address}"),
+        None if no_browser else webbrowser.open_new_tab,
+    )  # fmt: skip
 
 
 def _review(

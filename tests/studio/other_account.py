@@ -37,4 +37,4 @@ def attack(ports: list[int], files: list[str], paths: list[str], cookie: str) ->
 
 
 if __name__ == "__main__":
-    print(json.dumps(attack(**json.loads(sys.argv[1]))))
+    print(json.dumps(attack(**json.load(sys.stdin))))
