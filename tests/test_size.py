@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (839, 9729, 10),
     "scripts": (6879, 110225, 50),
-    "tests": (36963, 559410, 202),
+    "tests": (36963, 559413, 202),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""
