@@ -172,15 +172,14 @@ def threads() -> int:
 def in_threads(
     work: Callable[[Item], Result],
     items: Iterable[Item],
-    worthwhile: bool = True,
     done: Callable[[int], None] = lambda _: None,
 ) -> list[Result]:
-    """Results of work on each of some items, in `threads` where that is worthwhile: compiled code and NumPy let go of
+    """Results of work on each of some items, in `threads` where there are several: compiled code and NumPy let go of
     the interpreter. `done` is called, by the caller's thread, with how many are.
     """
     many, found = list(items), list[Result]()
     with ThreadPoolExecutor(max(1, min(len(many), threads()))) as pool:
-        for result in (pool.map if worthwhile and len(many) > 1 and threads() > 1 else map)(work, many):
+        for result in (pool.map if len(many) > 1 and threads() > 1 else map)(work, many):
             found.append(result)
             done(len(found))
     return found

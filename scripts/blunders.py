@@ -14,11 +14,12 @@ Exit status: 0 done, 2 bad input.
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from montecarlo import prepared
 from nees import prepared as prepared_strip
+from networks import network as network_of_pair
+from redraw import redraw
 from scipy.stats import ncx2
 from study import Z99, Blocks, Draw, cases, names_of, run, seeds_of, table
 
@@ -36,10 +37,6 @@ from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.text import root_mean_square
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from networks import network as network_of_pair
-from redraw import redraw
 
 PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
 """Limits, and errors of planted rays in sigmas of the observation."""

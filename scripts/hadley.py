@@ -31,8 +31,10 @@ from mgsgraph.geometry.orientation import OrientationPrior, evenly_spaced
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import GroundPoints, ImageRays, Network, NodePrior, Pass, PointClass, Ranges
 from mgsgraph.network.shared import SharedKind, SharedUnknown
-from mgsgraph.simulation.rig import PassErrors, joined, powers
 from mgsgraph.units import MRAD
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from nac_pair import PassErrors, joined, powers
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = "evidence_real.md#hadley"

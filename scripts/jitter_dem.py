@@ -1,6 +1,6 @@
 """Pictures of a camera that vibrates, to terrain models: is the ripple gone that vibrations make in heights?
 
-A CTX pair (`simulation.ctx`, second image 22 degrees aside) is rendered through its true orientations, with 0.5 px at 2
+A CTX pair (`tests/ctx_pair.py`, second image 22 degrees aside) is rendered by its true orientations, with 0.5 px at 2
 Hz in pitch and roll and a drift of 3 px that its support data don't have; control is a terrain model of 463 m posts. By
 the commands `match`, `adjust` and `dem` with orientations as polynomials of degree 3 (before), then `adjust` and `dem`
 with a slow process and vibrations = "estimated" (after); both models are held against the ground. Rewrites the made
@@ -20,12 +20,14 @@ from whole_road import step
 
 from mgsgraph.geometry.records import Array
 from mgsgraph.simulation.case_files import image_file, json_text, support_data
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 from mgsgraph.simulation.files import write_texts
 from mgsgraph.simulation.imagery import render
 from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import DEG, MRAD
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from ctx_pair import PIXEL, CtxSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 
 FREQUENCY, BAND = 2.0, 0.25
 """Hz of the vibration; and what share of it to either side counts as its ripple."""

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +27,13 @@ from mgsgraph.analysis.process_strengths import estimated_strengths
 from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import strip_correction
 from mgsgraph.units import KM
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from ctx_pair import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 
 CASES = ("HRSC 600 km, 3", "HRSC 300 km, 3", "CTX pair, 1", "CTX pair, 3", "CTX alike, 1", "CTX alike, 3",
          "Two strips, 1", "Two strips unlike, 1")  # fmt: skip

@@ -1,6 +1,6 @@
 """Are vibrations found with the amplitude that was planted, and its sigma right?
 
-Simulated CTX pairs (`simulation.ctx`): 16 s, 800 ties of 0.2 px, second image 22 degrees aside, a terrain model of
+Simulated CTX pairs (`tests/ctx_pair.py`): 16 s, 800 ties of 0.2 px, second image 22 degrees aside, a terrain model of
 463 m posts of 10 m as control; a sine in pitch and roll of each image that no table has, of phases of its own or
 (`alike`) the same in both, and a slow drift. `analysis.vibrations.estimated_vibrations` knows neither frequency nor
 amplitude, nor whether there is any. Rewrites the made parts of docs/evidence_passes.md.
@@ -9,6 +9,7 @@ amplitude, nor whether there is any. Rewrites the made parts of docs/evidence_pa
 import math
 import sys
 import time
+from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -17,9 +18,11 @@ from study import Blocks, Draw, cases, chi_square_band, names_of, nees_cell, num
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
 from mgsgraph.analysis.vibrations import Amplitude, amplitudes, estimated_vibrations
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, simulate_ctx_pair
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.text import root_mean_square
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from ctx_pair import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, simulate_ctx_pair
 
 TIES = 800
 PLACES = 33

@@ -20,6 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 from nees import prepared as drawn_sites
+from redraw import Change, redraw
+from redraw import Draw as Redrawn
 from study import Blocks, Draw, cases, names_of, run, seeds_of, table
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -40,10 +42,6 @@ from mgsgraph.names import Names
 from mgsgraph.network import Network, Pass, PointClass, SharedKind
 from mgsgraph.network.shared import image_effect
 from mgsgraph.units import ARCMIN
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
-from redraw import Change, redraw
-from redraw import Draw as Redrawn
 
 _POINTS = 60
 """Most points of each class whose errors are tested."""

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from nac_pair import powers
 
 from mgsgraph.adjustment.graph.variables import footprint_shifts
 from mgsgraph.errors import InputError
@@ -22,7 +23,6 @@ from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.passes import Pass, PolynomialPrior
 from mgsgraph.network.shared import image_effect
 from mgsgraph.simulation.hrsc_flight import drawn_nodes, strip_correction
-from mgsgraph.simulation.rig import powers
 
 _HEIGHT_STEPS = 20
 

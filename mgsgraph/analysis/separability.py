@@ -111,7 +111,7 @@ def _ratio(unit: str, second: str) -> str:
 
 
 def inseparable(
-    network: Network, joint: JointCovariance, angles: Angles, limit: float = LIMIT
+    network: Network, joint: JointCovariance, angles: Angles
 ) -> tuple[Inseparable, ...]:
     """Groups of quantities of passes and shared unknowns that the posterior cannot separate.
 
@@ -123,8 +123,6 @@ def inseparable(
         Posterior of its unknowns.
     angles : Angles
         What rotations of corrections are.
-    limit : float
-        Correlation, of two or of one with all others together, above which quantities are of one group.
     """
     if not network.passes:
         return ()
@@ -134,7 +132,7 @@ def inseparable(
     determined = np.flatnonzero(sigmas > 0.0)
     correlation = covariance[np.ix_(determined, determined)] / np.outer(sigmas[determined], sigmas[determined])
     groups = []
-    for group in _groups(correlation, limit):
+    for group in _groups(correlation, LIMIT):
         members = determined[group].tolist()
         quantities = [Quantity(named[k][0], named[k][1], named[k][2], float(sigmas[k])) for k in members]
         groups.append(_inseparable(quantities, correlation[np.ix_(group, group)]))

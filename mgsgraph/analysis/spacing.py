@@ -224,7 +224,6 @@ def choose_spacing(
     spacings: Sequence[float],
     share: float = 0.2,
     seed: int = 0,
-    least: int = LEAST,
     progress: Callable[[int, int], None] = no_progress,
 ) -> Choice:
     """Adjust a network with each spacing of its strips' nodes, and judge them by rays held out.
@@ -242,8 +241,6 @@ def choose_spacing(
         Of the points with three rays or more, of each of which one ray is held out.
     seed : int
         Of the draw of these rays.
-    least : int
-        Rays that each node needs near it; candidates where one has fewer are refused, with the reason.
     progress : callable
         Called with the number of adjustments done, and of all: one with all rays, and one of each candidate.
 
@@ -256,23 +253,23 @@ def choose_spacing(
     tried, clean, rejected = _distinct(network, spacings), network, None
     progress(0, len(tried) + 1)
     if settings.reject > 0.0:
-        solved = _closest(tried, settings, least)
+        solved = _closest(tried, settings)
         clean, rejected = network.with_rejected(solved.rays_rejected, solved.ranges_rejected), solved.rays_rejected
     held = hold_out(clean, share, np.random.default_rng(seed))
     trials, plain = list[_Trial](), replace(settings, reject=0.0)
     for done, (spacing, candidate) in enumerate(tried):
         progress(done + 1, len(tried) + 1)
-        trials.append(_trial(spacing, replace(clean, passes=candidate.passes), plain, held, least))
+        trials.append(_trial(spacing, replace(clean, passes=candidate.passes), plain, held))
     progress(len(tried) + 1, len(tried) + 1)
     return _choice(network, trials, held, 0 if rejected is None else int(np.count_nonzero(rejected)))
 
 
-def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings, least: int) -> Solution:
+def _closest(tried: Sequence[tuple[float, Network]], settings: SolverSettings) -> Solution:
     """The adjustment of all rays with the closest spacing that they support."""
     reason = ""
     for spacing, candidate in tried:
         try:
-            require_supported(candidate, least)
+            require_supported(candidate, LEAST)
             return adjust_network(candidate, settings, f"nodes every {spacing:g} s")
         except (InputError, WeakNetwork, SolverError) as error:
             reason = f"0 of {len(tried)} that can be adjusted, two needed; of {spacing:g} s: {error}"
@@ -305,9 +302,9 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
     return list(candidates.values())
 
 
-def _trial(spacing: float, network: Network, settings: SolverSettings, held: HeldOut, least: int) -> _Trial:
+def _trial(spacing: float, network: Network, settings: SolverSettings, held: HeldOut) -> _Trial:
     try:
-        require_supported(network, least, held.taken(network))
+        require_supported(network, LEAST, held.taken(network))
         solution = adjust_network(network, settings, f"nodes every {spacing:g} s", left_in=held.left_in(network))
     except (InputError, WeakNetwork, SolverError) as error:
         return _Trial(spacing, network, None, np.zeros((0, 2)), str(error))

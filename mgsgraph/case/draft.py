@@ -137,7 +137,8 @@ def _shots(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path, ref
         if any(np.mean(np.abs(_nearest(shots.times, times) - times) < _SAME_SHOT) > 0.5 for times in lidar_times):
             refused.append(f"{path.name}: the same shots as the laser shots of ISIS")
             continue
-        along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in map(_span, images))
+        spans = [draft.image.span.tolist() for draft in images]
+        along = any(np.any((shots.times > start) & (shots.times < stop)) for start, stop in spans)
         if along or shots.altimeter is MOLA:
             text = f"[[shots]]\nfile = {place(path, out)}\n"
             yield path, text + commented("shift_sigma_m = 100.0", "a common horizontal error, as an unknown"), False
@@ -151,13 +152,6 @@ def _nearest(sorted_or_not: Array, times: Array) -> Array:
     after = np.clip(np.searchsorted(ordered, times), 1, ordered.size - 1)
     before = after - 1
     return np.asarray(np.where(times - ordered[before] < ordered[after] - times, ordered[before], ordered[after]))
-
-
-def _span(draft: DraftImage) -> tuple[float, float]:
-    """S TDB past J2000 of an image's first and last edge."""
-    edges, _ = draft.image.timing.at(np.array([0.0, float(draft.image.lines)]))
-    start, stop = (edges + draft.image.trajectory.epoch).tolist()
-    return start, stop
 
 
 def _altimetry(kinds: dict[Path, Kind], images: Sequence[DraftImage], out: Path) -> _Tables:

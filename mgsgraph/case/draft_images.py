@@ -6,8 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from mgsgraph.case.case_file import plain_image, read_image
 from mgsgraph.case.schema import ImageInput, SpiceInput
 from mgsgraph.errors import InputError
@@ -85,7 +83,7 @@ def draft_images(kinds: Mapping[Path, Kind], kernels: Sequence[Path]) -> DraftIm
         left_out[other.path] = f"the same image as {chosen.path.name}"
     drafts, excluded = _on_one_body(drafts)
     left_out |= excluded
-    ordered = tuple(sorted(drafts, key=lambda draft: _start(draft.image)))
+    ordered = tuple(sorted(drafts, key=lambda draft: float(draft.image.span[0])))
     stems = [draft.path.stem for draft in ordered]
     reasons = [
         f"{path.name}: {without_place(reason, path)}" for path, reason in left_out.items()
@@ -161,11 +159,6 @@ def _duplicate_of(draft: DraftImage, drafts: Sequence[DraftImage]) -> int | None
     if draft.name != draft.path.stem:  # a serial number
         same += [k for k, other in enumerate(drafts) if other.name == draft.name]
     return next(iter(same), None)
-
-
-def _start(image: PushbroomImage) -> float:
-    """S TDB past J2000."""
-    return float(image.trajectory.epoch + image.timing.at(np.zeros(1))[0][0])
 
 
 def named_as(images: Sequence[DraftImage], names: Sequence[str]) -> tuple[tuple[DraftImage, ...], tuple[str, ...]]:

@@ -33,7 +33,7 @@ from mgsgraph.fetch.needs import (
 from mgsgraph.fetch.search import Search, volumes_of
 from mgsgraph.fetch.store import FOLDERS, LOCK, DownloadFolder, Lock, Progress
 from mgsgraph.files.opening import read_bytes
-from mgsgraph.files.writing import claimed, write_file
+from mgsgraph.files.writing import claimed, write_file, writing_to
 from mgsgraph.record import Record
 from mgsgraph.text import many
 from mgsgraph.workers import no_progress
@@ -224,7 +224,7 @@ def _opened(
 
 def _made_folder(folder: Path) -> Path:
     """The folder, made where there is none; InputError where it is neither empty nor an earlier one of ours."""
-    try:
+    with writing_to(folder, "a folder", _REMEDY):
         if folder.exists() and not (folder / LOCK).exists():
             if not folder.is_dir():
                 raise InputError(str(folder), "exists and is a file", "a folder to fetch into", _REMEDY)
@@ -236,8 +236,6 @@ def _made_folder(folder: Path) -> Path:
             if inside.is_symlink() or (inside.exists() and not inside.is_dir()):
                 found = "a link, and what it leads to would be written into" if inside.is_symlink() else "a file"
                 raise InputError(str(inside), found, "a folder", "move it away")
-    except OSError as error:
-        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder", _REMEDY) from None
     return folder
 
 

@@ -3,16 +3,24 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationPrior, Sine
-from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen, frozen_index, frozen_mask, require_names
+from mgsgraph.geometry.records import (
+    Array,
+    Index,
+    Mask,
+    assign,
+    frozen,
+    frozen_index,
+    frozen_mask,
+    read_only,
+    require_names,
+)
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.names import number_of
 from mgsgraph.network.common import CommonErrors, scaled
@@ -33,13 +41,6 @@ from mgsgraph.network.records import (
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.record import Record
 from mgsgraph.text import some
-
-_Scalar = TypeVar("_Scalar", bound=np.generic)
-
-def _kept(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """An array that a record gives to many."""
-    values.flags.writeable = False
-    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +317,7 @@ class Network(Record):
         owner = np.full(len(self.images), -1, dtype=np.int64)
         for k, strip in enumerate(self.passes):
             owner[strip.images] = k
-        return _kept(owner)
+        return read_only(owner)
 
     def image_number(self, image: str | int) -> int:
         """Number of an image, asked for by its name or its number; InputError where there is none."""
@@ -363,7 +364,7 @@ class Network(Record):
     @cached_property
     def with_polynomial(self) -> Mask:
         """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
-        return _kept(~self.held & (self.pass_of < 0))
+        return read_only(~self.held & (self.pass_of < 0))
 
     @property
     def first_shared(self) -> int:
@@ -377,7 +378,7 @@ class Network(Record):
         """
         counts = [strip.widths.size for strip in self.passes]
         before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        return _kept(self.first_shared + len(self.shared) + before)
+        return read_only(self.first_shared + len(self.shared) + before)
 
     @cached_property
     def widths(self) -> tuple[int, ...]:
@@ -431,14 +432,14 @@ class Network(Record):
         """(k, 2) pixels, of image measurements with what they have in common with others."""
         if self.common_rays is None:
             return self.rays.sigmas
-        return _kept(scaled(self.rays.sigmas, self.common_rays.members, self.common_rays.total))
+        return read_only(scaled(self.rays.sigmas, self.common_rays.members, self.common_rays.total))
 
     @cached_property
     def range_sigmas(self) -> Array:
         """(r,) m, of ranges with what they have in common with their footprints."""
         if self.ranges.shares is None:
             return self.ranges.sigmas
-        return _kept(np.sqrt(self.ranges.sigmas**2 + self.ranges.in_common(self.points)[1]))
+        return read_only(np.sqrt(self.ranges.sigmas**2 + self.ranges.in_common(self.points)[1]))
 
     @property
     def independent(self) -> "Network":
@@ -493,12 +494,12 @@ class Network(Record):
     @cached_property
     def ray_counts(self) -> Index:
         """(n,) number of rays of each point."""
-        return _kept(np.bincount(self.rays.point, minlength=len(self.points)))
+        return read_only(np.bincount(self.rays.point, minlength=len(self.points)))
 
     @cached_property
     def undetermined(self) -> Mask:
         """(n,) True for free points with fewer than two rays; they stay out, with a range or without."""
-        return _kept((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
+        return read_only((self.points.kinds == PointKind.FREE) & (self.ray_counts < 2))
 
     @property
     def classes(self) -> list[PointClass]:

@@ -1,9 +1,9 @@
 """Simulated observations with known truth, written through the formats of real ones: the demo's default input.
 
 What is simulated, from small to large: a stereo `pair`, a `strip` of overlapping pairs, a study `site` (published
-numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; two cameras on one spacecraft (`rig`),
-a `ctx` pair with jitter, blocks of HRSC strips (`hrsc_block`, from passes in `hrsc_flight`); and an `archive` of up to
-a hundred thousand images (ties in `archive_ties`, files in `archive_files`).
+numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; blocks of HRSC strips (`hrsc_block`, from
+passes in `hrsc_flight`); and an `archive` of up to a hundred thousand images (ties in `archive_ties`, files in
+`archive_files`).
 
 What all of them are made of:
 
@@ -17,8 +17,8 @@ What all of them are made of:
 
 Names of the package itself, imported on first use: the settings and functions in `_HOME`.
 
-Networks drawn anew and archives to fetch from serve tests and scripts alone: `tests/redraw.py`,
-`tests/flaky_archive.py`.
+Networks drawn anew, archives to fetch from, a CTX pair with jitter and passes of LROC's two cameras serve tests and
+scripts alone: `tests/redraw.py`, `tests/flaky_archive.py`, `tests/ctx_pair.py`, `tests/nac_pair.py`.
 """
 
 from importlib import import_module

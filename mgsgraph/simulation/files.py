@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mgsgraph.errors import InputError
+from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry import rotation
 from mgsgraph.geometry.altimetry import LaserProfile
 from mgsgraph.geometry.image import PushbroomImage
@@ -39,7 +40,7 @@ from mgsgraph.simulation.mgs_files import (
     write_grids,
     write_moc_image,
 )
-from mgsgraph.simulation.mola_files import write_pedr
+from mgsgraph.simulation.mola_files import WRITABLE, write_pedr
 from mgsgraph.simulation.pair import SimulatedPair
 from mgsgraph.simulation.site import SimulatedImage, SimulatedSite, SimulatedThreeSites
 from mgsgraph.simulation.spice_files import write_kernels
@@ -58,11 +59,9 @@ _STRIP_NETWORK = ("simulated_strip", "Simulated strip of stereo pairs")
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
     """Make a folder when absent, for files that are written within; raise InputError where that can't be."""
-    try:
+    with writing_to(folder, WRITABLE):
         folder.mkdir(parents=True, exist_ok=True)
         yield
-    except OSError as error:
-        raise InputError(str(folder), f"can't be written ({error.strerror})", "a folder that may be written") from None
 
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> None:

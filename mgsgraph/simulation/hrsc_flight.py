@@ -5,7 +5,7 @@ the same swath. Each line begins when it sees the first ground of the nadir stri
 period is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Trajectory
-from mgsgraph.network import Network, NodePrior
+from mgsgraph.network import NodePrior
 from mgsgraph.network.passes import normalised
 from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
@@ -402,40 +402,3 @@ def true_correction(
     phase = rng.uniform(0.0, 2.0 * np.pi)
     values[:, jitter.component] += jitter.amplitude * np.sin(2.0 * np.pi * jitter.frequency * fine.times + phase)
     return strip_correction(fine, values)
-
-
-
-
-def segment(image: PushbroomImage, name: str, first: int, stop: int) -> PushbroomImage:
-    """Lines `first` to `stop` (exclusive) of an image as an image of their own."""
-    timing = image.timing
-    later = np.flatnonzero((timing.first_lines > first) & (timing.first_lines < stop))
-    start, period = timing.at(np.array([float(first)]))
-    cut = LineTiming(
-        np.append(0.0, timing.first_lines[later] - first), np.append(start, timing.start_times[later]),
-        np.append(period, timing.periods[later]),
-    )  # fmt: skip
-    return replace(image, name=name, lines=stop - first, timing=cut)
-
-
-def in_segments(network: Network, count: int) -> Network:
-    """A simulated block with every image cut into `count` segments of equal length, NAME/1 to NAME/count, in which its
-    rays fall.
-    """
-    images, edges = list[PushbroomImage](), list[Index]()
-    for image in network.images:
-        edge = np.linspace(0, image.lines, count + 1).astype(np.int64)
-        edges.append(edge)
-        cut = zip(edge[:-1].tolist(), edge[1:].tolist(), strict=True)
-        images += [segment(image, f"{image.name}/{k + 1}", first, stop) for k, (first, stop) in enumerate(cut)]
-    rays, table = network.rays, np.array(edges)[network.rays.image]
-    inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
-    places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
-    passes = tuple(
-        replace(pass_, images=(pass_.images[:, None] * count + np.arange(count)).ravel()) for pass_ in network.passes
-    )
-    return replace(
-        network, images=tuple(images), priors=tuple(prior for prior in network.priors for _ in range(count)),
-        held=np.repeat(network.held, count),
-        rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
-    )  # fmt: skip

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.rasters.megdr import REFERENCE_RADIUS
+from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.simulation.ground import areoid_under
-from mgsgraph.simulation.mola_files import MegdrLayout, write_megdr
+from mgsgraph.simulation.mola_files import WRITABLE, MegdrLayout, write_megdr
 from mgsgraph.simulation.site import SHOTS_PER_FRAME, SimulatedImage, SimulatedSite
 from mgsgraph.simulation.sites import ImageSettings, template
 from mgsgraph.simulation.spice_files import KernelSegment
@@ -51,10 +52,8 @@ def write_moc_image(
             stop=label_time(start + timedelta(seconds=settings.duration)), exposure=settings.exposure / MILLISECOND,
             checksum=int(pixels.view(np.int8).sum(dtype=np.int64)) % 2**32,
         ).replace("\n", "\r\n")  # fmt: skip
-    try:
+    with writing_to(path, WRITABLE):
         path.write_bytes(head.ljust(records * samples).encode("ascii") + pixels.tobytes())
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror})", "a folder that may be written") from None
 
 
 # --- of a simulated site

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.binary import FRAME, HEADER_RECORDS, SHOTS, read_pedr
+from mgsgraph.files.writing import writing_to
 from mgsgraph.geometry.altimetry import AltimeterShots
 from mgsgraph.geometry.body import in_turn, planetocentric
 from mgsgraph.geometry.records import Array, Mask, assign, frozen
@@ -29,6 +30,8 @@ from mgsgraph.record import Record
 from mgsgraph.simulation.sites import template
 from mgsgraph.units import DEG, SPEED_OF_LIGHT
 
+WRITABLE = "a folder that may be written"
+"""What is expected where a file of a simulation can't be written."""
 _CM, _MICRODEG = 1e-2, 1e-6 * DEG
 _TICK = 0.1
 """s between shots."""
@@ -102,10 +105,8 @@ def write_pedr(path: Path, frames: PedrFrames, product_label: Mapping[str, str] 
     """
     records = _records(frames)
     label = _label(path, frames, records.size, product_label or {})
-    try:
+    with writing_to(path, WRITABLE):
         path.write_bytes(label + records.tobytes())
-    except OSError as error:
-        raise InputError(str(path), f"can't be written ({error.strerror})", "a folder that may be written") from None
     return read_pedr(path)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ctx_pair import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.factor_graph import factor_graph
@@ -12,7 +13,6 @@ from mgsgraph.errors import InputError
 from mgsgraph.geometry.orientation import Sine
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, SharedUnknown
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, image_times, simulate_ctx_pair
 
 PLAIN = SolverSettings(starts=0)
 

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ctx_pair import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,7 +37,6 @@ from mgsgraph.network.corrections import (
 )
 from mgsgraph.network.passes import normalised
 from mgsgraph.results.spacing import nodes_section
-from mgsgraph.simulation.ctx import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, strip_correction
 from mgsgraph.units import MGON

@@ -7,6 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ctx_pair import (
+    CONTROL,
+    PIXEL,
+    CtxSettings,
+    JitterSettings,
+    Look,
+    SimulatedCtxPair,
+    simulate_ctx_pair,
+)
 from networks import network, pair, with_shift_and_surface
 from scipy.signal import lombscargle
 from sites import plain_site
@@ -37,15 +46,6 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.kernel.rows import IMAGE, RANGE
 from mgsgraph.network import Network
 from mgsgraph.results.analysis import vibrations_section
-from mgsgraph.simulation.ctx import (
-    CONTROL,
-    PIXEL,
-    CtxSettings,
-    JitterSettings,
-    Look,
-    SimulatedCtxPair,
-    simulate_ctx_pair,
-)
 from mgsgraph.simulation.files import write_site
 
 PLAIN = SolverSettings(cost_tolerance=1e-14)

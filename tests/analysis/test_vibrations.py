@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from ctx_pair import CONTROL, PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, simulate_ctx_pair
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -15,7 +16,6 @@ from mgsgraph.analysis.vibrations import Amplitude, EstimatedVibrations, Line, a
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.results.passes import shared_section
-from mgsgraph.simulation.ctx import CONTROL, PIXEL, CtxSettings, JitterSettings, SimulatedCtxPair, simulate_ctx_pair
 
 PLAIN = SolverSettings(starts=0)
 

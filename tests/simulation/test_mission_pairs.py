@@ -8,14 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.settings import SolverSettings
-from mgsgraph.geometry import rotation
-from mgsgraph.geometry.orientation import Moments
-from mgsgraph.network import Network
-from mgsgraph.network.joining import nominal_poses
-from mgsgraph.simulation.ctx import (
+from ctx_pair import (
     PIXEL,
     CtxSettings,
     JitterSettings,
@@ -24,7 +17,7 @@ from mgsgraph.simulation.ctx import (
     image_times,
     simulate_ctx_pair,
 )
-from mgsgraph.simulation.rig import (
+from nac_pair import (
     ALTITUDE,
     SAMPLES,
     NacSettings,
@@ -37,6 +30,13 @@ from mgsgraph.simulation.rig import (
     powers,
     simulate_nac_pair,
 )
+
+from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.geometry import rotation
+from mgsgraph.geometry.orientation import Moments
+from mgsgraph.network import Network
+from mgsgraph.network.joining import nominal_poses
 from mgsgraph.units import DEG
 
 # --- CTX

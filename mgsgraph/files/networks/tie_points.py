@@ -368,7 +368,6 @@ def control_network(
     target_name: str,
     description: str = "",
     *,
-    user_name: str = "mgsgraph",
     created: str = "",
     measure_type: MeasureType = MeasureType.REGISTERED_SUBPIXEL,
 ) -> ControlNetwork:
@@ -378,7 +377,7 @@ def control_network(
     ----------
     ties : TiePoints
         Measures without sigmas have none in the network either; places of free points go in as a-priori ones.
-    network_id, target_name, description, user_name : str
+    network_id, target_name, description : str
         For its head.
     created : str
         Date and time in ISO 8601, also of its last modification; left open by default.
@@ -389,7 +388,7 @@ def control_network(
     first = np.searchsorted(ties.measure_point[order], np.arange(len(ties.ids) + 1))
     places = ties.measures[order] + ISIS_OFFSET
     head = ControlNetwork(
-        network_id=network_id, target_name=target_name, points=(), user_name=user_name, created=created,
+        network_id=network_id, target_name=target_name, points=(), user_name="mgsgraph", created=created,
         last_modified=created, description=description, source=ties.source,
     )  # fmt: skip
     constrained = ties.kinds == PointKind.CONSTRAINED

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from increments import by_image
+from nac_pair import NacSettings, PassErrors, simulate_nac_pair
 from networks import pair
 from stereo_pair import stereo_network
 
@@ -20,17 +21,52 @@ from mgsgraph.adjustment.incremental.sweep import Sweep
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.errors import InputError
+from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import evenly_spaced
+from mgsgraph.geometry.records import Index
 from mgsgraph.network import Network
 from mgsgraph.network.parts import pass_unknowns, select_points, without_images
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import in_segments
-from mgsgraph.simulation.rig import NacSettings, PassErrors, simulate_nac_pair
 
 WITHIN = 0.01
 """Sigmas by which the two may differ, as for images with an orientation of their own."""
+
+
+def segment(image: PushbroomImage, name: str, first: int, stop: int) -> PushbroomImage:
+    """Lines `first` to `stop` (exclusive) of an image as an image of their own."""
+    timing = image.timing
+    later = np.flatnonzero((timing.first_lines > first) & (timing.first_lines < stop))
+    start, period = timing.at(np.array([float(first)]))
+    cut = LineTiming(
+        np.append(0.0, timing.first_lines[later] - first), np.append(start, timing.start_times[later]),
+        np.append(period, timing.periods[later]),
+    )  # fmt: skip
+    return replace(image, name=name, lines=stop - first, timing=cut)
+
+
+def in_segments(network: Network, count: int) -> Network:
+    """A simulated block with every image cut into `count` segments of equal length, NAME/1 to NAME/count, in which its
+    rays fall.
+    """
+    images, edges = list[PushbroomImage](), list[Index]()
+    for image in network.images:
+        edge = np.linspace(0, image.lines, count + 1).astype(np.int64)
+        edges.append(edge)
+        cut = zip(edge[:-1].tolist(), edge[1:].tolist(), strict=True)
+        images += [segment(image, f"{image.name}/{k + 1}", first, stop) for k, (first, stop) in enumerate(cut)]
+    rays, table = network.rays, np.array(edges)[network.rays.image]
+    inner = np.clip(np.sum(rays.places[:, :1] >= table, axis=1) - 1, 0, count - 1)
+    places = rays.places - np.column_stack([table[np.arange(inner.size), inner], np.zeros(inner.size)])
+    passes = tuple(
+        replace(pass_, images=(pass_.images[:, None] * count + np.arange(count)).ravel()) for pass_ in network.passes
+    )
+    return replace(
+        network, images=tuple(images), priors=tuple(prior for prior in network.priors for _ in range(count)),
+        held=np.repeat(network.held, count),
+        rays=replace(rays, image=rays.image * count + inner, places=places), passes=passes,
+    )  # fmt: skip
 
 
 @cache

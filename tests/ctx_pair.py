@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from nac_pair import MountedCamera
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.image import PushbroomImage
@@ -27,7 +28,6 @@ from mgsgraph.simulation.ground import SiteTerrain, make_terrain
 from mgsgraph.simulation.hrsc_flight import strip_correction
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors, project, terrain_model, tie_network
 from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
-from mgsgraph.simulation.rig import MountedCamera
 from mgsgraph.units import DEG, MM
 
 Look = Literal["across", "along"]
