@@ -440,11 +440,9 @@ def run_campaign(
     overrides : Overrides
         What overrules the case files.
     cluster : str, optional
-        Where to work (see `mgsgraph.adjustment.cluster.parse_cluster`); in this process when absent.
+        Where to work (`parse_cluster`), without TLS, too, where `insecure`; in this process when absent.
     retry : bool
         Do cases again that have failed or not converged, too, though nothing has changed.
-    insecure : bool
-        Take a cluster without TLS, too.
 
     Raises
     ------
@@ -478,8 +476,7 @@ def run_campaign(
 def _tasks(cases: tuple[Path, ...], out: Path, record: Record, overrides: Overrides) -> list[CaseTask]:
     taken = {Path(os.path.normpath(out / entry.case)): entry.folder for entry in record.entries.values()}
     folders = result_folders(cases, taken)
-    here = Path.cwd()
-    return [CaseTask(case, os.path.relpath(case, out), out, folders[case], overrides, here) for case in cases]
+    return [CaseTask(case, os.path.relpath(case, out), out, folders[case], overrides, Path.cwd()) for case in cases]
 
 
 def _is_due(task: CaseTask, last: CampaignEntry | None, retry: bool) -> bool:
