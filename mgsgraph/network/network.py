@@ -230,14 +230,12 @@ class Network(Record):
                 raise InputError(
                     f"ground point {self.points.ids[i]}", "a profile's shift but no a-priori place", "both"
                 )
-            profile.flags.writeable = False
-            assign(self, shifts=ProfileShifts(self.shifts.names, profile, sigmas))
+            assign(self, shifts=ProfileShifts(self.shifts.names, read_only(profile), sigmas))
         if self.surface is not None:
             heights = np.array(self.surface.sigmas, dtype=np.float64)
             if heights.shape != (n,) or not np.all(heights > 0.0):
                 raise InputError("surface, sigmas", f"shape {heights.shape}", f"{n} positive numbers (inf for no row)")
-            heights.flags.writeable = False
-            assign(self, surface=replace(self.surface, sigmas=heights))
+            assign(self, surface=replace(self.surface, sigmas=read_only(heights)))
 
     def _require_shots_covered(self) -> None:
         for j in np.unique(self.ranges.image):
