@@ -216,6 +216,7 @@ def test_the_origin_of_a_page_is_a_text(known: Browser) -> None:
         assert known.ask("/api/state", headers={"Origin": origin})[0] == 200
 
 
+@pytest.mark.slow
 def test_odd_texts_and_numbers_are_answered_or_refused(known: Browser) -> None:
     """Every key of every address in turn; the fixture sees to it that no traceback is written."""
     scene = known.json("/api/scene")
@@ -366,6 +367,7 @@ def test_a_studio_that_nobody_asks_ends(monkeypatch: pytest.MonkeyPatch) -> None
 NAMES = ("Q1/tests", "Q1/correlations", "100%", "a%2Fb", "a#b", "?x&y=1", "..", "+ +", "ä ☉ 点", "Q1")
 
 
+@pytest.mark.slow
 def test_points_of_any_name_can_be_opened(browser: Any, solved: Path, tmp_path: Path) -> None:
     with open_project(solved) as plain:
         network = plain.store.network()
