@@ -100,7 +100,7 @@ def test_everything_comes_back(results: Path, case: Case, tmp_path: Path) -> Non
     counts = [int(found) for found in re.findall(r"(\d+) (?:Cand|Man|Registered)", kept)]
     assert sum(counts) == sum(not one.ignore for point in source.points[:-1] for one in point.measures)
     assert str(case.networks[0]) in kept
-    assert re.search(r"that \d+ measures had no sigma", sigmas)
+    assert re.search(r"\d+ measures without a sigma", sigmas)
     assert "1 point and 1 measure" in rest[-1]
     assert json.loads((tmp_path / "out" / "export.json").read_text())["notes"] == list(done.notes)
 
@@ -172,6 +172,6 @@ def test_other_images_and_other_places_are_said(case: Case) -> None:
     assert points[second.id].measures[0].line == second.measures[0].line
     assert "far" not in points
     said = " ".join(made.notes)
-    assert "of 1 measure elsewhere" in said
+    assert "1 measure with other coordinates" in said
     assert "2 measures in images" in said
     assert "1 point that none" in said

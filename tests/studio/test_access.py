@@ -31,7 +31,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.names import Names
 from mgsgraph.network.parts import KnownImage
 from mgsgraph.project.addition import Addition, NewImage
-from mgsgraph.project.changes import put_in
+from mgsgraph.project.changes import store_unadjusted
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.studio import routes, server
@@ -379,7 +379,7 @@ def test_points_of_any_name_can_be_opened(browser: Any, solved: Path, tmp_path: 
     named = replace(network, images=images, points=replace(network.points, ids=Names.of(ids)), shifts=None)
     with Project.create(tmp_path / "project", "names", ProjectSettings()) as project:
         new = [NewImage(KnownImage(image, prior)) for image, prior in zip(images, network.priors, strict=True)]
-        put_in(project.store, Addition(tuple(new), named))
+        store_unadjusted(project.store, Addition(tuple(new), named))
         project.record("init", "names", {})
     assert call("project", "solve", tmp_path / "project", "--no-figures") == 0
     with studio(tmp_path / "project") as running:

@@ -344,9 +344,7 @@ def with_addition(
 def without(
     store: StateStore, images: Sequence[str], definitions: Definitions | None = None, turned: Iterable[Members] = ()
 ) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that some images see, and what remains of them; points that no other image sees are removed, too.
-    `known` and `turned` as in `with_addition`.
-    """
+    """Bundles that some images see, and what remains of them; points that no other image sees are removed, too."""
     definitions = store.definitions() if definitions is None else definitions
     replaced = list(dict.fromkeys([*(members for image in images for members in store.seen_by(image)), *turned]))
     parts = (store.bundle(members).network for members in replaced)
@@ -355,15 +353,10 @@ def without(
 
 
 def with_points(
-    store: StateStore,
-    ids: Sequence[str],
-    network: Network | None,
-    definitions: Definitions,
+    store: StateStore, ids: Sequence[str], network: Network | None, definitions: Definitions,
     turned: Iterable[Members] = (),
-) -> tuple[list[Members], dict[Members, Network]]:
-    """Bundles that have some points, and the bundles after a network replaces these points; None removes them.
-    `turned` as in `with_addition`.
-    """
+) -> tuple[list[Members], dict[Members, Network]]:  # fmt: skip
+    """Bundles with some points, and what they become when a network replaces these points; None removes them."""
     replaced = sorted({*store.bundles_of(ids).values(), *turned})
     parts = (store.bundle(members).network for members in replaced)
     rest = [remaining for part in parts if (remaining := without_points(part, ids)) is not None]

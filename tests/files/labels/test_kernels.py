@@ -231,7 +231,15 @@ def test_texts_of_80_characters_and_long_comments_are_read(tmp_path: Path) -> No
         f"KPL/MK\n'{'c' * 200}'\n\\begindata\nKERNELS_TO_LOAD = ( '{text}y',\n '{text}+'\n 'y', 'it''s' )\n"
         f"\\begintext\n'{'c' * 200}'\n"
     )
-    assert [path.name for path in members(meta)] == [f"{text}y", f"{text}y", "it's"]
+    assert [path.name for path in members(meta)] == [f"{text}y", "it's"]  # one that is named twice is loaded once
+
+
+def test_a_kernel_named_thousands_of_times_is_read_once_at_its_last_place(tmp_path: Path) -> None:
+    for name in ("a.tf", "b.tf"):
+        (tmp_path / name).write_text("KPL/FK\n\\begindata\nA = 1\n")
+    names = "\n".join(f"'{name}'" for name in ["a.tf", "b.tf", *["a.tf"] * 6000])
+    (tmp_path / "a.tm").write_text(f"KPL/MK\n\\begindata\nKERNELS_TO_LOAD = (\n{names}\n)\n")
+    assert [path.name for path in members(tmp_path / "a.tm")] == ["b.tf", "a.tf"]
 
 
 @pytest.mark.parametrize(
