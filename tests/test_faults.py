@@ -50,4 +50,4 @@ def test_the_faults_are_in_all_rooms() -> None:
     assert max(Counter(fault.name for fault in FAULTS).values()) == 1
     assert sum(fault.slow for fault in FAULTS) <= MOST_SLOW
     rooms = {path.parent.name for path in (ROOT / "mgsgraph").glob("*/[a-z]*.py")}
-    assert rooms == {Path(fault.file.removeprefix("mgsgraph/")).parts[0] for fault in FAULTS}
+    assert rooms <= {Path(fault.file.removeprefix("mgsgraph/")).parts[0] for fault in FAULTS}
