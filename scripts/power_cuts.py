@@ -25,9 +25,10 @@ _CALLS = (
     "unlink,unlinkat,rmdir,mkdir,mkdirat,close"
 )
 _LINE = re.compile(r"\d+ +(\w+)\((.*)\) += (\d+)(?:<(.*)>)?$")
+_RESUMED = re.compile(r"<\.\.\. \w+ resumed>(.*)")
 _PATHS = re.compile(r'<([^>]*)>|"((?:[^"\\]|\\.)*)"')
 _JOURNALED = re.compile(r"project\.sqlite(-journal)?|campaign\.jsonl")
-_UNFINISHED = re.compile(r"\.[^/]+\.[0-9a-f]{8}\.(unfinished|replaced)(/|$)")
+_UNFINISHED = re.compile(r"\.[^/]+\.[0-9a-f]{8}\.(unfinished|replaced)(/|$)|\.part(\.json)?$")
 
 
 class Event(NamedTuple):
@@ -68,7 +69,7 @@ class Disk:
             self.changed = self.changed - moved | {event.other + name[len(path) :] for name in moved}
             self.changed |= {parent, str(Path(event.other).parent)}
         else:  # remove
-            if self.renamed and _UNFINISHED.search(path):
+            if self.renamed and _UNFINISHED.search(path) and ".part" not in path:
                 self.lost = self.lost or f"{path} goes before the rename of {next(iter(self.renamed))} is on the disk"
             self.changed |= {parent}
             self.changed -= {path}
@@ -89,8 +90,14 @@ def traced(arguments: list[str], work: Path, log: Path) -> list[Event]:
 
 def events(text: str, work: Path) -> list[Event]:
     """What a trace says of files below a folder."""
-    found = list[Event]()
+    found, begun = list[Event](), dict[str, str]()
     for line in text.splitlines():
+        process, _, rest = line.partition(" ")
+        if rest.endswith("<unfinished ...>"):  # another thread's call comes between
+            begun[process] = rest.removesuffix("<unfinished ...>")
+            continue
+        if resumed := _RESUMED.match(rest.strip()):
+            line = f"{process} {begun.pop(process, '')}{resumed[1]}"
         match = _LINE.match(line)
         if match is None:  # failed, or resumed
             continue

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import urljoin
 
+from mgsgraph.atomic_write import put_file
 from mgsgraph.errors import InputError, printable
 from mgsgraph.fetch.needs import require_address
 from mgsgraph.files.opening import ANY_SIZE, read_json
@@ -167,7 +168,7 @@ class PartialFile:
     def finish(self) -> None:
         """Move it to the file's place."""
         try:
-            self.file.replace(self.path)
+            put_file(self.file, self.path)
             self._said.unlink(missing_ok=True)
         except OSError as error:
             raise self._refusal(error) from None
