@@ -292,7 +292,7 @@ def _lower(problem: BundleProblem, state: Array, trial: Array, cost: float, new:
 def _converged(last: Iteration, settings: SolverSettings) -> str:
     if last.step < settings.step_tolerance:
         return f"Converged: the last step was {last.step:.1e} posterior sigmas long."
-    return f"Converged: the last step promised to lower the cost by no more than {settings.cost_tolerance:.0e} of it."
+    return f"Converged: the last step would lower the cost by no more than {settings.cost_tolerance:.0e} of it."
 
 
 _DEPTH = 10

@@ -249,7 +249,7 @@ def _consistency_section(posterior: Posterior, name: str) -> Section:
 def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
     beyond, p_values = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
-    marks = ["" if group.as_promised is not False else " inconsistent" for group in statistics]
+    marks = ["" if group.consistent is not False else " inconsistent" for group in statistics]
     return table_of("residuals", {"beyond_1_2_3_sigma": beyond, "p": p_values, "odd": marks}, statistics)
 
 

@@ -266,8 +266,8 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     rng = np.random.default_rng(2)
     plain = ResidualStatistics("normal", np.sort(rng.standard_normal(3000)), 0, 3000.0)
     tails = ResidualStatistics("tails", np.sort(rng.standard_t(3, 3000)), 0, 3000.0)
-    assert plain.as_promised
-    assert tails.as_promised is False
+    assert plain.consistent
+    assert tails.consistent is False
     assert plain.distance == pytest.approx(kstest(plain.values, "norm").statistic)
     assert plain.p_value == pytest.approx(kstest(plain.values, "norm").pvalue, abs=0.02)
     assert plain.beyond[0] == pytest.approx(0.3173, abs=0.03)
@@ -275,7 +275,7 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     assert abs(plain.skewness) < 3.0 * plain.sigmas[2]
     few = ResidualStatistics("few", plain.values[:3], 2, 1.5)
     assert np.isnan(few.p_value)
-    assert few.as_promised is None
+    assert few.consistent is None
 
 
 def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPatch) -> None:
