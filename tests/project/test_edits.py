@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from increments import NOISE, apart, distances, fan, network_of, places_of, slope, state_of
+from increments import NOISE, distances, fan, largest_difference, network_of, places_of, slope, state_of
 from projects import digest
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -330,7 +330,7 @@ def test_undo_gives_back_the_same_numbers(
         for name, was in records.items():
             assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
         assert rejected_measurements(project) == []
-        assert apart(adjusted(project), before) < 0.01
+        assert largest_difference(adjusted(project), before) < 0.01
         assert sum(one.verb == "undo" for one in project.changes()) >= changed
 
 

@@ -12,9 +12,9 @@ from increments import (
     NOISE,
     Places,
     State,
-    apart,
     fan,
     grown,
+    largest_difference,
     places_of,
     state_of,
     strip,
@@ -167,7 +167,7 @@ def test_saying_it_changes_nothing() -> None:
     before = state_of(adjustment), places_of(adjustment)
     adjustment.points([strip().ties.ids[0]])
     adjustment.covariance("STRIP/000N", "STRIP/003X")
-    assert apart(adjustment, before) == 0.0
+    assert largest_difference(adjustment, before) == 0.0
 
 
 # --- what a coefficient does to image places, against central differences

@@ -14,11 +14,11 @@ from increments import (
     NOISE,
     Places,
     State,
-    apart,
     by_image,
     distances,
     fan,
     grown,
+    largest_difference,
     network_of,
     own_measures,
     places_of,
@@ -255,7 +255,7 @@ def test_what_is_known_of_an_image_stays_when_observations_of_it_come() -> None:
     other = IncrementalAdjustment(ONE_START)
     for one in (first, second):
         other.add(one)
-    assert apart(adjustment, (state_of(other), places_of(other))) < 1e-6
+    assert largest_difference(adjustment, (state_of(other), places_of(other))) < 1e-6
     assert distances(adjustment, by_batch(adjustment)).within()
 
 
@@ -418,7 +418,7 @@ def test_it_is_refused_and_nothing_has_changed(
     assert isinstance(caught.value, PointBehindCamera) == (what == "behind")
     assert adjustment.images == ["FAN/0", "FAN/1", "FAN/2"]
     assert stored(adjustment) == bundles
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
 
 
 def stored(adjustment: IncrementalAdjustment) -> set[tuple[str, ...]]:
@@ -448,7 +448,7 @@ def test_values_that_moved_unnoticed_are_back_as_well() -> None:
     assert np.any(adjustment.values[first] != recorded[first].value)
     with pytest.raises(PointBehindCamera):
         adjustment.add(NEW, doubled(shots()), NOISE.prior)
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
 
 
 def test_a_store_that_fails_leaves_the_engine_as_it_was() -> None:
@@ -469,7 +469,7 @@ def test_a_store_that_fails_leaves_the_engine_as_it_was() -> None:
     before, store.full = (state_of(adjustment), places_of(adjustment)), True
     with pytest.raises(OSError, match="no space"):
         take(adjustment, MADE, 3)
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
     store.full = False
     take(adjustment, MADE, 3)
     assert distances(adjustment, by_batch(adjustment)).within()
