@@ -264,7 +264,7 @@ def connectivity_json(connected: Connectivity) -> dict[str, Any]:
         "weakest_joints": [_pair(connected, row) for row in connected.spine[:WEAKEST].tolist()],
         "bridges": [_pair(connected, row) for row in np.flatnonzero(connected.bridges).tolist()],
         "unconnected_images": [names[j] for j in connected.unconnected] if len(names) > 1 else [],
-        "overlaps_without_common_points": [_pair(connected, row) for row in pairs_without_ties(connected).tolist()],
+        "overlaps_without_common_points": [_pair(connected, row) for row in lacking_ties(connected).tolist()],
         "common_points_without_overlap": [_pair(connected, row) for row in connected.disjoint.tolist()],
     }
 
@@ -280,7 +280,7 @@ def _pair(connected: Connectivity, row: int) -> dict[str, Any]:
     }
 
 
-def pairs_without_ties(connected: Connectivity) -> Index:
+def lacking_ties(connected: Connectivity) -> Index:
     """Rows of pairs that share no points but ground, slivers left out; largest area first."""
     return connected.untied[connected.shares[connected.untied] >= SLIVER]
 
@@ -301,7 +301,7 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
             f"The block is split into {len(connected.islands)} parts without common points: "
             f"{some(parts, len(connected.islands))}. Measure tie points between them."
         )
-    if (rows := pairs_without_ties(connected)).size:
+    if (rows := lacking_ties(connected)).size:
         overlap = [_overlap(connected, row).replace(" and overlap", "") for row in rows[:NAMED]]
         verb = "overlaps" if rows.size == 1 else "overlap"
         warnings.append(
