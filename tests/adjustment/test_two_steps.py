@@ -86,7 +86,7 @@ def test_either_step_is_an_adjustment() -> None:
     free = adjust_network(without_terrain(net), SETTINGS)
     same(done.free, free)
     quiet, selection = replace(SETTINGS, reject=0.0), selection_of(net, free)
-    same(done.fitted, adjust_network(without_heights(net, done.off), quiet, left_in=selection))
+    same(done.fitted, adjust_network(without_heights(net, done.rejected), quiet, left_in=selection))
     assert done.converged
     np.testing.assert_array_equal(done.fitted.rays_rejected, done.free.rays_rejected)
     assert len(done.history[0]) == done.free.iterations
@@ -95,8 +95,8 @@ def test_either_step_is_an_adjustment() -> None:
 
 def test_a_match_that_is_wrong_in_all_images_is_off_the_terrain() -> None:
     done, net = steps(), with_wrong_match()
-    assert np.flatnonzero(done.off).tolist() == [WRONG]
-    assert done.at_rest
+    assert np.flatnonzero(done.rejected).tolist() == [WRONG]
+    assert done.heights_converged
     own = net.rays.point == WRONG
     assert np.any(done.free.rays_used[own])
     assert done.fitted.determined[WRONG]
@@ -107,7 +107,7 @@ def test_a_match_that_is_wrong_in_all_images_is_off_the_terrain() -> None:
     assert np.mean(rejected[gross]) > 0.8
 
     nothing = adjust_in_two_steps(net, SolverSettings(starts=0))
-    assert not np.any(nothing.off)
+    assert not np.any(nothing.rejected)
     assert nothing.free.rays_rejected is not None
     assert not np.any(nothing.free.rays_rejected)
 

@@ -61,7 +61,7 @@ def with_blunder(net: Network) -> Network:
     return replace(net, rays=replace(net.rays, places=places))
 
 
-def at_rest(solution: Solution) -> Linearised:
+def linearised_at_solution(solution: Solution) -> Linearised:
     """Where it was solved, with the covariance of exactly that place."""
     marked = replace(
         solution.network,
@@ -105,7 +105,7 @@ def projector(matrix: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
-    at = at_rest(solved(name))
+    at = linearised_at_solution(solved(name))
     grouping = group_rows(at.network)
     found = group_redundancy(at, grouping)
     matrix, residuals, groups = whole_system(at, grouping)
@@ -121,7 +121,7 @@ def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
 
 
 def test_random_signs_come_near_the_exact_matrix() -> None:
-    at = at_rest(solved("shift and surface"))
+    at = linearised_at_solution(solved("shift and surface"))
     exact, estimate = (group_redundancy(at, group_rows(at.network), dense) for dense in (2000, 0))
     assert exact.exact
     assert not estimate.exact
@@ -250,7 +250,7 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
 
 @pytest.mark.parametrize("name", ["shift and surface", "a blunder", "stereo"])
 def test_normalised_residuals_have_the_groups_redundancy(name: str) -> None:
-    at = at_rest(solved(name))
+    at = linearised_at_solution(solved(name))
     grouping = group_rows(at.network)
     groups, found = group_redundancy(at, grouping), residual_statistics(at, grouping)
     matrix, residuals, of_row = whole_system(at, grouping)

@@ -105,7 +105,7 @@ def test_what_is_left_out_is_said(good: Solution, kind: Kind, share: float, fata
     assert is_valid(found) is not fatal
     record = solution_json(found)["verdict"]
     assert record["state"] == ("invalid" if fatal else "suspect")
-    assert {"cause": "observations left out", "count": one.lost, "size": one.share}.items() <= next(
+    assert {"cause": "observations left out", "count": one.left_out, "size": one.share}.items() <= next(
         each for each in record["reasons"] if each["what"].startswith(str(kind))
     ).items()
     assert ("INVALID" in summary_table(found)) is fatal

@@ -331,7 +331,7 @@ def test_files(which: str, tmp_path: Path) -> None:
 
     assert len(rows_of(out / "two_steps.csv")) == (len(found.groups) + 1) * 14
     pitch = next(
-        row for row in rows_of(out / "two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
+        row for row in rows_of(out / "two_steps.csv") if (row["pass"], row["quantity"]) == ("all", "pose_sigma_pitch")
     )
     assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
     assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / ARCSEC)

@@ -90,7 +90,7 @@ class Impact(Record):
     """Images that share determined points with those added, and how many."""
     unconnected: tuple[str, ...]
     """Images added that share no points with any other."""
-    lost: tuple[str, ...]
+    removed: tuple[str, ...]
     """Points that no image sees any longer, removed with the image."""
     undetermined: tuple[str, ...]
     """Points that had a place, and have too few rays left."""
@@ -127,9 +127,9 @@ class Impact(Record):
         lines += [*self._of_images(), *self._of_points()]
         if self.undetermined:
             lines.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
-        if self.lost:
+        if self.removed:
             which = " that no other image saw" if self.subjects else ""
-            lines.append(f"{many(len(self.lost), 'point')}{which}: removed.")
+            lines.append(f"{many(len(self.removed), 'point')}{which}: removed.")
         return [*lines, *([] if self.converged else ["It did not converge; solve the project."])]
 
     def _of_images(self) -> list[str]:
