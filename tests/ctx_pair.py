@@ -65,7 +65,7 @@ class JitterSettings:
     """px, amplitude of the vibration about the camera's x: along samples."""
     frequency: float = 2.0
     """Hz, of both."""
-    alike: bool = False
+    same_motion: bool = False
     """Whether both images vibrate with the same phases, counted from their middles."""
     drift: float = 3.0
     """px, amplitude of the slow drift of pitch and of roll."""
@@ -100,7 +100,7 @@ def _drawn_jitter(
     coverage = image_times(image)
     nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
-    if settings.alike:
+    if settings.same_motion:
         phases = common.uniform(0.0, 2.0 * np.pi, 2)
     wave = 2.0 * np.pi * settings.frequency * nodes.times
     along = np.pi * (nodes.times - coverage[0]) / (coverage[1] - coverage[0])

@@ -344,11 +344,11 @@ def minimum(
     be so). Where the final steps do not converge, continue without them.
     """
     if slow:
-        return replace(settled_minimum(problem, start, _final_settings(problem, start, settings), progress), slow=True)
+        return replace(settled_minimum(problem, start, _in_rounding(problem, start, settings), progress), slow=True)
     outcome_plain = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
     if not outcome_plain.slow:
         return outcome_plain
-    outcome = with_final_steps(problem, outcome_plain, _final_settings(problem, outcome_plain.state, settings), progress)
+    outcome = with_final_steps(problem, outcome_plain, _in_rounding(problem, outcome_plain.state, settings), progress)
     return outcome if outcome.converged else replace(_further(problem, outcome_plain, settings, progress), slow=True)
 
 
@@ -361,7 +361,7 @@ def _further(
     return replace(tried, cost_initial=before.cost_initial, history=before.history + later)
 
 
-def _final_settings(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
+def _in_rounding(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
     """Settings with a step tolerance whose gain is a cost's rounding, where that is longer."""
     rounding = math.sqrt(2.0 * _GRADIENT_ROUNDING * problem.cost(state, SYSTEM))
     return replace(settings, step_tolerance=max(settings.step_tolerance, min(rounding, 0.1)))

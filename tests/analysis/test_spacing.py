@@ -402,8 +402,8 @@ def test_what_is_hardly_seen_has_a_limit() -> None:
         assert one.interval[0] < one.sigma < one.interval[1] < 12.0 * one.sigma
 
 
-@pytest.mark.parametrize("alike", [True, False])
-def test_passes_that_move_alike(alike: bool) -> None:
+@pytest.mark.parametrize("same_motion", [True, False])
+def test_passes_that_move_in_the_same_way(same_motion: bool) -> None:
     """Their difference shows nothing: strengths stay as uncertain as beforehand, and sigmas fit the errors even so."""
     rng, blank = np.random.default_rng(3), simulate_ctx_pair(CtxSettings(ties=20)).network
     moving = Process("matern-3/2", np.full(3, PIXEL), 4.0, estimated=True)
@@ -411,13 +411,13 @@ def test_passes_that_move_alike(alike: bool) -> None:
     nodes = [evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), 2.0) for one in blank.images]
     root = np.linalg.cholesky(dense_covariance((moving,), 0, nodes[0]))
     values, moves = rng.standard_normal((2, 1, 6)) * prior.bias, rng.standard_normal((2, len(root), 3))
-    values = values + np.concatenate([np.zeros_like(moves), root @ moves[[0, 0] if alike else [0, 1]]], axis=2)
+    values = values + np.concatenate([np.zeros_like(moves), root @ moves[[0, 0] if same_motion else [0, 1]]], axis=2)
     truth = [TrueJitter(strip_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, values, strict=True)]
     net = simulate_ctx_pair(CtxSettings(ties=300, control=None), 3, truth).network
     passes = [replace(one, nodes=some, prior=prior) for one, some in zip(net.passes, nodes, strict=True)]
     found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings())
-    assert (found.alike > 0.5) == alike
-    assert (found.strengths[1].seen, found.strengths[1].error < 0.3) == (not alike, not alike)  # pitch
+    assert (found.same_motion > 0.5) == same_motion
+    assert (found.strengths[1].seen, found.strengths[1].error < 0.3) == (not same_motion, not same_motion)  # pitch
     assert all(one.interval[0] < PIXEL < one.interval[1] for one in found.strengths)
     variables = [first + k for one, first in found.network.numbered_passes for k in range(len(one.nodes))]
     covariance, error = found.solution.joint_covariance.of(variables), np.concatenate(found.solution.nodes)
