@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import strip_correction
+from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.units import KM
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -57,7 +57,7 @@ class Planted(NamedTuple):
 
 def hrsc(length: float, begin: float, seed: int) -> Planted:
     """A strip of a length in m."""
-    settings = BlockSettings(strips=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
+    settings = BlockSettings(passes=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
     block = simulate_hrsc_block(settings, seed)
     sigmas = ERRORS.position_wander, ERRORS.attitude_wander
     position, attitude = (Process("gauss-markov", np.full(3, begin * sigma), 30.0, estimated=True) for sigma in sigmas)
@@ -68,7 +68,7 @@ def hrsc(length: float, begin: float, seed: int) -> Planted:
 
 def two_strips(wander: tuple[float, ...], seed: int) -> Planted:
     """Strips whose departures have strengths times `wander`; strengths of positions are known."""
-    settings = BlockSettings(strips=2, length=150.0 * KM, points=800, spacing=3.0, terrain=None, errors=FASTER,
+    settings = BlockSettings(passes=2, length=150.0 * KM, points=800, spacing=3.0, terrain=None, errors=FASTER,
                              wander=wander)  # fmt: skip
     block = simulate_hrsc_block(settings, seed)
     moving, passes = Process("gauss-markov", np.full(3, FASTER.attitude_wander), 10.0, estimated=True), list[Pass]()
@@ -94,7 +94,7 @@ def ctx(same: bool, begin: float, seed: int) -> Planted:
     (first, first_bias), (second, second_bias) = (drawn(prior, some, rng) for some in nodes)
     if same:
         second[:, 3:] = first[:, 3:] + (second_bias - first_bias)[3:]
-    truth = [TrueJitter(strip_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, (first, second), strict=True)]
+    truth = [TrueJitter(pass_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, (first, second), strict=True)]
     pair = simulate_ctx_pair(CtxSettings(ties=1000), seed, truth)
     uncertain = replace(prior, attitude=(replace(moving.scaled(np.full(3, begin)), estimated=True),))
     passes = [replace(p, nodes=some, prior=uncertain) for p, some in zip(pair.network.passes, nodes, strict=True)]

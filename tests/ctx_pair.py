@@ -25,7 +25,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import ImageRays, Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
-from mgsgraph.simulation.hrsc_flight import strip_correction
+from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors, project, terrain_model, tie_network
 from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.units import DEG, MM
@@ -112,7 +112,7 @@ def _drawn_jitter(
         phasors[k] = PIXEL * amplitude * np.array([np.sin(phases[k]), np.cos(phases[k])])
         values[:, axis] += PIXEL * settings.drift * np.cos(along + slow[k])
         values[:, axis] += phasors[k, 0] * np.cos(wave) + phasors[k, 1] * np.sin(wave)
-    return TrueJitter(strip_correction(nodes, values), phasors)
+    return TrueJitter(pass_correction(nodes, values), phasors)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -152,7 +152,7 @@ def adjust_in_two_steps(
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=100), seed=1)
+    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=100e3, points=100), seed=1)
     >>> steps = mgsgraph.adjust_in_two_steps(block.network, mgsgraph.SolverSettings(reject=4.0))
     >>> steps.converged, int(steps.rejected.sum())
     (True, 0)

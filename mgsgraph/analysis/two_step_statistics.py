@@ -99,7 +99,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=100), seed=1)
+    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=100e3, points=100), seed=1)
     >>> steps = mgsgraph.adjust_in_two_steps(block.network, mgsgraph.SolverSettings())
     >>> mgsgraph.two_step_statistics(steps).whole.heights.rms.round(0)  # m: before, without terrain, with it
     array([108.,  29.,  20.])

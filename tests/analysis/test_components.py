@@ -116,7 +116,7 @@ def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
     ])  # fmt: skip
     assert np.array_equal(found.counts, np.bincount(groups, minlength=size))
     assert np.allclose(found.redundancy, np.bincount(groups, np.diag(cofactors), size), atol=1e-6)
-    assert np.allclose(found.squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
+    assert np.allclose(found.sums_of_squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
     assert np.allclose(found.helmert, right, atol=1e-6 * right.max())
 
 
@@ -284,11 +284,11 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     found = group_redundancy(at_solution(solution), group_rows(solution.network))
     judged = [g for g, one in enumerate(judge_groups(found, {})) if one is Judgement.JUDGED]
     part, g = found.helmert[np.ix_(judged, judged)], judged[0]
-    squares = 9.0 * found.redundancy
-    squares[g] = 0.01 * found.redundancy[g]
-    expected = 1.0 + np.linalg.solve(part, (squares - found.redundancy)[judged])
+    own = 9.0 * found.redundancy
+    own[g] = 0.01 * found.redundancy[g]
+    expected = 1.0 + np.linalg.solve(part, (own - found.redundancy)[judged])
     assert expected[0] < 0.0
-    monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, squares=squares))
+    monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, sums_of_squares=own))
     groups = components(solution).groups
     assert [groups[k].negative for k in judged] == (expected <= 0.0).tolist()
     assert groups[g].factor == pytest.approx(groups[g].foerstner) == pytest.approx(0.1)
@@ -356,7 +356,7 @@ def test_known_blunders_stay_out_of_honest_sigmas() -> None:
     assert not np.any(first.solution.ranges_used & ranges)
     for group, again in zip(one.groups, first.components.groups, strict=True):
         assert (again.name, again.rows) == (group.name, group.rows)
-        assert again.squares == pytest.approx(group.squares, rel=1e-4)
+        assert again.sum_of_squares == pytest.approx(group.sum_of_squares, rel=1e-4)
     rest = iterated_components(marked, settings)
     assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
     judged_anew = iterated_components(marked, replace(settings, reject=1e4), most=1).solution

@@ -348,7 +348,7 @@ LATE = "HRSC/00/S2"
 def pass_strip() -> Network:
     """One strip of a trajectory that is known well but for what changes on the way."""
     errors = TrajectoryErrors(attitude=1.0 * MGON, attitude_drift=0.5 * MGON, position=2.0, position_drift=1.0)
-    settings = BlockSettings(strips=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
+    settings = BlockSettings(passes=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
     return simulate_hrsc_block(settings, seed=2).network
 
 

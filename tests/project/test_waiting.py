@@ -10,7 +10,7 @@ import matched
 import numpy as np
 import pytest
 from commands import call
-from strip_files import block, write_block
+from pass_files import block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
