@@ -82,7 +82,7 @@ class HeldOut:
     times: Array
     """(h,) s past the epoch of that pass's nodes."""
 
-    def taken(self, network: Network) -> Mask:
+    def rays_left(self, network: Network) -> Mask:
         """(rays,) those that take part: neither held out nor marked as blunders."""
         taken = unmarked(network).rays
         taken[self.rays] = False
@@ -90,7 +90,7 @@ class HeldOut:
 
     def left_in(self, network: Network) -> Selection:
         """What takes part in an adjustment."""
-        return replace(unmarked(network), rays=self.taken(network))
+        return replace(unmarked(network), rays=self.rays_left(network))
 
 
 def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOut:
@@ -304,7 +304,7 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
 
 def _trial(spacing: float, network: Network, settings: SolverSettings, held: HeldOut) -> _Trial:
     try:
-        require_supported(network, LEAST, held.taken(network))
+        require_supported(network, LEAST, held.rays_left(network))
         solution = adjust_network(network, settings, f"nodes every {spacing:g} s", left_in=held.left_in(network))
     except (InputError, WeakNetwork, SolverError) as error:
         return _Trial(spacing, network, None, np.zeros((0, 2)), str(error))

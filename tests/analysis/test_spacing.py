@@ -107,7 +107,7 @@ def test_one_ray_of_a_point_is_held_out(share: float, seed: int) -> None:
     held = hold_out(net, share, np.random.default_rng(seed))
     points = net.rays.point[held.rays]
     assert np.unique(points).size == points.size == round(share * len(net.points))
-    assert np.bincount(net.rays.point, held.taken(net)).min() >= 2
+    assert np.bincount(net.rays.point, held.rays_left(net)).min() >= 2
     np.testing.assert_array_equal(held.rays, hold_out(net, share, np.random.default_rng(seed)).rays)
 
 

@@ -218,7 +218,7 @@ def test_solve_is_adjust_and_an_image_comes_back(
     nodes = len(batch.network.passes[1].nodes)
     assert f"Pass HRSC/01: 5 images, {nodes} orientation images" in said
     assert call("project", "solve", project, "--no-figures") == 0
-    assert "Closing check against batch: the same" in capsys.readouterr().out
+    assert "Check against batch: the same" in capsys.readouterr().out
     with open_project(project) as opened:
         assert set(opened.store.image_names()) == {image.name for image in block().network.images}
     assert_same(project, batch)

@@ -362,11 +362,11 @@ if TYPE_CHECKING:
 CLOSE = 1e-2
 """Sigmas within which incremental and batch results count as the same."""
 EXACT = 1e-4
-"""Sigmas beyond which the closing check takes over what batch has found."""
+"""Sigmas beyond which the check against batch takes over what batch has found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closing(Record):
+class BatchCheck(Record):
     """Largest differences between the incremental result and batch, in sigmas of batch."""
 
     unknown: Unknown
@@ -396,25 +396,25 @@ class Closing(Record):
     def sentence(self) -> str:
         """The result in one sentence."""
         if not self.converged:
-            return "Closing check against batch: batch did not converge; the incremental result was kept."
+            return "Check against batch: batch did not converge; the incremental result was kept."
         verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"
         outcome = "batch's result was taken over" if self.adopted else "the incremental result was kept"
         return (
-            f"Closing check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
+            f"Check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
             f"{self.unknown}, {self.points:.2g} sigmas for point {self.point}; {outcome}."
         )
 
 
-def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> Closing:
+def differences_from_batch(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> BatchCheck:
     """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
-    worst, which = 0.0, next(iter(values), Unknown("image", "-"))
+    worst, key = 0.0, next(iter(values), Unknown("image", "-"))
     for unknown, batch in shared_of(solution).items():
         off = float(np.max(np.abs(values[unknown] - batch.value) / batch.sigmas))
         if off > worst:
-            worst, which = off, unknown
+            worst, key = off, unknown
     k, off = _farthest(solution, places)
     converged = solution.converged
-    return Closing(which, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
+    return BatchCheck(key, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
 
 
 def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:

@@ -55,7 +55,7 @@ def by_batch(adjustment: IncrementalAdjustment) -> Any:
 
 
 def test_every_addition_gives_what_batch_gives() -> None:
-    """Eight images of 15 ties, and the end of the path after the closing check."""
+    """Eight images of 15 ties, and the end of the path after the check against batch."""
     made, adjustment = strip(8, 15, 5), IncrementalAdjustment()
     for k in range(8):
         impact = take(adjustment, made, k)
@@ -63,12 +63,12 @@ def test_every_addition_gives_what_batch_gives() -> None:
         found = distances(adjustment, by_batch(adjustment))
         assert found.within(), f"after image {k}: {found}"
     before = distances(adjustment, by_batch(adjustment))
-    closing, solution = adjustment.close()
-    assert closing.close
-    assert closing.worst == pytest.approx(max(before.unknowns, before.points), rel=1e-3)
-    assert closing.adopted == (closing.worst > EXACT)
+    check, solution = adjustment.verify()
+    assert check.close
+    assert check.worst == pytest.approx(max(before.unknowns, before.points), rel=1e-3)
+    assert check.adopted == (check.worst > EXACT)
     assert distances(adjustment, solution).within(EXACT)
-    assert adjustment.close()[0].worst < EXACT
+    assert adjustment.verify()[0].worst < EXACT
 
 
 @pytest.mark.parametrize("images", [2, 3])
@@ -194,7 +194,7 @@ def test_considered_shifts_are_carried_as_by_batch() -> None:
     assert distances(IncrementalAdjustment.of(batch), batch).within(EXACT)
     adjustment.remove("FAN/4")
     assert distances(adjustment, by_batch(adjustment)).within()
-    assert adjustment.close()[0].close
+    assert adjustment.verify()[0].close
 
 
 def test_images_that_are_all_held_leave_intersection() -> None:
@@ -325,10 +325,10 @@ def test_batch_that_does_not_converge_is_not_taken_over() -> None:
     adjustment = grown(fan(), 3)
     before = dict(adjustment.values)
     adjustment.settings = replace(adjustment.settings, max_iterations=1)
-    closing, solution = adjustment.close()
+    check, solution = adjustment.verify()
     assert not solution.converged
-    assert not closing.adopted
-    assert "did not converge" in closing.sentence
+    assert not check.adopted
+    assert "did not converge" in check.sentence
     assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())
 
 

@@ -14,7 +14,7 @@ from networks import pair
 from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.impact import EXACT, closing
+from mgsgraph.adjustment.incremental.impact import EXACT, differences_from_batch
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.incremental.sweep import Sweep
@@ -117,7 +117,7 @@ def off(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, floa
     free = batch.determined & (batch.sigmas[:, 0] > 0.0)
     largest = np.max(batch.sigmas[free] ** 2, axis=1)[:, None, None]
     shares.append(np.max(np.abs(covariances[free] - batch.covariances[free]) / largest, initial=0.0))
-    return closing(batch, values, places).worst, float(max(shares))
+    return differences_from_batch(batch, values, places).worst, float(max(shares))
 
 
 def by_batch(adjustment: IncrementalAdjustment) -> Solution:
@@ -274,7 +274,7 @@ def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> 
         moved = adjustment.add(more)
         assert moved.converged
         assert moved.updates > 1  # systems were made anew
-        closed, solution = adjustment.close()
+        closed, solution = adjustment.verify()
         assert closed.worst < EXACT
         assert not closed.adopted
         assert solution.stereo_used.sum() == 24
