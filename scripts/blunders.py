@@ -43,7 +43,7 @@ PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
 RATE = 0.02
 """Share of the rays that are off, one of a point at most."""
 POWERS = 0.80, 0.95
-HRSC = BlockSettings(strips=2, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
+HRSC = BlockSettings(passes=2, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
 CASES = "block", "gusev", "eos", "isidis", "hrsc"
 TUKEY = tuple(f"{case}, tukey" for case in ("pair", "gusev", "eos", "isidis", "strip"))
 GROSS, MORE = 0.3, (0.4, 0.5, 0.6, 0.7)

@@ -1,6 +1,6 @@
 """Does an HRSC block come out as the paper says, and are its sigmas right? Many simulated blocks in two steps.
 
-Each seed simulates a block (strips of five stereo lines, trajectory errors drawn from the stated prior, a terrain model
+Each seed simulates a block (passes of five stereo lines, trajectory errors drawn from the stated prior, a terrain model
 like MOLA's) and adjusts it without and then with the terrain. The page has the figures of merit of Spiegel et al.
 (papers/003), mean over the seeds, and the errors of orientation and points normalized by their covariances (NEES).
 
@@ -28,8 +28,8 @@ from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM, MGON
 
 CASES = {
-    "paper": BlockSettings(strips=4, points=10_000, length=1500 * KM, spacing=15.0),
-    "small": BlockSettings(strips=2, points=1_000, length=200 * KM, spacing=15.0),
+    "paper": BlockSettings(passes=4, points=10_000, length=1500 * KM, spacing=15.0),
+    "small": BlockSettings(passes=2, points=1_000, length=200 * KM, spacing=15.0),
 }
 ATTITUDE = np.array([4, 3, 5])
 """Components of a node about the camera's y, x and z: roll, pitch and yaw."""
@@ -48,7 +48,7 @@ def one_draw(case: str, seed: int) -> Draw:
     joints = (steps.rays_alone.joint, steps.free.joint_covariance, steps.fitted.joint_covariance)
     networks = (steps.free.network, steps.free.network, steps.fitted.network)
     merit = two_step_statistics(steps).whole
-    freedom = sum(6 * len(strip.nodes) for strip in block.network.passes)
+    freedom = sum(6 * len(pass_.nodes) for pass_ in block.network.passes)
     return {
         "nodes": [sum(_of_nodes(block, solution)) / freedom for solution in solutions], "freedom": freedom,
         "points": [float(part.mean()) / 3.0 for part in points],
@@ -63,23 +63,23 @@ def one_draw(case: str, seed: int) -> Draw:
 
 def _stated(network: Network, joint: JointCovariance | None) -> Array:
     """(3,) rad, rms over all nodes of the sigmas about the camera's y, x, z."""
-    assert joint is not None  # strips with known sigmas
+    assert joint is not None  # passes with known sigmas
     variables = np.concatenate([
-        np.arange(first, first + len(strip.nodes))
-        for strip, first in network.numbered_passes
+        np.arange(first, first + len(pass_.nodes))
+        for pass_, first in network.numbered_passes
     ])  # fmt: skip
     columns = joint.square_root.first[variables][:, None] + ATTITUDE
     return root_mean_square(joint.sigmas[columns], 0)
 
 
 def _of_nodes(block: SimulatedBlock, solution: Solution) -> list[float]:
-    """Normalised squares of the errors of each strip's nodes."""
+    """Normalised squares of the errors of each pass's nodes."""
     squares = []
-    for k, (strip, first) in enumerate(block.network.numbered_passes):
+    for k, (pass_, first) in enumerate(block.network.numbered_passes):
         error = (solution.nodes[k] - block.true_nodes(k)).ravel()
-        # the block without terrain has fewer variables before the strips
+        # the block without terrain has fewer variables before the passes
         first += int(solution.network.first_of_passes[0] - block.network.first_of_passes[0])
-        covariance = solution.joint_covariance.of(range(first, first + len(strip.nodes)))
+        covariance = solution.joint_covariance.of(range(first, first + len(pass_.nodes)))
         squares.append(float(error @ np.linalg.solve(covariance, error)))
     return squares
 
@@ -117,7 +117,7 @@ def _stages(values: Array) -> list[str]:
 
 
 def nees_table(draws: list[Draw]) -> list[str]:
-    """NEES of the nodes of all strips, and of the points of a block, whose errors are correlated."""
+    """NEES of the nodes of all passes, and of the points of a block, whose errors are correlated."""
     rows = []
     for step in (0, 1):
         nodes, points, freedom = ([draw[key][step] for draw in draws] for key in ("nodes", "points", "points_freedom"))

@@ -154,8 +154,8 @@ def main() -> int:
     def make() -> dict[str, list[str]]:
         began, settings = time.perf_counter(), CtxSettings(lines=options.lines, samples=options.samples, ties=1500)
         pair = simulate_ctx_pair(settings, options.seed)
-        with tempfile.TemporaryDirectory() as aside:
-            work = options.work or Path(aside)
+        with tempfile.TemporaryDirectory() as temporary:
+            work = options.work or Path(temporary)
             write_pair(pair, work)
             for name in CASES:
                 (work / f"{name}.toml").write_text(case(pair, settings, name), encoding="utf-8")

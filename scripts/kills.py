@@ -177,8 +177,8 @@ def snapshot(work: Path) -> dict[str, str]:
 
 def project_state(project: Path) -> str:
     """All rows of a project without times, from a copy whose journal is applied."""
-    with tempfile.TemporaryDirectory() as aside:
-        copy = Path(aside) / "project"
+    with tempfile.TemporaryDirectory() as temporary:
+        copy = Path(temporary) / "project"
         copy.mkdir()
         for path in project.glob(f"{PROJECT}*"):
             shutil.copy(path, copy)
@@ -313,11 +313,11 @@ def done(work: Path, line: str) -> Ended:
     return ended
 
 
-def learned(line: str, base: Path, aside: Path) -> Known | None:
+def learned(line: str, base: Path, temporary: Path) -> Known | None:
     """States of undisturbed runs: the first, another from the same state, and one after the first. None where the
     first changes nothing.
     """
-    work, second = fresh(base, aside / "one"), fresh(base, aside / "other")
+    work, second = fresh(base, temporary / "one"), fresh(base, temporary / "other")
     before = snapshot(work)
     ended = done(work, line)
     after = snapshot(work)
@@ -345,15 +345,15 @@ class Row(NamedTuple):
     wrong: list[str]
 
 
-def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: random.Random) -> Row:
+def trials(verb: Verb, kills: int, base: Path, address: str, temporary: Path, rng: random.Random) -> Row:
     """Kill a command `kills` times."""
     line = verb.arguments.replace("ADDRESS", address)
-    starts = [_cut(base, aside / "without", verb)]
+    starts = [_cut(base, temporary / "without", verb)]
     if verb.earlier:
-        starts.append(fresh(starts[0], aside / "with"))
+        starts.append(fresh(starts[0], temporary / "with"))
         done(starts[1], line)
         _age(starts[1], verb)
-    references = [reference for start in starts if (reference := learned(line, start, aside)) is not None]
+    references = [reference for start in starts if (reference := learned(line, start, temporary)) is not None]
     if not references:
         raise SystemExit(f"{verb.name} changes nothing even when nobody kills it")
     counts, wrong = Counter[str](), list[str]()
@@ -362,7 +362,7 @@ def trials(verb: Verb, kills: int, base: Path, address: str, aside: Path, rng: r
         by_clock = rng.random() < 0.5 or not reference.events
         blow = Blow(rng.choice(SIGNALS), rng.uniform(0.0, _LATE * reference.seconds) if by_clock else None,
                     None if by_clock else rng.randrange(reference.events))  # fmt: skip
-        work = fresh(starts[number % len(references)], aside / "one")
+        work = fresh(starts[number % len(references)], temporary / "one")
         ended = run(line.split(), work, blow)
         files = snapshot(work)
         state = judged(work, files, reference, verb.several)

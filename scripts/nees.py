@@ -47,7 +47,7 @@ COLUMNS = ("orientation", "passes", "shifts", "likelihood ratio", "ties", "laser
 """Images' orientation coefficients; nodes of passes; shifts of profiles and terrain; all but passes by
 twice the rise of the cost at the truth; tie points; footprints; weighted squares of all rows."""
 CASES = tuple(f"{site}, {case}" for site in SITE_NAMES for case in ("rigorous", "no-terrain", "papers"))
-STRIP = BlockSettings(strips=1, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
+STRIP = BlockSettings(passes=1, length=120e3, points=240, matches=PointMatching(blunders=0.0), terrain=None)
 CASES += ("HRSC strip, passes", "NAC pair, rig")
 
 
@@ -84,7 +84,7 @@ def one_draw(case: str, seed: int) -> Draw:
     names = [*(image.name for image in network.images), *network.shift_names, *(u.name for u in network.shared)]
     truth = [*(correction.coefficients for correction in draw.own), *draw.shifts, *draw.shared]
     ratio = Posterior.of(solution).likelihood.ratio({names[k]: truth[k] for k in errors if k < passes})
-    shared.append(ratio.squares / ratio.degrees if ratio.degrees else float("nan"))
+    shared.append(ratio.chi_square / ratio.degrees if ratio.degrees else float("nan"))
     of_points = [float(squares.mean()) / 3.0 if squares.size else float("nan") for squares in points]
     return {
         "values": [*shared, *of_points, solution.fit.squares / freedom],

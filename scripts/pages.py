@@ -201,7 +201,7 @@ def _tables() -> Iterator[tuple[str, Table]]:
     registration = _registration()
     yield "registration.csv", registration_table(registration)
     yield "discrepancy.csv", discrepancy_table(registration)
-    yield "what mgsgraph footprints writes", selection_table(registration.before[0].found)
+    yield "what mgsgraph footprints writes", selection_table(registration.before[0].footprints)
     yield from _without_rows()
 
 

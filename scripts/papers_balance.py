@@ -2,7 +2,7 @@
 
 *Weights.* At a least-squares solution the pull of all rows on a constant shift of one image along one of its axes is
 that of the orientation's prior, which with the published corrections is below 1 % of either side at Gusev and Isidis,
-and a tenth at most at Eos. Footprints and ties move alike under such a shift, so that
+and a tenth at most at Eos. Footprints and ties move equally under such a shift, so that
 
     T mean(tie residual) / (1 px)^2 = N mean(correction of footprints) / sigma^2
 

@@ -200,7 +200,7 @@ def write_problem(problem: PeerProblem, path: str | Path) -> None:
         array.shape[0] for array in (problem.orientation, problem.places, problem.u, problem.ranges)
     )
     head = (_MAGIC, images, points, rays, shots, problem.ties, problem.focal_mm, problem.pixel_mm)
-    with fresh_file(path) as aside, aside.open("wb") as file:
+    with fresh_file(path) as temporary, temporary.open("wb") as file:
         file.write(_HEADER.pack(*head))
         for name, kind, _ in _sections(images, points, rays, shots):
             file.write(np.ascontiguousarray(getattr(problem, name), kind).tobytes())

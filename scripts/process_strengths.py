@@ -2,8 +2,8 @@
 
 HRSC: strips of five lines whose position and attitude depart by Gauss-Markov processes of 30 s. CTX: pairs whose
 attitude departs by a Matern process of a quarter of the images' time, drawn from the model for each image, or the same
-in both (`alike`). Two strips: short ones whose attitude departs by Gauss-Markov processes of 10 s, of one strength, or
-(`unlike`) the second of a fifth of it. The search begins where the case says, in planted strengths.
+in both (`same motion`). Two passes: short ones whose attitude departs by Gauss-Markov processes of 10 s, of one
+strength, or (`unlike`) the second of a fifth of it. The search begins where the case says, in planted strengths.
 
     python scripts/process_strengths.py [--cases CASE ...] [--seeds 20] [--first 1] [--processes N] [--out FILE]
 
@@ -29,13 +29,13 @@ from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import strip_correction
+from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.units import KM
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from ctx_pair import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 
-CASES = ("HRSC 600 km, 3", "HRSC 300 km, 3", "CTX pair, 1", "CTX pair, 3", "CTX alike, 1", "CTX alike, 3",
+CASES = ("HRSC 600 km, 3", "HRSC 300 km, 3", "CTX pair, 1", "CTX pair, 3", "CTX same motion, 1", "CTX same motion, 3",
          "Two strips, 1", "Two strips unlike, 1")  # fmt: skip
 """Simulated networks, and the start of the search in planted strengths."""
 ERRORS, FASTER = TrajectoryErrors(correlation_time=30.0, position_wander=10.0), TrajectoryErrors(correlation_time=10.0)
@@ -57,7 +57,7 @@ class Planted(NamedTuple):
 
 def hrsc(length: float, begin: float, seed: int) -> Planted:
     """A strip of a length in m."""
-    settings = BlockSettings(strips=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
+    settings = BlockSettings(passes=1, length=length, points=1600, spacing=5.0, terrain=None, errors=ERRORS)
     block = simulate_hrsc_block(settings, seed)
     sigmas = ERRORS.position_wander, ERRORS.attitude_wander
     position, attitude = (Process("gauss-markov", np.full(3, begin * sigma), 30.0, estimated=True) for sigma in sigmas)
@@ -68,7 +68,7 @@ def hrsc(length: float, begin: float, seed: int) -> Planted:
 
 def two_strips(wander: tuple[float, ...], seed: int) -> Planted:
     """Strips whose departures have strengths times `wander`; strengths of positions are known."""
-    settings = BlockSettings(strips=2, length=150.0 * KM, points=800, spacing=3.0, terrain=None, errors=FASTER,
+    settings = BlockSettings(passes=2, length=150.0 * KM, points=800, spacing=3.0, terrain=None, errors=FASTER,
                              wander=wander)  # fmt: skip
     block = simulate_hrsc_block(settings, seed)
     moving, passes = Process("gauss-markov", np.full(3, FASTER.attitude_wander), 10.0, estimated=True), list[Pass]()
@@ -94,7 +94,7 @@ def ctx(same: bool, begin: float, seed: int) -> Planted:
     (first, first_bias), (second, second_bias) = (drawn(prior, some, rng) for some in nodes)
     if same:
         second[:, 3:] = first[:, 3:] + (second_bias - first_bias)[3:]
-    truth = [TrueJitter(strip_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, (first, second), strict=True)]
+    truth = [TrueJitter(pass_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, (first, second), strict=True)]
     pair = simulate_ctx_pair(CtxSettings(ties=1000), seed, truth)
     uncertain = replace(prior, attitude=(replace(moving.scaled(np.full(3, begin)), estimated=True),))
     passes = [replace(p, nodes=some, prior=uncertain) for p, some in zip(pair.network.passes, nodes, strict=True)]
@@ -121,7 +121,7 @@ def planted(case: str, seed: int) -> Planted:
         return hrsc(float(name.split()[1]) * KM, float(begin), seed)
     if name.startswith("Two"):
         return two_strips((1.0, 0.2 if name.endswith("unlike") else 1.0), seed)
-    return ctx(name.endswith("alike"), float(begin), seed)
+    return ctx(name.endswith("same motion"), float(begin), seed)
 
 
 def one_draw(case: str, seed: int) -> Draw:
@@ -138,7 +138,7 @@ def one_draw(case: str, seed: int) -> Draw:
     draw = {
         "ratios": [s.sigma / b for s, b in pairs], "errors": [s.error for s, _ in pairs],
         "seen": [s.seen for s, _ in pairs], "below": [b < s.interval[1] for s, b in pairs],
-        "alike": result.alike, "nodes": [of_nodes(s, truth.nodes) for s in solutions],
+        "same_motion": result.same_motion, "nodes": [of_nodes(s, truth.nodes) for s in solutions],
         "points": [of_points(s, truth.points) for s in solutions], "seconds": seconds,
     }  # fmt: skip
     if case.startswith("Two"):

@@ -270,8 +270,8 @@ def write_json(figures: Any, path: Path) -> None:
 
 def write_text(text: str, path: Path) -> None:
     """Write a text file, atomically."""
-    with fresh_file(path, remedy=REMEDY) as aside:
-        aside.write_text(text, encoding="utf-8")
+    with fresh_file(path, remedy=REMEDY) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 # --- Markdown

@@ -2,8 +2,8 @@
 
 Simulated CTX pairs (`tests/ctx_pair.py`): 16 s, 800 ties of 0.2 px, second image 22 degrees aside, a terrain model of
 463 m posts of 10 m as control; a sine in pitch and roll of each image that no table has, of phases of its own or
-(`alike`) the same in both, and a slow drift. `analysis.vibrations.estimated_vibrations` knows neither frequency nor
-amplitude, nor whether there is any. Rewrites the made parts of docs/evidence_passes.md.
+(`same_motion`) the same in both, and a slow drift. `analysis.vibrations.estimated_vibrations` knows neither frequency
+nor amplitude, nor whether there is any. Rewrites the made parts of docs/evidence_passes.md.
 """
 
 import math
@@ -32,14 +32,14 @@ _AXES = {"x (roll)": 1, "y (pitch)": 0}
 _NEAR = 1.0 / 16.0
 """Hz, between a frequency found and the planted one."""
 CASES = {
-    f"{size:g} px, {frequency:g} Hz, drift {drift:g} px{', alike' if alike else ''}": JitterSettings(
-        pitch=size, roll=size, frequency=frequency, drift=drift, alike=alike
+    f"{size:g} px, {frequency:g} Hz, drift {drift:g} px{', same motion' if same_motion else ''}": JitterSettings(
+        pitch=size, roll=size, frequency=frequency, drift=drift, same_motion=same_motion
     )
-    for alike in (False, True)
+    for same_motion in (False, True)
     for size in (0.0, 0.1, 0.25, 0.5, 1.0)
-    for frequency in ((2.0,) if alike or size == 0.0 else (0.5, 2.0, 5.0))
-    for drift in ((3.0,) if alike else (0.0, 3.0))
-    if size > 0.0 or not alike
+    for frequency in ((2.0,) if same_motion or size == 0.0 else (0.5, 2.0, 5.0))
+    for drift in ((3.0,) if same_motion else (0.0, 3.0))
+    if size > 0.0 or not same_motion
 }
 
 

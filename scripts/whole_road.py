@@ -87,8 +87,8 @@ def main() -> int:
     options = parser.parse_args()
 
     def make() -> dict[str, list[str]]:
-        with tempfile.TemporaryDirectory() as aside:
-            work, site = options.work or Path(aside), simulate_site(options.site, options.seed)
+        with tempfile.TemporaryDirectory() as temporary:
+            work, site = options.work or Path(temporary), simulate_site(options.site, options.seed)
             steps = workflow(site, work)
             judged = judge(work / "DEM" / "dem.tif", site)
         return {"commands": step_table(steps), "judged": words(judged), "said": report_lines(steps)}

@@ -25,7 +25,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import ImageRays, Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
-from mgsgraph.simulation.hrsc_flight import strip_correction
+from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors, project, terrain_model, tie_network
 from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.units import DEG, MM
@@ -65,7 +65,7 @@ class JitterSettings:
     """px, amplitude of the vibration about the camera's x: along samples."""
     frequency: float = 2.0
     """Hz, of both."""
-    alike: bool = False
+    same_motion: bool = False
     """Whether both images vibrate with the same phases, counted from their middles."""
     drift: float = 3.0
     """px, amplitude of the slow drift of pitch and of roll."""
@@ -100,7 +100,7 @@ def _drawn_jitter(
     coverage = image_times(image)
     nodes = evenly_spaced("lagrange", image.trajectory.epoch, coverage, 1.0 / (_NODES_PER_WAVE * settings.frequency))
     phases, slow = rng.uniform(0.0, 2.0 * np.pi, (2, 2))
-    if settings.alike:
+    if settings.same_motion:
         phases = common.uniform(0.0, 2.0 * np.pi, 2)
     wave = 2.0 * np.pi * settings.frequency * nodes.times
     along = np.pi * (nodes.times - coverage[0]) / (coverage[1] - coverage[0])
@@ -112,7 +112,7 @@ def _drawn_jitter(
         phasors[k] = PIXEL * amplitude * np.array([np.sin(phases[k]), np.cos(phases[k])])
         values[:, axis] += PIXEL * settings.drift * np.cos(along + slow[k])
         values[:, axis] += phasors[k, 0] * np.cos(wave) + phasors[k, 1] * np.sin(wave)
-    return TrueJitter(strip_correction(nodes, values), phasors)
+    return TrueJitter(pass_correction(nodes, values), phasors)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

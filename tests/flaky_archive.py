@@ -415,12 +415,12 @@ def _write_images(simulated: SimulatedSite, folder: Path) -> None:
 
 def _write_kernels(simulated: SimulatedSite, folder: Path) -> None:
     phases = sorted({image.settings.phase for image in simulated.images})
-    with TemporaryDirectory(dir=folder) as aside:
-        write_kernels([kernel_segment(image) for image in simulated.images], Path(aside))
+    with TemporaryDirectory(dir=folder) as temporary:
+        write_kernels([kernel_segment(image) for image in simulated.images], Path(temporary))
         places = _FIXED | {f"mgs_{phase}.bsp": f"kernels/spk/mgs_{phase}.bsp" for phase in phases}
         places |= {f"mgs_sc_{phase}.bc": f"kernels/ck/mgs_sc_{phase}.bc" for phase in phases}
         for name, place in places.items():
-            shutil.move(Path(aside) / name, _placed(folder / place))
+            shutil.move(Path(temporary) / name, _placed(folder / place))
     _placed(folder / "kernels/ik/mgs_moc_v20.ti").write_text(_instrument_text(), encoding="ascii", newline="\n")
     for phase in phases:
         start, stop = _PHASES[phase]

@@ -208,7 +208,7 @@ def state_of(adjustment: IncrementalAdjustment) -> State:
     return {name: (adjustment.correction(name).coefficients.ravel(), adjustment.covariance(name)) for name in names}
 
 
-def apart(one: IncrementalAdjustment, other: tuple[State, Places]) -> float:
+def largest_difference(one: IncrementalAdjustment, other: tuple[State, Places]) -> float:
     """Largest difference of a value, in its sigmas, from what was noted before; infinite where other things exist."""
     state, places = other
     now, points = state_of(one), places_of(one)

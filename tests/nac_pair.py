@@ -37,7 +37,7 @@ from mgsgraph.network.joining import mountings, seconds
 from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, interior_orientation, line_image, one_rate
-from mgsgraph.simulation.hrsc_flight import strip_correction
+from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.simulation.observations import Visible, well_inside
 from mgsgraph.simulation.orbit import (
     MOON,
@@ -150,7 +150,7 @@ class TrueRig:
                 axes = pass_.axes_of(j)
                 own = rotation.exponential(-boresights[j]) @ (np.eye(3) if axes is None else axes)
                 turned = np.hstack([nodes[:, :3], nodes[:, 3:] @ own.T])
-                corrections.append(strip_correction(pass_.nodes, turned))
+                corrections.append(pass_correction(pass_.nodes, turned))
         nominal = tuple(
             as_taken(image, InstrumentErrors(camera_boresight=b)) for image, b in zip(images, boresights, strict=True)
         )

@@ -22,7 +22,7 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKin
 from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.passes import Pass, PolynomialPrior
 from mgsgraph.network.shared import image_effect
-from mgsgraph.simulation.hrsc_flight import drawn_nodes, strip_correction
+from mgsgraph.simulation.hrsc_flight import drawn_nodes, pass_correction
 
 _HEIGHT_STEPS = 20
 
@@ -34,7 +34,7 @@ class Draw:
     network: Network
     """Observations and a-priori places as drawn."""
     corrections: tuple[OrientationCorrection, ...]
-    """True orientation of each image; none for a held one, and that of its strip for one of a strip."""
+    """True orientation of each image; none for a held one, and that of its pass for one of a pass."""
     shifts: Array
     """(p, 2) m, east and north: what the a-priori places of each profile lack of the truth, and last, where it has a
     shift of its own, the terrain model."""
@@ -50,7 +50,7 @@ class Draw:
 
     @property
     def vector(self) -> Array:
-        """The truth in the order of an adjustment's vector: images without strips, shifts, shared unknowns."""
+        """The truth in the order of an adjustment's vector: images without passes, shifts, shared unknowns."""
         return np.concatenate([
             *(one.coefficients.ravel() for one in self.own), self.shifts.ravel(), *self.shared
         ])  # fmt: skip
@@ -166,11 +166,11 @@ def _drawn_corrections(network: Network, rng: np.random.Generator, angles: Angle
     }
     for one in network.passes:
         nodes = _drawn_pass(one, rng)
-        common = strip_correction(one.nodes, nodes, angles)
+        common = pass_correction(one.nodes, nodes, angles)
         for j in one.images.tolist():
             axes = one.axes_of(j)
             turned = common if axes is None else np.hstack([nodes[:, :3], nodes[:, 3:] @ axes.T])
-            own[j] = common if axes is None else strip_correction(one.nodes, turned, angles)
+            own[j] = common if axes is None else pass_correction(one.nodes, turned, angles)
     return tuple(own[j] for j in range(len(network.images)))
 
 

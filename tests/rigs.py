@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from networks import network, pair
-from strip_files import write_network
+from pass_files import write_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings

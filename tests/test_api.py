@@ -101,7 +101,7 @@ def test_what_is_said_in_words_is_a_property_of_a_record() -> None:
                     whole = part.name in ("sentence", "sentences") and not bases & {"Record", "NamedTuple"}
                     (wrong if plain or whole or part.name == "statement" else said).append(f"{one.name}.{part.name}")
     assert not wrong
-    assert {"Closing.sentence", "Components.sentences", "Difference.sentence"} <= set(said)
+    assert {"BatchCheck.sentence", "Components.sentences", "Difference.sentence"} <= set(said)
 
 
 def test_records_of_a_solution_are_brief_and_told_with_their_units(solution: Solution) -> None:

@@ -182,7 +182,7 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/matching.md": (pixels, "5 of 20 tie points"),
     "docs/files.md": (adjusted, "SIM/A"),
     "docs/passes.md": (nothing, "HRSC/01: "),
-    "docs/projects.md": (nothing, "Closing check"),
+    "docs/projects.md": (nothing, "Check against batch"),
     "docs/terrain.md": (nothing, "with terrain: mean sigmas"),
 }
 """What a page's blocks, run one after the other, find in the folder and among their names, and a part of what they

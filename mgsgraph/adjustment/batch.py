@@ -292,7 +292,7 @@ def _lower(problem: BundleProblem, state: Array, trial: Array, cost: float, new:
 def _converged(last: Iteration, settings: SolverSettings) -> str:
     if last.step < settings.step_tolerance:
         return f"Converged: the last step was {last.step:.1e} posterior sigmas long."
-    return f"Converged: the last step promised to lower the cost by no more than {settings.cost_tolerance:.0e} of it."
+    return f"Converged: the last step would lower the cost by no more than {settings.cost_tolerance:.0e} of it."
 
 
 _DEPTH = 10
@@ -344,11 +344,11 @@ def minimum(
     be so). Where the final steps do not converge, continue without them.
     """
     if slow:
-        return replace(settled_minimum(problem, start, _at_rest(problem, start, settings), progress), slow=True)
+        return replace(settled_minimum(problem, start, _in_rounding(problem, start, settings), progress), slow=True)
     outcome_plain = levenberg_marquardt(problem, start, settings, progress, unless_slow=True)
     if not outcome_plain.slow:
         return outcome_plain
-    outcome = with_final_steps(problem, outcome_plain, _at_rest(problem, outcome_plain.state, settings), progress)
+    outcome = with_final_steps(problem, outcome_plain, _in_rounding(problem, outcome_plain.state, settings), progress)
     return outcome if outcome.converged else replace(_further(problem, outcome_plain, settings, progress), slow=True)
 
 
@@ -361,7 +361,7 @@ def _further(
     return replace(tried, cost_initial=before.cost_initial, history=before.history + later)
 
 
-def _at_rest(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
+def _in_rounding(problem: BundleProblem, state: Array, settings: SolverSettings) -> SolverSettings:
     """Settings with a step tolerance whose gain is a cost's rounding, where that is longer."""
     rounding = math.sqrt(2.0 * _GRADIENT_ROUNDING * problem.cost(state, SYSTEM))
     return replace(settings, step_tolerance=max(settings.step_tolerance, min(rounding, 0.1)))

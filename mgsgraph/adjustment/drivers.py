@@ -64,7 +64,7 @@ class Contributions(Record):
     """(m,) images, or points, those that stand out before others, the largest share first; `LISTED` at the most."""
     shares: Array
     """(m,) of the quantity."""
-    outstanding: int
+    flagged: int
     """How many stand out."""
     share: float
     """Share of these together."""
@@ -72,7 +72,7 @@ class Contributions(Record):
     @property
     def named(self) -> Index:
         """Members that stand out."""
-        return self.members[: self.outstanding]
+        return self.members[: self.flagged]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,15 +91,15 @@ class Drivers(Record):
     """Points that their rays don't determine."""
 
     @property
-    def outstanding(self) -> tuple[Contributions, ...]:
+    def flagged(self) -> tuple[Contributions, ...]:
         """Contributions of images and points that stand out, in the order in which they say the most."""
-        return tuple(part for part in self.contributions if part.outstanding)
+        return tuple(part for part in self.contributions if part.flagged)
 
 
 def driver_sentences(drivers: Drivers, network: Network) -> list[str]:
     """Sentences: which images and points stand out, by name; or that none does."""
-    if drivers.outstanding:
-        sentences = [_sentence(part, network) for part in _without_repeated(drivers.outstanding)]
+    if drivers.flagged:
+        sentences = [_sentence(part, network) for part in _without_repeated(drivers.flagged)]
         return [f"What drives it: {sentences[0]}", *sentences[1:]]
     largest = [part for part in drivers.contributions if part.quantity == Quantity.COST and part.members.size]
     shares = " and ".join(f"{_names(part, network, 1)} with {_percent(part.shares[0])}" for part in largest)
@@ -119,7 +119,7 @@ def _without_repeated(parts: Sequence[Contributions]) -> list[Contributions]:
 
 def _sentence(part: Contributions, network: Network) -> str:
     """The share of a quantity of those that stand out, and their names."""
-    count, kind = part.outstanding, str(part.kind)
+    count, kind = part.flagged, str(part.kind)
     who, names = f"{count} of {many(part.of, kind)}", _names(part, network)
     share, plural = _percent(part.share), count != 1
     if part.quantity == Quantity.COST:
@@ -132,9 +132,9 @@ def _sentence(part: Contributions, network: Network) -> str:
 
 def _names(part: Contributions, network: Network, most: int = 3) -> str:
     """Names of images, or ids of points, that stand out; of the first where none does."""
-    index = part.members[: min(most, part.outstanding or most)].tolist()
+    index = part.members[: min(most, part.flagged or most)].tolist()
     names = [network.images[i].name if part.kind == Kind.IMAGE else network.points.ids[i] for i in index]
-    more = part.outstanding - len(names)
+    more = part.flagged - len(names)
     return ", ".join(names) + (f" and {more} more" if more > 0 else "")
 
 
@@ -152,10 +152,10 @@ _SHARE = 0.1
 FEWEST = 5
 """Points that an image must have seen to be named for them."""
 _COVERED, _RATIO = 0.8, 3.0
-"""Share of the outstanding points that images must see to explain them; its least ratio to the share of all points."""
+"""Share of the flagged points that images must see to explain them; its least ratio to the share of all points."""
 
 
-def outstanding(
+def flagged_by_share(
     values: Array, measures: Array, factor: float, total: float | None = None, pulled: float = 0.0
 ) -> Mask:
     """(n,) whose mean square per measure is many times the median, and a share `pulled` of the largest, if together
@@ -171,7 +171,7 @@ def outstanding(
 
 
 def contributions(
-    quantity: Quantity, kind: Kind, values: Array, outstanding: Mask, then: Array | None = None,
+    quantity: Quantity, kind: Kind, values: Array, flagged: Mask, then: Array | None = None,
     all_of_it: float | None = None,
 ) -> Contributions:  # fmt: skip
     """The record; ties in `values` (n,) go by `then` (n,)."""
@@ -179,14 +179,14 @@ def contributions(
     if not total > 0.0:
         return Contributions(quantity, kind, values.size, np.zeros(0, dtype=np.int64), np.zeros(0), 0, 0.0)
     parts = []
-    for chosen in (outstanding, ~outstanding & (values > 0.0)):
+    for chosen in (flagged, ~flagged & (values > 0.0)):
         index = np.flatnonzero(chosen)
         keys = (-values[index],) if then is None else (-then[index], -values[index])
         parts.append(index[np.lexsort(keys)][:LISTED])
     members = np.concatenate(parts)[:LISTED]
-    share = 1.0 if all_of_it is not None and np.any(outstanding) else float(values[outstanding].sum()) / total
+    share = 1.0 if all_of_it is not None and np.any(flagged) else float(values[flagged].sum()) / total
     return Contributions(
-        quantity, kind, values.size, members, values[members] / total, int(np.count_nonzero(outstanding)), share
+        quantity, kind, values.size, members, values[members] / total, int(np.count_nonzero(flagged)), share
     )
 
 
@@ -321,11 +321,11 @@ def _of_cost(network: Network, costs: _Costs, factor: float) -> list[Contributio
     image stands out from a factor on.
     """
     images, points = costs.of_images(), costs.of_points()
-    of_images, of_points = outstanding(*images, factor, pulled=_PULLED), outstanding(*points, _POINTS)
+    of_images, of_points = flagged_by_share(*images, factor, pulled=_PULLED), flagged_by_share(*points, _POINTS)
     scattered = bool(np.mean(of_points) > _MOST) and bool(np.any(of_images))
     points_first = bool(np.any(of_points)) and not (scattered or covered(network, images[0], of_images, of_points))
     if points_first:
-        of_images &= outstanding(*costs.without(of_points).of_images(), factor, images[0].sum())
+        of_images &= flagged_by_share(*costs.without(of_points).of_images(), factor, images[0].sum())
         points_first = not np.any(of_images) or images[0][of_images].sum() < points[0][of_points].sum()
     elif np.any(of_images):  # they disturb neighboring images and the points of these
         of_points = np.zeros_like(of_points)

@@ -100,10 +100,10 @@ class TwoSteps(Record):
     free: Solution
     """Step 1: without the terrain model."""
     fitted: Solution
-    """Step 2: with it. Of its network the surface lacks the rows that were judged to be off."""
-    off: Mask
+    """Step 2: with it. Of its network the surface lacks the rejected rows."""
+    rejected: Mask
     """(n,) points whose height row was judged to be a blunder, or whose ground differs from the model's."""
-    at_rest: bool
+    heights_converged: bool
     """Whether that judgement converged."""
     history: tuple[tuple[Iteration, ...], tuple[Iteration, ...]]
     """Every step tried of either, over all passes."""
@@ -118,7 +118,7 @@ class TwoSteps(Record):
         return self.free.converged and self.fitted.converged
 
     def __repr__(self) -> str:
-        return f"TwoSteps(free {self.free!r}, fitted {self.fitted!r}, {int(self.off.sum())} heights off)"
+        return f"TwoSteps(free {self.free!r}, fitted {self.fitted!r}, {int(self.rejected.sum())} heights rejected)"
 
 
 def adjust_in_two_steps(
@@ -152,9 +152,9 @@ def adjust_in_two_steps(
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=100), seed=1)
+    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=100e3, points=100), seed=1)
     >>> steps = mgsgraph.adjust_in_two_steps(block.network, mgsgraph.SolverSettings(reject=4.0))
-    >>> steps.converged, int(steps.off.sum())
+    >>> steps.converged, int(steps.rejected.sum())
     (True, 0)
     """
     require_terrain(network)
@@ -165,19 +165,19 @@ def adjust_in_two_steps(
     announce("step 2 of 2, with terrain")
     selection, quiet = selection_of(network, free), replace(settings, reject=0.0)
     rays_alone = RaysAlone(without_terrain(network), quiet, selection)
-    off, tried, history = np.zeros(len(network.points), dtype=np.bool_), set[bytes](), tuple[Iteration, ...]()
+    rejected, tried, history = np.zeros(len(network.points), dtype=np.bool_), set[bytes](), tuple[Iteration, ...]()
     while True:
-        fitted = adjust_network(without_heights(network, off), quiet, name, progress, cluster, selection)
+        fitted = adjust_network(without_heights(network, rejected), quiet, name, progress, cluster, selection)
         history += fitted.history
-        tried.add(off.tobytes())
-        judged = heights_off(network, fitted, rays_alone, settings.reject)
-        at_rest = np.array_equal(judged, off)
-        if at_rest or judged.tobytes() in tried or len(tried) == _MOST_PASSES:
+        tried.add(rejected.tobytes())
+        judged = implausible_heights(network, fitted, rays_alone, settings.reject)
+        heights_converged = np.array_equal(judged, rejected)
+        if heights_converged or judged.tobytes() in tried or len(tried) == _MOST_PASSES:
             break
-        off = judged
-    off.flags.writeable = False
+        rejected = judged
+    rejected.flags.writeable = False
     seconds = middle - begin, time.perf_counter() - middle
-    return TwoSteps(network, free, fitted, off, at_rest, (free.history, history), seconds, rays_alone)
+    return TwoSteps(network, free, fitted, rejected, heights_converged, (free.history, history), seconds, rays_alone)
 
 
 def require_terrain(network: Network, where: str = "two steps") -> None:
@@ -193,12 +193,12 @@ def without_terrain(network: Network) -> Network:
     return replace(network, surface=None, considered=tuple(name for name in network.considered if name != TERRAIN))
 
 
-def without_heights(network: Network, off: Mask) -> Network:
+def without_heights(network: Network, rejected: Mask) -> Network:
     """A network without the height rows of some points (n,)."""
     surface = network.surface
-    if surface is None or not np.any(off):
+    if surface is None or not np.any(rejected):
         return network
-    return replace(network, surface=replace(surface, sigmas=np.where(off, np.inf, surface.sigmas)))
+    return replace(network, surface=replace(surface, sigmas=np.where(rejected, np.inf, surface.sigmas)))
 
 
 def selection_of(network: Network, free: Solution) -> Selection:
@@ -238,7 +238,7 @@ def heights_above(network: Network, places: Array, solution: Solution | None = N
     return heights, normals
 
 
-def heights_off(network: Network, fitted: Solution, rays_alone: RaysAlone, limit: float) -> Mask:
+def implausible_heights(network: Network, fitted: Solution, rays_alone: RaysAlone, limit: float) -> Mask:
     """(n,) points whose height contradicts the terrain model by more than `limit` standard deviations.
 
     Judged is the height h above the model of the place where the rays alone put the point, with the orientation of step

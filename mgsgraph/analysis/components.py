@@ -84,7 +84,7 @@ class Component(Record):
     """Number of rows, priors among them."""
     redundancy: float
     """Sum of their redundancy numbers."""
-    squares: float
+    sum_of_squares: float
     """Sum of their squared whitened residuals."""
     factor: float
     """By which the stated sigmas have to be multiplied; NaN where it can't be judged, the factor held otherwise."""
@@ -104,8 +104,8 @@ class Component(Record):
 
     @property
     def foerstner(self) -> float:
-        """Square root of squares over redundancy: the factor if all other groups' sigmas are right."""
-        return math.sqrt(self.squares / self.redundancy) if self.redundancy > 0.0 else math.nan
+        """Square root of the sum of squares over redundancy: the factor if all other groups' sigmas are right."""
+        return math.sqrt(self.sum_of_squares / self.redundancy) if self.redundancy > 0.0 else math.nan
 
     def interval(self, probability: float = SURE) -> tuple[float, float]:
         """Within which the factor lies, by the chi-square distribution; NaN where it can't be judged."""
@@ -268,7 +268,7 @@ def components(solution: Solution | Linearised, grouping: Grouping | None = None
     by_group = group_redundancy(at, grouping or group_rows(at.network))
     judgements = judge_groups(by_group, {})
     squared = _squared_factors(by_group, judgements)
-    plain = by_group.squares / np.maximum(by_group.redundancy, 1e-300)
+    plain = by_group.sums_of_squares / np.maximum(by_group.redundancy, 1e-300)
     first = components_from_redundancy(by_group, judgements, np.sqrt(np.where(squared > 0.0, squared, plain)))
     groups = tuple(replace(entry, negative=bool(s <= 0.0)) for entry, s in zip(first.groups, squared, strict=True))
     far = [abs(math.log(entry.factor)) > _FAR for entry in first.groups if entry.judgement is Judgement.JUDGED]
@@ -359,7 +359,7 @@ def _degrees(helmert: Array) -> Array:
 def _squared_factors(by_group: Redundancy, judgements: list[Judgement]) -> Array:
     """(g,) solution of Helmert's equations for the groups that are judged, the others' factors being one; NaN there."""
     judged, squared = _judged_groups(judgements), np.full(len(judgements), np.nan)
-    excess = (by_group.squares - by_group.redundancy)[judged]
+    excess = (by_group.sums_of_squares - by_group.redundancy)[judged]
     squared[judged] = 1.0 + np.linalg.solve(by_group.helmert[np.ix_(judged, judged)], excess)
     return squared
 
@@ -374,7 +374,7 @@ def components_from_redundancy(by_group: Redundancy, judgements: list[Judgement]
     correlation[np.ix_(judged, judged)] = covariance * scale[:, None] * scale
     groups = []
     for g, judgement in enumerate(judgements):
-        numbers = int(by_group.counts[g]), float(by_group.redundancy[g]), float(by_group.squares[g])
+        numbers = int(by_group.counts[g]), float(by_group.redundancy[g]), float(by_group.sums_of_squares[g])
         inseparable = judgement in (Judgement.INSEPARABLE, Judgement.LOST)
         beside, shared = nearest(by_group, g) if inseparable else most_correlated(by_group, judged, g)
         freedom = float(degrees[g])

@@ -47,7 +47,7 @@ class GroupTest(Record):
     """Scalar observations that were looked at."""
     redundancy: float
     """Sum of their redundancy numbers."""
-    squares: float
+    sum_of_squares: float
     """Sum of the squares of their whitened residuals."""
     p_value: float
     """Chance of so large a sum, or of a larger one, if the stated sigmas are right; NaN where nothing tests them."""
@@ -80,8 +80,8 @@ class GroupTest(Record):
 
     @property
     def sigma0(self) -> float:
-        """Root of squares over redundancy; NaN where nothing tests the group."""
-        return math.sqrt(self.squares / self.redundancy) if self.tested else math.nan
+        """Root of the sum of squares over redundancy; NaN where nothing tests the group."""
+        return math.sqrt(self.sum_of_squares / self.redundancy) if self.tested else math.nan
 
     @property
     def tested(self) -> bool:
@@ -106,10 +106,10 @@ def fit_of_groups(rows: ResidualRows, priors: PriorRows, grouping: Grouping) -> 
     tests = list[GroupTest]()
     for k in np.unique(number).tolist():
         members = np.flatnonzero(number == k)
-        of_group, squares = float(redundancy[members].sum()), float(rows.residuals[members] @ rows.residuals[members])
+        of_group, total = float(redundancy[members].sum()), float(rows.residuals[members] @ rows.residuals[members])
         tested = of_group > UNTESTED * members.size and BACK_PROJECTED not in names[k]
-        p, weights = _tail(rows, members, of_group, squares) if tested else (math.nan, np.zeros(0))
-        tests.append(GroupTest(names[k], members.size, of_group, squares, p, weights))
+        p, weights = _tail(rows, members, of_group, total) if tested else (math.nan, np.zeros(0))
+        tests.append(GroupTest(names[k], members.size, of_group, total, p, weights))
     return tuple(tests)
 
 
@@ -133,16 +133,16 @@ def numbers_of_groups(rows: ResidualRows, grouping: Grouping) -> tuple[Index, li
     return 2 * groups + ((rows.kind == IMAGE) & (rows.component == 1)), names
 
 
-def _tail(rows: ResidualRows, members: Index, redundancy: float, squares: float) -> tuple[float, Array]:
+def _tail(rows: ResidualRows, members: Index, redundancy: float, total: float) -> tuple[float, Array]:
     """Probability of so large a sum of squares of some rows, or of a larger one; `GroupTest.weights`."""
     from scipy.stats import chi2  # slow to import
 
     if members.size <= _MOST_ROWS and redundancy < _EXACT:
         weights = np.linalg.eigvalsh(rows.variance(members, np.eye(members.size)))
         weights = weights[weights > 1e-9 * weights.max()]
-        return quadratic_tail(squares, weights), weights
+        return quadratic_tail(total, weights), weights
     factor = _square_of_covariance(rows, members, redundancy) / redundancy
-    return float(chi2.sf(squares / factor, redundancy / factor)), np.array([factor])
+    return float(chi2.sf(total / factor, redundancy / factor)), np.array([factor])
 
 
 def _square_of_covariance(rows: ResidualRows, members: Index, redundancy: float) -> float:

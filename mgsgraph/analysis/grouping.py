@@ -197,7 +197,7 @@ def scaled(network: Network, grouping: Grouping, factors: Array) -> Network:
 
 
 def _scaled_pass(pass_: Pass, factors: Sequence[Array]) -> Pass:
-    """A strip with its a-priori sigmas times factors, `factors` being those of its unknowns, then others'."""
+    """A pass with its a-priori sigmas times factors, `factors` being those of its unknowns, then others'."""
     trend = pass_.prior.trend_sigmas.size
     return pass_.scaled(factors[0], factors[len(pass_.nodes)] if trend else np.zeros(0))
 
@@ -218,10 +218,10 @@ class Redundancy:
     """(g,) groups."""
     counts: Index
     """(g,) rows that take part."""
-    squares: Array
+    sums_of_squares: Array
     """(g,) sum of the squares of the whitened residuals."""
     redundancy: Array
-    """(g,) sum of the redundancy numbers, expected value of `squares`."""
+    """(g,) sum of the redundancy numbers, expected value of `sums_of_squares`."""
     helmert: Array
     """(g, g) Helmert's matrix; its rows add up to `redundancy`."""
     exact: bool
@@ -237,7 +237,7 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
     priors, size = prior_rows(at), len(grouping.names)
     of_row = grouping.of_priors(at.layout)
     counts = sums.counts + np.bincount(of_row, minlength=size)
-    squares = sums.squares + np.bincount(of_row, priors.misfit**2, size)
+    sums_of_squares = sums.sums_of_squares + np.bincount(of_row, priors.misfit**2, size)
     shares = sums.shares + np.bincount(of_row, priors.share, size)
     normals = sums.normals(of_row)
     redundancy, exact = counts - shares, at.layout.columns <= dense
@@ -249,7 +249,7 @@ def group_redundancy(at: Linearised, grouping: Grouping, dense: int = DENSE) -> 
         # between groups the estimate is good; within one the rows' sum is known, which leaves no need for it
         np.fill_diagonal(helmert, 0.0)
         helmert[np.diag_indices(size)] = redundancy - helmert.sum(axis=1)
-    return Redundancy(grouping.names, counts, squares, redundancy, helmert, exact)
+    return Redundancy(grouping.names, counts, sums_of_squares, redundancy, helmert, exact)
 
 
 def _rows_by_group(at: Linearised, grouping: Grouping) -> Iterator[tuple[PointRows, Index]]:
@@ -277,7 +277,7 @@ class _Sums:
     def __init__(self, at: Linearised, groups: int) -> None:
         self._at, self._blocks = at, at.layout.blocks
         self.counts = np.zeros(groups, dtype=np.int64)
-        self.squares, self.shares, self.cross = np.zeros(groups), np.zeros(groups), np.zeros((groups, groups))
+        self.sums_of_squares, self.shares, self.cross = np.zeros(groups), np.zeros(groups), np.zeros((groups, groups))
         self._flat = np.zeros((groups, self._blocks.target.size))
         self._variables: tuple[int, ...] | None = None
         self._normal, self._covariance = np.zeros((groups, 0, 0)), np.zeros((0, 0))
@@ -301,7 +301,7 @@ class _Sums:
             carried[g] = outer[g] @ self._covariance
             self._normal[g] += normal
             self.counts[g] += np.count_nonzero(present[:, members])
-            self.squares[g] += np.sum(rows.residuals[:, members] ** 2)
+            self.sums_of_squares[g] += np.sum(rows.residuals[:, members] ** 2)
             self.shares[g] += np.sum(through_group**2) + np.sum(normal * self._covariance)
         for g in numbers:
             for k in numbers:

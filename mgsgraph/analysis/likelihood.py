@@ -46,11 +46,11 @@ class LikelihoodRatio(Record):
     --------
     >>> nominal = np.zeros_like(solution.coefficients[0])
     >>> ratio = posterior.likelihood.ratio({"SIM/A": nominal})
-    >>> print(f"chi-square {ratio.squares:.0f} with {ratio.degrees} degrees of freedom: p < 0.001 is {ratio.p < 0.001}")
-    chi-square 350 with 18 degrees of freedom: p < 0.001 is True
+    >>> print(f"chi-square {ratio.chi_square:.0f}, {ratio.degrees} degrees of freedom, p < 0.001: {ratio.p < 0.001}")
+    chi-square 350, 18 degrees of freedom, p < 0.001: True
     """
 
-    squares: float
+    chi_square: float
     """Twice the cost's rise."""
     degrees: int
     """Unknowns that were held."""
@@ -158,10 +158,10 @@ class Likelihood(Record):
             held += range(columns.start, columns.stop)
         directions = np.zeros((variables.sigmas.size, len(held)))
         directions[held, np.arange(len(held))] = 1.0
-        squares = 2.0 * (self._held(directions, wanted[held])[0] - self._lowest)
+        chi_square = 2.0 * (self._held(directions, wanted[held])[0] - self._lowest)
         from scipy.special import chdtrc  # slow to import
 
-        return LikelihoodRatio(squares, len(held), float(chdtrc(len(held), max(squares, 0.0))) if held else 1.0)
+        return LikelihoodRatio(chi_square, len(held), float(chdtrc(len(held), max(chi_square, 0.0))) if held else 1.0)
 
     def profiles(self, owner: str, *axes: str) -> list[Profile]:
         """Of the unknowns of an image, shift or shared unknown in the terms of the flight: all, or those of some axes

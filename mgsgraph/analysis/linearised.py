@@ -86,7 +86,7 @@ def _placed(layout: Layout, values: Sequence[Array], places: Array) -> tuple[Arr
 class PriorRows:
     """What is known of the shared unknowns without any point, as m rows.
 
-    Most rows are the a-priori value of one unknown. Those of a strip's orientation images join a node to the one
+    Most rows are the a-priori value of one unknown. Those of a pass's orientation images join a node to the one
     before it and to the trend (`network.passes`); they count as measures of the node. Those of a `PolynomialPrior` are
     of coefficients: row about node k and component c of that of s^k. The last are crossovers of laser
     profiles, measured height differences.

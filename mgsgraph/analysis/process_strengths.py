@@ -37,7 +37,7 @@ density. No strengths need an adjustment of their own: with other ones all unkno
 and what is stated is the mean square about x, as of several minima (`adjustment.multistart`): S + A Q A'.
 
 Passes may move in the same way. Their difference then shows nothing, and strengths that follow from it would vanish. So
-there are two hypotheses: that passes are independent, and (probability `_ALIKE` beforehand) that what the measures see
+there are two hypotheses: that passes are independent, and (probability `_JOINT` a priori) that what the measures see
 of a process has a strength of its own, exp(`_LESS`) of that of what they don't see.
 """
 
@@ -76,8 +76,8 @@ Block = tuple[Index, Array]
 
 _RANGE = 0.95
 """Probability that passes that don't differ get no strengths of their own."""
-_ALIKE = 0.2
-"""Probability beforehand that passes move alike."""
+_JOINT = 0.2
+"""A-priori probability that passes move in the same way."""
 _NARROW = 0.4
 """Times the spread of what axes have in common, of what measures don't see then: it would run away."""
 _LESS, _LESS_BY = -3.0, 1.0
@@ -152,7 +152,7 @@ class Evidence:
         parts = tuple((block,) for part in self.parts for block in part)
         return replace(self, parts=parts, mean=self.mean[of], spread=spread_beforehand(each)), each, of
 
-    def alike(self, wanted: Sequence[Strength]) -> "Evidence":
+    def joint(self, wanted: Sequence[Strength]) -> "Evidence":
         """With strengths (2 p) of what is seen of each process, and of what is not, with those of the mean beforehand:
         directions of which measures take more than half of the variance away, and the others.
         """
@@ -288,8 +288,8 @@ class EstimatedStrengths(Record):
     """p of them."""
     covariance: Array
     """(p, p) of their natural logarithms."""
-    alike: float
-    """Probability that passes move alike, so that their difference doesn't show the strengths."""
+    same_motion: float
+    """Probability that passes move in the same way, so that their difference doesn't show the strengths."""
     converged: bool
     """Whether the last round changed nothing by more than the tolerance."""
     rounds: int
@@ -309,9 +309,9 @@ class EstimatedStrengths(Record):
         for i, k in entangled:
             names = f"{self.strengths[i].name} and {self.strengths[k].name}"
             lines.append(f"{names}: not separable (correlation {self.correlation[i, k]:.3f} of their strengths)")
-        if self.alike > 0.5:
-            lines.append(f"Passes move alike (probability {self.alike:.2f}): their difference hides the strengths.")
-        end = "at rest" if self.converged else "NOT at rest"
+        if self.same_motion > 0.5:
+            lines.append(f"Passes move jointly (probability {self.same_motion:.2f}): their difference hides strengths.")
+        end = "converged" if self.converged else "did NOT converge"
         return [*lines, f"Strengths {end} after {self.rounds} adjustments."]
 
 
@@ -336,8 +336,8 @@ def estimated_strengths(
     most : int
         Adjustments.
     tolerance : float
-        Relative change below which they are at rest; ten times that share of a strength's own standard deviation where
-        this is more.
+        Relative change below which they have converged; ten times that share of a strength's own standard deviation
+        where this is more.
     name : str
         What to call the adjustment in reports.
     progress : callable
@@ -358,7 +358,7 @@ def estimated_strengths(
         solution = adjust_network(network, settings, name, progress, left_in=left_in)
         evidence = Evidence.of(solution, sought)
         steps = evidence.maximum()
-        # a strength that is known to a tenth only need not be at rest to a hundredth
+        # a strength that is known to a tenth only need not converge to a hundredth
         errors = np.sqrt(np.diagonal(np.linalg.inv(evidence.density(steps).information)))
         converged = bool(np.all(np.abs(steps) <= tolerance * np.maximum(1.0, 10.0 * np.minimum(errors, 1.0))))
         if converged and several and not in_common:
@@ -367,7 +367,7 @@ def estimated_strengths(
         if converged or done == most:
             break
         network = with_strength_sigmas(network, sought, strength_sigmas(network, sought) * np.exp(steps))
-    hypotheses = [(1.0 - _ALIKE, evidence), (_ALIKE, evidence.alike(sought))] if several else [(1.0, evidence)]
+    hypotheses = [(1.0 - _JOINT, evidence), (_JOINT, evidence.joint(sought))] if several else [(1.0, evidence)]
     drawn, weights, spread = _mixture(hypotheses)
     off = drawn - weights @ drawn
     covariance = off.T @ (weights[:, None] * off)
@@ -378,9 +378,9 @@ def estimated_strengths(
             sought, *points.tolist(), np.sqrt(np.diagonal(covariance)).tolist(), strict=True
         )
     )
-    alike = float(weights[2**_DRAWS :].sum())
+    same_motion = float(weights[2**_DRAWS :].sum())
     solution = _with_spread(solution, evidence, spread)
-    return EstimatedStrengths(network, solution, strengths, covariance, alike, converged, done)
+    return EstimatedStrengths(network, solution, strengths, covariance, same_motion, converged, done)
 
 
 def where_passes_differ(

@@ -35,7 +35,7 @@ _MARKS = 200
 class QuantilePlot:
     """Sorted residuals against those of a normal distribution."""
 
-    promised: Array
+    expected: Array
     """(m,) standard normal quantiles."""
     found: Array
     """(m,) those of the normalised residuals."""
@@ -70,12 +70,12 @@ class ResidualStatistics(Record):
 
     @property
     def skewness(self) -> float:
-        """Third moment about the mean, in standard deviations; 0 is promised."""
+        """Third moment about the mean, in standard deviations; 0 is expected."""
         return self._moment(3)
 
     @property
     def kurtosis(self) -> float:
-        """Fourth moment about the mean less 3: 0 is promised, more means long tails."""
+        """Fourth moment about the mean less 3: 0 is expected, more means long tails."""
         return self._moment(4) - 3.0
 
     @property
@@ -110,7 +110,7 @@ class ResidualStatistics(Record):
         return float(kolmogorov(self.distance * (root + 0.12 + 0.11 / root)))
 
     @property
-    def as_promised(self) -> bool | None:
+    def consistent(self) -> bool | None:
         """Whether neither the law nor the rms fails a test at 1%; None with too few residuals for either."""
         if not self.effective >= _FEWEST:
             return None

@@ -50,20 +50,20 @@ class Loss(NamedTuple):
     """Of what kind."""
     image: str
     """Name of their image, of image measures; else empty."""
-    lost: int
+    left_out: int
     """How many did not take part."""
     total: int
     """Of so many."""
 
     @property
     def share(self) -> float:
-        """Share that is lost."""
-        return self.lost / self.total
+        """Share that did not take part."""
+        return self.left_out / self.total
 
     @property
     def fatal(self) -> bool:
         """Whether what is left proves nothing."""
-        return self.lost == self.total or (self.total >= _FEWEST and self.share > MOST)
+        return self.left_out == self.total or (self.total >= _FEWEST and self.share > MOST)
 
     @property
     def large(self) -> bool:
@@ -74,10 +74,10 @@ class Loss(NamedTuple):
 def losses(solution: Solution) -> tuple[Loss, ...]:
     """Kinds of observations of which many are left out, the most first."""
     network, rays = solution.network, ray_statistics(solution)
-    lost, table = rejected_points(solution), list[Loss]()
+    rejected, table = rejected_points(solution), list[Loss]()
     for point_class, kind in _OF_CLASS.items():
         members = network.points.classes == point_class
-        table.append(Loss(kind, "", int(np.count_nonzero(lost & members)), int(np.count_nonzero(members))))
+        table.append(Loss(kind, "", int(np.count_nonzero(rejected & members)), int(np.count_nonzero(members))))
     ranges = solution.ranges_used
     table.append(Loss(Kind.RANGES, "", int(np.count_nonzero(~ranges)), ranges.size))
     if network.stereo is not None:

@@ -34,7 +34,7 @@ from mgsgraph.network.corrections import LEAST, pass_rays, require_supported
 from mgsgraph.workers import no_progress
 
 _STRETCHES = 10
-"""Stretches of time that a strip has at least, whose sums count as independent."""
+"""Stretches of time that a pass has at least, whose sums count as independent."""
 _BLUNDER = 6.0
 """Robust standard deviations beyond which a ray held out is a blunder, if it is so for every candidate."""
 _RAYS = 3
@@ -44,31 +44,31 @@ _MEDIAN = 1.1774100225154747
 
 
 def respaced(network: Network, spacing: float) -> Network:
-    """A network whose strips all have even nodes at a spacing of at most `spacing` s, over the same time."""
+    """A network whose passes all have even nodes at a spacing of at most `spacing` s, over the same time."""
     return with_nodes(
         network,
         [
-            evenly_spaced(strip.nodes.basis, strip.nodes.epoch, strip.nodes.coverage, spacing)
-            for strip in network.passes
+            evenly_spaced(pass_.nodes.basis, pass_.nodes.epoch, pass_.nodes.coverage, spacing)
+            for pass_ in network.passes
         ],
     )
 
 
 def with_nodes(network: Network, nodes: Sequence[OrientationImages]) -> Network:
-    """A network with other nodes of its strips, in their order; the priors stay, which know any nodes."""
+    """A network with other nodes of its passes, in their order; the priors stay, which know any nodes."""
     require_respaceable(network)
-    strips = (replace(pass_, nodes=respaced_nodes) for pass_, respaced_nodes in zip(network.passes, nodes, strict=True))
-    return replace(network, passes=tuple(strips))
+    passes = (replace(pass_, nodes=respaced_nodes) for pass_, respaced_nodes in zip(network.passes, nodes, strict=True))
+    return replace(network, passes=tuple(passes))
 
 
 def require_respaceable(network: Network) -> None:
-    """Raise InputError unless there are strips, and priors that hold for any nodes."""
+    """Raise InputError unless there are passes, and priors that hold for any nodes."""
     if not network.passes:
-        raise InputError("network", "no strips", "images whose orientation follows from orientation images")
+        raise InputError("network", "no passes", "images whose orientation follows from orientation images")
     for pass_ in network.passes:
         if not isinstance(pass_.prior, NodePrior):
             found = "a joint prior of just its nodes"
-            raise InputError(f"strip {pass_.name!r}", found, "one of any nodes (bias, drift and sigmas)")
+            raise InputError(f"pass {pass_.name!r}", found, "one of any nodes (bias, drift and sigmas)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,12 +77,12 @@ class HeldOut:
 
     rays: Index
     """(h,) of the network, of different points, ascending."""
-    strip: Index
-    """(h,) strip of each."""
+    pass_number: Index
+    """(h,) pass of each."""
     times: Array
-    """(h,) s past the epoch of that strip's nodes."""
+    """(h,) s past the epoch of that pass's nodes."""
 
-    def taken(self, network: Network) -> Mask:
+    def rays_left(self, network: Network) -> Mask:
         """(rays,) those that take part: neither held out nor marked as blunders."""
         taken = unmarked(network).rays
         taken[self.rays] = False
@@ -90,7 +90,7 @@ class HeldOut:
 
     def left_in(self, network: Network) -> Selection:
         """What takes part in an adjustment."""
-        return replace(unmarked(network), rays=self.taken(network))
+        return replace(unmarked(network), rays=self.rays_left(network))
 
 
 def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOut:
@@ -99,15 +99,15 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
     Parameters
     ----------
     network : Network
-        With strips.
+        With passes.
     share : float
-        Of the points with three rays or more; of each of them one ray, of a strip's image, is held out.
+        Of the points with three rays or more; of each of them one ray, of a pass's image, is held out.
     """
     if not (np.isfinite(share) and 0.0 < share <= 1.0):
         raise InputError("rays held out", f"a share of {share}", "more than 0, and 1 at the most")
-    good, in_strip = unmarked(network).rays, network.pass_of[network.rays.image] >= 0
+    good, in_pass = unmarked(network).rays, network.pass_of[network.rays.image] >= 0
     counts = np.bincount(network.rays.point, good, len(network.points))
-    able = np.flatnonzero(good & in_strip & (counts[network.rays.point] >= _RAYS))
+    able = np.flatnonzero(good & in_pass & (counts[network.rays.point] >= _RAYS))
     shuffled = rng.permutation(able)
     points, first = np.unique(network.rays.point[shuffled], return_index=True)
     number = round(share * points.size)
@@ -115,11 +115,11 @@ def hold_out(network: Network, share: float, rng: np.random.Generator) -> HeldOu
         found = f"{points.size} points with {_RAYS} rays or more, of which {number} would be held out"
         raise InputError("rays held out", found, "two at least", "hold out a larger share, or match more points")
     rays = np.sort(shuffled[rng.choice(first, number, replace=False)])
-    times, strip = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
-    for k in np.unique(strip).tolist():
+    times, pass_number = np.empty(rays.size), network.pass_of[network.rays.image[rays]]
+    for k in np.unique(pass_number).tolist():
         of_pass = pass_rays(network, k)
-        times[strip == k] = of_pass.times[np.searchsorted(of_pass.rays, rays[strip == k])]
-    return HeldOut(rays, strip, times)
+        times[pass_number == k] = of_pass.times[np.searchsorted(of_pass.rays, rays[pass_number == k])]
+    return HeldOut(rays, pass_number, times)
 
 
 def misfits(solution: Solution, held: HeldOut) -> tuple[Array, Array]:
@@ -164,10 +164,10 @@ class SpacingCandidate:
     spacing: float
     """s, as asked for."""
     nodes: int
-    """Of all strips."""
+    """Of all passes."""
     longest: float
     """s, the longest interval that there is."""
-    squares: Array
+    squared_errors: Array
     """(h,) half the squared norm of each whitened misfit: 1 on the average if all is noise; empty when refused."""
     sigma0: float
     """Of the adjustment without these rays."""
@@ -177,7 +177,7 @@ class SpacingCandidate:
     @property
     def rms(self) -> float:
         """Root mean square of the whitened misfits; 1 is noise."""
-        return float(np.sqrt(self.squares.mean())) if self.squares.size else float("nan")
+        return float(np.sqrt(self.squared_errors.mean())) if self.squared_errors.size else float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,12 +226,12 @@ def choose_spacing(
     seed: int = 0,
     progress: Callable[[int, int], None] = no_progress,
 ) -> Choice:
-    """Adjust a network with each spacing of its strips' nodes, and judge them by rays held out.
+    """Adjust a network with each spacing of its passes' nodes, and judge them by rays held out.
 
     Parameters
     ----------
     network : Network
-        With strips; rays and ranges that it marks as rejected take no part, or with a blunder limit are judged anew.
+        With passes; rays and ranges that it marks as rejected take no part, or with a blunder limit are judged anew.
     settings : SolverSettings
         A blunder limit holds in one adjustment of all rays, with the closest nodes; what that rejects takes part with
         no candidate, so that all see the same rays.
@@ -288,7 +288,7 @@ class _Trial(NamedTuple):
 
 
 def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, Network]]:
-    """Spacings, ascending, and the networks with them; of those with the same nodes, as wide ones in short strips have
+    """Spacings, ascending, and the networks with them; of those with the same nodes, as wide ones in short passes have
     them, the first.
     """
     candidates = dict[tuple[int, ...], tuple[float, Network]]()
@@ -297,14 +297,14 @@ def _distinct(network: Network, spacings: Sequence[float]) -> list[tuple[float, 
         candidates.setdefault(tuple(len(pass_.nodes) for pass_ in network_at.passes), (spacing, network_at))
     if len(candidates) < 2:
         asked = ", ".join(f"{spacing:g}" for spacing in spacings) or "none"
-        expected = "two or more that differ in their nodes (a strip has four at least)"
+        expected = "two or more that differ in their nodes (a pass has four at least)"
         raise InputError("candidate spacings", f"{asked} s", expected)
     return list(candidates.values())
 
 
 def _trial(spacing: float, network: Network, settings: SolverSettings, held: HeldOut) -> _Trial:
     try:
-        require_supported(network, LEAST, held.taken(network))
+        require_supported(network, LEAST, held.rays_left(network))
         solution = adjust_network(network, settings, f"nodes every {spacing:g} s", left_in=held.left_in(network))
     except (InputError, WeakNetwork, SolverError) as error:
         return _Trial(spacing, network, None, np.zeros((0, 2)), str(error))
@@ -319,15 +319,15 @@ def _choice(network: Network, trials: Sequence[_Trial], held: HeldOut, rejected:
         found = f"{len(good)} of {len(trials)} that can be adjusted, two needed"
         raise InputError("candidate spacings", f"{found}; of {last.spacing:g} s: {last.refused}")
     roots = whitening(solved[good[0]], held)
-    squares = np.stack([0.5 * np.sum(np.einsum("hij,hj->hi", roots, trials[k].misfits) ** 2, axis=1) for k in good])
-    judged = np.all(np.isfinite(squares), axis=0)
+    squared = np.stack([0.5 * np.sum(np.einsum("hij,hj->hi", roots, trials[k].misfits) ** 2, axis=1) for k in good])
+    judged = np.all(np.isfinite(squared), axis=0)
     if np.count_nonzero(judged) < 2:
         found = f"{np.count_nonzero(judged)} of {judged.size} rays that their points' other rays predict"
         raise InputError("rays held out", found, "two at least", "hold out a smaller share, or match more points")
-    robust = np.sqrt(2.0 * np.median(squares[:, judged], axis=1)) / _MEDIAN
-    blunder = judged & np.all(np.sqrt(2.0 * squares) > _BLUNDER * robust[:, None], axis=0)
+    robust = np.sqrt(2.0 * np.median(squared[:, judged], axis=1)) / _MEDIAN
+    blunder = judged & np.all(np.sqrt(2.0 * squared) > _BLUNDER * robust[:, None], axis=0)
     used = judged & ~blunder
-    of_trial = {k: row[used] for k, row in zip(good, squares, strict=True)}
+    of_trial = {k: row[used] for k, row in zip(good, squared, strict=True)}
     candidates = tuple(_candidate(trial, of_trial.get(k, np.zeros(0))) for k, trial in enumerate(trials))
     best, stretch = min(good, key=lambda k: candidates[k].rms), _stretches(trials, held)[used]
     worse, errors, rms_errors = (np.full(len(candidates), np.nan) for _ in range(3))
@@ -341,21 +341,21 @@ def _choice(network: Network, trials: Sequence[_Trial], held: HeldOut, rejected:
     )  # fmt: skip
 
 
-def _candidate(trial: _Trial, squares: Array) -> SpacingCandidate:
-    strips = trial.network.passes
-    nodes = sum(len(strip.nodes) for strip in strips)
-    longest = max(float(np.diff(strip.nodes.times).max()) for strip in strips)
+def _candidate(trial: _Trial, squared: Array) -> SpacingCandidate:
+    passes = trial.network.passes
+    nodes = sum(len(pass_.nodes) for pass_ in passes)
+    longest = max(float(np.diff(pass_.nodes.times).max()) for pass_ in passes)
     sigma0 = float("nan") if trial.solution is None else trial.solution.sigma0
-    return SpacingCandidate(trial.spacing, nodes, longest, squares, sigma0, trial.refused)
+    return SpacingCandidate(trial.spacing, nodes, longest, squared, sigma0, trial.refused)
 
 
 def _stretches(trials: Sequence[_Trial], held: HeldOut) -> Index:
-    """(h,) stretch of time of each ray held out: as long as the widest spacing, or shorter: a strip has some."""
+    """(h,) stretch of time of each ray held out: as long as the widest spacing, or shorter: a pass has some."""
     stretches, first = np.zeros(held.rays.size, dtype=np.int64), 0
     for k, pass_ in enumerate(trials[-1].network.passes):
         start, stop = pass_.nodes.coverage
         count = max(int((stop - start) / float(np.diff(pass_.nodes.times).max())), _STRETCHES)
-        of_pass = held.strip == k
+        of_pass = held.pass_number == k
         inside = np.floor((held.times[of_pass] - start) / (stop - start) * count).astype(np.int64)
         stretches[of_pass] = first + np.clip(inside, 0, count - 1)
         first += count

@@ -1,5 +1,5 @@
 """Statistics of an adjustment in two steps: sigmas of points and orientation, and heights above the terrain, at
-each stage; by strip and for all. SI units, NaN for nothing.
+each stage; by pass and for all. SI units, NaN for nothing.
 
 Heights are compared like with like: at every stage of the places where the rays alone put the points, with the
 orientation of the stage. (In step 2 each point has a height row of its own, which pulls it to the terrain; with that
@@ -45,10 +45,10 @@ class HeightStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupStatistics:
-    """Of one strip, one image in no strip, or all."""
+    """Of one pass, one image in no pass, or all."""
 
     name: str
-    """Name of the strip or image, or "all"."""
+    """Name of the pass or image, or "all"."""
     points: int
     """Tie points that have a place after both steps."""
     mean: Array
@@ -57,7 +57,7 @@ class GroupStatistics:
     """(stages, 3) m, median of the same."""
     poses: Array
     """(stages, 6) m and rad, mean sigma of the orientation over evenly spaced lines, as POSE_AXES: of the image, of a
-    strip's middle image alone, or the mean of these over all groups."""
+    pass's middle image alone, or the mean of these over all groups."""
     heights: HeightStatistics
     """Of tie points over the terrain model."""
 
@@ -69,9 +69,9 @@ class TwoStepStatistics(Record):
     steps: TwoSteps
     """The adjustment."""
     whole: GroupStatistics
-    """All strips together; each point counts once, in the axes of the first strip that sees it."""
+    """All passes together; each point counts once, in the axes of the first pass that sees it."""
     groups: tuple[GroupStatistics, ...]
-    """Strips, then images in none; a point that two of them see counts in both."""
+    """Passes, then images in none; a point that two of them see counts in both."""
     points: Index
     """(m,) points of `heights`."""
     heights: Array
@@ -99,7 +99,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=100e3, points=100), seed=1)
+    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=100e3, points=100), seed=1)
     >>> steps = mgsgraph.adjust_in_two_steps(block.network, mgsgraph.SolverSettings())
     >>> mgsgraph.two_step_statistics(steps).whole.heights.rms.round(0)  # m: before, without terrain, with it
     array([108.,  29.,  20.])
@@ -111,7 +111,7 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
     assert network.surface is not None
     of_ties, with_row = network.points.classes == PointClass.TIE, np.isfinite(network.surface.sigmas)
     complete = np.all(np.isfinite(heights), axis=0) & of_ties & with_row
-    used = complete & ~steps.off
+    used = complete & ~steps.rejected
     groups = []
     first = np.full(len(network.points), -1, dtype=np.int64)
     for name, images in owners(network):
@@ -137,12 +137,12 @@ def two_step_statistics(steps: TwoSteps) -> TwoStepStatistics:
 
 
 def owners(network: Network) -> list[tuple[str, Index]]:
-    """Strips with their images; then every other image that is adjusted, or all where none is."""
-    strips = [(strip.name, strip.images) for strip in network.passes]
+    """Passes with their images; then every other image that is adjusted, or all where none is."""
+    passes = [(pass_.name, pass_.images) for pass_ in network.passes]
     alone = np.flatnonzero(network.with_polynomial)
-    if not strips and not alone.size:
+    if not passes and not alone.size:
         alone = np.arange(len(network.images))
-    return strips + [(network.images[j].name, np.array([j])) for j in alone.tolist()]
+    return passes + [(network.images[j].name, np.array([j])) for j in alone.tolist()]
 
 
 def _ties(steps: TwoSteps) -> Mask:

@@ -444,7 +444,7 @@ def _term(network: Network, where: str, hypothesis: Hypothesis, amplitude: float
 
 
 def _nodes(network: Network, image: int, hypothesis: Hypothesis, amplitude: float) -> str:
-    """Keys of a strip whose nodes can follow: as close as a quarter of the period, free by the vibration's size."""
+    """Keys of a pass whose nodes can follow: as close as a quarter of the period, free by the vibration's size."""
     if not math.isfinite(hypothesis.period):
         return "nodes closer to each other (spacing_s)"
     picture, step = network.images[image], f"{hypothesis.period / 4.0:.2g}"

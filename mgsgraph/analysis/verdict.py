@@ -301,7 +301,7 @@ def _grave(solution: Solution) -> Iterator[Reason]:
     for loss in losses(solution):
         what = f"{loss.kind}{f' of {loss.image}' if loss.image else ''}"
         state = State.INVALID if loss.fatal else State.SUSPECT
-        yield Reason(state, Cause.LEFT_OUT, what, loss.share, "share", loss.lost)
+        yield Reason(state, Cause.LEFT_OUT, what, loss.share, "share", loss.left_out)
     if solution.sigma0 > ABSURD:
         yield Reason(State.INVALID, Cause.SIGMA0, "all observations", solution.sigma0, "factor")
     for moved in solution.strained:

@@ -53,7 +53,7 @@ _AMPLITUDES, _SMALLEST = 2.0, 1.0
 _MOST_LINES, _MOST_ROUNDS = 8, 10
 _RATES = 0.2, 3.0
 """By how much less a frequency's step may become as the frequency moves by it; 1 were all linear."""
-_AT_REST = 0.1
+_CONVERGED = 0.1
 """Sigmas of a frequency by which it may still change."""
 _ROUGH = 1e-2
 """Posterior sigmas, last step of adjustments on the way."""
@@ -177,15 +177,15 @@ def estimated_vibrations(
     InputError
         Where no image has rays enough; and what `adjust_network` raises.
     """
-    lines, at_rest, owners = list[Line](), True, _owners(network, passes)
+    lines, converged, owners = list[Line](), True, _owners(network, passes)
     solution = adjust(network, settings, name, progress)
     while new := _new_lines(solution, lines, owners):
         if len(lines) >= _MOST_LINES:
             return EstimatedVibrations(solution.network, solution, tuple(lines), False)
-        lines, rested = _refined(network, owners, [*lines, *new], settings, name, progress)
-        at_rest &= rested
+        lines, refined_converged = _refined(network, owners, [*lines, *new], settings, name, progress)
+        converged &= refined_converged
         solution = adjust(with_lines(network, owners, lines), settings, name, progress)
-    return EstimatedVibrations(solution.network, solution, tuple(lines), at_rest)
+    return EstimatedVibrations(solution.network, solution, tuple(lines), converged)
 
 
 Owners = Sequence[tuple[str, Index]]
@@ -226,7 +226,7 @@ def _refined(
     network: Network, owners: Owners, lines: list[Line], settings: SolverSettings, name: str,
     progress: Callable[[Iteration], None],
 ) -> tuple[list[Line], bool]:
-    """Lines with their frequencies at rest, and whether they came there; with what their drifts may be."""
+    """Lines with refined frequencies, and whether these converged; with what their drifts may be."""
     rough = replace(settings, step_tolerance=max(settings.step_tolerance, _ROUGH))
     lines, begin = [replace(line, drift=_DRIFT) for line in lines], None
     before = moved = np.ones(len(lines))
@@ -241,10 +241,10 @@ def _refined(
             replace(line, frequency=line.frequency + step, sigma=at.sigma)
             for line, at, step in zip(lines, drifts, moved.tolist(), strict=True)
         ]
-        if rested := all(abs(drift.step) < _AT_REST * drift.sigma for drift in drifts):
+        if refined_converged := all(abs(drift.step) < _CONVERGED * drift.sigma for drift in drifts):
             break
     least = np.log(2.0 * network.rays.point.size)
-    return [_chosen(line, at, at.gain > least) for line, at in zip(lines, drifts, strict=True)], rested
+    return [_chosen(line, at, at.gain > least) for line, at in zip(lines, drifts, strict=True)], refined_converged
 
 
 class _Drifts(NamedTuple):

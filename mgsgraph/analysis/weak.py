@@ -2,7 +2,7 @@
 
 The posterior covariance S of the shared unknowns in units of what was known before, D^-1 S D^-1 with the a-priori
 sigmas D, has eigenvalues in 0 .. 1: the share of the a-priori variance that remains after the measures. (In place of an
-infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) The prior of a strip's nodes is a
+infinite sigma stands 1 km or 10 mrad, `Layout.scales`; then shares may exceed 1.) The prior of a pass's nodes is a
 joint one: there the square root R of the a-priori information takes the place of D^-1, R S R'.
 
 Many directions are often equally weak: measurements hardly separate position from pointing of one image. Directions

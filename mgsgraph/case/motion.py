@@ -53,7 +53,7 @@ class NodesInput(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     spacing_s: Positive | None = None
     """Largest spacing; 10 s when nothing is said."""
     spacing_lines: Positive | None = None
-    """The same in lines of the strip's nadir image (`network.joining.straightest`), by its mean line period."""
+    """The same in lines of the pass's nadir image (`network.joining.straightest`), by its mean line period."""
     times_et_s: tuple[float, ...] = ()
     """Times, s TDB past J2000."""
     times_utc: tuple[str, ...] = ()

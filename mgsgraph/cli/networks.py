@@ -71,10 +71,10 @@ def convert(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options
         )
     except Lossy as error:
-        print_brief(*items(f"Not kept: {line}" for line in error.lost), more=0)
+        print_brief(*items(f"Not kept: {line}" for line in error.losses), more=0)
         raise
     messages = [f"Wrote {path}" for path in written.written]
-    losses = [f"Not kept: {line}" for line in written.lost]
+    losses = [f"Not kept: {line}" for line in written.losses]
     print_brief(*messages[:_FILES], *items((*written.notes, *losses)), *messages[_FILES:], more=0)
 
 

@@ -203,6 +203,6 @@ def _find_shots(
     if out is not None and not registration.chosen.size:
         click.echo("Nothing is written: there is no shot to be written.")
     elif out is not None:
-        with fresh_file(out, over=SELECTION) as aside:
-            selection_table(registration).write_csv(aside)
+        with fresh_file(out, over=SELECTION) as temporary:
+            selection_table(registration).write_csv(temporary)
         click.echo(f"The selection is in {out}")

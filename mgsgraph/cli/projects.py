@@ -295,7 +295,7 @@ def solve(
     with open_project(project, write=True) as opened, iteration_bar() as bar:
         solved = solve_project(opened, not no_figures, tables, bar, device)
     print_solution(solved.solution, 2)
-    print_sentences("" if solved.closing is None else solved.closing.sentence)
+    print_sentences("" if solved.check is None else solved.check.sentence)
     print_ended(f"Results are in {solved.folder}")
     ctx.exit(0 if is_valid(solved.solution) else 1)
 

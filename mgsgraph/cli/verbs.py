@@ -73,7 +73,7 @@ REMOVED = {
     "footprints --solution": "mgsgraph footprints RESULT, with --case CASE where RESULT doesn't know it",
     "locate --place": "--ground",
     "match --method": "features alone are matched; for more of them, --per-cell",
-    **{f"{verb} --check": "`project solve` ends with the closing check" for verb in ("add", "remove")},
+    **{f"{verb} --check": "`project solve` ends with the check against batch" for verb in ("add", "remove")},
     **{f"{verb} --form": "always eliminated; in GTSAM: mgsgraph.factor_graph" for verb in ("adjust", "batch")},
     **{f"{verb} --pair": "--image A --image B" for verb in ("align", "dem")},
     **{f"{verb} --verbose": "-v, which prints the tables too" for verb in ("adjust", "batch", "solve")},

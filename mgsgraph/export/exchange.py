@@ -70,7 +70,7 @@ class Conversion(Record):
     """Files, in the order in which they took their places."""
     notes: tuple[str, ...]
     """What happened to the input when it was read."""
-    lost: tuple[str, ...]
+    losses: tuple[str, ...]
     """What the format can't hold, a line for each kind of thing."""
 
 
@@ -87,12 +87,12 @@ class Selection:
 
 
 class Lossy(InputError):
-    """A format can't hold all of a network, and `strict` forbids losses; `lost` lists them."""
+    """A format can't hold all of a network, and `strict` forbids losses; `losses` lists them."""
 
-    def __init__(self, output: Path, lost: Sequence[str]) -> None:
-        found = f"it can't hold {many(len(lost), 'kind')} of things ({lost[0]}{'; ...' if len(lost) > 1 else ''})"
+    def __init__(self, output: Path, losses: Sequence[str]) -> None:
+        found = f"it can't hold {many(len(losses), 'kind')} of things ({losses[0]}{'; ...' if len(losses) > 1 else ''})"
         super().__init__(str(output), found, "a format that holds all", "leave --strict out to write it nevertheless")
-        self.lost = tuple(lost)
+        self.losses = tuple(losses)
 
 
 def format_of(path: Path, named: str | None = None, option: str = "--from") -> Format:
@@ -312,7 +312,7 @@ def convert(
     >>> made = mgsgraph.convert("pair/network.pvl", "network.csv")
     >>> len(made.network.points), [path.name for path in made.written]
     (20, ['network.csv'])
-    >>> made.lost[0]
+    >>> made.losses[0]
     'NetworkId, TargetName, UserName, Created, LastModified and Description of the network'
     """
     setting, selection = setting or ExchangeSetting(), selection or Selection()

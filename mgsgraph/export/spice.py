@@ -195,7 +195,7 @@ def _exported(solution: Solution, naming: SpiceNaming) -> _Export:
     nodes = [
         adjusted_nodes(carrier.image, solution.correction(j), (carrier.covered[0] - 1.0, carrier.covered[1] + 1.0))
         for j, carrier in enumerate(carriers)
-    ]  # a line more than is promised: times are rounded
+    ]  # a line more than stated: times are rounded
     paths = united_paths(carriers, nodes, network.pass_of.tolist(), naming.images)
     clock = naming.clock or MissionClock(CLOCK, ())
     comments = _comments(solution, body, paths, nodes)

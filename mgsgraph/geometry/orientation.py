@@ -3,7 +3,7 @@
 The coefficients c_k are 6-vectors: position in m along the body-fixed axes, then a rotation vector in rad about the
 camera axes, so that the camera frame is turned by it: M = Exp([theta]x)' M_nominal; or, by choice, additions to the
 nominal omega, phi, kappa, of the papers' product M' = R3 R2 R1 (camera to body, opk-paper) or of M = R3 R2 R1 (body to
-camera, opk-peer). B_k(u) = u^k (Yoon & Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a strip's
+camera, opk-peer). B_k(u) = u^k (Yoon & Shan 2005, Eq. 2, as corrections to SPICE), or the basis of a pass's
 orientation images (Hofmann et al. 1982), or both: whatever acts linearly on the pose.
 
 Orientation images: exterior orientation at a few chosen times only, and between them from the four nearest.
@@ -13,7 +13,7 @@ the four neighbours, whose coefficients are the corrections at the nodes themsel
 
     P(t) = sum_i P(t_i) prod_{j != i} (t - t_j) / (t_i - t_j).
 
-All lines of a strip share one trajectory, so nodes are times, not lines.
+All lines of a pass share one trajectory, so nodes are times, not lines.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ _EVEN = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrientationImages(Record):
-    """The nodes of one strip, and the basis between them.
+    """The nodes of one pass, and the basis between them.
 
     Examples
     --------
@@ -156,12 +156,12 @@ def _lagrange(times: Array, nodes: Array) -> tuple[Array, Array]:
 
 
 def evenly_spaced(basis: Basis, epoch: float, coverage: tuple[float, float], spacing: float) -> OrientationImages:
-    """Nodes over a strip at even spacings of at most `spacing` s: at least three intervals."""
+    """Nodes over a pass at even spacings of at most `spacing` s: at least three intervals."""
     start, stop = coverage
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise InputError("orientation images, spacing", f"{spacing} s", "a positive number of seconds")
     if not start < stop:
-        raise InputError("orientation images", f"a strip from {start} to {stop} s", "a start before the stop")
+        raise InputError("orientation images", f"a pass from {start} to {stop} s", "a start before the stop")
     intervals = max(int(np.ceil((stop - start) / spacing - 1e-9)), SUPPORT - 1)
     step = (stop - start) / intervals
     return OrientationImages(basis, epoch, np.asarray(start + step * np.arange(intervals + 1, dtype=np.float64)))
@@ -280,11 +280,11 @@ class OrientationCorrection(Record):
 
     coefficients: Array
     """(d, 6) m and rad: of a polynomial of the normalised line, constant term first, then of the orientation images of
-    its strip, then four of each sine."""
+    its pass, then four of each sine."""
     angles: Angles = "camera"
     """What the rotation part is."""
     nodes: OrientationImages | None = None
-    """Orientation images of its strip; None for a polynomial alone."""
+    """Orientation images of its pass; None for a polynomial alone."""
     sines: tuple[Sine, ...] = ()
     """Vibrations."""
 

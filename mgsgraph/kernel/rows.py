@@ -97,12 +97,12 @@ def shapes(first: Index, fixed: Index, *tables: Index) -> Index:
     `first` (q + 1,) is each pattern's first observation, `fixed` (q,) as in `Rows`, and the tables (s,) are what
     observations have to share: kind, width, numbers of terms and single columns.
     """
-    _, alike = np.unique(np.stack(tables), axis=1, return_inverse=True)
+    _, shape = np.unique(np.stack(tables), axis=1, return_inverse=True)
     count = np.diff(first)
     table = np.full((count.size, 1 + int(count.max(initial=0))), -1, dtype=np.int64)
     table[:, 0] = fixed
     row = np.repeat(np.arange(count.size), count)
-    table[row, 1 + np.arange(row.size) - np.repeat(first[:-1], count)] = alike.reshape(-1)
+    table[row, 1 + np.arange(row.size) - np.repeat(first[:-1], count)] = shape.reshape(-1)
     return np.asarray(np.unique(table, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
 

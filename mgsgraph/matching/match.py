@@ -49,7 +49,7 @@ class Losses(NamedTuple):
     """Of these, the surest in each cell."""
     measured: int
     """Places by least-squares matching that converged."""
-    alike: int
+    similar: int
     """Of these, with enough correlation and a small enough sigma."""
     returned: int
     """Of these, whose way back ended where it began."""
@@ -403,7 +403,7 @@ def checked_matches(
         linked=linked,
         tried=measures.track.size,
         measured=int(np.count_nonzero(measures.status == MatchStatus.CONVERGED)),
-        alike=int(np.count_nonzero(acceptable)),
+        similar=int(np.count_nonzero(acceptable)),
         returned=sound.track.size,
         coplanar=int(np.count_nonzero(checked.coplanar)),
         steady=int(np.count_nonzero(checked.coplanar & checked.steady)),

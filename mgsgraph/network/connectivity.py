@@ -120,7 +120,7 @@ class Connectivity:
         return rows[np.argsort(-self.areas[rows], kind="stable")]
 
     @property
-    def apart(self) -> Index:
+    def disjoint(self) -> Index:
         """Rows of pairs that share points though their footprints don't meet: a blunder, perhaps. Widest gap first."""
         rows = np.flatnonzero((self.points > 0) & (self.gaps > 0.0))
         return rows[np.argsort(-self.gaps[rows], kind="stable")]
@@ -264,8 +264,8 @@ def connectivity_json(connected: Connectivity) -> dict[str, Any]:
         "weakest_joints": [_pair(connected, row) for row in connected.spine[:WEAKEST].tolist()],
         "bridges": [_pair(connected, row) for row in np.flatnonzero(connected.bridges).tolist()],
         "unconnected_images": [names[j] for j in connected.unconnected] if len(names) > 1 else [],
-        "overlaps_without_common_points": [_pair(connected, row) for row in worth_tying(connected).tolist()],
-        "common_points_without_overlap": [_pair(connected, row) for row in connected.apart.tolist()],
+        "overlaps_without_common_points": [_pair(connected, row) for row in lacking_ties(connected).tolist()],
+        "common_points_without_overlap": [_pair(connected, row) for row in connected.disjoint.tolist()],
     }
 
 
@@ -280,7 +280,7 @@ def _pair(connected: Connectivity, row: int) -> dict[str, Any]:
     }
 
 
-def worth_tying(connected: Connectivity) -> Index:
+def lacking_ties(connected: Connectivity) -> Index:
     """Rows of pairs that share no points but ground, slivers left out; largest area first."""
     return connected.untied[connected.shares[connected.untied] >= SLIVER]
 
@@ -301,14 +301,14 @@ def connectivity_warnings(connected: Connectivity) -> list[str]:
             f"The block is split into {len(connected.islands)} parts without common points: "
             f"{some(parts, len(connected.islands))}. Measure tie points between them."
         )
-    if (rows := worth_tying(connected)).size:
+    if (rows := lacking_ties(connected)).size:
         overlap = [_overlap(connected, row).replace(" and overlap", "") for row in rows[:NAMED]]
         verb = "overlaps" if rows.size == 1 else "overlap"
         warnings.append(
             f"{many(rows.size, 'pair')} of images {verb} without any common point: "
             f"{_named(connected, rows, overlap)}. Measure ties there."
         )
-    if (rows := connected.apart).size:
+    if (rows := connected.disjoint).size:
         gaps_of = [
             f" ({many(int(connected.points[row]), 'point')}, {connected.gaps[row] / KM:.3g} km apart)"
             for row in rows[:NAMED]

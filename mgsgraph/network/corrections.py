@@ -1,4 +1,4 @@
-"""An image's whole orientation correction: its own coefficients or its strip's orientation images, and what unknowns
+"""An image's whole orientation correction: its own coefficients or its pass's orientation images, and what unknowns
 that it shares do to it.
 
 Interior orientations as unknowns that images share: focal length, principal point, radial distortion. What a pixel
@@ -134,9 +134,9 @@ def correction_parts(network: Network, image: int, angles: Angles) -> dict[int, 
     Returns
     -------
     dict
-        Of each variable (images, then shifts, then shared unknowns, then strips' nodes) a matrix (6 d, width), m and
+        Of each variable (images, then shifts, then shared unknowns, then passes' nodes) a matrix (6 d, width), m and
         rad per unit. Of the d rows the first are those of the polynomial of the larger degree of those that add up;
-        then come the nodes of the image's strip, and four of each vibration. (Of k nodes that makes k matrices of 6 k
+        then come the nodes of the image's pass, and four of each vibration. (Of k nodes that makes k matrices of 6 k
         rows: `designs` needs none.)
     """
     polynomials, number = _of_polynomial(network, image, angles), int(network.pass_of[image])
@@ -162,7 +162,7 @@ def _vibrations(network: Network, image: int) -> dict[int, SharedUnknown]:
 
 
 def _of_polynomial(network: Network, image: int, angles: Angles) -> dict[int, Array]:
-    """(6 d, width) of each variable, of the polynomials alone; none for an image of a strip that shares nothing."""
+    """(6 d, width) of each variable, of the polynomials alone; none for an image of a pass that shares nothing."""
     picture, first = network.images[image], network.first_shared
     parts = {
         first + k: np.moveaxis(image_effect(picture, shared.kind, angles), 0, -1).reshape(-1, shared.kind.width)
@@ -194,7 +194,7 @@ class Design(NamedTuple):
     lines: slice
     """Which of the lines asked for."""
     variables: tuple[int, ...]
-    """Variables, the same at all of them; of a strip the four nodes around them."""
+    """Variables, the same at all of them; of a pass the four nodes around them."""
     parts: tuple[Array, ...]
     """Of each variable (n, 6, width), m and rad per unit."""
 
@@ -237,15 +237,15 @@ def designs(network: Network, image: int, angles: Angles, lines: Array) -> list[
     Returns
     -------
     list of dict
-        Of each line: of each variable a matrix (6, width), m and rad per unit; of a strip's nodes those around it that
+        Of each line: of each variable a matrix (6, width), m and rad per unit; of a pass's nodes those around it that
         count.
     """
     first, by_line = int(network.first_of_passes[network.pass_of[image]]), list[dict[int, Array]]()
-    on_strip = network.pass_of[image] >= 0
+    on_pass = network.pass_of[image] >= 0
     for run in design(network, image, angles, network.images[image].moments(lines)):
         for k in range(run.lines.stop - run.lines.start):
             pairs = zip(run.variables, (part[k] for part in run.parts), strict=True)
-            by_line.append({v: part for v, part in pairs if not on_strip or v < first or np.any(part)})
+            by_line.append({v: part for v, part in pairs if not on_pass or v < first or np.any(part)})
     return by_line
 
 

@@ -62,7 +62,7 @@ class Network(Record):
     priors: tuple[OrientationPrior, ...]
     """A-priori sigmas of each image's orientation corrections."""
     held: Mask
-    """(images,) True for an image whose orientation is not adjusted; none of a strip (`with_polynomial`)."""
+    """(images,) True for an image whose orientation is not adjusted; none of a pass (`with_polynomial`)."""
     points: GroundPoints
     """Tie points, laser footprints, control points."""
     rays: ImageRays
@@ -311,10 +311,10 @@ class Network(Record):
 
     @cached_property
     def pass_of(self) -> Index:
-        """(images,) strip of each image; -1 for one on its own."""
+        """(images,) pass of each image; -1 for one on its own."""
         owner = np.full(len(self.images), -1, dtype=np.int64)
-        for k, strip in enumerate(self.passes):
-            owner[strip.images] = k
+        for k, pass_ in enumerate(self.passes):
+            owner[pass_.images] = k
         return read_only(owner)
 
     def image_number(self, image: str | int) -> int:
@@ -349,9 +349,9 @@ class Network(Record):
     def _point_numbers(self) -> Mapping[str, int]:
         return {name: i for i, name in enumerate(self.points.ids)}
 
-    def pictures(self, strip: str | int) -> list[PushbroomImage]:
-        """Images of a strip."""
-        return [self.images[j] for j in self.passes[self.pass_number(strip)].images.tolist()]
+    def pictures(self, pass_: str | int) -> list[PushbroomImage]:
+        """Images of a pass."""
+        return [self.images[j] for j in self.passes[self.pass_number(pass_)].images.tolist()]
 
     def axes_of(self, image: str | int) -> Array | None:
         """(3, 3) from the axes of an image's pass to its camera's; None where they are the same."""
@@ -361,7 +361,7 @@ class Network(Record):
 
     @cached_property
     def with_polynomial(self) -> Mask:
-        """(images,) True for an image with orientation coefficients of its own: neither held nor of a strip."""
+        """(images,) True for an image with orientation coefficients of its own: neither held nor of a pass."""
         return read_only(~self.held & (self.pass_of < 0))
 
     @property
@@ -371,10 +371,10 @@ class Network(Record):
 
     @cached_property
     def first_of_passes(self) -> Index:
-        """(strips + 1,) first variable of each strip, its first node; then the number of variables before those of
+        """(passes + 1,) first variable of each pass, its first node; then the number of variables before those of
         common errors.
         """
-        counts = [strip.widths.size for strip in self.passes]
+        counts = [pass_.widths.size for pass_ in self.passes]
         before = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         return read_only(self.first_shared + len(self.shared) + before)
 
@@ -458,14 +458,14 @@ class Network(Record):
 
     @property
     def numbered_passes(self) -> list[tuple[Pass, int]]:
-        """Each strip with the variable of its first node."""
+        """Each pass with the variable of its first node."""
         return list(zip(self.passes, self.first_of_passes[:-1].tolist(), strict=True))
 
     def of_passes(self, variable: int) -> tuple[Pass, int]:
         """Pass of a variable that is not before the first of them, and which of its unknowns it is."""
         first = self.first_of_passes
-        strip = int(np.searchsorted(first, variable, side="right")) - 1
-        return self.passes[strip], variable - int(first[strip])
+        number = int(np.searchsorted(first, variable, side="right")) - 1
+        return self.passes[number], variable - int(first[number])
 
     def shift_sigma(self, name: str) -> float:
         """A-priori sigma, m, of one of these shifts, eastward and northward alike."""

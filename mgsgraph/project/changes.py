@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mgsgraph.adjustment.incremental.impact import Closing, Impact
+from mgsgraph.adjustment.incremental.impact import BatchCheck, Impact
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import Bundle, require_one_body, with_addition, with_points, without
 from mgsgraph.adjustment.incremental.trajectories import extended, shortened, turned_bundles, unknowns_of
@@ -51,9 +51,9 @@ def is_solved(project: Project) -> bool:
 def incremental(project: Project, settings: SolverSettings | None = None) -> IncrementalAdjustment:
     """Incremental adjustment that starts from the state of the project, with its settings or the given ones."""
     chosen_settings = settings or project.settings.solver.settings
-    if project.kept is None:
+    if project.cache is None:
         return IncrementalAdjustment(chosen_settings, project.store)
-    return project.kept.resumed(next(iter(project.changes(1)), None), chosen_settings, project.store)
+    return project.cache.resumed(next(iter(project.changes(1)), None), chosen_settings, project.store)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ class SolvedProject(Record):
 
     solution: "Solution"
     """Batch solution of all images."""
-    closing: Closing | None
+    check: BatchCheck | None
     """Differences of the incremental result from the batch solution; None where there was none."""
     folder: Path
     """Folder of the products."""
@@ -183,21 +183,21 @@ def solve_project(
         if project.case is not None:
             remedy = f"find tie points in them: mgsgraph match {project.folder}"
         raise InputError(str(project.folder), found, "tie points or laser shots", remedy)
-    closing: Closing | None = None
+    check: BatchCheck | None = None
     with errors_from(str(project.folder)):
         if is_solved(project):
-            closing, solution = incremental(project, settings).close(name, progress)
+            check, solution = incremental(project, settings).verify(name, progress)
         else:
             solution = adjust_network(store.network(), replace(settings, starts=0), name, progress)
             incremental(project, settings).adopt(solution)
     summary = {"cost": solution.cost_final, "converged": solution.converged}
-    if closing is not None and np.isfinite(closing.worst):
-        summary["largest_difference_sigmas"] = closing.worst
+    if check is not None and np.isfinite(check.worst):
+        summary["largest_difference_sigmas"] = check.worst
     project.record("solve", f"{len(solution.network.images)} images", summary)
     folder = project.keep_solution(
         solution, lambda to: write_results(solution, to, figures, networks=project.networks, tables=tables)
     )
-    return SolvedProject(solution, closing, folder)
+    return SolvedProject(solution, check, folder)
 
 
 def store_unadjusted(store: ProjectStore, addition: Addition) -> None:
@@ -273,8 +273,8 @@ def record_change(
     number = project.record(verb, what, {**summary, **counts}, why, former, undoes)
     message = "All unknowns converged." if impact.converged else "It did not converge; solve the project."
     project.record_incremental(impact.converged, message)
-    if project.kept is not None:
-        project.kept.noted(*project.changes(1))
+    if project.cache is not None:
+        project.cache.noted(*project.changes(1))
     return number
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.incremental.state import StateStore
     from mgsgraph.adjustment.solution import Solution
 
-class KeptAdjustment:
+class AdjustmentCache:
     """Keeps the adjustment with its Bayes tree in memory until another process changes the project."""
 
     def __init__(self) -> None:
@@ -44,25 +44,25 @@ class KeptAdjustment:
         self._last_change: object = None
 
     def resumed(self, change: object, settings: SolverSettings, store: "StateStore") -> "IncrementalAdjustment":
-        """The adjustment of a project whose last change in its history is `change`: the kept one if it made this change
-        and has the same settings, else a new one that starts from the store.
+        """The adjustment of a project whose last change in its history is `change`: the cached one if it made this
+        change and has the same settings, else a new one that starts from the store.
         """
         from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 
-        kept = self._adjustment
-        if kept is not None and change is not None and change == self._last_change and kept.settings == settings:
-            kept.resume(store)
+        cached = self._adjustment
+        if cached is not None and change is not None and change == self._last_change and cached.settings == settings:
+            cached.resume(store)
         else:
-            kept = self._adjustment = IncrementalAdjustment(settings, store)
+            cached = self._adjustment = IncrementalAdjustment(settings, store)
         self._last_change = None  # until the next change is recorded
-        return kept
+        return cached
 
     def noted(self, change: object) -> None:
-        """The kept adjustment has the state of the project after this change of the history."""
+        """The cached adjustment has the state of the project after this change of the history."""
         self._last_change = change
 
     def forget(self) -> None:
-        """Drop the kept adjustment: a change was rolled back."""
+        """Drop the cached adjustment: a change was rolled back."""
         self._adjustment = self._last_change = None
 
 
@@ -142,12 +142,12 @@ class Project(Record):
     folder : Path
     store : ProjectStore
         State of the adjustment.
-    kept : KeptAdjustment or None
+    cache : AdjustmentCache or None
         For a process that makes several changes.
     """
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection, kept: KeptAdjustment | None = None) -> None:
-        self.folder, self.kept = folder, kept
+    def __init__(self, folder: Path, connection: sqlite3.Connection, cache: AdjustmentCache | None = None) -> None:
+        self.folder, self.cache = folder, cache
         self.store = ProjectStore(connection, str(folder))
         self._connection = connection
 
@@ -439,7 +439,7 @@ class Project(Record):
 
 @contextmanager
 def open_project(
-    folder: str | Path, write: bool = False, kept: KeptAdjustment | None = None, discard: bool = False
+    folder: str | Path, write: bool = False, cache: AdjustmentCache | None = None, discard: bool = False
 ) -> Iterator[Project]:
     """Open a project for one change, or for reading, in a `with` statement. An exception inside rolls the change back.
 
@@ -449,7 +449,7 @@ def open_project(
         The project.
     write : bool
         Open it for a change: no other process may change it in the meantime.
-    kept : KeptAdjustment, optional
+    cache : AdjustmentCache, optional
         Keeps the adjustment in memory for the next change of this process.
     discard : bool
         At the end nothing has changed, as after an exception.
@@ -469,13 +469,13 @@ def open_project(
     path = Path(folder)
     try:
         with connected(path, write, discard) as connection:
-            project = Project(path, connection, kept)
+            project = Project(path, connection, cache)
             with understood(str(folder), EXPECTED_PROJECT, RESTORE_COPY):
                 project.store.require_whole()
             yield project
     except BaseException:
-        if kept is not None:  # it may differ from the file
-            kept.forget()
+        if cache is not None:  # it may differ from the file
+            cache.forget()
         raise
 
 

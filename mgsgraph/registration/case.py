@@ -37,7 +37,7 @@ class ProfileRegistration:
 
     name: str
     """Its file's name without ending."""
-    found: Registration
+    footprints: Registration
     """Where its shots fall."""
     points: Array
     """(n, 3) m, body-fixed, its footprints: as archived, or adjusted."""
@@ -63,7 +63,7 @@ class CaseRegistration:
     @property
     def images(self) -> tuple[PushbroomImage, ...]:
         """As the case has them."""
-        return self.before[0].found.images
+        return self.before[0].footprints.images
 
     def states(self) -> Iterator[tuple[str, tuple[ProfileRegistration, ...]]]:
         """Name of the orientation, and the profiles under it."""
@@ -151,8 +151,8 @@ def _common_ties(ties: TiePoints, first: PushbroomImage, second: PushbroomImage)
 
 def _not_compared(profiles: tuple[ProfileRegistration, ...], ties: TiePoints | None) -> tuple[str, ...]:
     """Sentences about the pairs that see footprints in common and can't be compared."""
-    images = profiles[0].found.images
-    pairs = sorted({pair for profile in profiles for pair in _sharing(profile.found)})
+    images = profiles[0].footprints.images
+    pairs = sorted({pair for profile in profiles for pair in _sharing(profile.footprints)})
     if not pairs:
         return ("No two images see the same footprint: there is nothing to compare.",) if len(images) > 1 else ()
     counts = {(i, j): 0 if ties is None else _common_ties(ties, images[i], images[j]) for i, j in pairs}

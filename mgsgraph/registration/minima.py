@@ -295,7 +295,7 @@ class ReliefProfile(Record):
     Examples
     --------
     >>> profile = registration.profiles[0]
-    >>> print(f"{profile.taken.sum()} shots: {profile.rms_before:.0f} m before, {profile.rms_after:.1f} m after")
+    >>> print(f"{profile.on_surface.sum()} shots: {profile.rms_before:.0f} m before, {profile.rms_after:.1f} m after")
     114 shots: 839 m before, 1.0 m after
     >>> np.sqrt(np.diagonal(profile.covariance)).round(1)
     array([62.5, 62.6])
@@ -305,9 +305,9 @@ class ReliefProfile(Record):
     """Of the profile or the model."""
     point_class: PointClass
     """What it consists of: laser shots, or posts."""
-    mine: Index
+    points: Index
     """(n,) its points in the network, in the order of their times."""
-    taken: Mask
+    on_surface: Mask
     """(n,) whether they lie on the surface and take part."""
     sigmas: Array
     """(n,) m, of the heights above the surface, along its normal; of no meaning for shots that don't take part."""
@@ -333,12 +333,12 @@ class ReliefProfile(Record):
     @property
     def rms_before(self) -> float:
         """m, of the heights of the shots above the surface, before."""
-        return _rms(self.before.heights, self.taken)
+        return _rms(self.before.heights, self.on_surface)
 
     @property
     def rms_after(self) -> float:
         """m, of the heights of the shots above the surface, after."""
-        return _rms(self.after.heights, self.taken)
+        return _rms(self.after.heights, self.on_surface)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

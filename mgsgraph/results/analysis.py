@@ -249,7 +249,7 @@ def _consistency_section(posterior: Posterior, name: str) -> Section:
 def residuals_table(statistics: Sequence[ResidualStatistics]) -> Table:
     """One row per group of normalised residuals: how they are distributed."""
     beyond, p_values = numbers(statistics, "beyond").reshape(-1, 3), numbers(statistics, "p_value")
-    marks = ["" if group.as_promised is not False else " inconsistent" for group in statistics]
+    marks = ["" if group.consistent is not False else " inconsistent" for group in statistics]
     return table_of("residuals", {"beyond_1_2_3_sigma": beyond, "p": p_values, "odd": marks}, statistics)
 
 
@@ -352,7 +352,7 @@ def unexplained_section(posterior: Posterior, name: str) -> Section:
     tested = unexplained(posterior.linearised)
 
     table, sentences = unexplained_table(tested), tested.sentences
-    record = {"level": tested.level, "tests": tested.tests, "words": sentences, "effects": table.records()}
+    record = {"level": tested.level, "tests": tested.tests, "sentences": sentences, "effects": table.records()}
     return Section("unexplained", sentences=sentences, numbers=record, csv=[table],
                    sheets=sheets_by("mgsgraph.results.figures.analysis.unexplained_sheets", tested, name))  # fmt: skip
 
@@ -374,7 +374,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
         tested = residual_vibrations(posterior.linearised)
     except InputError as error:
         sentence = f"Not tested for vibrations: {error}."
-        return Section("vibrations", sentences=[sentence], numbers={"words": [str(error)]})
+        return Section("vibrations", sentences=[sentence], numbers={"sentences": [str(error)]})
 
     table = vibrations_table(tested)
     spectra = [
@@ -385,7 +385,7 @@ def vibrations_section(posterior: Posterior, name: str) -> Section:
         }
         for spectrum in tested.spectra
     ]  # fmt: skip
-    record = {"words": tested.sentences, "vibrations": table.records(), "spectra": spectra}
+    record = {"sentences": tested.sentences, "vibrations": table.records(), "spectra": spectra}
     return Section("vibrations", sentences=tested.sentences, numbers=record, csv=[table],
                    sheets=sheets_by("mgsgraph.results.figures.analysis.vibrations_sheet", tested, name))  # fmt: skip
 

@@ -253,7 +253,7 @@ def minima_section(minima: Minima | None) -> Section:
         sentence = f"{len(minima.each)} minima from {starts}: the lowest is the solution; sigmas are of their mixture."
     table = _minima_table(minima)
     return Section("minima", sentences=[sentence], tables=[table], numbers={
-        "starts": minima.starts, "lost": minima.lost, "number": len(minima.each),
+        "starts": minima.starts, "not_converged": minima.lost, "number": len(minima.each),
         "shift_mean_east_north_m": minima.mean[:2], "shift_sigma_east_north_m": _horizontal_sigmas(minima.covariance),
         "each": table.records(),
     })  # fmt: skip

@@ -131,6 +131,6 @@ def match_statements(matches: Matches, scene: Scene) -> list[str]:
         f"{two(np.quantile(sigmas, 0.95))} px; coplanarity: median {two(np.median(misfit))} m on the ground.",
         *(f"Not matched: {reason}" for reason in matches.refused), *matches.cautions,
         f"Feature pairs: {counts.linked}, tried {counts.tried}, measured {counts.measured}, similar and sharp "
-        f"{counts.alike}, same when matched back {counts.returned}, coplanar {counts.coplanar}, height as neighbors "
+        f"{counts.similar}, same when matched back {counts.returned}, coplanar {counts.coplanar}, height as neighbors "
         f"{counts.steady}.", *sentences,
     ]  # fmt: skip

@@ -43,8 +43,8 @@ def write_registration(registration: CaseRegistration, folder: str | Path, figur
     InputError
         If the folder holds anything else, or can't be written, or an image's pixels can't be read.
     """
-    with fresh_folder(folder, REGISTRATION) as aside:
-        return write_registration_into(registration, aside, figures)
+    with fresh_folder(folder, REGISTRATION) as temporary:
+        return write_registration_into(registration, temporary, figures)
 
 
 def write_registration_into(registration: CaseRegistration, folder: Path, figures: bool = True) -> list[str]:
@@ -81,7 +81,7 @@ def registration_section(registration: CaseRegistration) -> Section:
 
 def _shots_sentence(profile: ProfileRegistration) -> str:
     """How many shots fall in each image."""
-    footprints = profile.found
+    footprints = profile.footprints
     counts = [
         f"{int(inside.sum())} fall in {image.name}{' (taken at the same time)' if np.any(same_time) else ''}"
         for image, inside, same_time in zip(footprints.images, footprints.inside, footprints.simultaneous, strict=True)
@@ -117,7 +117,7 @@ def _agreement_table(registration: CaseRegistration) -> Table:
 
 
 def _profile_json(profile: ProfileRegistration) -> dict[str, Any]:
-    footprints = profile.found
+    footprints = profile.footprints
     return {
         "profile": profile.name,
         "source": footprints.shots.source,
@@ -157,12 +157,12 @@ def discrepancy_json(pair: Misregistration) -> dict[str, Any]:
 def registration_table(registration: CaseRegistration) -> Table:
     """One row per shot and image: where it falls; unknown where unseen."""
     rows = [(p, j) for p in range(len(registration.before)) for j in range(len(registration.images))]
-    crossed = [registration.before[p].found for p, _ in rows]
+    crossed = [registration.before[p].footprints for p, _ in rows]
     sizes = [profile.shots.times.size for profile in crossed]
     longitude, latitude, radius = planetocentric(np.concatenate([profile.shots.footprints for profile in crossed])).T
 
     def of_state(profiles: tuple[ProfileRegistration, ...], name: str) -> np.ndarray:
-        return np.concatenate([getattr(profiles[p].found, name)[j] for p, j in rows])
+        return np.concatenate([getattr(profiles[p].footprints, name)[j] for p, j in rows])
 
     def repeated(names: list[str]) -> list[str]:
         return [name for name, n in zip(names, sizes, strict=True) for _ in range(n)]
@@ -188,7 +188,7 @@ def discrepancy_table(registration: CaseRegistration) -> Table:
     labelled = _listed_discrepancies(registration)
     pairs = [pair for _, _, pair in labelled]
     rows = [
-        (state, profile.name, k + 1, profile.found.shots.ids[k], pair.image, pair.against)
+        (state, profile.name, k + 1, profile.footprints.shots.ids[k], pair.image, pair.against)
         for state, profile, pair in labelled for k in pair.shots.tolist()
     ]  # fmt: skip
     keys = ("orientation", "profile", "number", "shot", "image", "against")

@@ -62,8 +62,8 @@ def write_coregistration(
     >>> [name for name in files if name.endswith(".csv")]
     ['points.csv', 'orientation.csv', 'residuals.csv', 'connectivity.csv', 'profiles.csv', 'shots.csv']
     """
-    with fresh_folder(folder) as aside:
-        return write_coregistration_into(registration, aside, figures, case, networks)
+    with fresh_folder(folder) as temporary:
+        return write_coregistration_into(registration, temporary, figures, case, networks)
 
 
 def write_coregistration_into(
@@ -146,7 +146,7 @@ def profiles_table(registration: ReliefRegistration) -> Table:
                   else np.nan)
 
     return table_of("profiles", {
-        "on_surface": np.array([int(profile.taken.sum()) for profile in profiles]),
+        "on_surface": np.array([int(profile.on_surface.sum()) for profile in profiles]),
         "tied": np.array([profile.after.cost.tied for profile in profiles]),
         "clear": np.array([profile.after.cost.clear for profile in profiles]),
         **misplacement("before"), **misplacement("after"), "misfit": minimum(0, "misfit"),
@@ -160,13 +160,13 @@ def profiles_table(registration: ReliefRegistration) -> Table:
 def relief_shots_table(registration: ReliefRegistration) -> Table:
     """One row per laser shot and post: its height above the stereo surface before and after."""
     profiles, network = registration.profiles, registration.solution.network
-    points = network.points.places[np.concatenate([profile.mine for profile in profiles])]
+    points = network.points.places[np.concatenate([profile.points for profile in profiles])]
     longitude, latitude, _ = planetocentric(points).T
-    on_surface = np.concatenate([profile.taken for profile in profiles])
-    slopes = [np.where(profile.taken[:, None], slopes_of(profile.after), np.nan) for profile in profiles]
+    on_surface = np.concatenate([profile.on_surface for profile in profiles])
+    slopes = [np.where(profile.on_surface[:, None], slopes_of(profile.after), np.nan) for profile in profiles]
     return table_of("relief_shots", {
-        "profile": [profile.name for profile in profiles for _ in profile.mine],
-        "shot": [network.points.ids[i] for profile in profiles for i in profile.mine.tolist()],
+        "profile": [profile.name for profile in profiles for _ in profile.points],
+        "shot": [network.points.ids[i] for profile in profiles for i in profile.points.tolist()],
         "on_surface": on_surface,
         "east_longitude": np.mod(longitude / DEG, 360.0), "planetocentric_latitude": latitude,
         "height": geodetic(points, network.images[0].body)[:, 2],
@@ -194,7 +194,7 @@ def slopes_of(state: ProfileState) -> Array:
 def relief_statements(registration: ReliefRegistration) -> list[str]:
     """Results in sentences with numbers and units; the table of profiles has each by itself."""
     profiles, solution, reach = registration.profiles, registration.solution, registration.settings.reach
-    used = [profile for profile in profiles if np.any(profile.taken)]
+    used = [profile for profile in profiles if np.any(profile.on_surface)]
     tied, sentences = [profile for profile in used if profile.after.cost.tied], list[str]()
     if known_before := [profile for profile in tied if profile.before.cost.tied]:
         before, after = (
@@ -212,7 +212,7 @@ def relief_statements(registration: ReliefRegistration) -> list[str]:
         ([profile for profile in tied if not profile.after.cost.reached],
          "keep off their best shift in adjustments, and have heights that count as those of level ground"),
         ([profile for profile in used if not profile.after.cost.tied], "are not tied by relief"),
-        ([profile for profile in profiles if not np.any(profile.taken)],
+        ([profile for profile in profiles if not np.any(profile.on_surface)],
          "have too few shots on the surface to take part"),
     ):
         if members:

@@ -38,7 +38,7 @@ def node_statements(choice: Choice) -> list[str]:
     """The choice in sentences."""
     chosen, best = choice.candidates[choice.chosen], choice.candidates[choice.best]
     sentences = [
-        f"{many(chosen.squares.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
+        f"{many(chosen.squared_errors.size, 'ray')} held out, one of a point each, are predicted best by nodes every "
         f"{best.spacing:g} s. Chosen: {chosen.spacing:g} s, {many(chosen.nodes, 'node')}, the coarsest within one "
         "standard error of the best."
     ]
@@ -60,7 +60,7 @@ def nodes_section(choice: Choice, name: str) -> Section:
     """Candidates and the choice among them."""
     candidates, best = candidates_table(choice), choice.candidates[choice.best]
     record = {
-        "name": name, "rays_held_out": best.squares.size, "blunders_held_out": choice.blunders,
+        "name": name, "rays_held_out": best.squared_errors.size, "blunders_held_out": choice.blunders,
         "unjudged_held_out": choice.unjudged, "rays_rejected": choice.rejected,
         "closest_s": next(candidate.spacing for candidate in choice.candidates if not candidate.refused),
         "candidates": candidates.drop("standing").records(), "best_s": best.spacing, "chosen_s": choice.spacing,

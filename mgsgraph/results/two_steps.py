@@ -66,12 +66,12 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
     assert surface is not None
     rejected = np.array([[0 if mask is None else int(mask.sum()) for mask in (step.rays_rejected, step.ranges_rejected)]
                          for step in solutions])  # fmt: skip
-    height_rows = np.isfinite(surface.sigmas) & steps.fitted.determined
+    heights = np.isfinite(surface.sigmas) & steps.fitted.determined
     return table_of("steps", {
         "step": ["step 1, no terrain", "step 2, terrain"],
         "rays": np.array([int(step.rays_used.sum()) for step in solutions]), "rays_rejected": rejected[:, 0],
         "ranges": np.array([int(step.ranges_used.sum()) for step in solutions]), "ranges_rejected": rejected[:, 1],
-        "heights": ["-", str(int(np.count_nonzero(height_rows)))], "off": ["-", str(int(np.count_nonzero(steps.off)))],
+        "heights": ["-", str(np.count_nonzero(heights))], "heights_rejected": ["-", str(steps.rejected.sum())],
         "iterations": np.array([len(history) for history in steps.history]), "seconds": np.array(steps.seconds),
         "state": ["" if step.converged else "NOT CONVERGED" for step in solutions],
     }, solutions)  # fmt: skip
@@ -83,7 +83,7 @@ def _step_table(statistics: TwoStepStatistics) -> Table:
 def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
     """Sentences on what the tables do not hold."""
     steps, block, heights = statistics.steps, statistics.whole, statistics.whole.heights
-    limit, rejected_heights, sentences = steps.free.settings.reject, np.flatnonzero(steps.off), list[str]()
+    limit, rejected_heights, sentences = steps.free.settings.reject, np.flatnonzero(steps.rejected), list[str]()
     if failed := [name for name, step in (("step 1", steps.free), ("step 2", steps.fitted)) if not step.converged]:
         sentences.append(f"NOT CONVERGED: {' and '.join(failed)}. The values below are not valid.")
     if limit:
@@ -92,7 +92,7 @@ def two_steps_statements(statistics: TwoStepStatistics) -> list[str]:
             f"stay out of step 2; the height rows of {many(rejected_heights.size, 'point')} were rejected (matched "
             "wrongly in all images, or other ground than the model's; "
             f"{some_of(steps.network.points.ids, rejected_heights) or 'none'})."
-            + ("" if steps.at_rest else " The set of rejected heights did not converge.")
+            + ("" if steps.heights_converged else " The set of rejected heights did not converge.")
         )
     else:
         sentences.append("No blunders were sought (reject is 0): neither rays nor heights; --reject 4 does so.")
@@ -137,10 +137,10 @@ def two_steps_json(statistics: TwoStepStatistics) -> dict[str, Any]:
             for solution, history, seconds in zip((steps.free, steps.fitted), steps.history, steps.seconds, strict=True)
         ],
         "rays_rejected": _rejected_rays(statistics),
-        "heights_off": [steps.network.points.ids[i] for i in np.flatnonzero(steps.off).tolist()],
-        "heights_at_rest": steps.at_rest,
+        "heights_rejected": [steps.network.points.ids[i] for i in np.flatnonzero(steps.rejected).tolist()],
+        "heights_converged": steps.heights_converged,
         "ties_without_height": statistics.without_row,
-        "ties_lost_from_heights": statistics.left_out,
+        "ties_left_out": statistics.left_out,
         "figures": _statistics_table([statistics.whole, *statistics.groups]).records(),
         "statements": two_steps_statements(statistics),
     }
@@ -155,7 +155,7 @@ def _statistics_table(groups: Sequence[GroupStatistics]) -> Table:
         factors = np.where(stages[:, 1:] > 0.0, stages[:, :1] / stages[:, 1:], np.nan)
     factors[[quantity.endswith("_mean_height") for quantity in quantities]] = np.nan  # a mean has a sign, and no factor
     return table_of("two_steps", {
-        "strip": names, "quantity": quantities, "unit": units, "{}": stages, "factor_{}": factors,
+        "pass": names, "quantity": quantities, "unit": units, "{}": stages, "factor_{}": factors,
     })  # fmt: skip
 
 

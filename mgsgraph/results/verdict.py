@@ -235,13 +235,13 @@ def drivers_section(solution: Solution) -> Section:
     table = drivers_table(solution)
     return Section("drivers", sentences=[sentence], tables=[table], csv=[table], numbers={
         **record_of("drivers", drivers),
-        "outstanding": [
+        "flagged": [
             {
-                "quantity": str(group.quantity), "kind": str(group.kind), "count": group.outstanding, "of": group.of,
+                "quantity": str(group.quantity), "kind": str(group.kind), "count": group.flagged, "of": group.of,
                 "share": group.share,
-                "names": _member_names(solution, group)[: min(group.outstanding, group.members.size)],
+                "names": _member_names(solution, group)[: min(group.flagged, group.members.size)],
             }
-            for group in drivers.outstanding
+            for group in drivers.flagged
         ],
     })  # fmt: skip
 
@@ -254,7 +254,7 @@ def drivers_table(solution: Solution) -> Table:
         "quantity": [str(group.quantity) for group, _ in rows], "kind": [str(group.kind) for group, _ in rows],
         "name": list(chain.from_iterable(_member_names(solution, group) for group in groups)),
         "share": np.concatenate([np.zeros(0), *(group.shares for group in groups)]),
-        "stands_out": ["yes" if rank < group.outstanding else "" for group, rank in rows],
+        "stands_out": ["yes" if rank < group.flagged else "" for group, rank in rows],
     })  # fmt: skip
 
 

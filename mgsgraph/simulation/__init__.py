@@ -1,7 +1,7 @@
 """Simulated observations with known truth, written through the formats of real ones: the demo's default input.
 
 What is simulated, from small to large: a stereo `pair`, a `strip` of overlapping pairs, a study `site` (published
-numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; blocks of HRSC strips (`hrsc_block`, from
+numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; blocks of HRSC passes (`hrsc_block`, from
 passes in `hrsc_flight`); and an `archive` of up to a hundred thousand images (ties in `archive_ties`, files in
 `archive_files`).
 

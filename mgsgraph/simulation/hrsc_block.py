@@ -1,8 +1,8 @@
-"""A block of HRSC strips as Mars Express takes them: five stereo lines a strip, matched points, a terrain model.
+"""A block of HRSC passes as Mars Express takes them: five stereo lines a pass, matched points, a terrain model.
 
-What Spiegel et al. (papers/003) had: strips of 300 to 4000 km from heights of 265 to 500 km, overlapping across track,
-points matched automatically in three to five lines (and, where strips overlap, in lines of both), attitude known to
-28 mgon, and MOLA's grid, 200 m off in the plane and 10 m in height. The TRUE orientation of a strip is its nominal
+What Spiegel et al. (papers/003) had: passes of 300 to 4000 km from heights of 265 to 500 km, overlapping across track,
+points matched automatically in three to five lines (and, where passes overlap, in lines of both), attitude known to
+28 mgon, and MOLA's grid, 200 m off in the plane and 10 m in height. The TRUE orientation of a pass is its nominal
 trajectory (+) nodes drawn from the prior that the network states (bias, drift, Gauss-Markov departures), plus jitter,
 where asked for, of which the network knows nothing. Image rays are true ones plus noise of the stated sigma.
 
@@ -23,13 +23,13 @@ from mgsgraph.record import Record
 from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
 from mgsgraph.simulation.ground import SiteTerrain, block_terrain
 from mgsgraph.simulation.hrsc_flight import (
-    FlownStrip,
+    FlownPass,
     Jitter,
     PericentrePass,
     PointMatching,
     Readout,
     matched_points,
-    strip_images,
+    pass_images,
     true_correction,
 )
 from mgsgraph.simulation.observations import TerrainErrors, Visible, terrain_model, tie_network
@@ -37,7 +37,7 @@ from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MGON
 
 _SHORTEST, _LONGEST = 50e3, 4500e3
-"""m, of strips: the orbit leaves the heights of the survey beyond."""
+"""m, of passes: the orbit leaves the heights of the survey beyond."""
 _FIRST, _REVOLUTION = 130_000_000.0, 24_000.0
 """s TDB past J2000 of the first pericentre, in February 2004, and from one to the next: 6.7 hours."""
 _INCLINATION = 86.6 * DEG
@@ -61,13 +61,13 @@ class TrajectoryErrors(Record):
     attitude: float = 28.0 * MGON
     """rad, bias of pitch, roll and yaw."""
     attitude_drift: float = 5.0 * MGON
-    """rad, linear, at the ends of a strip."""
+    """rad, linear, at the ends of a pass."""
     attitude_wander: float = 3.0 * MGON
     """rad, of the departures from both."""
     position: float = 50.0
     """m, bias along X, Y, Z."""
     position_drift: float = 10.0
-    """m, linear, at the ends of a strip."""
+    """m, linear, at the ends of a pass."""
     position_wander: float = 1.0
     """m, of the departures from both."""
     correlation_time: float = 60.0
@@ -94,22 +94,22 @@ class BlockSettings(Record):
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings
-    >>> BlockSettings(strips=2).length  # m
+    >>> BlockSettings(passes=2).length  # m
     600000.0
     """
 
-    strips: int = 4
-    """Number of strips."""
+    passes: int = 4
+    """Number of passes."""
     crossing: int = 0
     """How many of them, the last ones, fly southward across the middle of the others, which fly northward."""
     length: float = 600e3
-    """m of ground that a strip is long."""
+    """m of ground that a pass is long."""
     altitudes: tuple[float, float] = (265e3, 400e3)
-    """m above the ellipsoid of the first and the last strip's pericentre; evenly spread between."""
+    """m above the ellipsoid of the first and the last pass's pericentre; evenly spread between."""
     eccentricity: float = 0.6
     """Eccentricity of the orbits; 0 for circles."""
     pericentre: float = 0.4
-    """Share of a strip that is flown before the pericentre."""
+    """Share of a pass that is flown before the pericentre."""
     overlap: float = 0.3
     """Share of the narrower swath that neighbours have in common, at the pericentres."""
     centre: tuple[float, float] = (175.0 * DEG, -10.0 * DEG)
@@ -127,9 +127,9 @@ class BlockSettings(Record):
     errors: TrajectoryErrors = field(default_factory=TrajectoryErrors)
     """Sigmas of the errors of the trajectories."""
     wander: tuple[float, ...] = ()
-    """Of each strip, over the errors' departures from bias and drift; these alone when empty."""
+    """Of each pass, over the errors' departures from bias and drift; these alone when empty."""
     jitter: Jitter | None = None
-    """Of all strips, on top; no prior knows it."""
+    """Of all passes, on top; no prior knows it."""
     terrain: TerrainErrors | None = field(default_factory=TerrainErrors)
     """Of the terrain model; None for a network without."""
     ground: int = 1
@@ -147,7 +147,7 @@ class SimulatedBlock(Record):
     network: Network
     """What an adjustment is given."""
     corrections: tuple[OrientationCorrection, ...]
-    """True orientation of each image: nominal (+) correction; images of one strip share theirs."""
+    """True orientation of each image: nominal (+) correction; images of one pass share theirs."""
     shifts: Array
     """(1, 2) m east and north, what the terrain model lacks of the truth; (0, 2) where it has no shift."""
     true_points: Array
@@ -157,17 +157,17 @@ class SimulatedBlock(Record):
     relief: SiteTerrain
     """True ground."""
 
-    def true_nodes(self, strip: int) -> Array:
-        """(k, 6) true coefficients, m and rad, of a strip's nodes; InputError where the truth isn't on these nodes."""
-        pass_ = self.network.passes[strip]
+    def true_nodes(self, number: int) -> Array:
+        """(k, 6) true coefficients, m and rad, of a pass's nodes; InputError where the truth isn't on these nodes."""
+        pass_ = self.network.passes[number]
         correction = self.corrections[pass_.images[0]]
         if correction.nodes is not pass_.nodes:
-            raise InputError(f"strip {pass_.name!r}", "a truth on other nodes", "one without true spacing or jitter")
+            raise InputError(f"pass {pass_.name!r}", "a truth on other nodes", "one without true spacing or jitter")
         return np.asarray(correction.coefficients[correction.polynomial_terms :])
 
     def __repr__(self) -> str:
-        nodes = sum(len(strip.nodes) for strip in self.network.passes)
-        return f"SimulatedBlock({len(self.network.passes)} strips, {nodes} nodes; {self.network!r}; seed {self.seed})"
+        nodes = sum(len(pass_.nodes) for pass_ in self.network.passes)
+        return f"SimulatedBlock({len(self.network.passes)} passes, {nodes} nodes; {self.network!r}; seed {self.seed})"
 
 
 def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) -> SimulatedBlock:
@@ -184,51 +184,51 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     Raises
     ------
     InputError
-        Where strips are too narrow or short for the points asked for.
+        Where passes are too narrow or short for the points asked for.
 
     Examples
     --------
     >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(strips=2, length=60e3, points=30, terrain=None), seed=1)
+    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=60e3, points=30, terrain=None), seed=1)
     >>> print(block.network)
     Network(10 images, 30 points (30 tie), 149 rays, 0 ranges)
     """
     settings = settings or BlockSettings()
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)
     relief, prior = block_terrain(*settings.centre, settings.ground), settings.errors.prior
-    priors = [replace(prior, sigmas=one * prior.sigmas) for one in settings.wander or (1.0,) * settings.strips]
-    flown, nodes = list[FlownStrip](), list[OrientationImages]()
+    priors = [replace(prior, sigmas=one * prior.sigmas) for one in settings.wander or (1.0,) * settings.passes]
+    flown, nodes = list[FlownPass](), list[OrientationImages]()
     passes = _passes(settings)
     for k, (orbit, rng) in enumerate(zip(passes, of_orientation.spawn(len(passes)), strict=True)):
-        images = strip_images(
+        images = pass_images(
             f"HRSC/{k:02d}", orbit, orbit.interval(settings.length, settings.pericentre), settings.readout
         )
         edges = [image.timing.at(np.array([0.0, float(image.lines)]))[0] for image in images]
         coverage = min(float(edge[0]) for edge in edges), max(float(edge[1]) for edge in edges)
         nodes.append(evenly_spaced("lagrange", orbit.epoch, coverage, settings.spacing))
         true = true_correction(priors[k], nodes[k], settings.true_spacing, settings.jitter, rng)
-        flown.append(FlownStrip(orbit.axes, images, true, relief.ground.level))
+        flown.append(FlownPass(orbit.axes, images, true, relief.ground.level))
     points, visible = matched_points(flown, relief, settings.points, settings.matches, of_points)
     rays, blunders = _rays(visible, settings.matches, of_points)
     surface, common, shifts = terrain_model(settings.terrain, relief, points, of_terrain)
     trajectories = [
         Pass(f"HRSC/{k:02d}", len(STEREO) * k + np.arange(len(STEREO)), at, priors[k]) for k, at in enumerate(nodes)
     ]
-    pictures = [image for strip in flown for image in strip.images]
+    pictures = [image for pass_ in flown for image in pass_.images]
     network = tie_network(pictures, trajectories, rays, len(points), surface, common)
-    corrections = tuple(strip.true for strip in flown for _ in STEREO)
+    corrections = tuple(pass_.true for pass_ in flown for _ in STEREO)
     return SimulatedBlock(settings, seed, network, corrections, shifts, points, blunders, relief)
 
 
 def _passes(settings: BlockSettings) -> list[PericentrePass]:
-    """One for each strip: northward ones side by side from west to east, then southward ones the same way."""
+    """One for each pass: northward ones side by side from west to east, then southward ones the same way."""
     longitude, latitude = settings.centre
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     north = np.cross(up, east)
     heading = float(np.arcsin(np.cos(_INCLINATION) / np.cos(latitude)))
-    altitudes = np.linspace(*settings.altitudes, settings.strips)
-    northward = settings.strips - settings.crossing
+    altitudes = np.linspace(*settings.altitudes, settings.passes)
+    northward = settings.passes - settings.crossing
     passes = list[PericentrePass]()
     for of_kind, sign in ((altitudes[:northward], 1.0), (altitudes[northward:], -1.0)):
         direction = np.sin(heading) * east + sign * np.cos(heading) * north

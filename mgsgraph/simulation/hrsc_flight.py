@@ -1,8 +1,8 @@
 """Passes of a simulated Mars Express: a Kepler orbit about its pericentre, HRSC looking down, its lines' times.
 
 The camera's +Z looks to Mars' centre and its +Y follows the motion over the turning ground, so that all lines pass over
-the same swath. Each line begins when it sees the first ground of the nadir strip and ends with the last. The line
-period is constant between changes, which all lines of a strip make at the same times, and follows height and speed.
+the same swath. Each line begins when it sees the first ground of the nadir image and ends with the last. The line
+period is constant between changes, which all lines of a pass make at the same times, and follows height and speed.
 """
 
 from dataclasses import dataclass, field
@@ -29,14 +29,14 @@ from mgsgraph.units import DEG
 _ANGLE = 12.5 / 265e3
 """rad along track of a line without macropixels: 12.5 m at 265 km. (Across track the optics have 10.6 m there.)"""
 SLACK = 2e3
-"""m of ground that the other lines see before and after the nadir strip: errors and relief shall not cut it."""
+"""m of ground that the other lines see before and after the nadir image: errors and relief shall not cut it."""
 
 _STEP = 1.0
 """s between the records of the tables."""
 _ROTATION = MERIDIAN[1] * DEG / 86400.0
 """rad/s, of Mars."""
 _AHEAD, _MARGIN = 0.5, 20.0
-"""Tangent beyond that of any line's look, and s, to which the tables reach beyond the nadir strip."""
+"""Tangent beyond that of any line's look, and s, to which the tables reach beyond the nadir image."""
 _SLOWEST = 2e3
 """m/s over ground, below any on these orbits."""
 
@@ -110,13 +110,13 @@ class Readout(Record):
     macropixels: tuple[int, ...] = (2, 2, 1, 2, 2)
     """Detector pixels per sample and per line of S1, P1, ND, P2, S2."""
     rates: int = 2
-    """Line rates within an image, for even parts of the nadir strip's time."""
+    """Line rates within an image, for even parts of the nadir image's time."""
 
 
-def strip_images(
+def pass_images(
     name: str, flown: PericentrePass, interval: tuple[float, float], readout: Readout
 ) -> tuple[PushbroomImage, ...]:
-    """Nominal images of the five stereo lines, on one trajectory; `interval` is that of the nadir strip, s past the
+    """Nominal images of the five stereo lines, on one trajectory; `interval` is that of the nadir image, s past the
     pass's epoch.
     """
     start, stop = interval
@@ -162,7 +162,7 @@ def _below(points: Array) -> Array:
 
 
 LEAST = 3
-"""Lines of a strip in which a point must have been matched."""
+"""Lines of a pass in which a point must have been matched."""
 
 _NADIR = STEREO.index("ND")
 _TABLE = 129
@@ -170,9 +170,9 @@ _TABLE = 129
 _BESIDE = 1.3
 """Half widths of a swath beyond which a point isn't looked for in it."""
 _LINKED = 0.3
-"""Share of the points which another strip sees, too, that are matched in its lines as well."""
+"""Share of the points which another pass sees, too, that are matched in its lines as well."""
 _ROUNDS = 20
-"""Of drawing, before strips count as too small."""
+"""Of drawing, before passes count as too small."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,7 @@ class PointMatching(Record):
     """How points are matched."""
 
     shares: tuple[float, float, float] = (0.05, 0.15, 0.80)
-    """Of the points of a strip that are matched in 3, 4 and 5 of its lines, where five see them; they add up to 1."""
+    """Of the points of a pass that are matched in 3, 4 and 5 of its lines, where five see them; they add up to 1."""
     sigma: float = 0.4
     """px of each image (macropixels), of line and sample."""
     blunders: float = 0.0
@@ -199,8 +199,8 @@ class _Swath(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FlownStrip:
-    """A strip as it was flown."""
+class FlownPass:
+    """A pass as it was flown."""
 
     axes: Array
     """(3, 3) unit rows, body-fixed: flight, across, up at the pericentre."""
@@ -252,17 +252,17 @@ class FlownStrip:
 
 
 def matched_points(
-    strips: list[FlownStrip], relief: SiteTerrain, number: int, matches: PointMatching, rng: np.random.Generator
+    passes: list[FlownPass], relief: SiteTerrain, number: int, matches: PointMatching, rng: np.random.Generator
 ) -> tuple[Array, Visible]:
-    """Random points of the true ground in the strips' nadir images, evenly many of each strip, (number, 3) in m, and
-    where they are matched; images are counted through all strips.
+    """Random points of the true ground in the passes' nadir images, evenly many of each pass, (number, 3) in m, and
+    where they are matched; images are counted through all passes.
     """
-    counts = np.diff(np.linspace(0, number, len(strips) + 1).astype(int)).tolist()
+    counts = np.diff(np.linspace(0, number, len(passes) + 1).astype(int)).tolist()
     points, visible, first = list[Array](), Visible(), 0
     for k, count in enumerate(counts):
-        own = _of_strip(strips[k], relief, count, matches, rng, visible, (first, len(STEREO) * k))
+        own = _of_pass(passes[k], relief, count, matches, rng, visible, (first, len(STEREO) * k))
         points.append(own)
-        for j, other in enumerate(strips):
+        for j, other in enumerate(passes):
             if j != k:
                 tried = np.flatnonzero(other.beneath(own) & (rng.random(len(own)) < _LINKED))
                 point, image, pixels = other.matched(own[tried], matches, rng)
@@ -271,8 +271,8 @@ def matched_points(
     return np.concatenate(points), visible
 
 
-def _of_strip(
-    strip: FlownStrip,
+def _of_pass(
+    pass_: FlownPass,
     relief: SiteTerrain,
     count: int,
     matches: PointMatching,
@@ -280,15 +280,15 @@ def _of_strip(
     visible: Visible,
     first: tuple[int, int],
 ) -> Array:
-    """Points (count, 3) in m of a strip. What its own images see of them is added to `visible`, with numbers of points
+    """Points (count, 3) in m of a pass. What its own images see of them is added to `visible`, with numbers of points
     and images that count from `first`.
     """
     parts, have = [np.zeros((0, 3))], 0
     for _ in range(_ROUNDS):
         if have == count:
             break
-        points = _on_ground(strip.images[_NADIR], relief, count - have + 16, rng)
-        point, image, pixels = strip.matched(points, matches, rng)
+        points = _on_ground(pass_.images[_NADIR], relief, count - have + 16, rng)
+        point, image, pixels = pass_.matched(points, matches, rng)
         visible_points, number = np.unique(point, return_inverse=True)
         some = number < count - have
         points = points[visible_points[: count - have]]
@@ -296,8 +296,8 @@ def _of_strip(
         visible.add(number[some] + have + first[0], image[some] + first[1], pixels[some])
         have += len(points)
     if have < count:
-        name = strip.images[_NADIR].name
-        remedy = "take longer strips or smaller errors of the trajectories"
+        name = pass_.images[_NADIR].name
+        remedy = "take longer passes or smaller errors of the trajectories"
         raise InputError(f"simulated block, {name}", f"ground for {have} of {count} points", remedy=remedy)
     return np.concatenate(parts)
 
@@ -370,13 +370,13 @@ def drawn_nodes(prior: NodePrior, nodes: OrientationImages, rng: np.random.Gener
     return np.asarray(bias + drift * normalised(nodes)[:, None] + prior.sigmas * departures)
 
 
-def strip_correction(nodes: OrientationImages, values: Array, angles: Angles = "camera") -> OrientationCorrection:
-    """The correction of any image of a strip: no polynomial, and the values (k, 6) of its nodes."""
+def pass_correction(nodes: OrientationImages, values: Array, angles: Angles = "camera") -> OrientationCorrection:
+    """The correction of any image of a pass: no polynomial, and the values (k, 6) of its nodes."""
     return OrientationCorrection(np.vstack([np.zeros((1, 6)), values]), angles, nodes)
 
 
 def correction_at(correction: OrientationCorrection, times: Array, epoch: float) -> Array:
-    """A strip's correction (n, 6) in m and rad at times (n,) in s past `epoch` (s TDB past J2000)."""
+    """A pass's correction (n, 6) in m and rad at times (n,) in s past `epoch` (s TDB past J2000)."""
     return correction.at(Moments.of_times(times, epoch))[0]
 
 
@@ -387,18 +387,18 @@ def true_correction(
     jitter: Jitter | None,
     rng: np.random.Generator,
 ) -> OrientationCorrection:
-    """The truth of a strip: drawn from the prior, but for the jitter, whose phase is drawn.
+    """The truth of a pass: drawn from the prior, but for the jitter, whose phase is drawn.
 
     It has the adjustment's nodes unless `true_spacing` (s between nodes, at most) or jitter asks for others, which then
     are of Lagrange's basis, so that its values there are the draws, over the same time.
     """
     if true_spacing is not None:
         nodes = evenly_spaced("lagrange", nodes.epoch, nodes.coverage, true_spacing)
-    smooth = strip_correction(nodes, drawn_nodes(prior, nodes, rng))
+    smooth = pass_correction(nodes, drawn_nodes(prior, nodes, rng))
     if jitter is None:
         return smooth
     fine = evenly_spaced("lagrange", nodes.epoch, nodes.coverage, 1.0 / (NODES_PER_WAVE * jitter.frequency))
     values = correction_at(smooth, fine.times, fine.epoch)
     phase = rng.uniform(0.0, 2.0 * np.pi)
     values[:, jitter.component] += jitter.amplitude * np.sin(2.0 * np.pi * jitter.frequency * fine.times + phase)
-    return strip_correction(fine, values)
+    return pass_correction(fine, values)

@@ -4,7 +4,7 @@ All fly a Kepler orbit that is at an apse at its epoch (`Orbit`). There are thre
 
 * `circular_orbit` and `circular_trajectory`: a circle past a site (pair, strip, bridge image; rigs over the Moon);
 * `site_pass`: MGS over a study site, with the published emission angle and ground speed;
-* `hrsc_flight.PericentrePass`: Mars Express over a block of HRSC strips.
+* `hrsc_flight.PericentrePass`: Mars Express over a block of HRSC passes.
 
 A camera at nadir turns with the orbit; one that looks aside is held in inertial space, as MGS did it. Truth is smooth;
 what is wrong with the kernels (`sites.KernelErrors`) is in the nominal trajectory of a study site alone.

@@ -324,7 +324,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
              "picture": opened.pictures.get(image.name) is not None}
             for image in block.images
         ],
-        "map": {"words": _MAP_WORDS, "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]},
+        "map": {"frame": _MAP_WORDS, "bounds_m": [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]},
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,

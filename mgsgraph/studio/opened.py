@@ -31,7 +31,7 @@ from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
-from mgsgraph.project.project import KeptAdjustment, Project, open_project
+from mgsgraph.project.project import AdjustmentCache, Project, open_project
 from mgsgraph.project.reading import posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
 
@@ -217,7 +217,7 @@ class Opened:
         self.kind: Kind = _kind(path)
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
-        self._kept = KeptAdjustment()
+        self._cache = AdjustmentCache()
         self._state: tuple[int, State] | None = None
         self._made: dict[str, object] = {}
         self._making: dict[str, threading.RLock] = {}
@@ -330,7 +330,7 @@ class Opened:
         if self.kind != "project":
             raise InputError(str(self.path), f"a {self.kind}", "a project", _CHANGED)
         with self._changing:
-            with open_project(self.path, write=True, kept=self._kept) as project:
+            with open_project(self.path, write=True, cache=self._cache) as project:
                 result = act(project)
                 warning = _warning(project)
             self.revision, self.warning, self._seen = self.revision + 1, warning, _mark(self.path)

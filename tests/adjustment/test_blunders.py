@@ -23,9 +23,9 @@ LIMIT = SolverSettings(reject=4.0)
 
 @cache
 def block() -> Network:
-    """Points in three to five lines each of two strips; no blunders of its own."""
+    """Points in three to five lines each of two passes; no blunders of its own."""
     settings = BlockSettings(
-        strips=2, length=120e3, points=120, matches=PointMatching(blunders=0.0), terrain=None
+        passes=2, length=120e3, points=120, matches=PointMatching(blunders=0.0), terrain=None
     )  # fmt: skip
     return simulate_hrsc_block(settings, 3).network
 

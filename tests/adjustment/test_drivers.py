@@ -12,7 +12,7 @@ import pytest
 from once import once
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences, drivers_of, outstanding
+from mgsgraph.adjustment.drivers import Drivers, Kind, driver_sentences, drivers_of, flagged_by_share
 from mgsgraph.adjustment.fit import ABSURD, fit, residuals, squares_of
 from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.settings import SolverSettings
@@ -81,9 +81,9 @@ def mismatched(net: Network, rng: np.random.Generator, count: int = 12) -> Plant
 
 def _named(found: Drivers, net: Network) -> list[str]:
     """The first three names of what is said first; the image with the largest share where nothing stands out."""
-    one = (*found.outstanding, *found.contributions)[0]
+    one = (*found.flagged, *found.contributions)[0]
     names = [image.name for image in net.images] if one.kind == Kind.IMAGE else net.points.ids
-    return [names[i] for i in one.members[: min(3, one.outstanding or 1)].tolist()]
+    return [names[i] for i in one.members[: min(3, one.flagged or 1)].tolist()]
 
 
 PLANTS = [turned, shifted, interchanged, mismatched]
@@ -129,7 +129,7 @@ def test_nobody_is_accused_of_good_data(settings: SolverSettings, seed: int) -> 
     solution = adjust_network(block(seed), settings)
     assert solution.converged == (solution.drivers is None)
     if solution.drivers is not None:
-        assert not solution.drivers.outstanding
+        assert not solution.drivers.flagged
         assert len(driver_sentences(solution.drivers, solution.network)) == 1
 
 
@@ -175,8 +175,8 @@ def test_points_without_a_place_are_named_in_the_error() -> None:
 def test_a_median_is_not_moved_by_those_that_stand_out() -> None:
     values, measures = np.ones(50), np.full(50, 100)
     values *= 100.0
-    assert not np.any(outstanding(values, measures, 4.0))
+    assert not np.any(flagged_by_share(values, measures, 4.0))
     values[[3, 7]] *= 50.0
-    assert np.flatnonzero(outstanding(values, measures, 4.0)).tolist() == [3, 7]
+    assert np.flatnonzero(flagged_by_share(values, measures, 4.0)).tolist() == [3, 7]
     measures[3] = 0  # of nobody's measures nothing is said
-    assert np.flatnonzero(outstanding(values, measures, 4.0)).tolist() == [7]
+    assert np.flatnonzero(flagged_by_share(values, measures, 4.0)).tolist() == [7]

@@ -140,7 +140,7 @@ def test_redundancy_of_all_rows_is_that_of_the_network() -> None:
     assert reliability(solution).degrees_of_freedom == pytest.approx(solution.fit.degrees_of_freedom, abs=1e-5)
     groups = group_redundancy(at_solution(solution), group_rows(net))
     assert groups.redundancy.sum() == pytest.approx(solution.fit.degrees_of_freedom, abs=1e-5)
-    assert groups.squares.sum() == pytest.approx(2.0 * solution.cost_final, rel=1e-6)
+    assert groups.sums_of_squares.sum() == pytest.approx(2.0 * solution.cost_final, rel=1e-6)
 
 
 def test_scaling_groups_scales_their_rows() -> None:

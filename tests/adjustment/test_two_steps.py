@@ -46,7 +46,7 @@ WRONG, HIGH = 7, 900.0
 @cache
 def block() -> SimulatedBlock:
     settings = BlockSettings(
-        strips=2, length=80e3, points=140, matches=PointMatching(blunders=0.01), terrain=TerrainErrors(missing=0.01)
+        passes=2, length=80e3, points=140, matches=PointMatching(blunders=0.01), terrain=TerrainErrors(missing=0.01)
     )
     return simulate_hrsc_block(settings, seed=4)
 
@@ -86,7 +86,7 @@ def test_either_step_is_an_adjustment() -> None:
     free = adjust_network(without_terrain(net), SETTINGS)
     same(done.free, free)
     quiet, selection = replace(SETTINGS, reject=0.0), selection_of(net, free)
-    same(done.fitted, adjust_network(without_heights(net, done.off), quiet, left_in=selection))
+    same(done.fitted, adjust_network(without_heights(net, done.rejected), quiet, left_in=selection))
     assert done.converged
     np.testing.assert_array_equal(done.fitted.rays_rejected, done.free.rays_rejected)
     assert len(done.history[0]) == done.free.iterations
@@ -95,8 +95,8 @@ def test_either_step_is_an_adjustment() -> None:
 
 def test_a_match_that_is_wrong_in_all_images_is_off_the_terrain() -> None:
     done, net = steps(), with_wrong_match()
-    assert np.flatnonzero(done.off).tolist() == [WRONG]
-    assert done.at_rest
+    assert np.flatnonzero(done.rejected).tolist() == [WRONG]
+    assert done.heights_converged
     own = net.rays.point == WRONG
     assert np.any(done.free.rays_used[own])
     assert done.fitted.determined[WRONG]
@@ -107,7 +107,7 @@ def test_a_match_that_is_wrong_in_all_images_is_off_the_terrain() -> None:
     assert np.mean(rejected[gross]) > 0.8
 
     nothing = adjust_in_two_steps(net, SolverSettings(starts=0))
-    assert not np.any(nothing.off)
+    assert not np.any(nothing.rejected)
     assert nothing.free.rays_rejected is not None
     assert not np.any(nothing.free.rays_rejected)
 
@@ -145,12 +145,12 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
     errors = TrajectoryErrors()
     errors = replace(errors, attitude_wander=share * errors.attitude_wander, correlation_time=forgets,
                      position_wander=share * errors.position_wander)  # fmt: skip
-    settings = BlockSettings(strips=2, length=120e3, points=100, terrain=None, errors=errors)
+    settings = BlockSettings(passes=2, length=120e3, points=100, terrain=None, errors=errors)
     net = simulate_hrsc_block(settings, seed=4).network
     joint = prior_covariance(lay_out(net, SolverSettings()))
     assert joint is not None
-    for strip, first in zip(net.passes, net.first_of_passes.tolist(), strict=False):
-        times = strip.nodes.times
+    for pass_, first in zip(net.passes, net.first_of_passes.tolist(), strict=False):
+        times = pass_.nodes.times
         ago = np.abs(times[:, None] - times)
         along = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
         course = np.exp(-ago / forgets) if forgets else np.eye(times.size)
@@ -168,7 +168,7 @@ def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float
 # above two seconds: every unknown is moved by itself
 def test_forward_intersection_carries_the_orientation_on() -> None:
     """Its covariance against places that are moved with each unknown, one after another."""
-    small = BlockSettings(strips=2, length=40e3, points=20, spacing=20.0, matches=PointMatching(blunders=0.01))
+    small = BlockSettings(passes=2, length=40e3, points=20, spacing=20.0, matches=PointMatching(blunders=0.01))
     drawn = simulate_hrsc_block(small, seed=4)
     net = without_terrain(drawn.network)
     rays_alone = RaysAlone(net, SolverSettings(), all_rows(net))

@@ -61,7 +61,7 @@ def with_blunder(net: Network) -> Network:
     return replace(net, rays=replace(net.rays, places=places))
 
 
-def at_rest(solution: Solution) -> Linearised:
+def linearised_at_solution(solution: Solution) -> Linearised:
     """Where it was solved, with the covariance of exactly that place."""
     marked = replace(
         solution.network,
@@ -105,7 +105,7 @@ def projector(matrix: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
-    at = at_rest(solved(name))
+    at = linearised_at_solution(solved(name))
     grouping = group_rows(at.network)
     found = group_redundancy(at, grouping)
     matrix, residuals, groups = whole_system(at, grouping)
@@ -116,12 +116,12 @@ def test_helmert_s_matrix_is_that_of_the_whole_projector(name: str) -> None:
     ])  # fmt: skip
     assert np.array_equal(found.counts, np.bincount(groups, minlength=size))
     assert np.allclose(found.redundancy, np.bincount(groups, np.diag(cofactors), size), atol=1e-6)
-    assert np.allclose(found.squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
+    assert np.allclose(found.sums_of_squares, np.bincount(groups, residuals**2, size), rtol=1e-9)
     assert np.allclose(found.helmert, right, atol=1e-6 * right.max())
 
 
 def test_random_signs_come_near_the_exact_matrix() -> None:
-    at = at_rest(solved("shift and surface"))
+    at = linearised_at_solution(solved("shift and surface"))
     exact, estimate = (group_redundancy(at, group_rows(at.network), dense) for dense in (2000, 0))
     assert exact.exact
     assert not estimate.exact
@@ -250,7 +250,7 @@ def test_residuals_that_are_none_are_held_not_chased_to_zero() -> None:
 
 @pytest.mark.parametrize("name", ["shift and surface", "a blunder", "stereo"])
 def test_normalised_residuals_have_the_groups_redundancy(name: str) -> None:
-    at = at_rest(solved(name))
+    at = linearised_at_solution(solved(name))
     grouping = group_rows(at.network)
     groups, found = group_redundancy(at, grouping), residual_statistics(at, grouping)
     matrix, residuals, of_row = whole_system(at, grouping)
@@ -266,8 +266,8 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     rng = np.random.default_rng(2)
     plain = ResidualStatistics("normal", np.sort(rng.standard_normal(3000)), 0, 3000.0)
     tails = ResidualStatistics("tails", np.sort(rng.standard_t(3, 3000)), 0, 3000.0)
-    assert plain.as_promised
-    assert tails.as_promised is False
+    assert plain.consistent
+    assert tails.consistent is False
     assert plain.distance == pytest.approx(kstest(plain.values, "norm").statistic)
     assert plain.p_value == pytest.approx(kstest(plain.values, "norm").pvalue, abs=0.02)
     assert plain.beyond[0] == pytest.approx(0.3173, abs=0.03)
@@ -275,7 +275,7 @@ def test_statistics_of_normal_and_other_residuals() -> None:
     assert abs(plain.skewness) < 3.0 * plain.sigmas[2]
     few = ResidualStatistics("few", plain.values[:3], 2, 1.5)
     assert np.isnan(few.p_value)
-    assert few.as_promised is None
+    assert few.consistent is None
 
 
 def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -284,11 +284,11 @@ def test_a_negative_square_is_said_to_be_foerstners(monkeypatch: pytest.MonkeyPa
     found = group_redundancy(at_solution(solution), group_rows(solution.network))
     judged = [g for g, one in enumerate(judge_groups(found, {})) if one is Judgement.JUDGED]
     part, g = found.helmert[np.ix_(judged, judged)], judged[0]
-    squares = 9.0 * found.redundancy
-    squares[g] = 0.01 * found.redundancy[g]
-    expected = 1.0 + np.linalg.solve(part, (squares - found.redundancy)[judged])
+    own = 9.0 * found.redundancy
+    own[g] = 0.01 * found.redundancy[g]
+    expected = 1.0 + np.linalg.solve(part, (own - found.redundancy)[judged])
     assert expected[0] < 0.0
-    monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, squares=squares))
+    monkeypatch.setattr("mgsgraph.analysis.components.group_redundancy", lambda *_: replace(found, sums_of_squares=own))
     groups = components(solution).groups
     assert [groups[k].negative for k in judged] == (expected <= 0.0).tolist()
     assert groups[g].factor == pytest.approx(groups[g].foerstner) == pytest.approx(0.1)
@@ -356,7 +356,7 @@ def test_known_blunders_stay_out_of_honest_sigmas() -> None:
     assert not np.any(first.solution.ranges_used & ranges)
     for group, again in zip(one.groups, first.components.groups, strict=True):
         assert (again.name, again.rows) == (group.name, group.rows)
-        assert again.squares == pytest.approx(group.squares, rel=1e-4)
+        assert again.sum_of_squares == pytest.approx(group.sum_of_squares, rel=1e-4)
     rest = iterated_components(marked, settings)
     assert rest.components["tie image points"].factor == pytest.approx(one["tie image points"].factor, rel=0.05)
     judged_anew = iterated_components(marked, replace(settings, reject=1e4), most=1).solution

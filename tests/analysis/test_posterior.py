@@ -429,10 +429,10 @@ def test_an_image_held_at_its_nominal_orientation() -> None:
     found = likelihood().ratio({name: zeros})
     assert found.degrees == zeros.size
     rise = held.cost_final - exact().cost_final
-    assert found.squares == pytest.approx(2.0 * rise, abs=2e-4)  # lines are exact to 1e-5
+    assert found.chi_square == pytest.approx(2.0 * rise, abs=2e-4)  # lines are exact to 1e-5
     more = likelihood().ratio({name: zeros, "profile": np.zeros(2), "range bias": np.zeros(1)})
     assert more.degrees == zeros.size + 3
-    assert more.squares > found.squares + 1e-3
+    assert more.chi_square > found.chi_square + 1e-3
 
 
 def test_near_the_optimum_it_is_the_ellipsoids() -> None:
@@ -447,9 +447,9 @@ def test_near_the_optimum_it_is_the_ellipsoids() -> None:
         parts = np.split(move, np.cumsum([names[name][1].size for name in chosen])[:-1])
         values = {name: names[name][1].ravel() + part for name, part in zip(chosen, parts, strict=True)}
         found = likelihood().ratio(values)
-        assert found.squares == pytest.approx(move @ np.linalg.solve(covariance, move), rel=2e-2)
+        assert found.chi_square == pytest.approx(move @ np.linalg.solve(covariance, move), rel=2e-2)
         assert 0.9 < found.p <= 1.0
-    assert likelihood().ratio({}).squares == pytest.approx(0.0, abs=1e-9)
+    assert likelihood().ratio({}).chi_square == pytest.approx(0.0, abs=1e-9)
 
 
 def test_profiles_are_the_ellipsoids_where_all_is_linear_and_end_where_the_ratio_says() -> None:
@@ -461,7 +461,7 @@ def test_profiles_are_the_ellipsoids_where_all_is_linear_and_end_where_the_ratio
     (shift,) = likelihood().profiles("range bias")
     for level, ends in zip(LEVELS, shift.intervals, strict=True):
         for end in ends:
-            square = likelihood().ratio({"range bias": np.array([end])}).squares
+            square = likelihood().ratio({"range bias": np.array([end])}).chi_square
             assert np.sqrt(square) == pytest.approx(NormalDist().inv_cdf(0.5 + 0.5 * level), abs=2e-3)
 
 

@@ -38,7 +38,7 @@ from mgsgraph.network.corrections import (
 from mgsgraph.network.passes import normalised
 from mgsgraph.results.spacing import nodes_section
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, strip_correction
+from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, pass_correction
 from mgsgraph.units import MGON
 
 PITCH = Jitter(4.0 * MGON, 0.06, "pitch")
@@ -53,9 +53,9 @@ def block(
     seed: int = 1,
     points: int = 700,
 ) -> SimulatedBlock:
-    """One strip of 80 s, without terrain."""
+    """One pass of 80 s, without terrain."""
     settings = BlockSettings(
-        strips=1, length=150e3, points=points, terrain=None, spacing=spacing, jitter=jitter,
+        passes=1, length=150e3, points=points, terrain=None, spacing=spacing, jitter=jitter,
         errors=errors or TrajectoryErrors(),
     )  # fmt: skip
     return simulate_hrsc_block(settings, seed)
@@ -107,7 +107,7 @@ def test_one_ray_of_a_point_is_held_out(share: float, seed: int) -> None:
     held = hold_out(net, share, np.random.default_rng(seed))
     points = net.rays.point[held.rays]
     assert np.unique(points).size == points.size == round(share * len(net.points))
-    assert np.bincount(net.rays.point, held.taken(net)).min() >= 2
+    assert np.bincount(net.rays.point, held.rays_left(net)).min() >= 2
     np.testing.assert_array_equal(held.rays, hold_out(net, share, np.random.default_rng(seed)).rays)
 
 
@@ -151,11 +151,11 @@ def test_rule_of_one_standard_error() -> None:
     as good as the best within it, and all that are coarser are worse.
     """
     choice = choose_spacing(block().network, SolverSettings(), [3.0, 5.0, 8.0, 14.0, 28.0])
-    means = np.array([one.squares.mean() for one in choice.candidates])
+    means = np.array([one.squared_errors.mean() for one in choice.candidates])
     assert choice.best == np.argmin(means)
     assert choice.best <= choice.chosen < 4
     for k in range(choice.best + 1, 5):
-        difference = choice.candidates[k].squares - choice.candidates[choice.best].squares
+        difference = choice.candidates[k].squared_errors - choice.candidates[choice.best].squared_errors
         left = np.array([difference[choice.stretch != one].mean() for one in np.unique(choice.stretch)])
         error = np.sqrt((left.size - 1) / left.size * np.sum((left - left.mean()) ** 2))
         assert choice.worse_errors[k] == pytest.approx(error, rel=0.1)
@@ -166,7 +166,7 @@ def test_rule_of_one_standard_error() -> None:
 
 def test_points_off_the_model_are_judged() -> None:
     """Half of the posts are missing: rays of points there are judged by their other rays alone."""
-    made = simulate_hrsc_block(BlockSettings(strips=1, length=150e3, points=400), 1)
+    made = simulate_hrsc_block(BlockSettings(passes=1, length=150e3, points=400), 1)
     surface = made.network.surface
     assert surface is not None
     radii = surface.grid.radii.copy()
@@ -177,14 +177,14 @@ def test_points_off_the_model_are_judged() -> None:
     net = replace(made.network, surface=replace(surface, grid=grid, sigmas=np.where(there, surface.sigmas, np.inf)))
     choice = choose_spacing(net, SolverSettings(), [5.0, 20.0], 0.5)
     assert choice.unjudged == 0
-    assert choice.candidates[0].squares.size + choice.blunders == 200
+    assert choice.candidates[0].squared_errors.size + choice.blunders == 200
     assert choice.candidates[0].rms == pytest.approx(1.0, abs=0.15)
 
 
 def test_blunders_do_not_choose() -> None:
     """1 % of the rays 5 to 100 px off: with a blunder limit most are found, once, and candidates don't see them."""
     settings = BlockSettings(
-        strips=1, length=150e3, points=500, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
+        passes=1, length=150e3, points=500, terrain=None, jitter=PITCH, matches=PointMatching(blunders=0.01)
     )  # fmt: skip
     made = simulate_hrsc_block(settings, 1)
     choice = choose_spacing(made.network, SolverSettings(reject=4.0), [20.0, 4.0])
@@ -200,11 +200,11 @@ def test_blunders_do_not_choose() -> None:
 
 
 ERRORS = TrajectoryErrors(correlation_time=30.0, position_wander=10.0)
-SETTINGS = BlockSettings(strips=1, length=200e3, points=200, spacing=5.0, terrain=None, errors=ERRORS)
+SETTINGS = BlockSettings(passes=1, length=200e3, points=200, spacing=5.0, terrain=None, errors=ERRORS)
 
 
 def network(seed: int, off: float, estimated: bool = True, errors: TrajectoryErrors = ERRORS) -> Network:
-    """A strip whose processes' strengths are off by a factor."""
+    """A pass whose processes' strengths are off by a factor."""
     net = simulate_hrsc_block(replace(SETTINGS, errors=errors), seed).network
     prior = net.passes[0].prior
     assert isinstance(prior, NodePrior)
@@ -293,10 +293,10 @@ def test_other_strengths_need_no_adjustment(monkeypatch: pytest.MonkeyPatch) -> 
                                atol=1e-4)  # fmt: skip
 
 
-# above two seconds: a search over two strips
+# above two seconds: a search over two passes
 def test_passes_have_their_strengths_in_common() -> None:
-    """Of two strips that begin unlike each other: one strength about each axis, and after a round both have it."""
-    net = simulate_hrsc_block(replace(SETTINGS, strips=2), 3).network
+    """Of two passes that begin unlike each other: one strength about each axis, and after a round both have it."""
+    net = simulate_hrsc_block(replace(SETTINGS, passes=2), 3).network
     passes = []
     for k, one in enumerate(net.passes):
         assert isinstance(one.prior, NodePrior)
@@ -317,10 +317,10 @@ def attitudes(network: Network) -> list[np.ndarray]:
 
 @pytest.mark.slow
 def test_of_two_strips_the_one_that_moves_more_is_found() -> None:
-    """Two searches over two strips, the second's departures a fifth of the first's: strengths of the first pass are the
+    """Two searches over two passes, the second's departures a fifth of the first's: strengths of the first pass are the
     larger ones, and the factor graph has the same cost.
     """
-    made = simulate_hrsc_block(replace(SETTINGS, strips=2, points=600, wander=(1.0, 0.2)), 1)
+    made = simulate_hrsc_block(replace(SETTINGS, passes=2, points=600, wander=(1.0, 0.2)), 1)
     attitude = Process("gauss-markov", np.full(3, ERRORS.attitude_wander), 30.0, estimated=True)
     position = Process("gauss-markov", np.full(3, ERRORS.position_wander), 30.0, estimated=True)
     prior = ProcessPrior((position,), (attitude,), ERRORS.prior.bias, ERRORS.prior.drift)
@@ -402,8 +402,8 @@ def test_what_is_hardly_seen_has_a_limit() -> None:
         assert one.interval[0] < one.sigma < one.interval[1] < 12.0 * one.sigma
 
 
-@pytest.mark.parametrize("alike", [True, False])
-def test_passes_that_move_alike(alike: bool) -> None:
+@pytest.mark.parametrize("same_motion", [True, False])
+def test_passes_that_move_in_the_same_way(same_motion: bool) -> None:
     """Their difference shows nothing: strengths stay as uncertain as beforehand, and sigmas fit the errors even so."""
     rng, blank = np.random.default_rng(3), simulate_ctx_pair(CtxSettings(ties=20)).network
     moving = Process("matern-3/2", np.full(3, PIXEL), 4.0, estimated=True)
@@ -411,13 +411,13 @@ def test_passes_that_move_alike(alike: bool) -> None:
     nodes = [evenly_spaced("lagrange", one.trajectory.epoch, image_times(one), 2.0) for one in blank.images]
     root = np.linalg.cholesky(dense_covariance((moving,), 0, nodes[0]))
     values, moves = rng.standard_normal((2, 1, 6)) * prior.bias, rng.standard_normal((2, len(root), 3))
-    values = values + np.concatenate([np.zeros_like(moves), root @ moves[[0, 0] if alike else [0, 1]]], axis=2)
-    truth = [TrueJitter(strip_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, values, strict=True)]
+    values = values + np.concatenate([np.zeros_like(moves), root @ moves[[0, 0] if same_motion else [0, 1]]], axis=2)
+    truth = [TrueJitter(pass_correction(*pair), np.zeros((2, 2))) for pair in zip(nodes, values, strict=True)]
     net = simulate_ctx_pair(CtxSettings(ties=300, control=None), 3, truth).network
     passes = [replace(one, nodes=some, prior=prior) for one, some in zip(net.passes, nodes, strict=True)]
     found = estimated_strengths(replace(net, passes=tuple(passes)), SolverSettings())
-    assert (found.alike > 0.5) == alike
-    assert (found.strengths[1].seen, found.strengths[1].error < 0.3) == (not alike, not alike)  # pitch
+    assert (found.same_motion > 0.5) == same_motion
+    assert (found.strengths[1].seen, found.strengths[1].error < 0.3) == (not same_motion, not same_motion)  # pitch
     assert all(one.interval[0] < PIXEL < one.interval[1] for one in found.strengths)
     variables = [first + k for one, first in found.network.numbered_passes for k in range(len(one.nodes))]
     covariance, error = found.solution.joint_covariance.of(variables), np.concatenate(found.solution.nodes)

@@ -81,7 +81,7 @@ def test_what_an_effect_shows_is_what_an_adjustment_of_changed_measures_leaves()
     changed = rows_of(replace(plain, rays=replace(rays, places=rays.places + step)))
     effect = (step / rays.sigmas)[rows.measure[mine], rows.component[mine]]
     shown = rows.explained(mine, effect[:, None])[:, 0]
-    assert alike(changed.residuals - rows.residuals, shown)
+    assert proportional(changed.residuals - rows.residuals, shown)
 
 
 def test_residuals_vary_by_what_a_considered_unknown_may_be_off() -> None:
@@ -94,10 +94,10 @@ def test_residuals_vary_by_what_a_considered_unknown_may_be_off() -> None:
     places[of_profile] += step * east_north(places[of_profile])[:, 0]
     changed = rows_of(replace(held, points=replace(points, places=places)))
     there = rows.considered[:, 0] != 0.0
-    assert alike(100.0 * (changed.residuals - rows.residuals)[there], rows.considered[there, 0])
+    assert proportional(100.0 * (changed.residuals - rows.residuals)[there], rows.considered[there, 0])
 
 
-def alike(found: Array, wanted: Array) -> bool:
+def proportional(found: Array, wanted: Array) -> bool:
     """Whether two vectors agree but for a hundredth, which is not linear."""
     return float(np.linalg.norm(found - wanted)) < 0.01 * float(np.linalg.norm(wanted))
 

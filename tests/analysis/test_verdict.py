@@ -105,7 +105,7 @@ def test_what_is_left_out_is_said(good: Solution, kind: Kind, share: float, fata
     assert is_valid(found) is not fatal
     record = solution_json(found)["verdict"]
     assert record["state"] == ("invalid" if fatal else "suspect")
-    assert {"cause": "observations left out", "count": one.lost, "size": one.share}.items() <= next(
+    assert {"cause": "observations left out", "count": one.left_out, "size": one.share}.items() <= next(
         each for each in record["reasons"] if each["what"].startswith(str(kind))
     ).items()
     assert ("INVALID" in summary_table(found)) is fatal
@@ -199,7 +199,7 @@ def test_groups_add_up_to_the_whole() -> None:
         found = verdict(solution)
         assert sum(one.rows for one in found.groups) == solution.fit.observations
         assert sum(one.redundancy for one in found.groups) == pytest.approx(solution.fit.degrees_of_freedom, rel=1e-6)
-        assert sum(one.squares for one in found.groups) == pytest.approx(solution.fit.squares, rel=1e-6)
+        assert sum(one.sum_of_squares for one in found.groups) == pytest.approx(solution.fit.squares, rel=1e-6)
         assert len({one.name for one in found.groups}) == len(found.groups)
         assert verdict(solution) is found  # a solution never changes
 
@@ -229,7 +229,7 @@ def test_a_group_is_tested_by_the_law_of_its_squares() -> None:
         mine = np.flatnonzero(np.array([name == test.name for name in row_names(rows, grouping)]))
         assert np.trace(every[np.ix_(mine, mine)]) == pytest.approx(test.redundancy, rel=1e-6)
         if test.tested:
-            larger = np.mean(np.sum(draws[:, mine] ** 2, axis=1) > test.squares)
+            larger = np.mean(np.sum(draws[:, mine] ** 2, axis=1) > test.sum_of_squares)
             assert test.p_value == pytest.approx(larger, abs=0.02), test.name
 
 

@@ -8,8 +8,8 @@ import click
 import numpy as np
 import pytest
 from mex import CHANGES, FOLDER, LINES, kernels, times_file
+from pass_files import PASSES, block, write_block
 from rigs import PASS, TURN, later, rig, write_rig
-from strip_files import STRIPS, block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
@@ -361,17 +361,17 @@ def block_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def case_with(block_folder: Path, strips: str, name: str = "other.toml") -> Path:
-    """The block's case with other strips."""
+def case_with(block_folder: Path, passes: str, name: str = "other.toml") -> Path:
+    """The block's case with other passes."""
     text = (block_folder / "case.toml").read_text(encoding="utf-8")
-    assert text.endswith(STRIPS)
+    assert text.endswith(PASSES)
     path = block_folder / name
-    path.write_text(text.removesuffix(STRIPS) + strips, encoding="utf-8")
+    path.write_text(text.removesuffix(PASSES) + passes, encoding="utf-8")
     return path
 
 
-def strip_of(block_folder: Path, table: str) -> Pass:
-    """The first strip alone, `table` being what follows its name."""
+def first_pass(block_folder: Path, table: str) -> Pass:
+    """The first pass alone, `table` being what follows its name."""
     images = 'images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]'
     table += "" if "prior" in table else "\nprior = {}"
     case = case_with(block_folder, f'[[passes]]\nname = "one"\n{images}\n{table}\n')
@@ -379,13 +379,13 @@ def strip_of(block_folder: Path, table: str) -> Pass:
 
 
 def prior_of(block_folder: Path, table: str) -> NodePrior:
-    prior = strip_of(block_folder, f"prior = {{ {table} }}").prior
+    prior = first_pass(block_folder, f"prior = {{ {table} }}").prior
     assert isinstance(prior, NodePrior)
     return prior
 
 
 def test_the_case_is_the_block(block_folder: Path) -> None:
-    """Read from its files, with the defaults that the block was drawn with: the same strips, cost and places."""
+    """Read from its files, with the defaults that the block was drawn with: the same passes, cost and places."""
     case, net = mgsgraph.read_case(block_folder / "case.toml"), block().network
     for read, made in zip(case.network.passes, net.passes, strict=True):
         assert (read.name, read.images.tolist()) == (made.name, made.images.tolist())
@@ -413,7 +413,7 @@ def test_spacing_in_seconds_and_lines(block_folder: Path) -> None:
     for table, spacing in (
         ("spacing_s = 4.0", 4.0), ("spacing_lines = 1500", 1500 * (stop - start) / pictures[2].lines), ("", 10.0)
     ):
-        nodes = strip_of(block_folder, f"nodes = {{ {table} }}").nodes
+        nodes = first_pass(block_folder, f"nodes = {{ {table} }}").nodes
         times = nodes.times + nodes.epoch
         step = np.diff(times)
         np.testing.assert_allclose(times[[0, -1]], [edges[:, 0].min(), edges[:, 1].max()], atol=1e-6)
@@ -462,9 +462,9 @@ def test_defaults_give_way_where_nodes_know_nothing() -> None:
 
 ONE = '[[passes]]\nname = "one"\nimages = ["HRSC/00/S1", "HRSC/00/ND"]\n'
 OTHER = '[[passes]]\nname = "two"\n'
-WRONG_STRIPS = {
+WRONG_PASSES = {
     "unknown image": (ONE.replace("00/S1", "00/S9"), r"passes\[0\], images: the image 'HRSC/00/S9'; expected some of"),
-    "in two strips": (ONE + OTHER + 'images = ["HRSC/00/ND"]', r"passes\[1\], images: 'HRSC/00/ND', which pass 'one'"),
+    "in two passes": (ONE + OTHER + 'images = ["HRSC/00/ND"]', r"passes\[1\], images: 'HRSC/00/ND', which pass 'one'"),
     "two passes": (OTHER, r"passes\[0\]: images HRSC/00/.. and HRSC/01/.., 39\d minutes apart; expected images of one"),
     "an unknown unit": (ONE + "nodes = { spacing_km = 3 }", r"passes\[0\]\.nodes.*'spacing_km'.*'spacing_s'"),
     "a basis": (ONE + 'nodes = { basis = "lagrange" }', "basis: a word of earlier versions"),
@@ -476,11 +476,11 @@ WRONG_STRIPS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("fault", WRONG_STRIPS)
-def test_one_clear_line_of_strips(block_folder: Path, fault: str) -> None:
-    strips, message = WRONG_STRIPS[fault]
-    strips += "" if "prior" in strips else "\nprior = {}"
-    path = case_with(block_folder, strips)
+@pytest.mark.parametrize("fault", WRONG_PASSES)
+def test_one_clear_line_of_passes(block_folder: Path, fault: str) -> None:
+    passes, message = WRONG_PASSES[fault]
+    passes += "" if "prior" in passes else "\nprior = {}"
+    path = case_with(block_folder, passes)
     with pytest.raises(InputError, match=message) as caught:
         mgsgraph.read_case(path)
     assert str(caught.value).startswith(str(path))
@@ -531,7 +531,7 @@ def test_cameras_of_one_pass_are_mounted_as_their_attitudes_say() -> None:
 
 
 def test_labels_of_one_pass_are_read_on_one_trajectory(shared_data: Path, tmp_path: Path) -> None:
-    """Of the real kernels; outside of a strip each label has a trajectory of its own."""
+    """Of the real kernels; outside of a pass each label has a trajectory of its own."""
     label = (shared_data / FOLDER / "h5270_0000_ir2_pds3.lbl").read_text()
     times_file(tmp_path)
     names = ("IR", "NADIR")

@@ -7,10 +7,10 @@ import matched
 import numpy as np
 import profiles
 import pytest
+from pass_files import write_block
 from PIL import Image
 from rasters import PROJECTIONS, RADIUS, SPHERE, ground, pixels, raster
 from sites import plain_site
-from strip_files import write_block
 
 import mgsgraph
 from mgsgraph.case.case_file import decode, read_images
@@ -402,7 +402,7 @@ def test_pixels_are_those_that_the_case_names(pictured_case: Path) -> None:
     np.testing.assert_allclose(scene.pictures[0].prior.sigmas[0], [30.0] * 3 + [1e-4] * 3)
 
 
-def test_images_of_strips_have_their_strip_s_prior(tmp_path: Path) -> None:
+def test_images_of_passes_have_the_prior_of_their_pass(tmp_path: Path) -> None:
     path = write_block(tmp_path)
     with pytest.raises(InputError, match="no pixels"):
         read_scene(path)

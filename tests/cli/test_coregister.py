@@ -248,7 +248,7 @@ def test_posts_of_the_terrain_model_lie_on_the_surface(terrain: Any, tmp_path: P
     assert found.before.network.surface is not None
     assert (network.surface is None) == (terrain == "cells") == bool(models)
     for model in models:
-        assert 300 < model.taken.sum() < model.taken.size
+        assert 300 < model.on_surface.sum() < model.on_surface.size
         assert model.rms_after == pytest.approx(GRID_VERTICAL, rel=0.15)
         off = model.shift + grid_shift(dem_site.site().terrain)
         assert off @ np.linalg.solve(model.covariance, off) < 13.8  # 99.9 % of chi-square with two degrees of freedom
@@ -271,7 +271,7 @@ def test_profiles_that_are_not_tied_or_take_no_part(registration: ReliefRegistra
     profiles = (
         *(replace(registration.profiles[k % 2], name=f"profile {k}") for k in range(38)),
         replace(first, name="plain", before=before, after=after),
-        replace(first, name="aside", taken=np.zeros_like(first.taken)),
+        replace(first, name="aside", on_surface=np.zeros_like(first.on_surface)),
     )
     names, none = tuple(one.name for one in profiles), np.full(len(network.points), -1)
     assert network.shifts is not None
@@ -293,12 +293,12 @@ def test_differences_of_posts_are_a_map_and_a_histogram_of_all(registration: Rel
     sheets = list(relief_sheets(replace(registration, profiles=(posts, registration.profiles[1]))))
     counted = [bars.get_xy() for bars in sheets[1].figure.axes[1].patches]
     for state, corners in zip((posts.after, posts.before), counted, strict=True):
-        heights = vertical(state)[posts.taken & state.heights.covered]
+        heights = vertical(state)[posts.on_surface & state.heights.covered]
         assert corners[1:-1:2, 1].sum() == heights.size
         assert corners[:, 0].min() <= heights.min() <= heights.max() <= corners[:, 0].max()
     other = registration.profiles[1]
     for state, panel in zip((other.before, other.after), sheets[2].figure.axes[2:4], strict=True):
-        heights = vertical(state)[other.taken & state.heights.covered]
+        heights = vertical(state)[other.on_surface & state.heights.covered]
         assert panel.get_ylim()[0] < heights.min() <= heights.max() < panel.get_ylim()[1]
     after = sheets[-1].figure.axes[0].lines[1].get_xydata()
     assert after == pytest.approx(np.array([one.after.misplacement for one in registration.profiles[:2]]))

@@ -226,5 +226,5 @@ def test_bad_options_are_one_line(case: Path, options: tuple[str, ...], words: s
 
 def test_what_is_not_studied(case: Path, tmp_path: Path) -> None:
     write_strip(strip(6).upto(2), tmp_path)
-    assert "no strips" in refusal("analyze", tmp_path / "case.toml", "--nodes")
+    assert "no passes" in refusal("analyze", tmp_path / "case.toml", "--nodes")
     assert "not a result" in refusal("analyze", case, "--nodes", "4,8", "--out", tmp_path)

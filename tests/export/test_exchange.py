@@ -1,4 +1,4 @@
-"""Networks from one format to another: one place counted rightly in each, and what gets lost said."""
+"""Networks from one format to another: one place counted rightly in each, and what gets losses said."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -101,20 +101,20 @@ def test_a_round_through_the_pipeline_and_back(table: Path) -> None:
 def test_real_network_survives_whole_and_what_a_table_loses_is_counted(shared_data: Path, tmp_path: Path) -> None:
     path = shared_data / "lro_nac_lola" / "network.pvl"
     whole = convert(path, tmp_path / "x.net", strict=True)
-    assert whole.lost == ()
+    assert whole.losses == ()
     assert read_network(tmp_path / "x.net").points == read_network(path).points
 
-    lost = convert(path, tmp_path / "x.csv").lost
+    losses = convert(path, tmp_path / "x.csv").losses
 
     text = path.read_text()
     for key in ("GoodnessOfFit", "MinimumPixelZScore"):
-        assert f"{text.count(key)} figures of {key}" in lost
-    assert f"AprioriLine of {text.count('AprioriLine')} measures" in lost
+        assert f"{text.count(key)} figures of {key}" in losses
+    assert f"AprioriLine of {text.count('AprioriLine')} measures" in losses
     serials = {one.serial_number for point in read_network(path).points for one in point.measures}
     renamed = {serial: f"M{k}" for k, serial in enumerate(sorted(serials))}
-    lost = convert(path, tmp_path / "run.match", ExchangeSetting(renamed=renamed)).lost
-    assert "places beyond single precision" in lost
-    assert f"the missing sigma of {text.count('SerialNumber')} measures (1 px is written)" in lost
+    losses = convert(path, tmp_path / "run.match", ExchangeSetting(renamed=renamed)).losses
+    assert "places beyond single precision" in losses
+    assert f"the missing sigma of {text.count('SerialNumber')} measures (1 px is written)" in losses
 
 
 def measure(image: str, place: float, **more: object) -> ControlMeasure:
@@ -164,7 +164,7 @@ def test_strict_writes_nothing_and_keeps_what_is_there(table: Path) -> None:
     (folder / "x.gcp").write_text(old)
     with pytest.raises(Lossy, match=r"x.gcp: it can't hold 2 kinds of things \(2 free points; \.\.\.\)") as caught:
         convert(table, folder / "x.gcp", SETTING, strict=True)
-    assert caught.value.lost[0] == "2 free points"
+    assert caught.value.losses[0] == "2 free points"
     assert (folder / "x.gcp").read_text() == old
     assert sorted(path.name for path in folder.iterdir()) == ["points.csv", "x.gcp"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from networks import network, pair
-from strip_files import block
+from pass_files import block
 from usgscsm import csm_differences, ground_to_image, isd_differences, state_differences
 
 from mgsgraph.adjustment.adjust import adjust_network

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import spiceypy
 from exported import network_differences
+from pass_files import write_block
 from rigs import BORESIGHT, adjusted_rig, rig
-from strip_files import write_block
 from usgscsm import csm_differences
 
 from mgsgraph.adjustment.adjust import adjust_network

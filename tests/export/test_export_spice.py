@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import spiceypy
+from pass_files import write_block
 from spiceypy.utils.exceptions import SpiceyError
-from strip_files import write_block
 
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.case.reading import adjust, read_case

@@ -310,13 +310,13 @@ def test_pairs_are_mutual() -> None:
 
 
 def test_a_choice_has_to_be_clear() -> None:
-    alike = np.zeros((2, 128), dtype=np.float32)
-    alike[0, :2], alike[1, :2] = (0.95, np.sqrt(1.0 - 0.95**2)), (0.94, np.sqrt(1.0 - 0.94**2))
+    descriptors = np.zeros((2, 128), dtype=np.float32)
+    descriptors[0, :2], descriptors[1, :2] = (0.95, np.sqrt(1.0 - 0.95**2)), (0.94, np.sqrt(1.0 - 0.94**2))
     one = made([[0.0, 0.0]], [0])
-    apart = made([[0.0, 5.0], [0.0, 60.0]], [0, 0])._replace(descriptors=alike)
+    apart = made([[0.0, 5.0], [0.0, 60.0]], [0, 0])._replace(descriptors=descriptors)
     assert pair_up(one, apart, ANYWHERE, 4.0, 0.85)[0].size == 0
     assert pair_up(one, apart, ANYWHERE, 4.0, 0.99)[1].tolist() == [0]
-    twice = made([[0.0, 5.0], [0.0, 16.0]], [0, 0])._replace(descriptors=alike)  # the same blob in two sizes
+    twice = made([[0.0, 5.0], [0.0, 16.0]], [0, 0])._replace(descriptors=descriptors)  # the same blob in two sizes
     assert pair_up(one, twice, ANYWHERE, 4.0, 0.85)[1].tolist() == [0]
 
 

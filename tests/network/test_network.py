@@ -282,7 +282,7 @@ def test_hints_where_points_and_footprints_disagree() -> None:
     assert set(rows) == {(0, 1), (0, 3), (1, 2)}
     assert found.shares[rows[0, 1]] == pytest.approx(0.5, rel=1e-3)
     assert found.untied.tolist() == [rows[1, 2]]
-    assert found.apart.tolist() == [rows[0, 3]]
+    assert found.disjoint.tolist() == [rows[0, 3]]
     assert found.gaps[rows[0, 3]] == pytest.approx(2.0 * DEG * MARS.equatorial, rel=5e-3)
     assert found.gaps[rows[0, 1]] == 0.0
     assert found.names == ("I0", "I1", "I2", "I3")

@@ -69,7 +69,7 @@ def test_a_gauss_markov_process_has_todays_rows(nodes: OrientationImages) -> Non
 @pytest.mark.parametrize("nodes", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("kind", ["white", "gauss-markov", "matern-3/2", "matern-5/2", "integrated-wiener"])
 def test_rows_between_neighbours_are_the_whole_process(kind: ProcessKind, nodes: OrientationImages) -> None:
-    """The Kullback-Leibler divergence of the rows' density from the dense process, all of it, is what was promised."""
+    """The Kullback-Leibler divergence of the rows' density from the dense process, all of it, is the stated one."""
     prior = ProcessPrior((process(kind),), (process(kind, 1e-6),), TREND, TREND)
     s, count = normalised(nodes), len(nodes)
     found = information(prior, nodes)

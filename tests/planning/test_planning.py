@@ -45,7 +45,7 @@ from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simu
 from mgsgraph.simulation.strip import SimulatedStrip
 from mgsgraph.units import MGON
 
-AS_PROMISED = 0.01
+TOLERANCE = 0.01
 """Share by which a predicted sigma may differ from the one really had: the issue's."""
 SMALL = 0.02
 """Share of the usual sigmas that a well-known orientation has."""
@@ -144,31 +144,31 @@ def totals(solution: Solution, names: tuple[str, ...]) -> Array:
 # --- what is predicted is what one gets
 
 
-def promised(planned: Network, wanted: str = "all") -> tuple[tuple[str, ...], np.ndarray]:
+def prediction(planned: Network, wanted: str = "all") -> tuple[tuple[str, ...], np.ndarray]:
     """Targets, and their sigmas (n,) in m as planned."""
     targets, present = targets_of(state(), [wanted]), CurrentState(state())
     return targets.points, TargetSigmas(present, targets).after(updated(present, added(present, [planned])))[:, 0]
 
 
 def assert_kept(names: tuple[str, ...], predicted: np.ndarray, after: np.ndarray) -> None:
-    """What was promised is there; and the drop itself, where it is large, is as large as was said."""
+    """The result is the predicted one; so is the drop itself, where it is large."""
     before = totals(solved(), names)
-    assert predicted == pytest.approx(after, rel=AS_PROMISED)
+    assert predicted == pytest.approx(after, rel=TOLERANCE)
     large = predicted < 0.9 * before
     assert np.count_nonzero(large) > 10  # else nothing was predicted
-    assert (before - predicted)[large] == pytest.approx((before - after)[large], rel=5.0 * AS_PROMISED)
+    assert (before - predicted)[large] == pytest.approx((before - after)[large], rel=5.0 * TOLERANCE)
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_an_image_brings_what_was_promised(existing: bool) -> None:
+def test_an_image_brings_what_was_predicted(existing: bool) -> None:
     chosen, true = well_known(8, existing)
-    names, predicted = promised(addition(chosen))
+    names, predicted = prediction(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), true), names))
 
 
 def test_incremental_adjustment_gets_it_too() -> None:
     chosen, true = well_known(8, existing=True)
-    names, predicted = promised(addition(chosen))
+    names, predicted = prediction(addition(chosen))
     adjustment = IncrementalAdjustment.of(solved())
     places = dict(zip(made().ties.ids, made().true_ties, strict=True))
     adjustment.add(measured(addition(chosen), true, places))
@@ -176,7 +176,7 @@ def test_incremental_adjustment_gets_it_too() -> None:
     assert_kept(names, predicted, np.sqrt(np.trace(covariances, axis1=1, axis2=2)))
 
 
-def test_a_profile_brings_what_was_promised() -> None:
+def test_a_profile_brings_what_was_predicted() -> None:
     view = coverage().views[made().images[2].name]
     edges = view.image.timing.at(np.array([0.0, float(view.image.lines)]))[0] + view.image.trajectory.epoch
     times = np.linspace(edges[0] + 0.1, edges[1] - 0.1, 8)
@@ -185,13 +185,13 @@ def test_a_profile_brings_what_was_promised() -> None:
     shots = PlannedShots(times, ground, view.image.name, np.full(n, 1.0), spread, 2.0, 1.0)
     chosen = planned_profile(coverage(), "new profile", shots)
     assert chosen.ranges == n
-    names, predicted = promised(addition(chosen))
+    names, predicted = prediction(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), truth(made())), names))
 
 
-def test_a_control_point_brings_what_was_promised() -> None:
+def test_a_control_point_brings_what_was_predicted() -> None:
     chosen = planned_point(coverage(), "surveyed", state().places[3], 0.04 * np.eye(3), 0.3)
-    names, predicted = promised(addition(chosen))
+    names, predicted = prediction(addition(chosen))
     assert_kept(names, predicted, totals(really(solved(), addition(chosen), truth(made())), names))
 
 
@@ -219,7 +219,7 @@ def test_terrain_shifts_and_a_robust_loss_hold_too(loss: Loss, considered: tuple
     targets = targets_of(place.state, ["all"])
     predicted = TargetSigmas(present, targets).after(updated(present, added(present, [addition(chosen)])))
     both = adjust_network(place.state.extended([addition(chosen)]).network, settings)
-    assert predicted[:, 0] == pytest.approx(totals(both, targets.points), rel=AS_PROMISED)
+    assert predicted[:, 0] == pytest.approx(totals(both, targets.points), rel=TOLERANCE)
 
 
 # --- the update is exact linear algebra
@@ -348,7 +348,7 @@ LATE = "HRSC/00/S2"
 def pass_strip() -> Network:
     """One strip of a trajectory that is known well but for what changes on the way."""
     errors = TrajectoryErrors(attitude=1.0 * MGON, attitude_drift=0.5 * MGON, position=2.0, position_drift=1.0)
-    settings = BlockSettings(strips=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
+    settings = BlockSettings(passes=1, length=80e3, points=300, terrain=None, spacing=5.0, errors=errors)
     return simulate_hrsc_block(settings, seed=2).network
 
 
@@ -379,23 +379,23 @@ def expected_measures(planned: Network) -> Network:
 
 
 @pytest.mark.parametrize("existing", [False, True])
-def test_an_image_over_a_strip_brings_what_was_promised(existing: bool) -> None:
+def test_an_image_over_a_strip_brings_what_was_predicted(existing: bool) -> None:
     known = late()
     chosen = planned_image(pass_coverage(), known, PlannedTies(12, sigma=0.3, existing=existing))
     assert chosen.addition is not None
     state = pass_coverage().state
     present, targets = CurrentState(state), targets_of(state, ["all"])
     update = updated(present, added(present, [chosen.addition]))
-    promised = TargetSigmas(present, targets).after(update)[:, 0]
+    predicted = TargetSigmas(present, targets).after(update)[:, 0]
 
     whole = joined_networks([state.network, expected_measures(chosen.addition)])
     whole = with_images(whole, [*known_images(state.network), known])
     had = totals(adjust_network(whole, SolverSettings()), targets.points)
-    assert promised == pytest.approx(had, rel=AS_PROMISED)
+    assert predicted == pytest.approx(had, rel=TOLERANCE)
     before = TargetSigmas(present, targets).before()[:, 0]
     large = had < 0.97 * before
     assert np.count_nonzero(large) > 10  # else nothing was predicted
-    assert (before - promised)[large] == pytest.approx((before - had)[large], rel=AS_PROMISED)
+    assert (before - predicted)[large] == pytest.approx((before - had)[large], rel=TOLERANCE)
 
 
 def test_it_is_ranked_and_an_image_is_a_target() -> None:

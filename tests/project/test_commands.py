@@ -121,7 +121,7 @@ def test_images_come_into_an_empty_project(case_file: Path, tmp_path: Path, caps
     call("project", "add", project, folder / "image_B.isd", "--ties", folder / "network.pvl")
     assert "20 with SIM/A" in capsys.readouterr().out
     call("project", "solve", project, "--no-figures")
-    assert "Closing check against batch: the same" in capsys.readouterr().out
+    assert "Check against batch: the same" in capsys.readouterr().out
 
 
 def test_measures_in_images_that_the_project_lacks_are_left_out_and_counted(

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from increments import NOISE, apart, distances, fan, network_of, places_of, slope, state_of
+from increments import NOISE, distances, fan, largest_difference, network_of, places_of, slope, state_of
 from projects import digest
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -35,7 +35,7 @@ from mgsgraph.project.addition import Addition, NewImage, new_measurements_only
 from mgsgraph.project.changes import Changed, remove_images, solve_project, store_unadjusted
 from mgsgraph.project.decisions import Measure, PointState, decided, standing
 from mgsgraph.project.project import (
-    KeptAdjustment,
+    AdjustmentCache,
     Project,
     open_project,
     rejected_measurements,
@@ -271,15 +271,15 @@ def test_edits_end_at_batch_of_the_edited_network(
 ) -> None:
     """By a process that keeps its adjustment between edits, beside one that doesn't, and after edits that fail."""
     folder = Path(copytree(solved, tmp_path_factory.mktemp("one") / "project"))
-    editor, kept = Editor(seed), KeptAdjustment()
+    editor, cache = Editor(seed), AdjustmentCache()
     done = list[str]()
     for way in ways:
         if way == "failing":
             other = deepcopy(editor)
-            with suppress(RuntimeError), open_project(folder, write=True, kept=kept) as project:
+            with suppress(RuntimeError), open_project(folder, write=True, cache=cache) as project:
                 other.step(project)
                 raise RuntimeError
-        with open_project(folder, write=True, kept=None if way == "alone" else kept) as project:
+        with open_project(folder, write=True, cache=None if way == "alone" else cache) as project:
             done.append(editor.step(project))
     batch = adjust_network(expected_network(editor.ties), SETTINGS.solver.settings)
     with open_project(folder, write=True) as project:
@@ -330,7 +330,7 @@ def test_undo_gives_back_the_same_numbers(
         for name, was in records.items():
             assert sorted_state(edits.point_state(project, name)) == sorted_state(was)
         assert rejected_measurements(project) == []
-        assert apart(adjusted(project), before) < 0.01
+        assert largest_difference(adjusted(project), before) < 0.01
         assert sum(one.verb == "undo" for one in project.changes()) >= changed
 
 

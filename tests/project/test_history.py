@@ -24,7 +24,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 from increments import NOISE, fan, network_of
-from strip_files import write_network
+from pass_files import write_network
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.errors import InputError, MgsgraphError

@@ -20,7 +20,7 @@ from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.case.schema import OrientationInput, SpiceInput
 from mgsgraph.errors import InputError
 from mgsgraph.project.connection import checksum
-from mgsgraph.project.project import KeptAdjustment, Project, open_project
+from mgsgraph.project.project import AdjustmentCache, Project, open_project
 from mgsgraph.project.schema import FORMAT
 from mgsgraph.project.settings import ProjectSettings, read_settings
 from mgsgraph.project.status import status
@@ -36,14 +36,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_an_adjustment_is_kept_until_another_process_changes_the_project() -> None:
-    settings, store, kept = SolverSettings(), InMemory(), KeptAdjustment()
-    first = kept.resumed("before", settings, store)
-    kept.noted("ours")
-    assert kept.resumed("ours", settings, store) is first
-    assert kept.resumed("ours", settings, store) is not first  # a change that was begun, and never noted
-    second = kept.resumed("ours", settings, store)
-    kept.noted("ours, too")
-    assert kept.resumed("another's", settings, store) is not second
+    settings, store, cache = SolverSettings(), InMemory(), AdjustmentCache()
+    first = cache.resumed("before", settings, store)
+    cache.noted("ours")
+    assert cache.resumed("ours", settings, store) is first
+    assert cache.resumed("ours", settings, store) is not first  # a change that was begun, and never noted
+    second = cache.resumed("ours", settings, store)
+    cache.noted("ours, too")
+    assert cache.resumed("another's", settings, store) is not second
 
 
 def state(folder: Path) -> str:

@@ -10,7 +10,7 @@ import matched
 import numpy as np
 import pytest
 from commands import call
-from strip_files import block, write_block
+from pass_files import block, write_block
 
 import mgsgraph
 from mgsgraph.adjustment.adjust import adjust_network
@@ -218,7 +218,7 @@ def test_solve_is_adjust_and_an_image_comes_back(
     nodes = len(batch.network.passes[1].nodes)
     assert f"Pass HRSC/01: 5 images, {nodes} orientation images" in said
     assert call("project", "solve", project, "--no-figures") == 0
-    assert "Closing check against batch: the same" in capsys.readouterr().out
+    assert "Check against batch: the same" in capsys.readouterr().out
     with open_project(project) as opened:
         assert set(opened.store.image_names()) == {image.name for image in block().network.images}
     assert_same(project, batch)

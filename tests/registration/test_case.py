@@ -59,13 +59,13 @@ def test_after_is_with_the_solutions_corrections_and_places(case: Case, solution
     wanted = solution.places[[ids[f"profile:{shot}"] for shot in shots.ids]]
     np.testing.assert_array_equal(profile.points, wanted)
     for j, image in enumerate(solution.network.images):
-        mine = np.flatnonzero(profile.found.inside[j])
+        mine = np.flatnonzero(profile.footprints.inside[j])
         assert mine.size > 20
-        places = profile.found.places[j, mine]
+        places = profile.footprints.places[j, mine]
         eye, look, _, _ = image.rays(places[:, 0], places[:, 1], solution.correction(j))
         look /= np.linalg.norm(look, axis=1)[:, None]
         assert np.linalg.norm(np.cross(look, wanted[mine] - eye), axis=1).max() < 1e-3  # m beside the ray
-    moved = np.abs(found.after[0].found.places - found.before[0].found.places)
+    moved = np.abs(found.after[0].footprints.places - found.before[0].footprints.places)
     assert np.nanmax(moved) > 1.0  # before is something else
 
 
@@ -143,7 +143,7 @@ def test_registration_table_has_every_shot_in_every_image(written: tuple[CaseReg
     assert {row["simultaneous"] for row in rows[:n]} == {"true"}
     assert {row["simultaneous"] for row in rows[n:]} == {"false"}
     for state, registered in found.states():
-        register = registered[0].found
+        register = registered[0].footprints
         wanted = register.places.reshape(2 * n, 2) + 0.5  # ISIS counts so
         names = [f"{state}_isis_{axis}" for axis in ("line", "sample")]
         np.testing.assert_array_equal(numbers(rows, *names), wanted)

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from networks import network, pair, with_shift_and_surface
+from pass_files import block
 from projects import leaves
 from sharing import with_all_kinds
-from strip_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings
@@ -61,14 +61,14 @@ def there_and_back(solution: Solution, folder: Path) -> Solution:
 
 
 def polynomial_pass() -> Network:
-    """The pair: its first image a strip with polynomials on its four nodes, the other one by itself."""
+    """The pair: its first image a pass with polynomials on its four nodes, the other one by itself."""
     net = network(pair())
     start, stop = seconds(net.images[0])
     epoch = net.images[0].trajectory.epoch
     nodes = evenly_spaced("lagrange", epoch, (start - epoch, stop - epoch), (stop - start) / 2.0)
     trend = np.array([1.0, 0.3, 0.1, 0.05])[:, None] * net.priors[0].sigmas[0]
-    strip = Pass('one, "A"', np.array([0]), nodes, PolynomialPrior(trend[:, :3], trend[:, 3:]))
-    return replace(net, passes=(strip,))
+    pass_ = Pass('one, "A"', np.array([0]), nodes, PolynomialPrior(trend[:, :3], trend[:, 3:]))
+    return replace(net, passes=(pass_,))
 
 
 def all_shared() -> Network:
@@ -81,7 +81,7 @@ def all_shared() -> Network:
 
 
 def kinds(case: Case) -> dict[str, tuple[Network, SolverSettings]]:
-    """Held, robust, with blunder passes, without some priors, with lost points and odd names, of strips."""
+    """Held, robust, with blunder passes, without some priors, with lost points and odd names, of passes."""
     net, chosen, prior = case.network, case.settings, case.network.priors[0].sigmas.copy()
     prior[0, 2] = np.inf
     kept = np.concatenate([np.flatnonzero(net.rays.point != 1), np.flatnonzero(net.rays.point == 1)[:1]])
@@ -94,14 +94,14 @@ def kinds(case: Case) -> dict[str, tuple[Network, SolverSettings]]:
         "impatient": (net, replace(chosen, max_iterations=1)),
         "all kinds shared": (all_shared(), chosen),
         "polynomials": (replace(net, images=(fit_polynomials(net.images[0], 3), net.images[1])), chosen),
-        "a polynomial pass": (polynomial_pass(), chosen), "strips": (block().network, SolverSettings()),
+        "a polynomial pass": (polynomial_pass(), chosen), "passes": (block().network, SolverSettings()),
         "without laser": (network(pair(), laser=False), replace(chosen, reject=4.0)),
     }
 
 
 @pytest.mark.parametrize("name", [
     "held and robust", "all held", "free and lossy", "impatient", "all kinds shared", "polynomials",
-    "a polynomial pass", "strips", "without laser",
+    "a polynomial pass", "passes", "without laser",
 ])  # fmt: skip
 def test_every_kind_of_solution_comes_back_and_is_as_the_page_says(
     name: str, pair_case: Case, tmp_path: Path
@@ -345,7 +345,7 @@ def test_arrays_that_do_not_fit(archive: Path, tmp_path: Path, name: str, value:
         ("network.passes.1.images", np.array([0, 1]), "image 0; expected an image of the network, of one"),
     ],
 )
-def test_arrays_of_strips_that_do_not_fit(tmp_path: Path, name: str, value: Array, says: str) -> None:
+def test_arrays_of_passes_that_do_not_fit(tmp_path: Path, name: str, value: Array, says: str) -> None:
     write_archive(adjust_network(block().network, SolverSettings()), tmp_path / "solution.npz")
     change = lambda parts: parts.update({name: value})  # noqa: E731
     assert_refused(edited(tmp_path / "solution.npz", tmp_path / "x.npz", change), says)

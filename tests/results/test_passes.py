@@ -1,4 +1,4 @@
-"""Strips in reports: course and sigmas along time; figures of merit of two steps, heights by cell, tables and map."""
+"""Passes in reports: course and sigmas along time; figures of merit of two steps, heights by cell, tables and map."""
 
 import json
 import re
@@ -11,7 +11,7 @@ import pytest
 from commands import call, rows_of
 from mex import CHANGES
 from networks import network, pair, with_shift_and_surface
-from strip_files import block, write_block
+from pass_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.frames import flight_frame
@@ -65,10 +65,10 @@ def test_the_course_is_what_each_image_has(angles: Angles) -> None:
 
 def test_axes_are_those_of_the_analysis(solution: Solution) -> None:
     """Roll, pitch and yaw, along, across and radial, in the middle of an image: `datum.frames` finds the same."""
-    for strip, image in ((0, 2), (1, 7)):
+    for number, image in ((0, 2), (1, 7)):
         picture = solution.network.images[image]
         middle = picture.moments(np.array([0.5 * picture.lines]))
-        course = pass_corrections(solution, strip, middle.times + middle.epoch)
+        course = pass_corrections(solution, number, middle.times + middle.epoch)
         correction, _ = solution.correction(image).at(middle)
         np.testing.assert_allclose(course.values, correction @ flight_frame(picture).turn.T, rtol=1e-6, atol=1e-9)
 
@@ -108,7 +108,7 @@ def test_report(solution: Solution) -> None:
 def test_csv_has_a_row_for_each_node(solution: Solution, tmp_path: Path) -> None:
     nodes_table(solution).write_csv(tmp_path / "passes.csv")
     rows = rows_of(tmp_path / "passes.csv")
-    assert len(rows) == sum(len(strip.nodes) for strip in solution.network.passes)
+    assert len(rows) == sum(len(pass_.nodes) for pass_ in solution.network.passes)
     assert [row["node"] for row in rows[:3]] == ["1", "2", "3"]
     for k, row in enumerate(rows[: len(solution.nodes[0])]):
         nodes = solution.network.passes[0].nodes
@@ -129,18 +129,18 @@ def test_calendar_is_tdb() -> None:
 def test_bare_nodes_are_counted() -> None:
     """Rays between the third and the fifth node are taken out: the fourth one has none; and none at the end."""
     net = block().network
-    strip = net.passes[0]
-    strip = replace(strip, nodes=evenly_spaced("lagrange", strip.nodes.epoch, strip.nodes.coverage, 6.0))
-    net = replace(net, passes=(strip,), rays=net.rays.chosen(net.rays.image < 5))
+    pass_ = net.passes[0]
+    pass_ = replace(pass_, nodes=evenly_spaced("lagrange", pass_.nodes.epoch, pass_.nodes.coverage, 6.0))
+    net = replace(net, passes=(pass_,), rays=net.rays.chosen(net.rays.image < 5))
     assert unsupported_nodes(net) == []
     times = np.empty(net.rays.point.size)
     for j in range(5):
         mine = net.rays.image == j
         times[mine] = net.images[j].timing.at(net.rays.places[mine, 0])[0]
-    gone = (times > strip.nodes.times[2]) & (times < strip.nodes.times[4])
+    gone = (times > pass_.nodes.times[2]) & (times < pass_.nodes.times[4])
     (said,) = unsupported_nodes(replace(net, rays=net.rays.chosen(~gone)))
-    assert said.startswith(f"pass HRSC/00: fewer than 3 rays near 1 of its {len(strip.nodes)} nodes, between others")
-    (said,) = unsupported_nodes(replace(net, rays=net.rays.chosen(times < strip.nodes.times[-3])))
+    assert said.startswith(f"pass HRSC/00: fewer than 3 rays near 1 of its {len(pass_.nodes)} nodes, between others")
+    (said,) = unsupported_nodes(replace(net, rays=net.rays.chosen(times < pass_.nodes.times[-3])))
     assert said == "pass HRSC/00: no rays near 2 nodes at its ends: there it follows its prior"
 
 
@@ -168,10 +168,10 @@ def test_the_command_line_reports_them(tmp_path: Path, capsys: pytest.CaptureFix
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"passes.csv", "passes.png"} <= names
     assert not any(name.startswith("orientation") and name.endswith("png") for name in names)
-    strip = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))["passes"][0]
-    assert (strip["images"][0], strip["trend"][3]["component"]) == ("HRSC/00/S1", "rotation x")
+    record = json.loads((tmp_path / "out" / "solution.json").read_text(encoding="utf-8"))["passes"][0]
+    assert (record["images"][0], record["trend"][3]["component"]) == ("HRSC/00/S1", "rotation x")
     trend = read_solution(tmp_path / "out").trends[0]
-    assert strip["trend"][3]["value_arcsec"] * ARCSEC == pytest.approx(trend[3])
+    assert record["trend"][3]["value_arcsec"] * ARCSEC == pytest.approx(trend[3])
 
 
 # --- figures of merit of two steps
@@ -189,7 +189,7 @@ def merit(which: str) -> TwoStepStatistics:
 def networks(which: str) -> Network:
     if which == "pair":
         return with_shift_and_surface(network(pair(ties=40, shots=6)))
-    settings = BlockSettings(strips=2, length=150e3, points=400, terrain=TERRAIN)
+    settings = BlockSettings(passes=2, length=150e3, points=400, terrain=TERRAIN)
     return simulate_hrsc_block(settings, seed=3).network
 
 
@@ -227,8 +227,8 @@ def test_sigmas_of_the_orientation_are_those_of_the_nodes() -> None:
     found, net = merit("block"), networks("block")
     means = np.empty((2, len(net.passes), 6))
     for step, solution in enumerate((found.steps.free, found.steps.fitted)):
-        for k, strip in enumerate(net.passes):
-            image = net.images[int(strip.images[2])]
+        for k, pass_ in enumerate(net.passes):
+            image = net.images[int(pass_.images[2])]
             nodes = pass_corrections(solution, k, node_times(solution, k))
             at = image.moments(np.linspace(0.0, float(image.lines), 101))
             times = at.times + at.epoch
@@ -247,7 +247,7 @@ def test_what_is_held_is_known_beforehand() -> None:
 
 
 def test_a_priori_attitude_is_the_settings() -> None:
-    """28 mgon of bias, 3 of wander and a drift of 5 at the ends, whose mean over the strip is smaller."""
+    """28 mgon of bias, 3 of wander and a drift of 5 at the ends, whose mean over the pass is smaller."""
     found = merit("block").whole.poses[0, 3:] / MGON
     assert np.all(found > np.hypot(28.0, 2.0))
     assert np.all(found < np.sqrt(28.0**2 + 3.0**2 + 5.0**2))
@@ -331,7 +331,7 @@ def test_files(which: str, tmp_path: Path) -> None:
 
     assert len(rows_of(out / "two_steps.csv")) == (len(found.groups) + 1) * 14
     pitch = next(
-        row for row in rows_of(out / "two_steps.csv") if (row["strip"], row["quantity"]) == ("all", "pose_sigma_pitch")
+        row for row in rows_of(out / "two_steps.csv") if (row["pass"], row["quantity"]) == ("all", "pose_sigma_pitch")
     )
     assert float(pitch["before"]) / float(pitch["step_1"]) == pytest.approx(float(pitch["factor_step_1"]))
     assert float(pitch["step_2"]) == pytest.approx(found.whole.poses[2, 4] / ARCSEC)

@@ -13,7 +13,7 @@ import profiles
 import pytest
 from commands import call, rows_of
 from matplotlib.quiver import Quiver
-from strip_files import block
+from pass_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings

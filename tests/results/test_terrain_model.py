@@ -46,8 +46,8 @@ def made(heights: str = "sphere") -> Dem:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("dem") / "out"
-    with fresh_folder(out, DEM) as aside:
-        write_dem(made(), dem_site.scene(), SETTINGS, aside, True, lambda what, done, most: None)
+    with fresh_folder(out, DEM) as temporary:
+        write_dem(made(), dem_site.scene(), SETTINGS, temporary, True, lambda what, done, most: None)
     return out
 
 

@@ -1,5 +1,5 @@
 """Simulated HRSC blocks: published geometry, exact rays, statistics against stated sigmas, jitter; true orientation of
-strips against what the prior's own rows state; lines against the kernel that they are taken from.
+passes against what the prior's own rows state; lines against the kernel that they are taken from.
 """
 
 import re
@@ -23,9 +23,9 @@ from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, corr
 from mgsgraph.simulation.observations import MARGIN, TerrainErrors
 from mgsgraph.units import DEG, MGON, MM
 
-SMALL = BlockSettings(strips=3, crossing=1, length=300e3, points=1500)
+SMALL = BlockSettings(passes=3, crossing=1, length=300e3, points=1500)
 
-TINY = BlockSettings(strips=1, length=100e3, points=20, terrain=None)
+TINY = BlockSettings(passes=1, length=100e3, points=20, terrain=None)
 
 EXACT = PointMatching(sigma=1e-9)
 
@@ -63,8 +63,8 @@ def heights(network: Network, places: np.ndarray, shift: np.ndarray) -> np.ndarr
 @pytest.mark.parametrize(("line", "angle"), [("S1", 18.93), ("P1", 12.75), ("ND", 0.0), ("P2", -12.75), ("S2", -18.94)])
 def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: str, angle: float) -> None:
     """At the spacecraft, between its nadir and the ground seen by the middle of the line, along its ground track."""
-    for strip in block.network.passes:
-        image = block.network.images[strip.images[STEREO.index(line)]]
+    for pass_ in block.network.passes:
+        image = block.network.images[pass_.images[STEREO.index(line)]]
         middle = np.array([0.5 * image.lines])
         ground, _ = image.image_to_ground(middle, np.array([0.5 * image.samples]))
         pose = image.pose(middle)
@@ -78,8 +78,8 @@ def test_lines_look_ahead_and_back_over_the_ground(block: SimulatedBlock, line: 
 
 
 def test_lines_of_a_strip_share_one_trajectory_and_the_swath(block: SimulatedBlock) -> None:
-    for strip in block.network.passes:
-        images = [block.network.images[j] for j in strip.images]
+    for pass_ in block.network.passes:
+        images = [block.network.images[j] for j in pass_.images]
         assert [image.name.split("/")[-1] for image in images] == list(STEREO)
         assert all(image.trajectory is images[0].trajectory for image in images)
         nadir = images[STEREO.index("ND")]
@@ -104,9 +104,9 @@ def test_line_rates_change_within_every_image_without_a_break(block: SimulatedBl
 def test_pixels_and_heights_are_the_survey_s() -> None:
     """12.5 m along track at 265 km and in proportion to the altitude; 25 m at 500 km are the paper's rounding."""
     readout = Readout(macropixels=(1, 1, 1, 1, 1))
-    settings = replace(TINY, strips=2, altitudes=(265e3, 500e3), eccentricity=0.0, readout=readout)
-    for strip, altitude in zip((0, 1), (265e3, 500e3), strict=True):
-        image = simulate_hrsc_block(settings).network.images[5 * strip + STEREO.index("ND")]
+    settings = replace(TINY, passes=2, altitudes=(265e3, 500e3), eccentricity=0.0, readout=readout)
+    for number, altitude in zip((0, 1), (265e3, 500e3), strict=True):
+        image = simulate_hrsc_block(settings).network.images[5 * number + STEREO.index("ND")]
         middle = 0.5 * image.lines + np.array([-0.5, 0.5])
         ground, _ = image.image_to_ground(middle, np.full(2, 2592.0))
         assert np.linalg.norm(np.diff(ground, axis=0)) == pytest.approx(12.5 * altitude / 265e3, rel=0.01)
@@ -145,7 +145,7 @@ def test_orbits_climb_from_their_pericentre_as_kepler_has_it() -> None:
 
 
 def test_neighbours_overlap_by_the_stated_share() -> None:
-    settings = replace(TINY, strips=2, altitudes=(265e3, 265e3), eccentricity=0.0, overlap=0.4, pericentre=0.5)
+    settings = replace(TINY, passes=2, altitudes=(265e3, 265e3), eccentricity=0.0, overlap=0.4, pericentre=0.5)
     first, second = (simulate_hrsc_block(settings).network.images[j] for j in (2, 7))
     edge, _ = first.image_to_ground(np.full(1, 0.5 * first.lines), np.full(1, float(HRSC_PIXELS)))
     place, _ = second.ground_to_image(edge)
@@ -255,7 +255,7 @@ def test_points_beside_missing_posts_have_no_surface_row() -> None:
 
 
 def test_attitude_is_known_to_28_milligon_over_seeds(seeds: list[SimulatedBlock]) -> None:
-    """As the paper has it, about all three axes, in the middle of the strips; along X, Y, Z positions to 50 m."""
+    """As the paper has it, about all three axes, in the middle of the passes; along X, Y, Z positions to 50 m."""
     found = []
     for made in seeds:
         nodes = made.network.passes[0].nodes
@@ -267,9 +267,9 @@ def test_attitude_is_known_to_28_milligon_over_seeds(seeds: list[SimulatedBlock]
 def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
     jitter = Jitter(4.0 * MGON, 0.7, "roll")
     smooth, shaken = (simulate_hrsc_block(replace(TINY, jitter=one), 3) for one in (None, jitter))
-    strip = smooth.network.passes[0]
-    times = np.linspace(*strip.nodes.coverage, 4001)
-    before, after = (correction_at(made.corrections[0], times, strip.nodes.epoch) for made in (smooth, shaken))
+    pass_ = smooth.network.passes[0]
+    times = np.linspace(*pass_.nodes.coverage, 4001)
+    before, after = (correction_at(made.corrections[0], times, pass_.nodes.epoch) for made in (smooth, shaken))
     added = after - before
     wave = 2.0 * np.pi * 0.7 * times
     basis = np.column_stack([np.sin(wave), np.cos(wave)])
@@ -285,7 +285,7 @@ def test_jitter_is_a_sine_about_one_axis_that_no_prior_knows() -> None:
         shaken.true_nodes(0)
 
 
-# --- true orientation of strips
+# --- true orientation of passes
 
 
 def information(prior: NodePrior, count: int, factors: list[LinearFactor]) -> np.ndarray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mgsgraph.adjustment.graph.patterns import PairBlocks, Patterns, Terms, make_groups, pair_blocks, sort_points
 from mgsgraph.adjustment.graph.rays import RayConstants
 from mgsgraph.adjustment.graph.rows import ObservationRows, Storage, lay_out_rows, with_stereo
-from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, at_rest, linear_rows
+from mgsgraph.adjustment.graph.stereo import StereoRows, accelerated, linear_rows, same_heights
 from mgsgraph.adjustment.graph.variables import (
     ANGLE_CODES,
     Prior,
@@ -144,7 +144,7 @@ class Layout:
         linear = linear_rows(self.network, self.model, self.variables, shared, points, self.stereo)
         if self.stereo is None or linear is None:
             return self
-        if at_rest(self.stereo, linear, self.network, self.variables, shared):
+        if same_heights(self.stereo, linear, self.network, self.variables, shared):
             return self
         places = points.copy()
         about, places[linear.points], steps = accelerated(

@@ -215,7 +215,7 @@ def heights_at(rows: StereoRows, network: Network, variables: Variables, shared:
     return np.asarray(heights)
 
 
-def at_rest(before: StereoRows, after: StereoRows, network: Network, variables: Variables, shared: Array) -> bool:
+def same_heights(before: StereoRows, after: StereoRows, network: Network, variables: Variables, shared: Array) -> bool:
     """Whether rows about another state predict the same heights there as the rows before."""
     assert network.stereo is not None
     if not np.array_equal(before.sides, after.sides):

@@ -90,7 +90,7 @@ class Impact(Record):
     """Images that share determined points with those added, and how many."""
     unconnected: tuple[str, ...]
     """Images added that share no points with any other."""
-    lost: tuple[str, ...]
+    removed: tuple[str, ...]
     """Points that no image sees any longer, removed with the image."""
     undetermined: tuple[str, ...]
     """Points that had a place, and have too few rays left."""
@@ -127,9 +127,9 @@ class Impact(Record):
         lines += [*self._of_images(), *self._of_points()]
         if self.undetermined:
             lines.append(f"{many(len(self.undetermined), 'point')} with too few rays left, without a place now.")
-        if self.lost:
+        if self.removed:
             which = " that no other image saw" if self.subjects else ""
-            lines.append(f"{many(len(self.lost), 'point')}{which}: removed.")
+            lines.append(f"{many(len(self.removed), 'point')}{which}: removed.")
         return [*lines, *([] if self.converged else ["It did not converge; solve the project."])]
 
     def _of_images(self) -> list[str]:
@@ -362,11 +362,11 @@ if TYPE_CHECKING:
 CLOSE = 1e-2
 """Sigmas within which incremental and batch results count as the same."""
 EXACT = 1e-4
-"""Sigmas beyond which the closing check takes over what batch has found."""
+"""Sigmas beyond which the check against batch takes over what batch has found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Closing(Record):
+class BatchCheck(Record):
     """Largest differences between the incremental result and batch, in sigmas of batch."""
 
     unknown: Unknown
@@ -396,25 +396,25 @@ class Closing(Record):
     def sentence(self) -> str:
         """The result in one sentence."""
         if not self.converged:
-            return "Closing check against batch: batch did not converge; the incremental result was kept."
+            return "Check against batch: batch did not converge; the incremental result was kept."
         verdict = "the same" if self.close else f"farther apart than {CLOSE:g} sigmas"
         outcome = "batch's result was taken over" if self.adopted else "the incremental result was kept"
         return (
-            f"Closing check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
+            f"Check against batch: {verdict}; largest difference {self.orientation:.2g} sigmas for the "
             f"{self.unknown}, {self.points:.2g} sigmas for point {self.point}; {outcome}."
         )
 
 
-def closing(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> Closing:
+def differences_from_batch(solution: "Solution", values: Mapping[Unknown, Array], places: Array) -> BatchCheck:
     """Compare values of the unknowns and places (n, 3) of the points with a batch solution of the same network."""
-    worst, which = 0.0, next(iter(values), Unknown("image", "-"))
+    worst, key = 0.0, next(iter(values), Unknown("image", "-"))
     for unknown, batch in shared_of(solution).items():
         off = float(np.max(np.abs(values[unknown] - batch.value) / batch.sigmas))
         if off > worst:
-            worst, which = off, unknown
+            worst, key = off, unknown
     k, off = _farthest(solution, places)
     converged = solution.converged
-    return Closing(which, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
+    return BatchCheck(key, worst, solution.network.points.ids[k], off, converged and max(worst, off) > EXACT, converged)
 
 
 def _farthest(solution: "Solution", places: Array) -> tuple[int, float]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mgsgraph.adjustment.incremental.engine import Engine
-from mgsgraph.adjustment.incremental.impact import Closing, Impact, closing, impact
+from mgsgraph.adjustment.incremental.impact import BatchCheck, Impact, differences_from_batch, impact
 from mgsgraph.adjustment.incremental.state import (
     ImagesByName,
     InMemory,
@@ -277,8 +277,8 @@ class IncrementalAdjustment(Record):
         changed = with_points(self.store, ids, network, after, turned_bundles(self.store, before, after))
         return self._change(verb, [image.image.name for image in new], new, *changed, after, removed)
 
-    def close(self, name: str = "adjustment", progress: "Progress" = no_progress) -> tuple[Closing, "Solution"]:
-        """The closing check: a batch adjustment of everything, from the nominal orientation, and its differences.
+    def verify(self, name: str = "adjustment", progress: "Progress" = no_progress) -> tuple[BatchCheck, "Solution"]:
+        """The check against batch: a batch adjustment of everything, from the nominal orientation, and its differences.
 
         Where one is larger than `EXACT` sigmas, the batch result replaces the incremental one.
         """
@@ -286,7 +286,7 @@ class IncrementalAdjustment(Record):
 
         network, places = self.as_network()
         solution = adjust_network(network, replace(self.settings, starts=0), name, progress)
-        check = closing(solution, self._engine.value, places)
+        check = differences_from_batch(solution, self._engine.value, places)
         if check.adopted:
             self.adopt(solution)
         return check, solution

@@ -32,8 +32,8 @@ from mgsgraph.network import Network, NodePrior, Pass
 from mgsgraph.network.parts import Members, Unknown, unknowns
 
 TOLERANCE = 2e-3
-"""Posterior sigmas of an unknown's linearisation error: small beside the promised `impact.CLOSE`, since the errors of
-bundles add up."""
+"""Posterior sigmas of an unknown's linearisation error: small beside `impact.CLOSE`, since the errors of bundles
+add up."""
 _ROBUST_SHARE = 0.01
 """Sigmas of an image coordinate by which it may move before the weights of a robust loss are recomputed."""
 _STEP = 10.0

@@ -110,10 +110,10 @@ def read_pass_images(
     """
     sampling = _Sampling(**how)
     if not labels:
-        raise InputError("strip", "no label", "at least one")
+        raise InputError("pass", "no label", "at least one")
     if len(names or labels) != len(labels) or len(line_times or labels) != len(labels):
         found = f"{len(names)} names and {len(line_times)} line times for {len(labels)} labels"
-        raise InputError("strip", found, "one each, or none")
+        raise InputError("pass", found, "one each, or none")
     scans = [
         _with_line_times(read_line_scan_label(label.absolute()), source)
         for label, source in zip(labels, line_times or [None] * len(labels), strict=True)

@@ -359,7 +359,7 @@ def solved(tables, model, data, weight, x, piece, lane, point, active, move):
                 break
             plainly, convexly, steps = False, plainly and convexly, 0
     if move and (not fixed) and squared > PLAIN_TOLERANCE * PLAIN_TOLERANCE:
-        cost += 0.5 * squared  # the steps ran out: what the last one promised doesn't count
+        cost += 0.5 * squared  # the steps ran out: what the last one predicted doesn't count
     return point, before, factor, forward, status, cost
 
 

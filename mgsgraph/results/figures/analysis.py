@@ -52,10 +52,10 @@ def quantile_sheet(statistics: Sequence[ResidualStatistics], name: str) -> Sheet
 
 def _draw_quantiles(panel: Axes, group: ResidualStatistics) -> None:
     quantiles = group.quantiles()
-    ends = np.array([min(-2.5, quantiles.promised[0]), max(2.5, quantiles.promised[-1])])
-    panel.fill_between(quantiles.promised, quantiles.low, quantiles.high, color=SOFT, alpha=0.3, lw=0.0)
+    ends = np.array([min(-2.5, quantiles.expected[0]), max(2.5, quantiles.expected[-1])])
+    panel.fill_between(quantiles.expected, quantiles.low, quantiles.high, color=SOFT, alpha=0.3, lw=0.0)
     panel.plot(ends, ends, color=INK, lw=1.0)
-    panel.plot(quantiles.promised, quantiles.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
+    panel.plot(quantiles.expected, quantiles.found, ls="", marker="o", ms=2.6, mew=0.0, color=AFTER)
     panel.locator_params(nbins=6)
     panel.text(
         0.05, 0.95, f"rms {number(group.rms)}\n{group.values.size} residuals\n{number(group.effective)} independent",
@@ -67,7 +67,7 @@ def _quantile_caption(shown: Sequence[ResidualStatistics]) -> str:
     """Caption with the main numbers."""
     if not shown:
         return "No residual is controlled by other rows."
-    inconsistent = [group.name for group in shown if group.as_promised is False]
+    inconsistent = [group.name for group in shown if group.consistent is False]
     return (
         f"Inconsistent with the stated sigmas (1% tests): {', '.join(inconsistent) or 'no group'}. Residuals over "
         "their own sigmas should lie on the line: steeper means sigmas that are too small, flatter too large ones, "

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.geometry.records import Array, Index
-from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, worth_tying
+from mgsgraph.network.connectivity import WEAKEST, Connectivity, connectivity_statements, lacking_ties
 from mgsgraph.results.figures.sheet import INK, MOST_ROWS, Sheet, image_rows, new_sheet, plain_style
 from mgsgraph.text import short
 
@@ -56,7 +56,7 @@ def connectivity_sheet(connected: Connectivity) -> Sheet:
             ink = INK if values[j, k] > 0.5 * high else "white"
             panel.annotate(f"{values[j, k]:.0f}", (k, j), ha="center", va="center", size=7.5, color=ink)
     weakest: Index = connected.spine[: min(WEAKEST, connected.spine.size // 2)]
-    marked = [connected.pairs[rows[:MOST_ROWS]] for rows in (weakest, worth_tying(connected), connected.apart)]
+    marked = [connected.pairs[rows[:MOST_ROWS]] for rows in (weakest, lacking_ties(connected), connected.disjoint)]
     isolated = connected.unconnected if count > 1 else np.zeros(0, dtype=np.int64)
     handles = []
     for (label, marker, color), pairs in zip(_MARKS, (*marked, np.stack([isolated, isolated], axis=1)), strict=True):

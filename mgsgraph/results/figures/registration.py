@@ -77,7 +77,7 @@ def pixels_of(path: Path | None) -> Pixels | None:
 
 def overlay_sheets(registration: CaseRegistration) -> Iterator[Sheet]:
     """One sheet for each of the images with most footprints."""
-    counts = np.sum([profile.found.inside.sum(axis=1) for profile in registration.before], axis=0)
+    counts = np.sum([profile.footprints.inside.sum(axis=1) for profile in registration.before], axis=0)
     chosen = sorted(np.argsort(-counts, kind="stable")[: min(MOST_SHEETS, np.count_nonzero(counts))].tolist())
     omitted = "; images with fewer footprints are not drawn" if np.count_nonzero(counts) > len(chosen) else ""
     for n, j in enumerate(chosen):
@@ -135,8 +135,8 @@ def _image_strips(image: PushbroomImage) -> tuple[int, float, float]:
 
 def _ordered_profiles(registration: CaseRegistration, j: int) -> list[int]:
     """Profiles that fall in an image; the one taken along with it first, then those with most footprints."""
-    counts = [int(profile.found.inside[j].sum()) for profile in registration.before]
-    simultaneous = [bool(np.any(profile.found.simultaneous[j])) for profile in registration.before]
+    counts = [int(profile.footprints.inside[j].sum()) for profile in registration.before]
+    simultaneous = [bool(np.any(profile.footprints.simultaneous[j])) for profile in registration.before]
     order = sorted((p for p, count in enumerate(counts) if count), key=lambda p: (not simultaneous[p], -counts[p]))
     return order[: len(_MARKERS)]
 
@@ -145,7 +145,7 @@ def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[NDArra
     """Shots (n,) of a profile that fall in an image, and their lines (n,) in order, under the best orientation there
     is; those of one orbit, for a file may hold several: the one taken along with the image, else the longest.
     """
-    footprints = list(registration.states())[-1][1][p].found
+    footprints = list(registration.states())[-1][1][p].footprints
     inside, orbits, simultaneous = footprints.inside[j], footprints.shots.orbits, footprints.simultaneous[j]
     orbit_numbers = np.unique(orbits[inside & simultaneous] if np.any(inside & simultaneous) else orbits[inside])
     orbit = max(orbit_numbers.tolist(), key=lambda orbit: np.count_nonzero(inside & (orbits == orbit)), default=None)
@@ -156,7 +156,7 @@ def _track_shots(registration: CaseRegistration, j: int, p: int) -> tuple[NDArra
 
 def footprint_heights(profile: ProfileRegistration, image: PushbroomImage) -> tuple[Array, str]:
     """Heights (n,) in m of archived footprints, and above what: the areoid, or the ellipsoid where that is unknown."""
-    shots = profile.found.shots
+    shots = profile.footprints.shots
     heights = np.linalg.norm(shots.footprints, axis=1) - shots.areoid_radii
     if np.all(np.isfinite(heights)):
         return heights, "areoid"
@@ -189,8 +189,8 @@ def _draw_footprints(panel: Axes, registration: CaseRegistration, j: int, order:
     for state, profiles in registration.states():
         color, adjusted = _ON_IMAGES[state], state == "adjusted"
         for k, p in enumerate(order):
-            places = profiles[p].found.places[j]
-            shown = np.flatnonzero(profiles[p].found.inside[j] & (places[:, 0] >= low) & (places[:, 0] <= high))
+            places = profiles[p].footprints.places[j]
+            shown = np.flatnonzero(profiles[p].footprints.inside[j] & (places[:, 0] >= low) & (places[:, 0] <= high))
             panel.plot(*places[shown].T, ls="", marker=_MARKERS[k], ms=2.8 if k else 3.8, mew=0.8, mec=color,
                        mfc=color if adjusted else "none", zorder=5 - bool(k))  # fmt: skip
             if k == 0 and shown.size:
@@ -206,11 +206,11 @@ def _overlay_caption(registration: CaseRegistration, j: int, order: Sequence[int
     """Caption with the main numbers."""
     sentences = []
     for p in order:
-        profile = registration.before[p]
-        inside = profile.found.inside[j]
-        sentence = f"{int(inside.sum())} of {inside.size} shots of {profile.name} fall in the image"
+        before = registration.before[p].footprints
+        inside = before.inside[j]
+        sentence = f"{int(inside.sum())} of {inside.size} shots of {registration.before[p].name} fall in the image"
         if registration.after:
-            lines, samples = np.nanmean((registration.after[p].found.places[j] - profile.found.places[j])[inside], 0)
+            lines, samples = np.nanmean((registration.after[p].footprints.places[j] - before.places[j])[inside], 0)
             sentence += f" and move by {number(lines)} lines and {number(samples)} samples on average"
         sentences.append(sentence)
     first = registration.before[order[0]].name

@@ -186,7 +186,7 @@ def _posts_sheet(profile: ReliefProfile, name: str) -> Sheet:
     title = f"Terrain model {short(profile.name, 30)} minus the stereo surface"
     sheet = new_sheet(name, 10.0, 3.4, title, _profile_caption(profile), band=0.0)
     map_panel, histogram_panel = sheet.panels(1, 2)[0]
-    marked = np.flatnonzero(profile.taken)[thinned(int(profile.taken.sum()), MOST_MARKS)]
+    marked = np.flatnonzero(profile.on_surface)[thinned(int(profile.on_surface.sum()), MOST_MARKS)]
     shown = map_panel.scatter(*sides[marked].T, c=differences[1, marked], s=9.0, cmap="RdBu_r", vmin=-half_range,
                               vmax=half_range, lw=0.2, ec=INK)
     map_panel.set(xlabel="along the longer side (km)", ylabel="across (km)")
@@ -207,7 +207,7 @@ def _plane_positions(profile: ReliefProfile) -> Array:
 
 def _heights_above(profile: ReliefProfile, state: ProfileState) -> Array:
     """(n,) m, heights of what lies on the surface above it; NaN elsewhere."""
-    return np.where(profile.taken & state.heights.covered, vertical(state), np.nan)
+    return np.where(profile.on_surface & state.heights.covered, vertical(state), np.nan)
 
 
 def _panel_titles(profile: ReliefProfile) -> list[str]:
@@ -227,7 +227,7 @@ def _profile_caption(profile: ReliefProfile) -> str:
     return (
         f"{profile.unit.capitalize()} minus surface: {number(profile.rms_before)} m rms before, "
         f"{number(profile.rms_after)} m after; before, it had to move {east} m east and {north} m north to fit. "
-        f"{many(profile.taken.sum(), profile.unit)}."
+        f"{many(profile.on_surface.sum(), profile.unit)}."
     )
 
 

@@ -230,7 +230,7 @@ export class MapPanel {
       this.shown.relief = true;
       document.getElementById('layer-relief').checked = true;
     }
-    this.words.textContent = `Map in ${scene.map.words}.`;
+    this.words.textContent = `Map in ${scene.map.frame}.`;
     this.fit();
     if (this.view && this.drawn === null) this.whole();
     this.readOutlines();

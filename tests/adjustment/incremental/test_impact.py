@@ -12,9 +12,9 @@ from increments import (
     NOISE,
     Places,
     State,
-    apart,
     fan,
     grown,
+    largest_difference,
     places_of,
     state_of,
     strip,
@@ -61,7 +61,7 @@ def require_points(impact: Impact, before: Places, after: Places) -> None:
             np.testing.assert_allclose(impact.points.sigmas_before[k], were, rtol=NOTICEABLE)
         if k is not None:
             np.testing.assert_allclose(impact.points.sigmas_after[k], sigmas, rtol=NOTICEABLE)
-    assert set(impact.lost) == set(before) - set(after)
+    assert set(impact.removed) == set(before) - set(after)
     there = {name for name, (place, _) in before.items() if np.isfinite(place[0])}
     assert set(impact.undetermined) == {name for name in there if name in after and np.isnan(after[name][0][0])}
 
@@ -124,9 +124,9 @@ def test_removals() -> None:
         require_images(impact, state, state_of(adjustment))
         assert impact.neighbours == {}
         assert impact.unconnected == ()
-    assert impact.lost
+    assert impact.removed
     assert impact.undetermined
-    assert any(f"{len(impact.lost)} points that no other image saw" in said for said in impact.sentences)
+    assert any(f"{len(impact.removed)} points that no other image saw" in said for said in impact.sentences)
 
 
 @pytest.mark.parametrize("angles", ["camera", "opk-paper"])
@@ -167,7 +167,7 @@ def test_saying_it_changes_nothing() -> None:
     before = state_of(adjustment), places_of(adjustment)
     adjustment.points([strip().ties.ids[0]])
     adjustment.covariance("STRIP/000N", "STRIP/003X")
-    assert apart(adjustment, before) == 0.0
+    assert largest_difference(adjustment, before) == 0.0
 
 
 # --- what a coefficient does to image places, against central differences

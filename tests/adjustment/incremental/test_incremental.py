@@ -14,11 +14,11 @@ from increments import (
     NOISE,
     Places,
     State,
-    apart,
     by_image,
     distances,
     fan,
     grown,
+    largest_difference,
     network_of,
     own_measures,
     places_of,
@@ -55,7 +55,7 @@ def by_batch(adjustment: IncrementalAdjustment) -> Any:
 
 
 def test_every_addition_gives_what_batch_gives() -> None:
-    """Eight images of 15 ties, and the end of the path after the closing check."""
+    """Eight images of 15 ties, and the end of the path after the check against batch."""
     made, adjustment = strip(8, 15, 5), IncrementalAdjustment()
     for k in range(8):
         impact = take(adjustment, made, k)
@@ -63,12 +63,12 @@ def test_every_addition_gives_what_batch_gives() -> None:
         found = distances(adjustment, by_batch(adjustment))
         assert found.within(), f"after image {k}: {found}"
     before = distances(adjustment, by_batch(adjustment))
-    closing, solution = adjustment.close()
-    assert closing.close
-    assert closing.worst == pytest.approx(max(before.unknowns, before.points), rel=1e-3)
-    assert closing.adopted == (closing.worst > EXACT)
+    check, solution = adjustment.verify()
+    assert check.close
+    assert check.worst == pytest.approx(max(before.unknowns, before.points), rel=1e-3)
+    assert check.adopted == (check.worst > EXACT)
     assert distances(adjustment, solution).within(EXACT)
-    assert adjustment.close()[0].worst < EXACT
+    assert adjustment.verify()[0].worst < EXACT
 
 
 @pytest.mark.parametrize("images", [2, 3])
@@ -194,7 +194,7 @@ def test_considered_shifts_are_carried_as_by_batch() -> None:
     assert distances(IncrementalAdjustment.of(batch), batch).within(EXACT)
     adjustment.remove("FAN/4")
     assert distances(adjustment, by_batch(adjustment)).within()
-    assert adjustment.close()[0].close
+    assert adjustment.verify()[0].close
 
 
 def test_images_that_are_all_held_leave_intersection() -> None:
@@ -255,7 +255,7 @@ def test_what_is_known_of_an_image_stays_when_observations_of_it_come() -> None:
     other = IncrementalAdjustment(ONE_START)
     for one in (first, second):
         other.add(one)
-    assert apart(adjustment, (state_of(other), places_of(other))) < 1e-6
+    assert largest_difference(adjustment, (state_of(other), places_of(other))) < 1e-6
     assert distances(adjustment, by_batch(adjustment)).within()
 
 
@@ -325,10 +325,10 @@ def test_batch_that_does_not_converge_is_not_taken_over() -> None:
     adjustment = grown(fan(), 3)
     before = dict(adjustment.values)
     adjustment.settings = replace(adjustment.settings, max_iterations=1)
-    closing, solution = adjustment.close()
+    check, solution = adjustment.verify()
     assert not solution.converged
-    assert not closing.adopted
-    assert "did not converge" in closing.sentence
+    assert not check.adopted
+    assert "did not converge" in check.sentence
     assert all(np.array_equal(before[unknown], value) for unknown, value in adjustment.values.items())
 
 
@@ -418,7 +418,7 @@ def test_it_is_refused_and_nothing_has_changed(
     assert isinstance(caught.value, PointBehindCamera) == (what == "behind")
     assert adjustment.images == ["FAN/0", "FAN/1", "FAN/2"]
     assert stored(adjustment) == bundles
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
 
 
 def stored(adjustment: IncrementalAdjustment) -> set[tuple[str, ...]]:
@@ -448,7 +448,7 @@ def test_values_that_moved_unnoticed_are_back_as_well() -> None:
     assert np.any(adjustment.values[first] != recorded[first].value)
     with pytest.raises(PointBehindCamera):
         adjustment.add(NEW, doubled(shots()), NOISE.prior)
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
 
 
 def test_a_store_that_fails_leaves_the_engine_as_it_was() -> None:
@@ -469,7 +469,7 @@ def test_a_store_that_fails_leaves_the_engine_as_it_was() -> None:
     before, store.full = (state_of(adjustment), places_of(adjustment)), True
     with pytest.raises(OSError, match="no space"):
         take(adjustment, MADE, 3)
-    assert apart(adjustment, before) < 1e-7
+    assert largest_difference(adjustment, before) < 1e-7
     store.full = False
     take(adjustment, MADE, 3)
     assert distances(adjustment, by_batch(adjustment)).within()

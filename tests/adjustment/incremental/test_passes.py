@@ -14,7 +14,7 @@ from networks import pair
 from stereo_pair import stereo_network
 
 from mgsgraph.adjustment.adjust import adjust_network
-from mgsgraph.adjustment.incremental.impact import EXACT, closing
+from mgsgraph.adjustment.incremental.impact import EXACT, differences_from_batch
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.incremental.state import InMemory
 from mgsgraph.adjustment.incremental.sweep import Sweep
@@ -70,9 +70,9 @@ def in_segments(network: Network, count: int) -> Network:
 
 
 @cache
-def strips(spacing: float = 10.0) -> Network:
-    """Two HRSC strips, each line cut into two images."""
-    settings = BlockSettings(strips=2, length=60e3, points=240, terrain=None, spacing=spacing)
+def hrsc_passes(spacing: float = 10.0) -> Network:
+    """Two HRSC passes, each line cut into two images."""
+    settings = BlockSettings(passes=2, length=60e3, points=240, terrain=None, spacing=spacing)
     return in_segments(simulate_hrsc_block(settings, seed=4).network, 2)
 
 
@@ -117,7 +117,7 @@ def off(adjustment: IncrementalAdjustment, batch: Solution) -> tuple[float, floa
     free = batch.determined & (batch.sigmas[:, 0] > 0.0)
     largest = np.max(batch.sigmas[free] ** 2, axis=1)[:, None, None]
     shares.append(np.max(np.abs(covariances[free] - batch.covariances[free]) / largest, initial=0.0))
-    return closing(batch, values, places).worst, float(max(shares))
+    return differences_from_batch(batch, values, places).worst, float(max(shares))
 
 
 def by_batch(adjustment: IncrementalAdjustment) -> Solution:
@@ -128,7 +128,7 @@ def by_batch(adjustment: IncrementalAdjustment) -> Solution:
 def test_a_strip_grows_image_by_image() -> None:
     """From its first image, whose nodes are continued over the others' lines; what is there keeps its times."""
     adjustment, nodes, times = IncrementalAdjustment(), list[int](), np.zeros(0)
-    every = parts(strips())
+    every = parts(hrsc_passes())
     for name in [name for name in every if name.startswith("HRSC/00")]:
         impact = adjustment.add(first_grid(every[name]))
         assert impact.converged
@@ -143,10 +143,10 @@ def test_a_strip_grows_image_by_image() -> None:
     assert found[1] < 1e-3, found
 
 
-# above two seconds: fourteen changes of a block of strips
+# above two seconds: fourteen changes of a block of passes
 def test_any_order_of_additions_and_removals_ends_at_batch() -> None:
     rng = np.random.default_rng(8)
-    every, adjustment, there = parts(strips()), IncrementalAdjustment(), set[str]()
+    every, adjustment, there = parts(hrsc_passes()), IncrementalAdjustment(), set[str]()
     names = [name for k, name in enumerate(every) if k % 4 in (0, 3)]  # now the first half of a line, now the second
     for name in [*rng.permutation(names), *rng.permutation(names)[:4]]:
         if name in there:
@@ -179,7 +179,7 @@ def test_a_rig_with_a_shared_boresight_comes_and_goes() -> None:
 
 
 def test_nodes_that_no_image_needs_go() -> None:
-    every, adjustment = parts(strips(spacing=4.0)), IncrementalAdjustment()
+    every, adjustment = parts(hrsc_passes(spacing=4.0)), IncrementalAdjustment()
     mine = [name for name in every if name.startswith("HRSC/00")]
     late = [name for name in mine if name.endswith("/2")]
     for name in mine:
@@ -198,9 +198,9 @@ def test_nodes_that_no_image_needs_go() -> None:
 
 def test_it_goes_on_from_batch_and_from_its_store() -> None:
     """Both ways of beginning: the tree is grown from reduced systems and the rows of the priors."""
-    every, store = parts(strips()), InMemory()
+    every, store = parts(hrsc_passes()), InMemory()
     names = list(every)
-    solution = adjust_network(without_images(strips(), {names[-1]}), SolverSettings())  # type: ignore[arg-type]
+    solution = adjust_network(without_images(hrsc_passes(), {names[-1]}), SolverSettings())  # type: ignore[arg-type]
     IncrementalAdjustment.of(solution, store)
     again = IncrementalAdjustment(store=store)
     again.add(every[names[-1]])
@@ -274,7 +274,7 @@ def test_ties_that_come_later_move_the_surface_as_batch_does(tmp_path: Path) -> 
         moved = adjustment.add(more)
         assert moved.converged
         assert moved.updates > 1  # systems were made anew
-        closed, solution = adjustment.close()
+        closed, solution = adjustment.verify()
         assert closed.worst < EXACT
         assert not closed.adopted
         assert solution.stereo_used.sum() == 24

@@ -148,7 +148,7 @@ def pixels(image: PushbroomImage) -> np.ndarray:
     return np.stack(np.meshgrid(lines, samples), axis=-1).reshape(-1, 2)
 
 
-def apart(seen: PushbroomImage, other: PushbroomImage) -> float:
+def largest_difference(seen: PushbroomImage, other: PushbroomImage) -> float:
     """Largest distance in pixels between where two images see the ground of 25 pixels of the first."""
     places = pixels(seen)
     ground, _ = seen.image_to_ground(places[:, 0], places[:, 1], 0.0)
@@ -229,7 +229,7 @@ def test_json_beside_a_label_is_the_cube(tmp_path: Path) -> None:
     for path in (tmp_path / "image.pvl", tables_file):
         assert image_kind(path) == "cube"
         assert image_name(path, "cube") == whole.name == "MGS/100:0/MOC-NA"
-        assert apart(whole, read_isis_cube(path)) < 1e-9
+        assert largest_difference(whole, read_isis_cube(path)) < 1e-9
     (tmp_path / "image.pvl").unlink()
     cube.unlink()
     with pytest.raises(InputError, match=r"without its label; expected image.pvl"):
@@ -384,4 +384,4 @@ def test_label_and_tables_of_lroc_are_the_support_data_of_isis(shared_data: Path
     place = shared_data / "lro_nac_hadley" / f"observationImage{side}"
     by_label = read_isis_cube(place.with_suffix(".pvl"))
     assert by_label.name == f"LRO/1/269182000:51104/NAC{side}"
-    assert apart(by_label, read_isd(place.with_suffix(".isd"), "x")) < 1e-3
+    assert largest_difference(by_label, read_isd(place.with_suffix(".isd"), "x")) < 1e-3

@@ -379,13 +379,13 @@ def test_real_grid_against_real_shots(shared_data: Path, site: str, largest: flo
     longitudes = np.arctan2(shots.footprints[:, 1], shots.footprints[:, 0])
     latitudes = np.arcsin(shots.footprints[:, 2] / radii)
 
-    def apart(east: int, south: int) -> float:
+    def height_difference(east: int, south: int) -> float:
         values, _, _ = grid.radius(longitudes + east * grid.longitude_step, latitudes - south * grid.latitude_step)
         return float(np.median(np.abs(radii - values)))
 
-    here = apart(0, 0)
+    here = height_difference(0, 0)
     assert here < largest
-    assert all(apart(east, south) > 1.4 * here for east, south in ((1, 0), (-1, 0), (0, 1), (0, -1)))
+    assert all(height_difference(east, south) > 1.4 * here for east, south in ((1, 0), (-1, 0), (0, 1), (0, -1)))
 
 
 @pytest.mark.parametrize("site", ["insight", "opportunity"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import usgscsm
 from mex import CHANGES, LINES, SAMPLES
-from strip_files import block
+from pass_files import block
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.lidar import read_lidar

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.collections import EllipseCollection
 from matplotlib.quiver import Quiver
-from strip_files import block
+from pass_files import block
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.settings import SolverSettings

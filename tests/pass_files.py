@@ -13,7 +13,7 @@ from mgsgraph.simulation.case_files import json_text, support_data, tie_network_
 from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.simulation.hrsc_flight import Readout
 
-STRIPS = """
+PASSES = """
 [[passes]]
 name = "HRSC/00"
 images = ["HRSC/00/S1", "HRSC/00/P1", "HRSC/00/ND", "HRSC/00/P2", "HRSC/00/S2"]
@@ -29,14 +29,14 @@ prior = { correlation_time_s = 60.0 }
 
 @cache
 def block() -> SimulatedBlock:
-    """Two strips of 60 km, three line rates, 150 points."""
-    settings = BlockSettings(strips=2, length=60e3, points=150, readout=Readout(rates=3), terrain=None)
+    """Two passes of 60 km, three line rates, 150 points."""
+    settings = BlockSettings(passes=2, length=60e3, points=150, readout=Readout(rates=3), terrain=None)
     return simulate_hrsc_block(settings, seed=4)
 
 
-def write_block(folder: Path, strips: str = STRIPS) -> Path:
+def write_block(folder: Path, passes: str = PASSES) -> Path:
     """The case file of the block."""
-    return write_network(folder, block().network, strips)
+    return write_network(folder, block().network, passes)
 
 
 def write_network(folder: Path, network: Network, tables: str, images: Sequence[PushbroomImage] = ()) -> Path:
