@@ -11,7 +11,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.names import Names
 from mgsgraph.network import GroundPoints, ImageRays, Network, ProfileShifts, Ranges, Surface
 from mgsgraph.network.joining import Definitions, with_definitions
-from mgsgraph.network.parts import KnownImage, image_columns, joined, select_points
+from mgsgraph.network.parts import KnownImage, Members, image_columns, joined, select_points
 from mgsgraph.network.records import StereoControl
 from mgsgraph.project.project import Project
 from mgsgraph.project.store import ProjectStore
@@ -90,11 +90,13 @@ def former_content(
 
 
 def _stored(store: ProjectStore, points: Names) -> StoredPoints | None:
-    parts = list[Network]()
-    found = store.bundles_of(points)
-    for members in dict.fromkeys(found.values()):
-        network = with_definitions(store.bundle(members).network, Definitions())
-        parts.append(select_points(network, [name for name, of in found.items() if of == members]))
+    names_of = dict[Members, list[str]]()
+    for name, members in store.bundles_of(points).items():
+        names_of.setdefault(members, []).append(name)
+    parts = [
+        select_points(with_definitions(store.bundle(members).network, Definitions()), names)
+        for members, names in names_of.items()
+    ]
     if not parts:
         return None
     network = joined(parts)

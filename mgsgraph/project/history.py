@@ -37,8 +37,9 @@ def undo(project: Project, number: int | None = None, why: str = "") -> Changed:
     if later and former.definitions is not None:
         found = f"change {change.number} ({change.verb} {change.what}) has later ones, from {later[0]} on"
         raise InputError(where, found, "the last change, or that of a point", "undo those first")
+    touched = set(former.touched)
     for other in later:
-        again = [name for name in read_former(project, other).touched if name in set(former.touched)]
+        again = [name for name in read_former(project, other).touched if name in touched]
         if again:
             found = f"change {other} has changed point {again[0]} since"
             raise InputError(where, found, "the last change of its points", f"undo change {other} first")
