@@ -191,7 +191,8 @@ def test_a_project_has_the_surfaces_from_then_on(
     assert len(case.network.points) == len(registration.solution.network.points)
     assert {path.name for path in (project / "solutions" / "0001").iterdir()} == TABLES
     with open_project(project) as opened:
-        kept, made = opened.store.network().stereo, registration.solution.network.stereo
+        stored, made = opened.store.network(), registration.solution.network.stereo
+        kept = stored.stereo
         assert kept is not None
         assert made is not None
         assert (kept.surface >= 0).sum() == (made.surface >= 0).sum() > 100
@@ -200,6 +201,15 @@ def test_a_project_has_the_surfaces_from_then_on(
     assert "align" in capsys.readouterr().out
     with pytest.raises(click.UsageError, match="a project has its own"):
         call("align", project, "--out", tmp_path / "out")
+    assert call("project", "undo", project) == 0
+    with open_project(project) as opened:
+        assert opened.store.network().stereo is None
+    assert call("project", "redo", project) == 0
+    with open_project(project) as opened:
+        again = opened.store.network()
+    assert again.stereo is not None
+    heights = dict(zip(again.points.ids, again.stereo.sigmas.tolist(), strict=True))
+    assert heights == dict(zip(stored.points.ids, kept.sigmas.tolist(), strict=True))
 
 
 @pytest.mark.slow
