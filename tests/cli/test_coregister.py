@@ -204,7 +204,7 @@ def test_a_project_has_the_surfaces_from_then_on(
     assert call("project", "undo", project) == 0
     with open_project(project) as opened:
         assert opened.store.network().stereo is None
-    assert call("project", "redo", project) in (0, 1)  # hundreds of meters at once: the content comes back, solve converges
+    assert call("project", "redo", project) in (0, 1)  # moves of hundreds of meters: solve converges
     with open_project(project) as opened:
         again = opened.store.network()
     assert again.stereo is not None
