@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -284,21 +285,33 @@ def sweep_all(
     x, points = writable(x), writable(points)
     rows = with_frozen_terrain(rows)
 
-    def part(k: int) -> tuple[Array, Array]:
-        blocks = np.zeros(target.size) if with_matrix else none
-        gradient = np.zeros(target.columns) if with_gradient else none
-        results = (scratch_for(rows), points, states, costs, blocks, gradient, values)
-        sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
-        return blocks, gradient
+    def zeros() -> tuple[Array, Array]:
+        return np.zeros(target.size) if with_matrix else none, np.zeros(target.columns) if with_gradient else none
 
-    sharing = min(threads(), count)
-    running = iter((_threads(sharing).map if sharing > 1 else map)(part, range(count)))
-    blocks, gradient = next(running)
-    for more, slope in running:
-        if with_matrix:
-            blocks += more
-        if with_gradient:
-            gradient += slope
+    blocks, gradient = zeros()
+    left, waiting, added, lock = iter(range(count)), dict[int, tuple[Array, Array]](), 0, Lock()
+
+    def share() -> None:
+        nonlocal added
+        for k in left:
+            sums = zeros()
+            results = (scratch_for(rows), points, states, costs, *sums, values)
+            sweep(rows, groups, target, model, x, task, edges[k], edges[k + 1], *results)
+            with lock:
+                waiting[k] = sums
+                while added in waiting:
+                    more, slope = waiting.pop(added)
+                    added += 1
+                    if with_matrix:
+                        np.add(blocks, more, out=blocks)
+                    if with_gradient:
+                        np.add(gradient, slope, out=gradient)
+
+    others = min(threads(), count) - 1
+    running = [_threads(others).submit(share) for _ in range(others)]
+    share()
+    for other in running:
+        other.result()
     return blocks, gradient
 
 

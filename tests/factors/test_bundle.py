@@ -255,9 +255,9 @@ def test_threads_share_the_same_work(name: str, monkeypatch: pytest.MonkeyPatch)
     for threads in (1, 2):
         monkeypatch.setattr(sweep, "threads", lambda threads=threads: threads)
         results.append(all_results(system, state(system)))
-    assert calls == [2, 2]  # one thread has nothing to divide
+    assert len(set(calls)) == 1 < calls[0]  # parts depend on the rows alone
     for what, one in results[0].items():
-        np.testing.assert_allclose(results[1][what], one, rtol=0.0, atol=1e-12 * np.abs(one).max(), err_msg=what)
+        np.testing.assert_array_equal(results[1][what], one, err_msg=what)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 50])
