@@ -402,11 +402,12 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
         seen.until("revision => studio.last.revision > revision", revision)
     with open_project(folder) as project:
         after = point_state(project, tie)
-        kinds = [one.summary["kind"] for one in project.changes() if one.verb == "edit"]
+        changes = project.changes()
     assert after is not None
     assert sorted(after.measures, key=lambda one: one.image) == sorted(before.measures, key=lambda one: one.image)
     assert (after.kind, after.class_, after.set_aside) == (before.kind, before.class_, ())
-    assert kinds == ["move", "reject", "accept", "hold", "release", "remove", *["undo"] * 6]
+    assert [one.summary["kind"] for one in changes[-12:-6]] == ["move", "reject", "accept", "hold", "release", "remove"]
+    assert [one.verb for one in changes[-6:]] == ["undo"] * 6
 
 
 def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder: Path, tie: str) -> None:
