@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (865, 9956, 10),
     "scripts": (6990, 111880, 51),
-    "tests": (38013, 573968, 207),
+    "tests": (38018, 574038, 207),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -266,6 +266,7 @@ def test_too_little_memory_for_the_libraries_is_said_before_they_are_loaded(case
     refused(done, "ulimit -v")
 
 
+@pytest.mark.program("bash")
 def test_too_few_open_files_are_named_before_any_kernel_is(case_file: Path) -> None:
     command = ["bash", "-c", 'ulimit -n 8; exec "$@"', "bash", *COMMAND, "check", str(case_file)]
     refused(subprocess.run(command, capture_output=True, text=True, check=False), "ulimit -n")
