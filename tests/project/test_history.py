@@ -55,7 +55,7 @@ trend = {list(NOISE.trend)}
 def files() -> Path:
     """A case of the first two images, support data of the third, and a control network of all three."""
     folder = Path(tempfile.mkdtemp(prefix="mgsgraph-history-"))
-    made = fan(3, ties=8)
+    made = fan(3, ties=10)
     (folder / "all").mkdir()
     (folder / "two").mkdir()
     write_network(folder / "all", ties_of(made, 3), SETTINGS)
