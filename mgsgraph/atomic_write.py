@@ -96,7 +96,10 @@ def put_in_place(new: Path, target: Path) -> None:
         for name in files:
             _to_disk(Path(folder, name))
         _to_disk(Path(folder))
-    _rename_folder(new, target)
+    earlier = _renamed(new, target)
+    _to_disk(target.parent)
+    if earlier is not None:
+        shutil.rmtree(earlier, ignore_errors=True)
 
 
 def _to_disk(path: Path) -> None:
@@ -115,28 +118,24 @@ def _to_disk(path: Path) -> None:
             os.close(descriptor)
 
 
-def _rename_folder(new: Path, target: Path) -> None:
-    """Let one folder take the place of another.
+def _renamed(new: Path, target: Path) -> Path | None:
+    """Let one folder take the place of another, which is returned where it has stepped aside.
 
     Without such a step the earlier one is renamed first, comes back should the second rename fail, and is taken back by
     `sweep` should the process end between the two.
     """
     if not target.exists():
         new.rename(target)
-        _to_disk(target.parent)
-        return
-    if _exchanged(new, target):
-        _to_disk(target.parent)
-        return
-    old = new.with_suffix(".replaced")
-    target.rename(old)
-    try:
-        new.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    _to_disk(target.parent)
-    shutil.rmtree(old, ignore_errors=True)
+    elif not _exchanged(new, target):
+        old = new.with_suffix(".replaced")
+        target.rename(old)
+        try:
+            new.rename(target)
+        except BaseException:
+            old.rename(target)
+            raise
+        return old
+    return None
 
 
 def resolved(path: str | Path, remedy: str) -> Path:

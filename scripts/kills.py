@@ -348,11 +348,11 @@ class Row(NamedTuple):
 def trials(verb: Verb, kills: int, base: Path, address: str, temporary: Path, rng: random.Random) -> Row:
     """Kill a command `kills` times."""
     line = verb.arguments.replace("ADDRESS", address)
-    starts = [_cut(base, temporary / "without", verb)]
+    starts = [needed_inputs(base, temporary / "without", verb)]
     if verb.earlier:
         starts.append(fresh(starts[0], temporary / "with"))
         done(starts[1], line)
-        _age(starts[1], verb)
+        age(starts[1], verb)
     references = [reference for start in starts if (reference := learned(line, start, temporary)) is not None]
     if not references:
         raise SystemExit(f"{verb.name} changes nothing even when nobody kills it")
@@ -381,7 +381,7 @@ def trials(verb: Verb, kills: int, base: Path, address: str, temporary: Path, rn
     return Row(references[0], counts, wrong)
 
 
-def _cut(base: Path, target: Path, verb: Verb) -> Path:
+def needed_inputs(base: Path, target: Path, verb: Verb) -> Path:
     """Copy only the inputs that a command names, which is faster."""
     shutil.rmtree(target, ignore_errors=True)
     (target / TEMPORARY).mkdir(parents=True)
@@ -393,7 +393,7 @@ def _cut(base: Path, target: Path, verb: Verb) -> Path:
     return target
 
 
-def _age(work: Path, verb: Verb) -> None:
+def age(work: Path, verb: Verb) -> None:
     """Make an earlier result differ from a new one of the same content: change a file's last bytes."""
     for path in [work / verb.made] if (work / verb.made).is_file() else sorted((work / verb.made).glob("*.csv"))[:1]:
         if path.suffix in (".csv", ".html", ".toml"):

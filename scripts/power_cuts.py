@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from kills import VERBS, Verb, _age, _cut, fresh, inputs, run
+from kills import VERBS, Verb, age, fresh, inputs, needed_inputs, run
 from study import at_least, command, show, table
 
 _CALLS = (
@@ -121,10 +121,10 @@ def events(text: str, work: Path) -> list[Event]:
 def cuts(verb: Verb, count: int, base: Path, address: str, rng: random.Random) -> tuple[int, int, str]:
     """Events of a command that replaces an earlier result, cuts that leave one of the two whole, and what else is."""
     arguments = verb.arguments.replace("ADDRESS", address).split()
-    work = fresh(_cut(base, base.parent / "needed", verb), base.parent / "cut").resolve()
+    work = fresh(needed_inputs(base, base.parent / "needed", verb), base.parent / "cut").resolve()
     if verb.earlier:
         run(arguments, work)
-        _age(work, verb)
+        age(work, verb)
     seen = traced(arguments, work, base.parent / "strace.log")
     whole, wrong = 0, ""
     for moment in sorted(rng.randrange(len(seen) + 1) for _ in range(count)):

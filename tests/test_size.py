@@ -17,7 +17,7 @@ CEILINGS = {
     "cli": (1467, 15378, 11),
     "studio": (1965, 29088, 14),
     "fetch": (1363, 16570, 9),
-    "project": (2681, 36099, 17),
+    "project": (2679, 36057, 17),
     "export": (2667, 38377, 17),
     "simulation": (3339, 50045, 24),
     "results": (4366, 66153, 36),
@@ -32,9 +32,9 @@ CEILINGS = {
     "kernel": (2672, 46042, 15),
     "geometry": (2892, 48407, 18),
     "factors": (867, 13743, 18),
-    "single files": (865, 9956, 10),
+    "single files": (864, 9957, 10),
     "scripts": (6990, 111880, 51),
-    "tests": (38018, 574038, 207),
+    "tests": (38018, 574027, 207),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -29,7 +29,7 @@ from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions, joining, seconds, united, with_definitions
 from mgsgraph.network.observations import build_network, over_terrain
 from mgsgraph.network.parts import KnownImage, joined, known_images, select_points, with_images
-from mgsgraph.project.decisions import Decisions, decided, measured_by_users, standing
+from mgsgraph.project.decisions import Decisions, decided, measured_by_users
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings
 from mgsgraph.project.store import ProjectStore
@@ -122,7 +122,7 @@ def read_addition(
     cases = [case for _, case in contents if case is not None]
     _require_no_options(cases, of_pass, shares)
     case_images = [image for images_, _ in contents for image in images_]
-    decisions = standing(project.decisions())
+    decisions = project.standing_decisions()
     given = (with_definitions(store.with_known_grids(case.network), Definitions()) for case in cases)
     networks = [network for case in given if (network := decided(case, decisions)) is not None]
     stored_passes, stored_names = store.definitions(), store.image_names()
@@ -151,8 +151,8 @@ def read_addition(
         network = joined(networks)
         notes += _notes_on_duplicates(network, store)
         connected_names = _connected_images(network, store)
-        known_images_, names = ImagesByName(store, _known(new_images)), [image.name for image in network.images]
-        network = with_images(network, [known_images_[name] for name in dict.fromkeys([*names, *_names(new_images)])])
+        names = [image.name for image in network.images]
+        network = with_images(network, [by_name[name] for name in dict.fromkeys([*names, *_names(new_images)])])
     unconnected = tuple(name for name in _names(new_images) if name not in connected_names)
     return Addition(
         tuple(new_images), network, (*ties, *shots, *case_files), unconnected,

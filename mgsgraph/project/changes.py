@@ -20,7 +20,7 @@ from mgsgraph.network.duplicates import duplicates
 from mgsgraph.network.joining import Definitions, definitions
 from mgsgraph.network.parts import KnownImage, Members, Unknown
 from mgsgraph.project.addition import Addition, NewImage, images_of_case, images_without_ties
-from mgsgraph.project.decisions import decided, standing
+from mgsgraph.project.decisions import decided
 from mgsgraph.project.former import former_content
 from mgsgraph.project.project import Project
 from mgsgraph.project.settings import ProjectSettings, read_settings, settings_of_case
@@ -63,7 +63,7 @@ class Changed:
     kind: str
     """measure, move, reject, accept, hold, release, remove, undo or redo."""
     point: str
-    """Name of the point; empty for undo and redo."""
+    """Name of the point; empty for undo and redo of another change than that of a point."""
     sentence: str
     """Description of the change."""
     impact: Impact | None
@@ -372,7 +372,7 @@ def take_ties(project: Project, network: Path) -> str:
     images, contents = images_of_case(case, network)
     former = former_content(project, contents.network.points.ids)
     project.take_settings(settings_of_case(case))
-    kept = decided(contents.network, standing(project.decisions()))
+    kept = decided(contents.network, project.standing_decisions())
     return _store_contents(project, "match", str(network), images, kept, contents.networks, former)
 
 

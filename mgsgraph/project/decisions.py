@@ -121,7 +121,7 @@ Decisions = Mapping[str, PointDecisions]
 """What stands, by the name of the point."""
 
 
-def standing(decisions: Iterable[Decision]) -> Decisions:
+def combined(decisions: Iterable[Decision]) -> Decisions:
     """What stands after some decisions, the latest last."""
     points = dict[str, PointDecisions]()
     for decision in decisions:

@@ -19,7 +19,7 @@ from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up, planetocentric
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, PointClass, Surface
-from mgsgraph.network.parts import joined, select_points
+from mgsgraph.network.parts import joined
 from mgsgraph.project.addition import on_terrain
 from mgsgraph.project.changes import Changed, apply_content, record_change
 from mgsgraph.project.decisions import (
@@ -30,9 +30,8 @@ from mgsgraph.project.decisions import (
     PointState,
     ground_point,
     network_of_rays,
-    standing,
 )
-from mgsgraph.project.former import former_content
+from mgsgraph.project.former import former_content, network_of_points
 from mgsgraph.project.project import Project
 from mgsgraph.units import DEG
 
@@ -44,7 +43,8 @@ _LONGEST_NAME = 200
 
 def point_state(project: Project, point: str) -> PointState | None:
     """Present state of a point; None where the project has no point of this name."""
-    network, decisions = _network_of(project, point), standing(project.decisions(point)).get(point, PointDecisions())
+    network = network_of_points(project.store, [point])
+    decisions = project.standing_decisions(point).get(point, PointDecisions())
     names = set(project.store.image_names())
     set_aside = tuple(measure for image, measure in decisions.rejected.items() if image in names)
     if network is None:  # the user has rejected all its measurements
@@ -66,16 +66,6 @@ def _surface_sigma(network: Network) -> float | None:
     """Sigma (m) of a single point's height above the terrain model; None where it does not lie on one."""
     height_sigma = np.inf if network.surface is None else float(network.surface.sigmas[0])
     return height_sigma if np.isfinite(height_sigma) else None
-
-
-def _network_of(project: Project, point: str) -> Network | None:
-    """Network of one point with its measurements; None where the project has no such point."""
-    store = project.store
-    members = store.bundles_of([point]).get(point)
-    if members is None:
-        return None
-    network = store.bundle(members).network
-    return select_points(network, network.points.ids.find([point]))
 
 
 # --- changes
@@ -218,7 +208,7 @@ def remove_point(project: Project, point: str, why: str = "") -> Changed:
     """Remove a tie or control point with all its measurements."""
     before = _existing_state(project, point)
     _require_tie(before, point)
-    network = _network_of(project, point)
+    network = network_of_points(project.store, [point])
     if network is not None and _has_range_or_surface(network):
         found, remedy = "a laser range or a stereo surface holds it", "reject its image measures instead"
         raise InputError(f"point {point}", found, "a point of image measures alone", remedy)
@@ -227,7 +217,7 @@ def remove_point(project: Project, point: str, why: str = "") -> Changed:
 
 def _store_state(
     project: Project, kind: DecisionKind, point: str, after: PointState | None, description: str, why: str,
-    decided: Sequence[Measure] = (),
+    measures: Sequence[Measure] = (),
 ) -> Changed:  # fmt: skip
     """Replace the state of a point, adjust, and record the change; its decision is about some measurements, or about
     the point itself where these are none.
@@ -237,7 +227,7 @@ def _store_state(
         impact = apply_content(project, kind, [point], network, (), (), project.store.definitions())
     summary = {"point": point, "kind": kind}
     number = record_change(project, "edit", f"point {point}: {description}", summary, impact, why, former)
-    for measure in decided or (None,):
+    for measure in measures or (None,):
         image = "" if measure is None else measure.image
         project.record_decision(number, kind, point, image, measure, None if after is None else after.bare)
     return Changed(kind, point, f"Point {point}: {description}.", impact, number)
@@ -247,7 +237,7 @@ def _network_in_state(project: Project, point: str, state: PointState | None) ->
     """Network of a point in a state, with its present ranges and stereo surfaces; None where nothing is left."""
     if state is None:
         return None
-    current, points = _network_of(project, point), ground_point(point, state)
+    current, points = network_of_points(project.store, [point]), ground_point(point, state)
     bare = None
     if current is not None and _has_range_or_surface(current):
         no_rays = current.rays.chosen(np.zeros(current.rays.point.size, dtype=bool))

@@ -29,7 +29,7 @@ class RemovedImage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StoredPoints:
+class FormerPoints:
     """Points with their measurements; images by name, terrain grids by their number in the project's file."""
 
     images: tuple[str, ...]
@@ -56,7 +56,7 @@ class Former:
 
     touched: Names
     """Points that the change touches."""
-    points: StoredPoints | None
+    points: FormerPoints | None
     """Those of them that were there."""
     absent: tuple[str, ...] = ()
     """Images that were not there."""
@@ -86,10 +86,11 @@ def former_content(
     touched, store, pictures = Names.of(points), project.store, project.pictures() if removed else {}
     taken = tuple(RemovedImage(store.image(name), pictures[name] or "") for name in removed)
     rest = (store.definitions(), project.content_facts()) if whole else ()
-    return pack(Former(touched, _stored(store, touched), tuple(absent), taken, *rest))
+    return pack(Former(touched, _former_points(store, touched), tuple(absent), taken, *rest))
 
 
-def _stored(store: ProjectStore, points: Names) -> StoredPoints | None:
+def network_of_points(store: ProjectStore, points: Iterable[str]) -> Network | None:
+    """Those of some points that a project has, with all of their measurements; None where it has none of them."""
     names_of = dict[Members, list[str]]()
     for name, members in store.bundles_of(points).items():
         names_of.setdefault(members, []).append(name)
@@ -97,30 +98,34 @@ def _stored(store: ProjectStore, points: Names) -> StoredPoints | None:
         select_points(with_definitions(store.bundle(members).network, Definitions()), names)
         for members, names in names_of.items()
     ]
-    if not parts:
+    return joined(parts) if parts else None
+
+
+def _former_points(store: ProjectStore, points: Names) -> FormerPoints | None:
+    network = network_of_points(store, points)
+    if network is None:
         return None
-    network = joined(parts)
     surface, grids = network.surface, (None if network.surface is None else network.surface.grid, network.areoid)
     terrain, areoid = (0 if grid is None else store.grid_number(grid) for grid in grids)
-    return StoredPoints(
+    return FormerPoints(
         tuple(image.name for image in network.images), network.points, network.rays, network.ranges, network.shifts,
         None if surface is None else surface.sigmas, terrain, 0.0 if surface is None else surface.shift_sigma,
         areoid, network.stereo, network.considered,
     )  # fmt: skip
 
 
-def former_network(store: ProjectStore, stored: StoredPoints | None, new: Sequence[KnownImage]) -> Network | None:
+def former_network(store: ProjectStore, former: FormerPoints | None, new: Sequence[KnownImage]) -> Network | None:
     """The points as a network again, with images of the project and those that come back."""
-    if stored is None:
+    if former is None:
         return None
     images = ImagesByName(store, new)
     surface = None
-    if stored.surface_sigmas is not None:
-        surface = Surface(store.grid(stored.terrain), stored.surface_sigmas, stored.terrain_shift_sigma)
+    if former.surface_sigmas is not None:
+        surface = Surface(store.grid(former.terrain), former.surface_sigmas, former.terrain_shift_sigma)
     return Network(
-        *image_columns([images[name] for name in stored.images]), stored.points, stored.rays, stored.ranges,
-        stored.shifts, surface, store.grid(stored.areoid) if stored.areoid else None, stereo=stored.stereo,
-    ).considering(stored.considered)  # fmt: skip
+        *image_columns([images[name] for name in former.images]), former.points, former.rays, former.ranges,
+        former.shifts, surface, store.grid(former.areoid) if former.areoid else None, stereo=former.stereo,
+    ).considering(former.considered)  # fmt: skip
 
 
 def read_former(project: Project, number: int) -> Former:

@@ -25,7 +25,7 @@ from mgsgraph.geometry.image import LineTiming
 from mgsgraph.geometry.plausibility import ImageTimes
 from mgsgraph.names import image_names
 from mgsgraph.project.connection import EXPECTED_PROJECT, RESTORE_COPY, connected, new_file
-from mgsgraph.project.decisions import Decision, Measure, PointState, standing
+from mgsgraph.project.decisions import Decision, Decisions, Measure, PointState, combined
 from mgsgraph.project.settings import ProjectSettings, settings_from_json, settings_to_json
 from mgsgraph.project.store import ProjectStore
 from mgsgraph.record import Record
@@ -339,6 +339,10 @@ class Project(Record):
             records.append(self._record(dict(zip(names, (*values, *parts), strict=True)), Decision))
         return records
 
+    def standing_decisions(self, point: str | None = None) -> Decisions:
+        """What stands after these decisions, by the name of the point."""
+        return combined(self.decisions(point))
+
     def last_solution(self, kind: str | None = None) -> SolutionRow | None:
         """The latest solution, of one kind or of any; None where there is none."""
         return self._last("kind = coalesce(?, kind)", kind)
@@ -502,6 +506,6 @@ def rejected_measurements(project: Project) -> list[tuple[str, Measure]]:
     """Point and image measurement of all that users have rejected, in images of the project."""
     names = set(project.store.image_names())
     return [
-        (point, measure) for point, of in standing(project.decisions()).items()
+        (point, measure) for point, of in project.standing_decisions().items()
         for image, measure in of.rejected.items() if image in names
     ]  # fmt: skip

@@ -63,7 +63,7 @@ class ProjectStore:
     def image(self, name: str) -> KnownImage:
         """An image by its name."""
         if name not in self._images:
-            (record,) = self._one("SELECT record FROM image WHERE name = ?", name)
+            (record,) = self._row("SELECT record FROM image WHERE name = ?", name)
             known = unpack(record, KnownImage, f"{self._where}, image {name}")
             self._require(known.image.name == name, f"the image {name} is called {known.image.name}")
             self._images[name] = known
@@ -175,7 +175,7 @@ class ProjectStore:
         return self._bundles[members]
 
     def _read(self, members: Members) -> Bundle:
-        row = self._one(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
+        row = self._row(f"SELECT {', '.join(_BUNDLE)} FROM bundle WHERE members = ?", _text(members))
         number, points, rays, ranges, terrain, shift_sigma, stays, areoid, *reduced = row
         surface = None if terrain is None else (self._grids.record(terrain, TerrainGrid), shift_sigma)
         names, numbers = self._images_of(number)
@@ -206,7 +206,7 @@ class ProjectStore:
             self._bundles.pop(members, None)
             self._drop(members)
         for members, bundle in new.items():
-            self._put(members, bundle)
+            self._insert(members, bundle)
         self._grids.delete_unused()
 
     def renew(self, bundles: Mapping[Members, Bundle]) -> None:
@@ -214,22 +214,22 @@ class ProjectStore:
         for members, bundle in bundles.items():
             self._bundles.pop(members, None)
             text = _text(members)
-            (number,) = self._one("SELECT id FROM bundle WHERE members = ?", text)
+            (number,) = self._row("SELECT id FROM bundle WHERE members = ?", text)
             self._cells.write(number, "adjusted", bundle.places, bundle.covariances)
             change = ", ".join(f"{name} = ?" for name in _REDUCED)
             row = (*_reduced_row(bundle.reduced), text)
             self._connection.execute(f"UPDATE bundle SET {change} WHERE members = ?", row)
 
     def _drop(self, members: Members) -> None:
-        (number,) = self._one("SELECT id FROM bundle WHERE members = ?", _text(members))
+        (number,) = self._row("SELECT id FROM bundle WHERE members = ?", _text(members))
         self._cells.delete(number)
         self._connection.execute("DELETE FROM bundle_image WHERE bundle = ?", (number,))
         self._connection.execute("DELETE FROM bundle WHERE id = ?", (number,))
 
-    def _put(self, members: Members, bundle: Bundle) -> None:
+    def _insert(self, members: Members, bundle: Bundle) -> None:
         network, connection = bundle.network, self._connection
         surface = network.surface
-        (number,) = self._one("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
+        (number,) = self._row("SELECT coalesce(max(seq), 0) + 1 FROM sqlite_sequence WHERE name = 'bundle'")
         images = self._numbers_of(tuple(image.name for image in network.images))
         points, rays, ranges = network.points, network.rays, network.ranges
         sigmas = np.full(len(points), np.inf) if surface is None else surface.sigmas
@@ -352,7 +352,7 @@ class ProjectStore:
         return [name for name, _ in rows], np.array([number for _, number in rows], dtype=np.int64)
 
     def _numbers_of(self, names: tuple[str, ...]) -> Index:
-        return np.array([self._one("SELECT id FROM image WHERE name = ?", name)[0] for name in names], dtype=np.int64)
+        return np.array([self._row("SELECT id FROM image WHERE name = ?", name)[0] for name in names], dtype=np.int64)
 
     def _images_by_bundle(self, numbers: Index) -> dict[int, Index]:
         """For each bundle the indices of its images in `numbers`."""
@@ -373,7 +373,7 @@ class ProjectStore:
                 "ON CONFLICT (name) DO UPDATE SET sigma = excluded.sigma, considered = excluded.considered",
                 (name, sigma, int(name in network.considered)),
             )
-            numbers.append(self._one("SELECT id FROM profile WHERE name = ?", name)[0])
+            numbers.append(self._row("SELECT id FROM profile WHERE name = ?", name)[0])
         return np.array([*numbers, 0], dtype=np.int64)[network.shifts.profile]  # -1, no profile, is the last one
 
     def _shifts(self, points_read: StoredPoints) -> ProfileShifts | None:
@@ -381,7 +381,7 @@ class ProjectStore:
         if not np.any(used):
             return None
         start = int(used[0] == 0)
-        rows = [self._one("SELECT name, sigma FROM profile WHERE id = ?", int(number)) for number in used[start:]]
+        rows = [self._row("SELECT name, sigma FROM profile WHERE id = ?", int(number)) for number in used[start:]]
         return ProfileShifts(tuple(name for name, _ in rows), profile - start, np.array([sigma for _, sigma in rows]))
 
     def require_whole(self) -> None:
@@ -408,7 +408,7 @@ class ProjectStore:
     def _ask(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         return self._connection.execute(statement, values).fetchall()
 
-    def _one(self, statement: str, *values: object) -> tuple[Any, ...]:
+    def _row(self, statement: str, *values: object) -> tuple[Any, ...]:
         row: tuple[Any, ...] | None = self._connection.execute(statement, values).fetchone()
         if row is None:
             raise KeyError(*values)

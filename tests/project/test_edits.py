@@ -33,7 +33,7 @@ from mgsgraph.network.parts import KnownImage, joined
 from mgsgraph.project import edits, history
 from mgsgraph.project.addition import Addition, NewImage, new_measurements_only
 from mgsgraph.project.changes import Changed, remove_images, solve_project, store_unadjusted
-from mgsgraph.project.decisions import Measure, PointState, decided, standing
+from mgsgraph.project.decisions import Measure, PointState, decided
 from mgsgraph.project.project import (
     AdjustmentCache,
     Project,
@@ -393,14 +393,14 @@ def test_what_a_user_decided_stays_decided_when_the_file_is_given_again(folder: 
         edits.move(project, name, second, line + 0.25, sample)
         edits.remove_point(project, other)
         again = network_of(fan(IMAGES), range(IMAGES))
-        left = decided(again, standing(project.decisions()))
+        left = decided(again, project.standing_decisions())
         assert left is not None
         assert new_measurements_only(left, project.store) is None
         with pytest.raises(InputError, match="measured there before"):
             joined([project.store.network(), new_measurements_only(again, project.store)])
         for _ in range(3):
             history.undo(project)
-        assert decided(again, standing(project.decisions())) is again
+        assert decided(again, project.standing_decisions()) is again
 
 
 def test_a_blunder_of_batch_is_accepted_until_batch_judges_anew(folder: Path) -> None:

@@ -34,7 +34,7 @@ from mgsgraph.network.parts import select_points
 from mgsgraph.project import edits, history
 from mgsgraph.project.addition import ImageArgument, read_addition
 from mgsgraph.project.changes import add, create_project, remove_images, solve_project
-from mgsgraph.project.decisions import Measure, standing
+from mgsgraph.project.decisions import Measure
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.simulation.strip import SimulatedStrip
 from mgsgraph.units import MRAD
@@ -277,7 +277,7 @@ class Changes(RuleBasedStateMachine):
         with open_project(self.folder) as project:
             assert sorted(project.store.image_names()) == sorted(self.model.images)
             assert held(project) == self.model.rays
-            stands = standing(project.decisions())
+            stands = project.standing_decisions()
         assert {point for point, of in stands.items() if of.removed} == self.model.removed
         for expected, name in ((self.model.measured, "measured"), (self.model.rejected, "rejected")):
             found = {(point, image): (one.line, one.sample, one.sigma_line) for point, of in stands.items()

@@ -46,7 +46,7 @@ export class Sheet {
   // Tests and correlations take longer: they come when they are there
   async readMore(name) {
     if (!this.sheet.answer) return;
-    const [tests, along] = await Promise.allSettled([...['tests', 'correlations'].map(one => this.app.request(this.path.replace('?', `/${one}?`)))]);
+    const [tests, along] = await Promise.allSettled(['tests', 'correlations'].map(one => this.app.request(this.path.replace('?', `/${one}?`))));
     if (name !== this.app.selection) return;
     if (tests.status === 'fulfilled') this.showTests(tests.value);
     else this.testWords.textContent = tests.reason.message;
