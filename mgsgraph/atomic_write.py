@@ -98,7 +98,7 @@ def put_in_place(new: Path, target: Path) -> None:
         _to_disk(Path(folder))
     earlier = _renamed(new, target)
     _to_disk(target.parent)
-    if earlier is not None:
+    if earlier:
         shutil.rmtree(earlier, ignore_errors=True)
 
 
