@@ -109,7 +109,8 @@ def studio(path: Path, *more: str, no_browser: bool = True) -> Iterator[Studio]:
 
 # --- in a real browser
 
-PANELS = ("map", "images", "point", "questions")
+PANELS = ("start", "map", "images", "lists", "point", "questions")
+"""In the order of their keys."""
 
 
 class Page:
@@ -125,6 +126,8 @@ class Page:
         self.tab.on("request", lambda one: self.asked.append(one.url))
         self.root = running.root
         self.tab.goto(running.root + running.entrance())
+        self.until("studio.scene && document.getElementById('start').view")
+        self.show("map")
         self.tab.wait_for_selector("#map[data-ready]")
 
     def run(self, script: str, *arguments: Any) -> Any:
@@ -138,11 +141,11 @@ class Page:
             self.tab.wait_for_timeout(100)
         raise AssertionError(script)
 
-    def show(self, key: str) -> None:
-        """A panel by its key."""
+    def show(self, panel: str) -> None:
+        """A panel, by its key."""
         self.run("document.activeElement.blur()")
-        self.tab.keyboard.press(key)
-        self.tab.wait_for_selector(f"#{PANELS[int(key) - 1]}:not([hidden])")
+        self.tab.keyboard.press(str(PANELS.index(panel) + 1))
+        self.tab.wait_for_selector(f"#{panel}:not([hidden])")
 
     def close(self) -> None:
         assert self.complaints == []

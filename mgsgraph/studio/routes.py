@@ -163,9 +163,28 @@ def _png(data: bytes, seconds: int) -> Response:
     return Response(data, media_type="image/png", headers={"Cache-Control": f"private, max-age={seconds}"})
 
 
+_Getting = dict[str, Callable[[Request], Any]]
+_Posting = dict[str, Callable[[Any, str], Any]]
+"""By address: answer to a body and the browser that sends it."""
+
+
 def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     """All addresses but those of the page's own files, for the server's list."""
+    getting: _Getting = {
+        "/api/state": lambda request: state_record(opened, lock, _browser(request)),
+        "/api/scene": lambda _: scene_record(opened),
+        **_map(opened),
+        **_images(opened, views),
+        **_points(opened, views),
+    }
+    posting: _Posting = {**_asked(opened, views), **_changing(opened, lock)}
+    return [
+        *(Route(path, _got(answer)) for path, answer in getting.items()),
+        *(Route(path, _posted(answer), methods=["POST"]) for path, answer in posting.items()),
+    ]
 
+
+def _map(opened: Opened) -> _Getting:
     def points(request: Request) -> Any:
         query = request.query_params
         return map_points(opened).window(_box(query), _size(query), query.get("value", "sigma"), _kinds(query))
@@ -184,6 +203,28 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         longitude, latitude = longitude_latitude(opened, place)[0] / DEG
         return {"longitude_deg": longitude % 360.0, "latitude_deg": latitude}
 
+    def figure_of_map(request: Request) -> "Sheet":
+        query = request.query_params
+        layers, value = query.get("layers", "footprints,points").split(","), query.get("value", "sigma")
+        box, size, kinds, factor = _box(query), _size(query), _kinds(query), number_of(query, "factor", 0.0)
+        return map_figure(opened, box, size, value, kinds, layers, factor)
+
+    def figure(request: Request) -> Any:
+        return drawn("map", text_of(request.query_params, "kind"), lambda: figure_of_map(request))
+
+    return {
+        "/api/map/outlines": lambda _: outlines_record(opened),
+        "/api/map/points": points,
+        "/api/map/relief.png": relief,
+        "/api/map/sigmas": lambda _: opened.once("sigma cells", lambda: sigma_cells(opened)),
+        "/api/map/residuals": lambda request: residual_vectors(opened, request.query_params.get("image", "")),
+        "/api/map/where": where,
+        "/api/map/figure": figure,
+        "/api/select": select,
+    }
+
+
+def _images(opened: Opened, views: Views) -> _Getting:
     def tile(request: Request) -> Any:
         query, name = request.query_params, _name(request)
         level, row, column = (int(number_of(query, key)) for key in ("level", "row", "column"))
@@ -203,6 +244,14 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         map_m = np.asarray(opened.map_places(ground_at_pixel.point[None]))[0].tolist()
         return ground_record(ground_at_pixel, predictions, linked.block) | {"map_m": map_m}
 
+    return {
+        "/api/image": lambda request: views.image_record(_name(request)),
+        "/api/image/tile.png": tile,
+        "/api/image/ground": ground,
+    }
+
+
+def _points(opened: Opened, views: Views) -> _Getting:
     def picture(request: Request) -> Any:
         query = request.query_params
         image = query.get("image", "")
@@ -211,28 +260,16 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
             raise InputError(f"image {image}", "no file of its pixels is known")
         return _png(chip(path, number_of(query, "line"), number_of(query, "sample")), 3600)
 
-    def figure_of_map(request: Request) -> "Sheet":
-        query = request.query_params
-        layers, value = query.get("layers", "footprints,points").split(","), query.get("value", "sigma")
-        box, size, kinds, factor = _box(query), _size(query), _kinds(query), number_of(query, "factor", 0.0)
-        return map_figure(opened, box, size, value, kinds, layers, factor)
+    return {
+        "/api/point": lambda request: point_sheet(opened, _name(request)),
+        "/api/point/tests": lambda request: tests_of(opened, _name(request)),
+        "/api/point/correlations": lambda request: correlations(opened, _name(request)),
+        "/api/chip.png": picture,
+        "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
+    }
 
-    def figure(request: Request) -> Any:
-        return drawn("map", text_of(request.query_params, "kind"), lambda: figure_of_map(request))
 
-    def changed(content: Any, browser: str) -> Any:
-        if content.get("kind") == "take over":
-            lock.take(browser)
-            sentences = ["This browser changes the project now."]
-            return state_record(opened, lock, browser) | {"sentences": sentences, "moved": []}
-        held = lock.require(browser)
-        try:
-            return change(opened, content) | {"writable": True, "lock": ""}
-        except MgsgraphError:
-            if not held:  # a refused change locks nobody out
-                lock.release(browser)
-            raise
-
+def _asked(opened: Opened, views: Views) -> _Posting:
     def refined(content: Any, _: str) -> Any:
         fixed, clicked = place_of(content.get("reference")), place_of(content)
         match = refine(views.linked, opened.pictures, fixed, clicked)
@@ -246,35 +283,24 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         sections = replies(opened.posterior(), questions_of(content))
         return [{"text": "\n".join(section.sentences), "record": plain(section.numbers)} for section in sections]
 
-    getting: dict[str, Callable[[Request], Any]] = {
-        "/api/state": lambda request: state_record(opened, lock, _browser(request)),
-        "/api/scene": lambda _: scene_record(opened),
-        "/api/map/outlines": lambda _: outlines_record(opened),
-        "/api/map/points": points,
-        "/api/map/relief.png": relief,
-        "/api/map/sigmas": lambda _: opened.once("sigma cells", lambda: sigma_cells(opened)),
-        "/api/map/residuals": lambda request: residual_vectors(opened, request.query_params.get("image", "")),
-        "/api/map/where": where,
-        "/api/select": select,
-        "/api/image": lambda request: views.image_record(_name(request)),
-        "/api/image/tile.png": tile,
-        "/api/image/ground": ground,
-        "/api/point": lambda request: point_sheet(opened, _name(request)),
-        "/api/point/tests": lambda request: tests_of(opened, _name(request)),
-        "/api/point/correlations": lambda request: correlations(opened, _name(request)),
-        "/api/chip.png": picture,
-        "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
-        "/api/map/figure": figure,
-    }
-    posting: dict[str, Callable[[Any, str], Any]] = {
-        "/api/changes": changed,
-        "/api/refine": refined,
-        "/api/questions": answers,
-    }
-    return [
-        *(Route(path, _got(answer)) for path, answer in getting.items()),
-        *(Route(path, _posted(answer), methods=["POST"]) for path, answer in posting.items()),
-    ]
+    return {"/api/refine": refined, "/api/questions": answers}
+
+
+def _changing(opened: Opened, lock: EditLock) -> _Posting:
+    def changed(content: Any, browser: str) -> Any:
+        if content.get("kind") == "take over":
+            lock.take(browser)
+            sentences = ["This browser changes the project now."]
+            return state_record(opened, lock, browser) | {"sentences": sentences, "moved": []}
+        held = lock.require(browser)
+        try:
+            return change(opened, content) | {"writable": True, "lock": ""}
+        except MgsgraphError:
+            if not held:  # a refused change locks nobody out
+                lock.release(browser)
+            raise
+
+    return {"/api/changes": changed}
 
 
 _Endpoint = Callable[[Request], Awaitable[Response]]

@@ -398,7 +398,7 @@ def test_points_of_any_name_can_be_opened(browser: Any, solved: Path, tmp_path: 
             assert known.json(f"/api/image/ground?{asked}&line=5&sample=5")["others"] is not None
             assert known.json(f"/api/map/residuals?image={quote(image.name, safe='')}")["image"] == image.name
         seen = Page(browser, running)
-        seen.show("3")
+        seen.show("point")
         for name in NAMES:
             seen.run("name => studio.select(name)", name)
             seen.until("name => document.querySelector('#point h2')?.textContent.startsWith(`${name}: `)", name)

@@ -24,7 +24,7 @@ class Images(Page):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        self.show("2")
+        self.show("images")
         self.run("window.view = document.getElementById('images').view")
         self.until("view.panes.length === 2 && view.panes[1].image && view.link && view.mapping(view.panes[1])")
         self.until("view.panes.every(one => one.layer && one.layer.complete)")

@@ -65,8 +65,8 @@ def test_every_panel_fits(page: Callable[..., Page], width: int, scheme: str) ->
     name = seen.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
     seen.run("name => studio.select(name)", name)
     wider = f"[...document.querySelectorAll('body *')].filter(one => one.getBoundingClientRect().right > {width} + 1)"
-    for k, panel in enumerate(PANELS):
-        seen.show(str(k + 1))
+    for panel in PANELS:
+        seen.show(panel)
         seen.tab.wait_for_timeout(400)
         found = seen.run(f"{wider}.filter(one => !one.closest('.scroll')).map(one => one.outerHTML.slice(0, 90))")
         assert seen.run("document.documentElement.scrollWidth") <= width, (panel, found)
@@ -98,7 +98,7 @@ def test_the_map_by_keys(page: Callable[..., Page]) -> None:
     assert seen.tab.locator(".names button").count() == total
     seen.tab.keyboard.press("c")
     assert seen.run("studio.selection") != ""
-    seen.show("3")
+    seen.show("point")
     seen.tab.wait_for_selector("#point h2")
     assert seen.run("studio.selection") in seen.tab.locator("#point h2").inner_text()
     seen.run("document.activeElement.blur()")
@@ -144,8 +144,8 @@ def test_names_with_html_do_nothing(browser: Any, tmp_path: Path) -> None:
     with studio(tmp_path / "project") as running:
         seen = Page(browser, running)
         seen.run("studio.request('/api/select?value=sigma').then(one => studio.select(one.names[0]))")
-        for k in range(len(PANELS)):
-            seen.show(str(k + 1))
+        for panel in PANELS:
+            seen.show(panel)
             seen.tab.wait_for_timeout(300)
         assert seen.run("window.trapped") is None
         assert TRAP in seen.tab.locator("h1").inner_text()
@@ -196,7 +196,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
     rng = np.random.default_rng()
     with studio(folder) as running:
         seen = Page(browser, running, width=1600)
-        seen.show("2")
+        seen.show("images")
         seen.until("document.getElementById('images').view.panes.length === 2")
         view = "document.getElementById('images').view"
         for k, (first, _) in enumerate(given.values()):  # around places that the ties show
@@ -216,11 +216,11 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
             seen.tab.wait_for_timeout(500)
             seen.tab.get_by_role("button", name="Store").click()
             seen.until(f"studio.last?.point === 'moc-{k + 1}'")
-        seen.show("3")
+        seen.show("point")
         seen.run("studio.select('moc-3')")
         seen.tab.get_by_role("button", name="Reject").last.click()
         seen.until("studio.last.kind === 'reject'")
-        seen.show("4")
+        seen.show("questions")
         seen.tab.fill("#questions input[type=text]", "moc-1, moc-2")
         seen.tab.get_by_role("button", name="Is the height difference real?").click()
         seen.tab.wait_for_selector("#questions pre")
@@ -350,7 +350,7 @@ def tie(folder: Path) -> str:
 
 def show(seen: Page, point: str) -> None:
     """A point's sheet, by its name and Enter."""
-    seen.show("3")
+    seen.show("point")
     seen.tab.fill("#point form.tools input", point)
     seen.tab.keyboard.press("Enter")
     seen.until("name => document.querySelector('#point h2')?.textContent.startsWith(`${name}:`)", point)
@@ -445,7 +445,7 @@ def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder:
 def test_questions_by_keys(seen: Page, tie: str) -> None:
     other = seen.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
     seen.run("names => names.forEach(one => studio.select(one))", [tie, other])
-    seen.show("4")
+    seen.show("questions")
     field = seen.tab.locator("#questions input[type=text]")
     assert field.input_value() == other
     field.fill(f"{tie}, {other}")

@@ -5,13 +5,15 @@ import {App} from './app.js';
 import {make} from './plot.js';
 
 const PANELS = [
-  ['map', 'Map', '1', './map.js'],
-  ['images', 'Images', '2', './images.js'],
-  ['point', 'Point', '3', './sheet.js'],
-  ['questions', 'Questions', '4', './questions.js'],
+  ['start', 'Start', '1', './start.js'],
+  ['map', 'Map', '2', './map.js'],
+  ['images', 'Images', '3', './images.js'],
+  ['lists', 'Lists', '4', './lists.js'],
+  ['point', 'Point', '5', './sheet.js'],
+  ['questions', 'Questions', '6', './questions.js'],
 ];
 const KEYS = [
-  ['1 … 4', 'the four views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
+  ['1 … 6', 'the views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
   ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
@@ -102,7 +104,7 @@ app.addEventListener('changed', about);
 
 build();
 try {
-  const first = show('map');
+  const first = show('start');
   await app.open();
   await first;
 } catch (error) {
