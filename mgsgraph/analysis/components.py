@@ -109,11 +109,12 @@ class Component(Record):
 
     def interval(self, probability: float = SURE) -> tuple[float, float]:
         """Within which the factor lies, by the chi-square distribution; NaN where it can't be judged."""
-        from scipy.stats import chi2  # slow to import
+        from scipy.special import gammaincinv  # slow to import
 
         if self.judgement is not Judgement.JUDGED:
             return math.nan, math.nan
-        low, high = chi2.ppf([0.5 - 0.5 * probability, 0.5 + 0.5 * probability], self.degrees)
+        sides = [0.5 - 0.5 * probability, 0.5 + 0.5 * probability]
+        low, high = 2.0 * gammaincinv(0.5 * self.degrees, sides)
         return self.factor * math.sqrt(self.degrees / high), self.factor * math.sqrt(self.degrees / low)
 
     def deviation(self, truth: float) -> float:

@@ -168,9 +168,9 @@ class ErrorEllipsoid(Record):
 
 def chi_square_radius(probability: float, dimension: int) -> float:
     """Sigmas from the centre within which a normal vector lies with a probability."""
-    from scipy.stats import chi2  # slow to import
+    from scipy.special import gammaincinv  # slow to import
 
-    return math.sqrt(float(chi2.ppf(probability, dimension)))
+    return math.sqrt(float(2.0 * gammaincinv(0.5 * dimension, probability)))
 
 
 def error_ellipsoid(covariance: Array, probability: float) -> ErrorEllipsoid:

@@ -61,13 +61,13 @@ class GroupTest(Record):
         With errors k times larger the residuals have the covariance C + (k^2 - 1) C^2.
         """
         from scipy.optimize import brentq  # slow to import
-        from scipy.stats import chi2
+        from scipy.special import chdtri
 
         if not self.tested:
             return math.inf
         if self.weights.size == 1:
             freedom, share = self.redundancy / self.weights[0], float(self.weights[0])
-            ratio = float(chi2.isf(level, freedom) / chi2.isf(power, freedom))
+            ratio = float(chdtri(freedom, level) / chdtri(freedom, power))
             return math.sqrt(1.0 + max(ratio - 1.0, 0.0) / share)
         mean = float(self.weights.sum())
         critical = brentq(lambda value: quadratic_tail(value, self.weights) - level, mean, 1e3 * mean)
@@ -135,14 +135,14 @@ def numbers_of_groups(rows: ResidualRows, grouping: Grouping) -> tuple[Index, li
 
 def _tail(rows: ResidualRows, members: Index, redundancy: float, total: float) -> tuple[float, Array]:
     """Probability of so large a sum of squares of some rows, or of a larger one; `GroupTest.weights`."""
-    from scipy.stats import chi2  # slow to import
+    from scipy.special import chdtrc  # slow to import
 
     if members.size <= _MOST_ROWS and redundancy < _EXACT:
         weights = np.linalg.eigvalsh(rows.variance(members, np.eye(members.size)))
         weights = weights[weights > 1e-9 * weights.max()]
         return quadratic_tail(total, weights), weights
     factor = _square_of_covariance(rows, members, redundancy) / redundancy
-    return float(chi2.sf(total / factor, redundancy / factor)), np.array([factor])
+    return float(chdtrc(redundancy / factor, total / factor)), np.array([factor])
 
 
 def _square_of_covariance(rows: ResidualRows, members: Index, redundancy: float) -> float:
@@ -165,11 +165,10 @@ def quadratic_tail(value: float, weights: Array) -> float:
     """Probability that a sum of squares of independent standard normal variables with weights (n,), of either sign,
     exceeds a value: the saddlepoint formula of Lugannani & Rice.
     """
-    from scipy.special import ndtr  # slow to import
-    from scipy.stats import chi2
+    from scipy.special import chdtrc, ndtr  # slow to import
 
     if np.ptp(weights) <= 1e-9 * np.abs(weights).max():
-        return float(chi2.sf(value / weights[0], weights.size) if weights[0] > 0.0 else 1.0)
+        return float(chdtrc(weights.size, max(value, 0.0) / weights[0]) if weights[0] > 0.0 else 1.0)
     mean, spread = float(weights.sum()), math.sqrt(2.0 * float(weights @ weights))
     if abs(value - mean) < 1e-3 * spread:  # between the two sides, where the formula is 0 / 0
         low, high = (quadratic_tail(mean + side * 2e-3 * spread, weights) for side in (-1.0, 1.0))

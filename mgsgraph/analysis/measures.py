@@ -58,11 +58,11 @@ class Levels(Record):
 
     def critical_squares(self, dimensions: int) -> float:
         """Critical value of a test of several dimensions, distributed as chi-square; `critical` squared for one."""
-        from scipy.stats import ncx2
+        from scipy.special import chndtrix
 
         if dimensions == 1:
             return self.critical**2
-        return float(ncx2.ppf(1.0 - self.power, dimensions, self.shift**2))
+        return float(chndtrix(1.0 - self.power, dimensions, self.shift**2))
 
 
 class MeasureKind(IntEnum):

@@ -389,12 +389,12 @@ def where_passes_differ(
     """With strengths of each pass where the restricted likelihood asks for them: where twice its logarithm rises by
     more than noise lets it, which is a chi-square variable at most; `steps` (p,) lead to the largest density.
     """
-    from scipy.stats import chi2  # slow to import
+    from scipy.special import chdtri  # slow to import
 
     wide, each, of = evidence.by_pass(sought)
     best = wide.maximum()
     gain = 2.0 * (wide.logarithm(best) - wide.logarithm(steps[of]))
-    if gain <= float(chi2.ppf(_RANGE, len(each) - len(sought))):
+    if gain <= float(chdtri(len(each) - len(sought), 1.0 - _RANGE)):
         return evidence, sought, steps
     return wide, each, best
 

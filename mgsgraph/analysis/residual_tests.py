@@ -118,15 +118,14 @@ class ResidualStatistics(Record):
 
     def quantiles(self) -> QuantilePlot:
         """Quantile plot of at most `_MARKS` places."""
-        from scipy.special import ndtri  # slow to import
-        from scipy.stats import beta
+        from scipy.special import betaincinv, ndtri  # slow to import
 
         n = self.values.size
         ranks = np.unique(np.round(np.linspace(0, max(n - 1, 0), min(n, _MARKS))).astype(np.int64))
         share = (ranks + 0.5) / max(n, 1)
         worth = max(self.effective, 1.0)
         # an order statistic of `worth` independent uniform numbers
-        low, high = (beta.ppf(side, worth * share + 0.5, worth * (1.0 - share) + 0.5) for side in (0.025, 0.975))
+        low, high = (betaincinv(worth * share + 0.5, worth * (1.0 - share) + 0.5, side) for side in (0.025, 0.975))
         return QuantilePlot(ndtri(share), self.values[ranks], ndtri(low), ndtri(high))
 
     def _moment(self, order: int) -> float:

@@ -420,9 +420,12 @@ def _arrow(values: Sequence[Any] | np.ndarray) -> pa.Array:
         return values.arrow
     if isinstance(values, pa.Array):
         return values
-    if not isinstance(values, np.ndarray):
-        return pa.array(list(values), type=pa.large_string())
-    return pa.array(np.ascontiguousarray(values), mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
+        return Names.of(list(values)).arrow
+    # by its buffers, as in `names`: `pyarrow.array` would load pandas
+    known = pa.py_buffer(np.packbits(np.isfinite(values), bitorder="little")) if values.dtype.kind == "f" else None
+    numbers = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else np.ascontiguousarray(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), values.size, [known, pa.py_buffer(numbers)])
 
 
 def _is_number(text: str) -> bool:
