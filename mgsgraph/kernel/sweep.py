@@ -241,11 +241,13 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_threads.cache_clear)  # threads don't come along
 
 
-def with_frozen_terrain(rows: Rows) -> Rows:
-    """The rows with a terrain model that is read-only, as the network's is: the kernel is compiled for that alone."""
+def as_compiled(rows: Rows) -> Rows:
+    """The rows as the kernel is compiled for, which takes most of a minute: a terrain model that is read-only, as the
+    network's is, and weights in C order.
+    """
     terrain = rows.terrain.view()
     terrain.flags.writeable = False
-    return rows._replace(terrain=terrain)
+    return rows._replace(terrain=terrain, weight=writable(rows.weight))
 
 
 def writable(values: NDArray[Any]) -> NDArray[Any]:
@@ -283,7 +285,7 @@ def sweep_all(
     values = np.empty((0, 0, 0)) if values is None else values
     none = np.empty(0) if joint is None else writable(joint)
     x, points = writable(x), writable(points)
-    rows = with_frozen_terrain(rows)
+    rows = as_compiled(rows)
 
     def zeros() -> tuple[Array, Array]:
         return np.zeros(target.size) if with_matrix else none, np.zeros(target.columns) if with_gradient else none

@@ -3,7 +3,7 @@ and that the kernel is compiled for one signature.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -174,8 +174,8 @@ def test_a_saddle_is_not_taken_for_the_minimum() -> None:
 
 
 def test_the_kernel_is_compiled_for_one_signature() -> None:
-    """Terrain or none, held images, blunder passes, a whole width, read-only arrays: another signature,
-    another minute.
+    """Terrain or none, held images, blunder passes, a whole width, arrays that are read-only or in another order:
+    another signature, another minute.
     """
     before = len(sweep.signatures)
     assert before <= 1
@@ -185,4 +185,6 @@ def test_the_kernel_is_compiled_for_one_signature() -> None:
         still = np.zeros(layout.columns)
         still.flags.writeable = False
         BundleGraph(layout).reduction(still)
+        turned = layout.rows._replace(weight=np.asfortranarray(layout.rows.weight))
+        BundleGraph(replace(layout, rows=turned)).reduction(still)
     assert len(sweep.signatures) == 1
