@@ -9,8 +9,9 @@ from starlette.responses import Response
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.studio.map_points import map_points, shaded_relief
-from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.map_graticule import graticule
+from mgsgraph.studio.map_images import MapImages
+from mgsgraph.studio.map_points import map_points, pixels_of
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
 _MATPLOTLIB = Lock()
 """All threads share matplotlib's settings."""
-LAYERS = ("footprints", "points", "ellipses", "moved", "relief")
+LAYERS = ("footprints", "points", "ellipses", "moved", "images", "relief", "graticule")
 """Layers of the map that a figure has."""
 _SIGNED = "moved_up"
 _STEP = 5
@@ -45,14 +46,15 @@ def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
 
 
 def map_figure(
-    opened: Opened, box: Array, size: tuple[float, float], value: str, kinds: Mask, layers: Collection[str],
-    factor: float = 0.0,
+    images: MapImages, box: Array, size: tuple[float, float], value: str, kinds: Mask, layers: Collection[str],
+    factor: float = 0.0, top: str = "",
 ) -> "Sheet":
     """A window of the map as a figure.
 
     Parameters
     ----------
-    opened : Opened
+    images : MapImages
+        Of the block.
     box : (4,)
         x and y, low and high, m on the map.
     size : tuple of float
@@ -65,6 +67,8 @@ def map_figure(
         Those of `LAYERS` that are drawn; others are left out.
     factor : float, optional
         Enlargement of ellipses and corrections; 0 chooses a round one.
+    top : str, optional
+        Image that lies on the others.
 
     Raises
     ------
@@ -77,6 +81,7 @@ def map_figure(
         raise InputError("figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
     if factor < 0.0:
         raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
+    opened = images.opened
     points = map_points(opened)
     record = points.window(box, size, value, kinds)
     classes_and_ellipses: tuple[Index | None, Array | None] = None, None
@@ -90,13 +95,14 @@ def map_figure(
     if value == _SIGNED:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     names = [image.name for image in opened.block().images]
-    shaded = opened.block().terrain is not None and "relief" in layers
+    ground = images.picture(box, pixels_of(size)[::-1], layers, top) / 255.0
+    lines = [(line["label"], np.array(line["places"])) for line in graticule(opened, box)]
     return window_sheet(MapWindow(
         opened.now.name, opened.centre, box,
         dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
         places, values if "points" in layers else np.full_like(values, np.nan), (record["title"], record["unit"]),
         (low, high), record["count"], *classes_and_ellipses, moved if "moved" in layers else None,
-        shaded_relief(opened, box, size) if shaded else None, factor,
+        ground if np.any(np.isfinite(ground)) else None, factor, lines if "graticule" in layers else (),
     ))  # fmt: skip
 
 

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.places import SigmaGrid, sigma_grid
@@ -19,7 +18,6 @@ from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
-from mgsgraph.studio.tiles import png
 
 MOST_POINTS = 4000
 """Most points of a window that are sent singly; above that, cells."""
@@ -207,14 +205,6 @@ _STEP = 1.0
 """m, of the difference quotient of an image's places by the ground."""
 
 
-def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
-    """`shaded_relief` as a picture, transparent outside the model."""
-    light = shaded_relief(opened, box, size)
-    covered = np.isfinite(light)
-    grey = np.where(covered, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
-    return png(Image.merge("LA", [Image.fromarray(grey), Image.fromarray(covered.astype(np.uint8) * 255)]))
-
-
 def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Array:
     """Light (rows, columns), 0 to 1, on the terrain model in a box (4,) of x and y, low and high, in m on the map, from
     the north downwards; NaN outside the model.
@@ -227,7 +217,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     terrain = opened.block().terrain
     if terrain is None:
         raise InputError(str(opened.path), "no terrain model", "a block whose case names one")
-    columns, rows = _pixels(size)
+    columns, rows = pixels_of(size)
     x = box[0] + (np.arange(columns) + 0.5) * (box[2] - box[0]) / columns
     y = box[3] - (np.arange(rows) + 0.5) * (box[3] - box[1]) / rows
     plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -237,7 +227,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     return np.asarray(np.clip(normal @ _SUN / np.linalg.norm(normal, axis=-1), 0.0, 1.0))
 
 
-def _pixels(size: tuple[float, float]) -> tuple[int, int]:
+def pixels_of(size: tuple[float, float]) -> tuple[int, int]:
     """Columns and rows of a picture for a window of so many CSS pixels."""
     share = min(1.0, _MOST_PIXELS / max(*size, 1.0))
     return max(int(size[0] * share), 2), max(int(size[1] * share), 2)

@@ -85,10 +85,12 @@ class MapWindow:
     """(n, 2, 2) m^2, east and north, for ellipses; None for none."""
     moved: Array | None
     """(n, 2) m, corrections east and north; None for none."""
-    relief: Array | None
-    """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
+    ground: Array | None
+    """(rows, columns) grey values of the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
+    graticule: Sequence[tuple[str, Array]] = ()
+    """Label and places (k, 2) of each meridian and parallel."""
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
@@ -212,12 +214,17 @@ def window_sheet(window: MapWindow) -> Sheet:
     sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(window, factors), band=0.0)
     panel: Axes = sheet.panels()[0, 0]
     map_axes(panel, low, high, window.centre)
-    if window.relief is not None:
+    if window.ground is not None:
         x0, y0, x1, y1 = (window.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(window.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1,
+            np.ma.masked_invalid(window.ground), extent=(x0, x1, y0, y1), cmap="gray", vmin=0.0, vmax=1.0, zorder=1,
             aspect=panel.get_aspect(),
         )
+    for label, line in window.graticule:
+        panel.plot(*(line / KM).T, color=SOFT, lw=0.5, zorder=1.5, scalex=False, scaley=False)
+        inside = line[np.all((line / KM > low) & (line / KM < high), axis=1)] / KM
+        if len(inside):
+            panel.annotate(label, inside[0], xytext=(2, 2), textcoords="offset points", size=6.5, zorder=8)
     named = _draw_outlines(panel, window.outlines, low, high)
     norm, cmap = Normalize(*window.scale), "coolwarm" if window.scale[0] == -window.scale[1] else "viridis"
     handles = _draw_points(panel, window, norm, cmap)
@@ -355,8 +362,10 @@ def _caption(window: MapWindow, factors: Sequence[float]) -> str:
         if values is not None:
             count = many(_drawn_rows(window, values).size, "cell" if window.classes is None else "point")
             sentences.append(f"{marks} of {count}, {factor:g} times true size.")
-    if window.relief is not None:
-        sentences.append("Shaded relief of the terrain model, light from the north-west.")
+    if window.ground is not None:
+        sentences.append("In gray, orthorectified images or shaded relief (light from the north-west).")
+    if window.graticule:
+        sentences.append("Lines: longitude and planetocentric latitude.")
     if _is_long(window.box[2:] - window.box[:2]):
         sentences.append("The map has two scales; ellipses and arrows take that of its longer side.")
     return " ".join(sentences)
