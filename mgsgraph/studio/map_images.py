@@ -74,16 +74,17 @@ class MapImages:
         names = [self._block.images[j].name for j in self._order("")]
         return {"names": names, "count": len(self._block.images), "unreadable": list(self._unreadable.values())}
 
-    def tile(self, level: int, row: int, column: int, layers: Collection[str], top: str) -> bytes:
-        """A tile as PNG, transparent where nothing is shown; as `picture`.
+    def tile(self, place: tuple[int, int, int], layers: Collection[str], top: str) -> bytes:
+        """A tile of a level, row and column as PNG, transparent where nothing is shown; otherwise as `picture`.
 
         Raises
         ------
         InputError
             No such level, or a place far beyond the body.
         """
+        level, row, column = place
         require(level in _LEVELS, "tile of the map", f"level {level}", f"{_LEVELS[0]} to {_LEVELS[-1]}")
-        key = level, row, column, "images" in layers, "relief" in layers, top
+        key = *place, "images" in layers, "relief" in layers, top
         data = self._made.get(key)
         if data is None:
             box = np.array([column, row, column + 1, row + 1]) * SIDE * 2.0**level
@@ -96,9 +97,9 @@ class MapImages:
         return data
 
     def picture(self, box: Array, shape: tuple[int, int], layers: Collection[str], top: str = "") -> Array:
-        """Grey values (rows, columns), 0 to 255, from the north downwards, of a box (4,) of x and y, low and high, in m on
-        the map; NaN where nothing is shown. Layers: images, and relief where there are none; the image `top` lies on
-        the others, of which the finest is shown.
+        """Grey values (rows, columns), 0 to 255, from the north downwards, of a box (4,) of x and y, low and high, in m
+        on the map; NaN where nothing is shown. Layers: images, and relief where there are none; the image `top` lies
+        on the others, of which the finest is shown.
         """
         grey = np.full(shape, np.nan)
         for image in self._order(top) if "images" in layers else []:
@@ -128,7 +129,7 @@ class MapImages:
             return
         record, gsd = self._block.images[image], self._sizes[image]
         step = float(np.clip(0.5 * min(record.lines, record.samples) * gsd / pixel.max(), 1.0, _STEP))
-        places = self.projections(image, box, pixel, cells + 0.5, step)
+        places = self.projections(image, box, pixel, np.asarray(cells, dtype=np.float64) + 0.5, step)
         picture = self._tiles.picture(record.name)
         level = int(np.clip(np.log2(pixel.max() / gsd), 0, picture.levels - 1))
         places /= 2.0**level
@@ -153,11 +154,11 @@ class MapImages:
         corners = np.array([[box[3] - north, west - box[0]], [box[3] - south, east - box[0]]])
         corners *= grey.shape / (box[2:] - box[:2])[::-1]
         (top, left), (bottom, right) = np.clip([np.floor(corners[0]), np.ceil(corners[1])], 0, grey.shape).astype(int)
-        return np.argwhere(np.isnan(grey[top:bottom, left:right])) + [top, left]
+        return np.argwhere(np.isnan(grey[top:bottom, left:right])) + np.array([top, left])
 
     def projections(self, image: int, box: Array, pixel: Array, at: Array, step: float = _STEP) -> Array:
-        """(n, 2) line and sample in an image of rows and columns (n, 2), in pixels from the north-west of a box: exact at
-        nodes of a grid, `step` pixels from one to the next, bilinear between.
+        """(n, 2) line and sample in an image of rows and columns (n, 2), in pixels from the north-west of a box: exact
+        at nodes of a grid, `step` pixels from one to the next, bilinear between.
         """
         first, counts = at.min(axis=0), np.maximum(np.ceil(np.ptp(at, axis=0) / step).astype(int), 1) + 1
         nodes = np.stack(np.meshgrid(*(np.arange(count) * step for count in counts), indexing="ij"), axis=-1) + first

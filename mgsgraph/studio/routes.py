@@ -192,13 +192,13 @@ def _map(opened: Opened, views: Views) -> _Getting:
         return map_points(opened).window(_box(query), _size(query), query.get("value", "sigma"), _kinds(query))
 
     def images() -> MapImages:
-        tiles = views.linked and views.tiles  # linking finds the pictures
-        return opened.once("map images", lambda: MapImages(opened, tiles))
+        _ = views.linked  # which finds the pictures
+        return opened.once("map images", lambda: MapImages(opened, views.tiles))
 
     def tile(request: Request) -> Any:
         query = request.query_params
-        place = (int(number_of(query, key)) for key in ("level", "row", "column"))
-        return _png(images().tile(*place, text_of(query, "layers").split(","), text_of(query, "top")), 0)
+        level, row, column = (int(number_of(query, key)) for key in ("level", "row", "column"))
+        return _png(images().tile((level, row, column), text_of(query, "layers").split(","), text_of(query, "top")), 0)
 
     def between(request: Request) -> Any:
         query = request.query_params
