@@ -22,8 +22,6 @@ _MATPLOTLIB = Lock()
 LAYERS = ("footprints", "points", "ellipses", "moved", "images", "relief", "graticule")
 """Layers of the map that a figure has."""
 _SIGNED = "moved_up"
-_STEP = 5
-"""Of so many columns and rows of cells one has its correction drawn."""
 
 
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
@@ -111,8 +109,5 @@ def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
     rows, columns, cells = record["rows"], record["columns"], np.array(record["cells"], dtype=np.int64)
     values = np.full(rows * columns, np.nan)
     values[cells] = np.array(record["values"], dtype=np.float64)
-    row, column = np.divmod(cells, columns)
-    is_drawn = (row % _STEP == _STEP // 2) & (column % _STEP == _STEP // 2)
-    box = np.array(record["box"])
-    places = box[:2] + (np.column_stack([column, row])[is_drawn] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
-    return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[is_drawn]
+    places, moved = np.array(record["places"]).reshape(-1, 2), np.array(record["moved"], dtype=np.float64)
+    return places, values.reshape(rows, columns), moved.reshape(2, -1).T

@@ -27,16 +27,16 @@ def distance(opened: Opened, names: tuple[str, str], plane: Array) -> dict[str, 
         found = (alone or opened.posterior()).difference(*names)
         return {
             "distance_m": found.distance, "sigma_m": found.distance_sigma, "height_m": found.height,
-            "height_sigma_m": found.height_sigma, "sentence": found.sentence,
+            "height_sigma_m": found.height_sigma,
+            "sentence": f"Distance {found.distance:.6g} m, sigma {found.distance_sigma:.2g} m. {found.sentence}.",
         }  # fmt: skip
     block = opened.block()
     places = ground_at(opened, plane)
     places[[bool(name) for name in names]] = block.places[points]
     ground = "the terrain model" if block.terrain is not None else "the ellipsoid at the median height of the points"
-    no_sigma = f"A free place lies on {ground} and has no sigma, so that only the distance can be stated."
-    if len(points) == len(names):
-        no_sigma = "Nothing has been adjusted: there is no sigma."
-    return {"distance_m": float(np.linalg.norm(places[1] - places[0])), "sentence": no_sigma}
+    reason = "nothing has been adjusted" if len(points) == len(names) else f"a free place on {ground} has none"
+    length = float(np.linalg.norm(places[1] - places[0]))
+    return {"distance_m": length, "sentence": f"Distance {length:.5g} m, without a sigma: {reason}."}
 
 
 def _number(opened: Opened, name: str) -> int:

@@ -10,7 +10,7 @@ from mgsgraph.studio.map_points import longitude_latitude
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
 
-_WANTED = 5
+_WANTED = 8
 """Most steps between meridians, and between parallels, in a window."""
 _STEPS = np.array([*(k * 10.0**p for p in range(-7, 1) for k in (1, 2, 5)), 10.0, 15.0, 30.0, 45.0, 90.0])
 """deg."""

@@ -24,6 +24,8 @@ MOST_POINTS = 4000
 _CELL = 7.0
 """CSS pixels, side of a cell."""
 _MOST_CELLS = 60_000
+_ARROWS = 5
+"""Of so many columns and rows of cells one has its correction."""
 _MAP_WORDS = "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
 _MOST_OUTLINES, _FEW_PLACES = 3000, 5
 """Most images with full outlines; above that, vertices of each outline."""
@@ -66,17 +68,21 @@ class MapPoints:
         frames = self.frames()
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
-    def frames(self, chosen: Index | None = None) -> Array:
+    def frames(self, chosen: Index | slice = slice(None)) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
-        places = self.block.places if chosen is None else self.block.places[chosen]
+        places = self.block.places[chosen]
         return east_north_up(np.where(np.isfinite(places), places, 1.0))
 
     @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, adjusted minus before; NaN without a place before."""
+        return self.moved_of(slice(None))
+
+    def moved_of(self, chosen: Index | slice) -> Array:
+        """(m, 3) the same of some points (m,)."""
         stored = self.opened.now.before
         before = self.block.network.points.places if stored is None else stored
-        return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
+        return np.asarray(np.einsum("nij,nj->ni", self.frames(chosen), self.block.places[chosen] - before[chosen]))
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
@@ -158,12 +164,15 @@ class MapPoints:
         place = np.minimum(((self.plane[chosen] - box[:2]) / cell_size).astype(np.int64), [columns - 1, rows - 1])
         cell, total = place[:, 1] * columns + place[:, 0], columns * rows
         point_counts, cell_medians = counts(cell, total), medians(values[chosen], cell, total)
-        arrows = [medians(self.moved[chosen, k], cell, total) for k in range(2)]
-        filled = np.flatnonzero(point_counts)
+        filled, has_arrow = np.flatnonzero(point_counts), np.all(place % _ARROWS == _ARROWS // 2, axis=1)
+        moved = self.moved_of(chosen[has_arrow])
+        arrows = np.array([medians(moved[:, k], cell[has_arrow], total) for k in range(2)])
+        arrowed = np.flatnonzero(np.all(np.isfinite(arrows), axis=0))
+        middles = box[:2] + (np.column_stack([arrowed % columns, arrowed // columns]) + 0.5) * cell_size
         return {
             "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": filled.tolist(),
             "numbers": point_counts[filled].tolist(), "values": digits(cell_medians[filled]),
-            "moved": [digits(arrow[filled]) for arrow in arrows],
+            "places": middles.tolist(), "moved": arrows[:, arrowed].tolist(),
         }  # fmt: skip
 
     # --- selections

@@ -210,9 +210,9 @@ export class MapPanel {
     this.classBox.querySelectorAll('label').forEach(one => one.remove());
     for (const {name, count} of scene.classes.filter(one => one.count))
       this.classBox.append(this.check(`${name} (${count})`, true, on => { on ? this.hidden.delete(name) : this.hidden.add(name); }));
-    this.allow('relief', scene.terrain, 'No terrain model.', true);
-    this.allow('images', pictured, 'No image has pixels.', pictured <= MOST_IMAGES);
-    for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'Nothing has been adjusted.', false);
+    this.allow('relief', scene.terrain, 'no terrain model', true);
+    this.allow('images', pictured, 'no image has pixels', pictured <= MOST_IMAGES);
+    for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet', false);
     this.words.textContent = `Map in ${scene.map.frame}.`;
     this.fit();
     if (this.view && this.drawn === null) this.whole();
@@ -222,9 +222,9 @@ export class MapPanel {
 
   // A layer that can't be shown is disabled, and says why
   allow(key, possible, reason, on) {
-    const box = document.getElementById(`layer-${key}`);
+    const box = document.getElementById(`layer-${key}`), [, words] = LAYERS.find(([one]) => one === key);
     Object.assign(box, {disabled: !possible, checked: Boolean(possible && on)});
-    box.parentElement.title = possible ? '' : reason;
+    box.nextSibling.textContent = possible ? words : `${words} (${reason})`;
     this.shown[key] = box.checked;
   }
 
@@ -289,7 +289,8 @@ export class MapPanel {
     const first = !this.outlines;
     await this.read('outlines', '/api/map/outlines');
     this.outlines = this.layers.outlines?.outlines_m;
-    if (first && this.view && !this.touchedOnce) this.whole();
+    const [x0, y0, x1, y1] = this.view ? this.box() : [0, 0, 0, 0], isOut = ([x, y]) => x < x0 || y < y0 || x > x1 || y > y1;
+    if (first && !this.touchedOnce && this.outlines?.flat().some(isOut)) this.whole();
     else this.render();
     this.element.dataset.outlines = 'true';
   }

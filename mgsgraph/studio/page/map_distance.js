@@ -25,10 +25,9 @@ export class MapDistance {
     const [from, to] = this.ends, asked = new URLSearchParams({from: from.name, to: to.name, x0: from.x, y0: from.y, x1: to.x, y1: to.y});
     this.words.textContent = 'Computing the distance …';
     try {
-      const {distance_m: length, sigma_m: sigma, height_m: height, height_sigma_m: up, sentence} = await this.map.app.request(`/api/map/distance?${asked}`);
-      const sizes = sigma === undefined ? `${short(length, 5)} m` : `${short(length, 7)} ± ${short(sigma, 2)} m, height difference ${short(height, 5)} ± ${short(up, 2)} m`;
-      this.words.textContent = `Distance ${from.name || 'free place'} – ${to.name || 'free place'}: ${sizes}. ${sentence}`;
-      to.words = `${short(length, 5)} m`;
+      const found = await this.map.app.request(`/api/map/distance?${asked}`);
+      this.words.textContent = `${from.name || 'Free place'} – ${to.name || 'free place'}: ${found.sentence}`;
+      to.words = `${short(found.distance_m, 5)} m`;
     } catch (error) {
       this.words.textContent = error.message;
     }

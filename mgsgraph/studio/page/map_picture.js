@@ -20,7 +20,10 @@ export class MapPicture {
     if (shown.footprints && outlines) this.drawOutlines(pen, outlines);
     if (shown.points && points) single ? this.drawMarks(pen, points) : this.drawCells(pen, points);
     if (shown.ellipses && single) this.drawEllipses(pen, points);
-    if (shown.moved && points) this.factors.moved = this.drawMoved({...pen, ink: pen.strong}, points, single);
+    if (shown.moved && points) {
+      const places = points.places || points.x.map((one, k) => [one, points.y[k]]), [east, north] = points.moved;
+      this.factors.moved = this.arrows({...pen, ink: pen.strong}, places, east.map((one, k) => [one, north[k]]));
+    }
     if (shown.residuals && layers.residuals) this.factors.residuals = this.arrows(pen, layers.residuals.places, layers.residuals.vectors, 30);
     if (shown.changes && app.last?.moved) this.drawChange({...pen, ink: pen.moved}, app.last.moved.filter(one => one.map_m));
     if (shown.candidates && candidates) this.drawCandidates(pen, candidates.filter(one => one.map_m));
@@ -100,14 +103,6 @@ export class MapPicture {
       trace(context, [from, to, side(-0.5), to, side(0.5)]);
     });
     return factor;
-  }
-
-  drawMoved(pen, {moved: [east, north], x, y, columns, rows, box, cells}, single) {
-    if (single) return this.arrows(pen, x.map((one, k) => [one, y[k]]), east.map((one, k) => [one, north[k]]));
-    const wide = (box[2] - box[0]) / columns, high = (box[3] - box[1]) / rows, row = cell => Math.floor(cell / columns);
-    const chosen = [...cells.keys()].filter(k => cells[k] % columns % 5 === 2 && row(cells[k]) % 5 === 2);
-    const places = chosen.map(k => [box[0] + (cells[k] % columns + 0.5) * wide, box[1] + (row(cells[k]) + 0.5) * high]);
-    return this.arrows(pen, places, chosen.map(k => [east[k], north[k]]));
   }
 
   drawChange(pen, moved) {
