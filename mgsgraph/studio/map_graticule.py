@@ -35,12 +35,11 @@ def graticule(opened: Opened, box: Array) -> list[dict[str, Any]]:
     for pole, end in ((-90.0, low), (90.0, high)):
         place = opened.map_places(np.array([[0.0, 0.0, np.sign(pole) * radius]]))[0]
         if np.all((place >= box[:2]) & (place <= box[2:])):
-            end[1], low[0], high[0] = pole, 0.0, 360.0
+            end[1], low[0], high[0] = pole, 0.0, 359.999
     steps = _STEPS[np.minimum(np.searchsorted(_STEPS, (high - low) / _WANTED), _STEPS.size - 1)]
     lines = []
     for k, step in enumerate(steps.tolist()):
         values = np.arange(np.ceil(low[k] / step), np.floor(high[k] / step) + 0.5) * step
-        values = values[:-1] if high[0] - low[0] == 360.0 and k == 0 else values[np.abs(values) < (90.0, 1e9)[k == 0]]
         vertices = np.linspace(low[1 - k] - steps[1 - k] / 5.0, high[1 - k] + steps[1 - k] / 5.0, _DRAWN)
         for value in values.tolist():
             line = np.insert(np.column_stack([vertices, np.full(_DRAWN, radius)]), k, value, axis=1)

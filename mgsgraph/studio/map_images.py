@@ -5,20 +5,20 @@ Nodes of a grid are projected into the image exactly, with its adjusted orientat
 """
 
 from collections.abc import Collection
-from threading import Lock
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from mgsgraph.errors import InputError, require
-from mgsgraph.geometry.body import geodetic, places_at, surface_radii
+from mgsgraph.geometry.body import places_at, surface_radii
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import between_nodes
 from mgsgraph.studio.map_points import shaded_relief
 from mgsgraph.studio.marks import projected
-from mgsgraph.studio.opened import Block, Opened
+from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.tiles import SIDE, Tiles, png
 
 _LEVELS = range(-12, 25)
@@ -26,8 +26,8 @@ _STEP = 8.0
 """Pixels of a tile from one exact projection to the next; fewer where an image is narrower than twice that."""
 _MARGIN = 0.05
 """By which an image's outline, as a share of its size, may be off: it is drawn for another height of the ground."""
-_MOST_KEPT = 1 << 27
-"""bytes of tiles that are kept."""
+_MOST_KEPT = 2000
+"""Tiles that are kept, up to 64 kB each."""
 
 
 def ground_at(opened: Opened, plane: Array) -> Array:
@@ -37,20 +37,13 @@ def ground_at(opened: Opened, plane: Array) -> Array:
     block = opened.block()
     points = places_at(plane, opened.centre)
     directions = unit_vectors(points)
-    height = opened.once("median height", lambda: _median_height(block))
-    ground = directions * (surface_radii(points, block.images[0].body) + height)[:, None]
+    ground = directions * (surface_radii(points, block.images[0].body) + block.median_height)[:, None]
     if block.terrain is None:
         return ground
     posts = directions * block.terrain.at(points)[:, None]
     moved = block.terrain_motion(np.where(np.isfinite(posts), posts, ground))
     radii = block.terrain.at(posts - moved) + np.einsum("ni,ni->n", moved, directions)
     return np.where(np.isfinite(radii)[:, None], directions * radii[:, None], ground)
-
-
-def _median_height(block: Block) -> float:
-    """Of the points above the ellipsoid, m; 0 without any."""
-    located = block.places[np.all(np.isfinite(block.places), axis=1)]
-    return float(np.median(geodetic(located, block.images[0].body)[:, 2])) if len(located) else 0.0
 
 
 class MapImages:
@@ -67,7 +60,7 @@ class MapImages:
         self.opened, self._tiles, self._block = opened, tiles, opened.block()
         outlines = zip(opened.footprints(), self._block.images, strict=True)
         self._sizes = [_pixel_size(outline, image.lines * image.samples) for outline, image in outlines]
-        self._unreadable, self._made, self._lock = dict[str, str](), dict[tuple[object, ...], bytes](), Lock()
+        self._unreadable, self._kept = dict[str, str](), lru_cache(_MOST_KEPT)(self._encoded)
 
     def record(self) -> dict[str, Any]:
         """Images with pixels, the finest first, number of all, and why some could not be read, as JSON."""
@@ -80,21 +73,17 @@ class MapImages:
         Raises
         ------
         InputError
-            No such level, or a place far beyond the body.
+            No such level.
         """
+        require(place[0] in _LEVELS, "tile of the map", f"level {place[0]}", f"{_LEVELS[0]} to {_LEVELS[-1]}")
+        return self._kept(place, tuple(layer for layer in ("images", "relief") if layer in layers), top)
+
+    def _encoded(self, place: tuple[int, int, int], layers: tuple[str, ...], top: str) -> bytes:
         level, row, column = place
-        require(level in _LEVELS, "tile of the map", f"level {level}", f"{_LEVELS[0]} to {_LEVELS[-1]}")
-        key = *place, "images" in layers, "relief" in layers, top
-        data = self._made.get(key)
-        if data is None:
-            box = np.array([column, row, column + 1, row + 1]) * SIDE * 2.0**level
-            data = _encoded(self.picture(box, (SIDE, SIDE), layers, top))
-        with self._lock:
-            self._made.pop(key, None)
-            self._made[key] = data
-            while sum(map(len, self._made.values())) > _MOST_KEPT:
-                del self._made[next(iter(self._made))]
-        return data
+        box = np.array([column, row, column + 1, row + 1]) * SIDE * 2.0**level
+        grey = self.picture(box, (SIDE, SIDE), layers, top)
+        bands = [np.rint(np.nan_to_num(grey)), 255 * np.isfinite(grey)]
+        return png(Image.merge("LA", [Image.fromarray(band.astype(np.uint8)) for band in bands]))
 
     def picture(self, box: Array, shape: tuple[int, int], layers: Collection[str], top: str = "") -> Array:
         """Grey values (rows, columns), 0 to 255, from the north downwards, of a box (4,) of x and y, low and high, in m
@@ -107,19 +96,15 @@ class MapImages:
                 self._draw(grey, box, image)
             except InputError as error:  # other images are shown all the same
                 self._unreadable[self._block.images[image].name] = str(error)
-            if np.all(np.isfinite(grey)):
-                return grey
         if "relief" in layers and self._block.terrain is not None:
-            pixel = (box[2:] - box[:2]) / shape[::-1]
-            around = np.concatenate([box[:2] - pixel, box[2:] + pixel])
-            light = shaded_relief(self.opened, around, (shape[1] + 2, shape[0] + 2))[1:-1, 1:-1]
+            light = shaded_relief(self.opened, box, (shape[1], shape[0]))
             grey = np.where(np.isfinite(grey), grey, 40.0 + 200.0 * light)
         return grey
 
     def _order(self, top: str) -> list[int]:
         """Images with pixels from the top downwards."""
         images = self._block.images
-        shown = [j for j, image in enumerate(images) if self._tiles.has(image.name)]
+        shown = [j for j in np.flatnonzero(np.isfinite(self._sizes)).tolist() if self._tiles.has(images[j].name)]
         return sorted(shown, key=lambda j: (images[j].name != top, self._sizes[j]))
 
     def _draw(self, grey: Array, box: Array, image: int) -> None:
@@ -147,14 +132,12 @@ class MapImages:
     def _empty(self, grey: Array, box: Array, image: int) -> Index:
         """(k, 2) rows and columns around an image's outline where nothing is yet."""
         outline = self.opened.footprints()[image]
-        if not len(outline):
-            return np.zeros((0, 2), dtype=np.int64)
         margin = _MARGIN * float(np.ptp(outline, axis=0).max())
         (west, south), (east, north) = outline.min(axis=0) - margin, outline.max(axis=0) + margin
         corners = np.array([[box[3] - north, west - box[0]], [box[3] - south, east - box[0]]])
         corners *= grey.shape / (box[2:] - box[:2])[::-1]
         (top, left), (bottom, right) = np.clip([np.floor(corners[0]), np.ceil(corners[1])], 0, grey.shape).astype(int)
-        return np.argwhere(np.isnan(grey[top:bottom, left:right])) + np.array([top, left])
+        return np.asarray(np.argwhere(np.isnan(grey[top:bottom, left:right])) + np.array([top, left]), dtype=np.int64)
 
     def projections(self, image: int, box: Array, pixel: Array, at: Array, step: float = _STEP) -> Array:
         """(n, 2) line and sample in an image of rows and columns (n, 2), in pixels from the north-west of a box: exact
@@ -172,9 +155,3 @@ def _pixel_size(outline: Array, pixels: int) -> float:
     """m, root of a pixel's mean area within an outline (k, 2) in m; infinite for an image that sees no ground."""
     x, y = outline.T
     return float(np.sqrt(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / pixels)) or np.inf
-
-
-def _encoded(grey: Array) -> bytes:
-    covered = np.isfinite(grey)
-    bytes_ = [np.where(covered, grey, 0.0), 255.0 * covered]
-    return png(Image.merge("LA", [Image.fromarray(np.rint(part).astype(np.uint8)) for part in bytes_]))

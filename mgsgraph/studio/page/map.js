@@ -23,20 +23,20 @@ const MOST_IMAGES = 60; // with pixels, that are shown without being asked for
 
 export class MapPanel {
   constructor(app, element) {
-    Object.assign(this, {app, element, shown: {}, layers: {}, view: null, drawn: null, hidden: new Set()});
+    Object.assign(this, {app, element, shown: {}, layers: {}, view: null, drawn: null, pending: null, hidden: new Set()});
     this.picture = new MapPicture(this);
     this.selection = new MapSelection(this);
     this.distance = new MapDistance(this);
     this.frame = new MapFrame(this);
     this.tiles = new MapTiles(this);
-    this.statistics = {frames: 0, draws: 0};
+    this.statistics = {frames: 0};
     this.build();
     app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
     app.addEventListener('renewed', () => { this.layers = {}; this.readOutlines(); this.readImages(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
     app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
-    app.addEventListener('shown', event => { if (event.detail === 'map') { this.fit(); this.ask(); } });
+    app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
     if (app.scene) this.open();
   }
 
@@ -44,10 +44,8 @@ export class MapPanel {
 
   build() {
     const button = (textContent, title, onclick) => make('button', {type: 'button', textContent, title, onclick});
-    const choice = title => make('select', {title, onchange: () => this.ask()});
-    this.value = choice('What points are colored by');
-    this.image = choice('Image whose residuals are drawn');
-    this.top = choice('Where images overlap, this one is shown');
+    [this.value, this.image, this.top] = ['What points are colored by', 'Image whose residuals are drawn', 'Where images overlap, this one is shown']
+      .map(title => make('select', {title, onchange: () => this.ask()}));
     this.factor = make('input', {type: 'number', min: 0.01, step: 'any', value: 0, title: 'Enlargement of vectors and ellipses; 0: by itself', oninput: () => this.render()});
     this.boxing = button('Select in a box', 'Then drag a box; or drag with the Shift key', () => this.toggleBox());
     this.distanceButton = button('Distance', 'Key d: between two points, with sigmas, or free places', () => this.distance.toggle());
@@ -85,21 +83,21 @@ export class MapPanel {
   }
 
   hear() {
-    const {canvas} = this;
+    const {canvas} = this, at = event => [event.offsetX, event.offsetY];
     new ResizeObserver(() => this.fit()).observe(canvas);
     canvas.addEventListener('wheel', event => {
       event.preventDefault();
-      this.zoom(Math.exp(-0.0015 * event.deltaY), this.at(event));
+      this.zoom(Math.exp(-0.0015 * event.deltaY), at(event));
     }, {passive: false});
     let from = null, moved = false;
     canvas.addEventListener('pointerdown', event => {
       if (event.button) return;
       canvas.setPointerCapture(event.pointerId);
-      [from, moved] = [this.at(event), false];
+      [from, moved] = [at(event), false];
       if (event.shiftKey || this.boxMode) this.rubber = [from, from];
     });
     canvas.addEventListener('pointermove', event => {
-      const now = this.at(event);
+      const now = at(event);
       if (!from) return this.point(now);
       moved ||= Math.hypot(now[0] - from[0], now[1] - from[1]) > 3;
       if (this.rubber) this.rubber[1] = now;
@@ -111,16 +109,15 @@ export class MapPanel {
     });
     const release = event => {
       if (!from) return;
-      const {rubber} = this, at = this.at(event);
+      const {rubber} = this;
       from = this.rubber = null;
       if (rubber && moved) {
         const [[x0, y0], [x1, y1]] = rubber.map(one => this.toGround(one));
         this.selection.inside([Math.min(x0, x1), Math.min(y0, y1), Math.max(x0, x1), Math.max(y0, y1)]);
-      } else if (!moved) this.pick(at);
+      } else if (!moved) this.pick(at(event));
       this.draw();
     };
-    canvas.addEventListener('pointerup', release);
-    canvas.addEventListener('pointercancel', release);
+    for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, release);
     canvas.addEventListener('pointerleave', () => { this.hover = null; this.draw(); });
     canvas.addEventListener('keydown', event => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -141,11 +138,6 @@ export class MapPanel {
 
   // --- window: view = {x, y: m in its middle; scale: CSS pixels a metre}
 
-  at(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  }
-
   middle() {
     return [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2];
   }
@@ -160,17 +152,11 @@ export class MapPanel {
   }
 
   fit() {
-    const {canvas} = this, density = window.devicePixelRatio || 1;
-    if (!canvas.clientWidth) return;
-    const size = [Math.round(canvas.clientWidth * density), Math.round(canvas.clientHeight * density)];
-    if (canvas.width === size[0] && canvas.height === size[1] && this.view) return;
-    [canvas.width, canvas.height] = size;
-    if (this.app.scene) this.touchedOnce ? this.ask() : this.whole();
+    if (this.app.scene && this.canvas.clientWidth) this.touchedOnce ? this.ask() : this.whole();
   }
 
   whole() {
     const [w, h] = this.middle().map(one => 1.84 * one);
-    if (!w) return;
     let [x0, y0, x1, y1] = this.app.scene.map.bounds_m;
     for (const [x, y] of (this.outlines || []).flat()) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
     this.touchedOnce = false;
@@ -185,12 +171,10 @@ export class MapPanel {
   }
 
   zoom(factor, about = this.middle()) {
-    const before = this.toGround(about);
-    this.view.scale = Math.min(Math.max(this.view.scale * factor, 1e-7), 1e3);
+    const before = this.toGround(about), {view} = this;
+    view.scale = Math.min(Math.max(view.scale * factor, 1e-7), 1e3);
     const after = this.toGround(about);
-    this.view.x += before[0] - after[0];
-    this.view.y += before[1] - after[1];
-    this.touched();
+    this.move((before[0] - after[0]) * view.scale, (before[1] - after[1]) * view.scale);
   }
 
   touched() {
@@ -215,7 +199,6 @@ export class MapPanel {
     for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet', false);
     this.words.textContent = `Map in ${scene.map.frame}.`;
     this.fit();
-    if (this.view && this.drawn === null) this.whole();
     this.readImages();
     this.readOutlines();
   }
@@ -308,42 +291,41 @@ export class MapPanel {
 
   // What was drawn, moved to where the window is now; then what must be sharp
   draw() {
-    if (this.pending) return;
-    this.pending = true;
-    requestAnimationFrame(() => {
-      this.pending = false;
+    this.pending ??= requestAnimationFrame(() => {
+      this.pending = null;
       this.statistics.frames += 1;
       this.show();
     });
   }
 
-  // Context, places of m on the map in pixels, and colors; size in CSS pixels
-  pen(canvas, width, height, view = this.view) {
-    const density = window.devicePixelRatio || 1, context = canvas.getContext('2d'), style = getComputedStyle(this.canvas);
+  // Of an empty canvas of this size in CSS pixels: its context, places of m on the map in pixels, colors
+  pen(canvas, width, height) {
+    const {view} = this, density = window.devicePixelRatio || 1, context = canvas.getContext('2d'), style = getComputedStyle(this.canvas);
+    const size = {width: Math.round(width * density), height: Math.round(height * density)};
+    if (canvas.width !== size.width || canvas.height !== size.height) Object.assign(canvas, size);
     context.setTransform(density, 0, 0, density, 0, 0);
+    context.clearRect(0, 0, width, height);
     context.font = `12px ${style.fontFamily}`;
-    return {
-      context, width, height, density, x: one => width / 2 + (one - view.x) * view.scale, y: one => height / 2 - (one - view.y) * view.scale,
-      ink: style.color, ...Object.fromEntries(['paper', 'moved', 'strong'].map(key => [key, style.getPropertyValue(`--${key}`)])),
-    };
+    const [x, y] = [one => width / 2 + (one - view.x) * view.scale, one => height / 2 - (one - view.y) * view.scale];
+    const colors = ['paper', 'moved', 'strong'].map(key => [key, style.getPropertyValue(`--${key}`)]);
+    return {context, width, height, density, x, y, ink: style.color, ...Object.fromEntries(colors)};
   }
 
   show() {
     const {canvas, view, drawn} = this;
     if (!view || !canvas.clientWidth) return;
-    const pen = this.pen(canvas, canvas.clientWidth, canvas.clientHeight), {context} = pen;
-    context.clearRect(0, 0, pen.width, pen.height);
+    const pen = this.pen(canvas, canvas.clientWidth, canvas.clientHeight);
     this.tiles.draw(pen);
     if (drawn) {
-      const wide = drawn.width * view.scale / drawn.view.scale, high = drawn.height * view.scale / drawn.view.scale;
-      context.drawImage(drawn.picture, pen.x(drawn.view.x) - wide / 2, pen.y(drawn.view.y) - high / 2, wide, high);
+      const wide = drawn.width * view.scale / drawn.scale, high = drawn.height * view.scale / drawn.scale;
+      pen.context.drawImage(drawn.picture, pen.x(drawn.x) - wide / 2, pen.y(drawn.y) - high / 2, wide, high);
     }
     this.frame.draw(pen);
     this.distance.draw(pen);
     if (this.rubber) {
       const [[x0, y0], [x1, y1]] = this.rubber;
-      Object.assign(context, {strokeStyle: pen.strong, lineWidth: 2});
-      context.strokeRect(x0, y0, x1 - x0, y1 - y0);
+      Object.assign(pen.context, {strokeStyle: pen.strong, lineWidth: 2});
+      pen.context.strokeRect(x0, y0, x1 - x0, y1 - y0);
     }
     const {unnamed} = this.frame, names = unnamed && `Names of ${unnamed} images have no room: zoom in, or point at an image.`;
     const words = [!this.tiles.complete && 'Loading the ground …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
@@ -352,15 +334,12 @@ export class MapPanel {
 
   // Everything anew, on a picture of the window and a margin around it
   render() {
-    const {canvas, view} = this;
-    if (!view || !canvas.clientWidth) return;
-    this.statistics.draws += 1;
-    const share = 1 + 2 * MARGIN, picture = this.spare || document.createElement('canvas'), density = window.devicePixelRatio || 1;
-    const width = share * canvas.clientWidth, height = share * canvas.clientHeight;
+    const {canvas, view} = this, share = 1 + 2 * MARGIN, width = share * canvas.clientWidth, height = share * canvas.clientHeight;
+    if (!view || !width) return;
+    const picture = this.spare || document.createElement('canvas');
     this.spare = this.drawn?.picture;
-    Object.assign(picture, {width: Math.round(width * density), height: Math.round(height * density)});
     this.picture.draw(this.pen(picture, width, height));
-    this.drawn = {picture, view: {...view}, width, height};
+    this.drawn = {picture, ...view, width, height};
     this.frame.names = null;
     this.show();
   }
@@ -387,12 +366,9 @@ export class MapPanel {
   // Name of the point that is drawn nearest to a place of the window; none where it is far
   nearest(at, near = NEAR) {
     const {points} = this.layers, [east, north] = this.toGround(at);
-    let best = null, least = near / this.view.scale;
-    for (const [k, one] of (points?.form === 'points' ? points.x : []).entries()) {
-      const distance = Math.hypot(one - east, points.y[k] - north);
-      if (distance <= least) [best, least] = [points.names[k], distance];
-    }
-    return best;
+    const away = points?.form === 'points' ? points.x.map((one, k) => Math.hypot(one - east, points.y[k] - north)) : [Infinity];
+    const least = away.reduce((one, other) => Math.min(one, other), Infinity);
+    return least <= near / this.view.scale && least < Infinity ? points.names[away.indexOf(least)] : null;
   }
 
   pick(at, near = NEAR) {

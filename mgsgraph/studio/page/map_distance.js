@@ -5,8 +5,7 @@ import {trace, write} from './map_frame.js';
 
 export class MapDistance {
   constructor(map) {
-    Object.assign(this, {map, on: false, ends: [], words: make('p', {className: 'caption'})});
-    this.words.setAttribute('role', 'status');
+    Object.assign(this, {map, on: false, ends: [], words: make('p', {className: 'caption', role: 'status'})});
   }
 
   toggle(on = !this.on) {

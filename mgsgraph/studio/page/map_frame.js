@@ -20,10 +20,8 @@ export class MapFrame {
     this.names ||= this.placeNames(pen);
     for (const [name, [east, north]] of this.names) write(pen, name, pen.x(east) + 4, pen.y(north) - 4);
     const here = hover ? this.map.app.scene.images.filter((_, k) => contains(outlines[k], hover)).map(one => one.name) : [];
-    const listed = here.length > 5 ? [...here.slice(0, 5), `and ${here.length - 5} more`] : here;
-    const wide = Math.max(...listed.map(name => pen.context.measureText(name).width), 0);
-    listed.forEach((name, k) => write(pen, name, Math.min(pen.x(hover[0]) + 14, pen.width - wide - 4),
-      Math.min(pen.y(hover[1]) + 22, pen.height - HIGH * listed.length) + HIGH * k));
+    const words = here.slice(0, 3).join(', ') + (here.length > 3 ? ` and ${here.length - 3} more` : ''), wide = pen.context.measureText(words).width;
+    if (words) write(pen, words, Math.min(pen.x(hover[0]) + 14, pen.width - wide - 4), Math.min(pen.y(hover[1]) + 22, pen.height - 4));
   }
 
   // Whether a text has room in the window, beside those that are there; it has it then

@@ -31,10 +31,10 @@ export class MapPicture {
   }
 
   drawSigmas({context, x, y}, layer) {
-    const colours = palette(), span = layer.high - layer.low || 1;
+    const {colour} = this.scale(layer);
     context.globalAlpha = 0.75;
     layer.corners.forEach((one, k) => {
-      context.fillStyle = colours[step((layer.values[k] - layer.low) / span)];
+      context.fillStyle = colour(layer.values[k]);
       context.beginPath();
       for (let c = 0; c < 8; c += 2) context.lineTo(x(one[c]), y(one[c + 1]));
       context.fill();
@@ -53,7 +53,8 @@ export class MapPicture {
   scale({value, low, high} = this.map.layers.points) {
     const signed = SIGNED.includes(value), most = Math.max(Math.abs(low), Math.abs(high)), colours = palette(signed);
     const [first, last] = signed ? [-most, most] : [low, high];
-    return {first, last, colours, colour: one => (one === null ? '#888' : colours[step((one - first) / (last - first || 1))])};
+    const step = one => Math.min(Math.max(Math.floor(64 * (one - first) / (last - first || 1)), 0), 63);
+    return {first, last, colours, colour: one => (one === null ? '#888' : colours[step(one)])};
   }
 
   drawCells({context, x, y}, {columns, rows, box, cells, values}) {
@@ -74,7 +75,8 @@ export class MapPicture {
   }
 
   enlarged(lengths, share, most) {
-    const longest = quantile(lengths.filter(Number.isFinite), share), wanted = Number(this.map.factor.value);
+    const sorted = lengths.filter(Number.isFinite).sort((a, b) => a - b), wanted = Number(this.map.factor.value);
+    const longest = sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
     return wanted > 0 ? wanted : longest > 0 ? roundBelow(most / (longest * this.map.view.scale)) : 1;
   }
 
@@ -138,11 +140,7 @@ export class MapPicture {
   legend() {
     const {shown, layers: {points, residuals, sigmas}, app} = this.map, {factors} = this;
     if (!points) return [];
-    const bar = make('canvas', {className: 'legend-bar', width: 320, height: 14}), context = bar.getContext('2d'), {first, last, colours} = this.scale();
-    colours.forEach((one, k) => {
-      context.fillStyle = one;
-      context.fillRect(5 * k, 0, 5, 14);
-    });
+    const {first, last, colours} = this.scale(), bar = make('div', {className: 'legend-bar', style: `background: linear-gradient(to right, ${colours})`});
     const enlarged = [
       shown.ellipses && points.form === 'points' && `ellipses × ${short(factors.ellipses)}`, shown.moved && `corrections × ${short(factors.moved)}`,
       shown.residuals && residuals && `residuals of ${residuals.image} on the ground × ${short(factors.residuals)}, median ${short(residuals.median_px)} px`,
@@ -154,15 +152,6 @@ export class MapPicture {
       make('p', {className: 'caption', textContent: `${points.count} points in and around the window${points.form === 'cells' ? ', medians of cells' : ''}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${enlarged && ` ${enlarged}.`}`}),
     ];
   }
-}
-
-function step(share) {
-  return Math.min(Math.max(Math.floor(64 * share), 0), 63);
-}
-
-function quantile(values, share) {
-  const sorted = [...values].sort((a, b) => a - b);
-  return sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] ?? 0;
 }
 
 function mark(context, kind, a, b, size) {

@@ -8,16 +8,14 @@ export class MapSelection {
     this.words = make('p', {className: 'caption'});
     this.names = make('ul', {className: 'names', ariaLabel: 'Selected points'});
     this.least = make('input', {type: 'number', step: 'any', title: 'Least value of the color', required: true});
-    this.form = make('form', {}, make('label', {}, 'at least ', this.least), ' ', make('button', {type: 'submit', textContent: 'Select'}));
-    this.form.addEventListener('submit', event => { event.preventDefault(); this.above(); });
+    this.form = make('form', {onsubmit: event => {
+      event.preventDefault();
+      this.ask({least: this.least.value}, `of at least ${this.least.value}`);
+    }}, make('label', {}, 'at least ', this.least), ' ', make('button', {type: 'submit', textContent: 'Select'}));
   }
 
   inside([x0, y0, x1, y1]) {
     return this.ask({x0, y0, x1, y1}, 'in the box');
-  }
-
-  above() {
-    return this.ask({least: this.least.value}, `of at least ${this.least.value}`);
   }
 
   async ask(which, words) {
