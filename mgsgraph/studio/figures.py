@@ -12,6 +12,7 @@ from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.studio.map_graticule import graticule
 from mgsgraph.studio.map_images import MapImages
 from mgsgraph.studio.map_points import map_points, pixels_of
+from mgsgraph.units import KM
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
@@ -88,26 +89,29 @@ def map_figure(
         places, values, moved = points.plane[chosen], points.value(value)[chosen], points.moved[chosen][:, :2]
         classes_and_ellipses = points.classes[chosen], points.local[chosen][:, :2, :2] if "ellipses" in layers else None
     else:
-        places, values, moved = _cells(record)
+        values, cells = np.full((record["rows"], record["columns"]), np.nan), np.array(record["cells"], dtype=np.int64)
+        values.flat[cells] = np.array(record["values"], dtype=np.float64)
+        places, moved = np.array(record["places"]).reshape(-1, 2), np.array(record["moved"]).reshape(2, -1).T
     low, high = record["low"], record["high"]
     if value == _SIGNED:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     names = [image.name for image in opened.block().images]
     ground = images.picture(box, pixels_of(size)[::-1], layers, top) / 255.0
-    lines = [(line["label"], np.array(line["places"])) for line in graticule(opened, box)]
-    return window_sheet(MapWindow(
+    sheet = window_sheet(MapWindow(
         opened.now.name, opened.centre, box,
         dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
         places, values if "points" in layers else np.full_like(values, np.nan), (record["title"], record["unit"]),
         (low, high), record["count"], *classes_and_ellipses, moved if "moved" in layers else None,
-        ground if np.any(np.isfinite(ground)) else None, factor, lines if "graticule" in layers else (),
+        ground if np.any(np.isfinite(ground)) else None, factor,
     ))  # fmt: skip
+    for line in graticule(opened, box) if "graticule" in layers else []:
+        _draw_line(sheet.figure.axes[0], line["label"], np.array(line["places"]) / KM)
+    return sheet
 
 
-def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
-    """Middles (k, 2) of the cells whose corrections are drawn, values (rows, columns) of all, and these corrections."""
-    rows, columns, cells = record["rows"], record["columns"], np.array(record["cells"], dtype=np.int64)
-    values = np.full(rows * columns, np.nan)
-    values[cells] = np.array(record["values"], dtype=np.float64)
-    places, moved = np.array(record["places"]).reshape(-1, 2), np.array(record["moved"], dtype=np.float64)
-    return places, values.reshape(rows, columns), moved.reshape(2, -1).T
+def _draw_line(panel: Any, label: str, line: Array) -> None:
+    """A meridian or parallel (k, 2) in km, with its label where it begins in the panel."""
+    panel.plot(*line.T, color="gray", lw=0.5, zorder=1.5)
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    for place in line[np.all((line > low) & (line < high), axis=1)][:1]:
+        panel.annotate(label, place, xytext=(2, 2), textcoords="offset points", size=6.5, zorder=8)

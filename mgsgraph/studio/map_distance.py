@@ -6,14 +6,16 @@ import numpy as np
 
 from mgsgraph.analysis.posterior import posterior_of_points
 from mgsgraph.errors import InputError
+from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array
+from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.map_images import ground_at
 from mgsgraph.studio.opened import Opened
 
 
 def distance(opened: Opened, names: tuple[str, str], plane: Array) -> dict[str, Any]:
     """Straight distance between two ends as JSON: points by their names, or, where a name is empty, places (2, 2) in m
-    on the map. Two adjusted points have sigmas, and a height difference: radius of the second minus that of the first.
+    on the map. Of two adjusted points the answer is that of `mgsgraph analyze --pair`, with sigmas.
 
     Raises
     ------
@@ -24,12 +26,8 @@ def distance(opened: Opened, names: tuple[str, str], plane: Array) -> dict[str, 
     if len(points) == len(names) and opened.now.posterior is not None:
         solution = opened.now.solution
         alone = None if solution is None else posterior_of_points(solution, np.unique(points))
-        found = (alone or opened.posterior()).difference(*names)
-        return {
-            "distance_m": found.distance, "sigma_m": found.distance_sigma, "height_m": found.height,
-            "height_sigma_m": found.height_sigma,
-            "sentence": f"Distance {found.distance:.6g} m, sigma {found.distance_sigma:.2g} m. {found.sentence}.",
-        }  # fmt: skip
+        (section,) = replies(alone or opened.posterior(), Questions(pairs=(names,)))
+        return {**plain(section.numbers), "sentence": ". ".join(section.sentences)}
     block = opened.block()
     places = ground_at(opened, plane)
     places[[bool(name) for name in names]] = block.places[points]

@@ -30,8 +30,7 @@ def graticule(opened: Opened, box: Array) -> list[dict[str, Any]]:
         return []
     longitudes, latitudes = longitude_latitude(opened, plane).T
     longitudes = in_turn(longitudes, longitudes[len(plane) // 2])
-    low = np.array([longitudes.min(), latitudes.min()]) / DEG
-    high = np.array([longitudes.max(), latitudes.max()]) / DEG
+    low, high = (np.array([end(longitudes), end(latitudes)]) / DEG for end in (np.min, np.max))
     for pole, end in ((-90.0, low), (90.0, high)):
         place = opened.map_places(np.array([[0.0, 0.0, np.sign(pole) * radius]]))[0]
         if np.all((place >= box[:2]) & (place <= box[2:])):

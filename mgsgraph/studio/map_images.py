@@ -13,6 +13,7 @@ from PIL import Image
 
 from mgsgraph.errors import InputError, require
 from mgsgraph.geometry.body import places_at, surface_radii
+from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import between_nodes
@@ -58,8 +59,7 @@ class MapImages:
 
     def __init__(self, opened: Opened, tiles: Tiles) -> None:
         self.opened, self._tiles, self._block = opened, tiles, opened.block()
-        outlines = zip(opened.footprints(), self._block.images, strict=True)
-        self._sizes = [_pixel_size(outline, image.lines * image.samples) for outline, image in outlines]
+        self._sizes = [_pixel_size(*both) for both in zip(opened.footprints(), self._block.images, strict=True)]
         self._unreadable, self._kept = dict[str, str](), lru_cache(_MOST_KEPT)(self._encoded)
 
     def record(self) -> dict[str, Any]:
@@ -79,9 +79,8 @@ class MapImages:
         return self._kept(place, tuple(layer for layer in ("images", "relief") if layer in layers), top)
 
     def _encoded(self, place: tuple[int, int, int], layers: tuple[str, ...], top: str) -> bytes:
-        level, row, column = place
-        box = np.array([column, row, column + 1, row + 1]) * SIDE * 2.0**level
-        grey = self.picture(box, (SIDE, SIDE), layers, top)
+        corner = np.array(place[:0:-1])  # column and row
+        grey = self.picture(np.concatenate([corner, corner + 1]) * SIDE * 2.0 ** place[0], (SIDE, SIDE), layers, top)
         bands = [np.rint(np.nan_to_num(grey)), 255 * np.isfinite(grey)]
         return png(Image.merge("LA", [Image.fromarray(band.astype(np.uint8)) for band in bands]))
 
@@ -97,8 +96,7 @@ class MapImages:
             except InputError as error:  # other images are shown all the same
                 self._unreadable[self._block.images[image].name] = str(error)
         if "relief" in layers and self._block.terrain is not None:
-            light = shaded_relief(self.opened, box, (shape[1], shape[0]))
-            grey = np.where(np.isfinite(grey), grey, 40.0 + 200.0 * light)
+            grey = np.where(np.isfinite(grey), grey, 40.0 + 200.0 * shaded_relief(self.opened, box, shape[::-1]))
         return grey
 
     def _order(self, top: str) -> list[int]:
@@ -144,14 +142,13 @@ class MapImages:
         at nodes of a grid, `step` pixels from one to the next, bilinear between.
         """
         first, counts = at.min(axis=0), np.maximum(np.ceil(np.ptp(at, axis=0) / step).astype(int), 1) + 1
-        nodes = np.stack(np.meshgrid(*(np.arange(count) * step for count in counts), indexing="ij"), axis=-1) + first
-        nodes = nodes.reshape(-1, 2)
+        nodes = np.indices(counts).reshape(2, -1).T * step + first
         plane = np.column_stack([box[0] + nodes[:, 1] * pixel[0], box[3] - nodes[:, 0] * pixel[1]])
         exact = projected(self._block, image, ground_at(self.opened, plane))
         return between_nodes(exact.reshape(*counts, 2), (at - first) / step)
 
 
-def _pixel_size(outline: Array, pixels: int) -> float:
-    """m, root of a pixel's mean area within an outline (k, 2) in m; infinite for an image that sees no ground."""
+def _pixel_size(outline: Array, image: PushbroomImage) -> float:
+    """Root of a pixel's mean area within an outline (k, 2) in m; infinite for an image that sees no ground."""
     x, y = outline.T
-    return float(np.sqrt(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / pixels)) or np.inf
+    return float(np.sqrt(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / (image.lines * image.samples))) or np.inf

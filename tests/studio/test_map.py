@@ -143,12 +143,12 @@ def test_a_distance_has_the_sigmas_of_the_joint_covariance(solved: Path) -> None
     nowhere = np.zeros((2, 2))
     found = distance(opened, (first, second), nowhere)
     assert found["distance_m"] == pytest.approx(expected.distance, rel=1e-9)
-    assert found["sigma_m"] == pytest.approx(expected.distance_sigma, rel=1e-6)
-    assert found["height_m"] == pytest.approx(expected.height, rel=1e-6)
+    assert found["distance_sigma_m"] == pytest.approx(expected.distance_sigma, rel=1e-6)
+    assert found["height_difference_m"] == pytest.approx(expected.height, rel=1e-6)
     assert found["height_sigma_m"] == pytest.approx(expected.height_sigma, rel=1e-6)
     places = opened.map_places(opened.block().places[[ids.find([name])[0] for name in (first, second)]])
     free = distance(opened, ("", ""), places)
-    assert "sigma_m" not in free
+    assert "distance_sigma_m" not in free
     assert free["distance_m"] == pytest.approx(np.linalg.norm(places[1] - places[0]), rel=1e-3)
     with pytest.raises(InputError):
         distance(opened, ("nobody", first), nowhere)
@@ -160,7 +160,7 @@ def test_before_an_adjustment_no_distance_has_a_sigma(case_file: Path) -> None:
     opened = Opened(case_file)
     ids = opened.block().network.points.ids
     names = [ids[k] for k in np.flatnonzero(np.isfinite(opened.block().places[:, 0]))[:2]]
-    assert "sigma_m" not in distance(opened, (names[0], names[1]), np.zeros((2, 2)))
+    assert "distance_sigma_m" not in distance(opened, (names[0], names[1]), np.zeros((2, 2)))
 
 
 # --- in a real browser

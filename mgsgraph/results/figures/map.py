@@ -89,8 +89,6 @@ class MapWindow:
     """(rows, columns) grey values of the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
-    graticule: Sequence[tuple[str, Array]] = ()
-    """Label and places (k, 2) of each meridian and parallel."""
 
 
 def map_sheets(solution: Solution, connected: Connectivity | None = None) -> Iterator[Sheet]:
@@ -220,11 +218,6 @@ def window_sheet(window: MapWindow) -> Sheet:
             np.ma.masked_invalid(window.ground), extent=(x0, x1, y0, y1), cmap="gray", vmin=0.0, vmax=1.0, zorder=1,
             aspect=panel.get_aspect(),
         )
-    for label, line in window.graticule:
-        panel.plot(*(line / KM).T, color=SOFT, lw=0.5, zorder=1.5, scalex=False, scaley=False)
-        inside = line[np.all((line / KM > low) & (line / KM < high), axis=1)] / KM
-        if len(inside):
-            panel.annotate(label, inside[0], xytext=(2, 2), textcoords="offset points", size=6.5, zorder=8)
     named = _draw_outlines(panel, window.outlines, low, high)
     norm, cmap = Normalize(*window.scale), "coolwarm" if window.scale[0] == -window.scale[1] else "viridis"
     handles = _draw_points(panel, window, norm, cmap)
@@ -364,8 +357,6 @@ def _caption(window: MapWindow, factors: Sequence[float]) -> str:
             sentences.append(f"{marks} of {count}, {factor:g} times true size.")
     if window.ground is not None:
         sentences.append("In gray, orthorectified images or shaded relief (light from the north-west).")
-    if window.graticule:
-        sentences.append("Lines: longitude and planetocentric latitude.")
     if _is_long(window.box[2:] - window.box[:2]):
         sentences.append("The map has two scales; ellipses and arrows take that of its longer side.")
     return " ".join(sentences)

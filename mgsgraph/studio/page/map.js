@@ -24,16 +24,12 @@ const MOST_IMAGES = 60; // with pixels, that are shown without being asked for
 export class MapPanel {
   constructor(app, element) {
     Object.assign(this, {app, element, shown: {}, layers: {}, view: null, drawn: null, pending: null, hidden: new Set()});
-    this.picture = new MapPicture(this);
-    this.selection = new MapSelection(this);
-    this.distance = new MapDistance(this);
-    this.frame = new MapFrame(this);
-    this.tiles = new MapTiles(this);
-    this.statistics = {frames: 0};
+    Object.assign(this, {picture: new MapPicture(this), selection: new MapSelection(this), distance: new MapDistance(this)});
+    Object.assign(this, {frame: new MapFrame(this), tiles: new MapTiles(this), statistics: {frames: 0}});
     this.build();
     app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
-    app.addEventListener('renewed', () => { this.layers = {}; this.readOutlines(); this.readImages(); this.ask(); });
+    app.addEventListener('renewed', () => { this.layers = {}; this.checked = false; this.readOutlines(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
     app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
     app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
@@ -50,7 +46,7 @@ export class MapPanel {
     this.boxing = button('Select in a box', 'Then drag a box; or drag with the Shift key', () => this.toggleBox());
     this.distanceButton = button('Distance', 'Key d: between two points, with sigmas, or free places', () => this.distance.toggle());
     const save = make('select', {title: 'Save this view as a figure with its caption', onchange: () => this.save(save)});
-    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]) save.append(option(value, words));
+    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]) save.append(new Option(words, value));
     const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), button('+', 'Zoom in', () => this.zoom(1.5)),
       button('−', 'Zoom out', () => this.zoom(1 / 1.5)), button('Whole block', 'Key 0', () => this.whole()), this.distanceButton,
       this.boxing, button('Select in window', 'Key b', () => this.selection.inside(this.box())), this.selection.form, save);
@@ -97,8 +93,8 @@ export class MapPanel {
       if (event.shiftKey || this.boxMode) this.rubber = [from, from];
     });
     canvas.addEventListener('pointermove', event => {
+      if (!from) return this.point(at(event));
       const now = at(event);
-      if (!from) return this.point(now);
       moved ||= Math.hypot(now[0] - from[0], now[1] - from[1]) > 3;
       if (this.rubber) this.rubber[1] = now;
       else if (moved) {
@@ -159,8 +155,8 @@ export class MapPanel {
     const [w, h] = this.middle().map(one => 1.84 * one);
     let [x0, y0, x1, y1] = this.app.scene.map.bounds_m;
     for (const [x, y] of (this.outlines || []).flat()) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
-    this.touchedOnce = false;
-    this.view = {x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale: Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1))};
+    const scale = Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1));
+    Object.assign(this, {touchedOnce: false, view: {x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale}});
     this.ask();
   }
 
@@ -188,9 +184,9 @@ export class MapPanel {
 
   open() {
     const {scene} = this.app, pictured = scene.images.filter(one => one.picture).length;
-    this.value.replaceChildren(...scene.values.map(one => option(one.name, `${one.title} (${one.unit})`)));
+    this.value.replaceChildren(...scene.values.map(one => new Option(`${one.title} (${one.unit})`, one.name)));
     this.value.value = scene.adjusted ? 'sigma' : 'rays';
-    this.image.replaceChildren(...scene.images.map(one => option(one.name)));
+    this.image.replaceChildren(...scene.images.map(one => new Option(one.name)));
     this.classBox.querySelectorAll('label').forEach(one => one.remove());
     for (const {name, count} of scene.classes.filter(one => one.count))
       this.classBox.append(this.check(`${name} (${count})`, true, on => { on ? this.hidden.delete(name) : this.hidden.add(name); }));
@@ -199,7 +195,6 @@ export class MapPanel {
     for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet', false);
     this.words.textContent = `Map in ${scene.map.frame}.`;
     this.fit();
-    this.readImages();
     this.readOutlines();
   }
 
@@ -219,13 +214,10 @@ export class MapPanel {
     this.render();
   }
 
-  classNames() {
-    return this.app.scene.classes.map(one => one.name).filter(name => !this.hidden.has(name)).join(',');
-  }
-
   asked(margin = 0) {
     const [x0, y0, x1, y1] = this.box(margin), [w, h] = this.middle().map(one => Math.round(2 * one * (1 + 2 * margin)));
-    return new URLSearchParams({x0, y0, x1, y1, w, h, value: this.value.value, classes: this.classNames()});
+    const classes = this.app.scene.classes.map(one => one.name).filter(name => !this.hidden.has(name)).join(',');
+    return new URLSearchParams({x0, y0, x1, y1, w, h, value: this.value.value, classes});
   }
 
   // One round of questions at a time; the last window that was wanted comes next
@@ -235,14 +227,15 @@ export class MapPanel {
     this.again = true;
     if (this.asking) return;
     this.asking = true;
-    const slow = setTimeout(() => { this.under.textContent = 'Reading the points …'; }, 200);
+    const slow = setTimeout(() => { this.slow = 'Reading the points …'; this.draw(); }, 200);
     while (this.again) {
       this.again = false;
       await Promise.all(Object.entries(this.addresses()).map(([key, address]) => this.read(key, address)));
       this.legend.replaceChildren(...this.picture.legend());
+      clearTimeout(slow);
+      this.slow = '';
       this.render();
     }
-    clearTimeout(slow);
     this.asking = false;
     this.element.dataset.ready = 'true';
   }
@@ -278,10 +271,12 @@ export class MapPanel {
     this.element.dataset.outlines = 'true';
   }
 
+  // Once the first tiles are there: which files could not be read is known then
   async readImages() {
+    this.checked = true;
     const {names, count, unreadable} = await this.app.request('/api/map/images').catch(error => ({names: [], unreadable: [error.message]}));
     const chosen = this.top.value;
-    this.top.replaceChildren(option('', 'the finest'), ...names.map(name => option(name)));
+    this.top.replaceChildren(new Option('the finest', ''), ...names.map(name => new Option(name)));
     this.top.value = names.includes(chosen) ? chosen : '';
     this.absent = [names.length < count && `${count - names.length} of ${count} images have no pixels.`, ...unreadable].filter(Boolean).join(' ');
     this.draw();
@@ -327,8 +322,9 @@ export class MapPanel {
       Object.assign(pen.context, {strokeStyle: pen.strong, lineWidth: 2});
       pen.context.strokeRect(x0, y0, x1 - x0, y1 - y0);
     }
-    const {unnamed} = this.frame, names = unnamed && `Names of ${unnamed} images have no room: zoom in, or point at an image.`;
-    const words = [!this.tiles.complete && 'Loading the ground …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
+    if (this.tiles.complete && !this.checked) this.readImages();
+    const {unnamed} = this.frame, names = this.shown.footprints && unnamed && `Names of ${unnamed} images have no room: zoom in, or point at an image.`;
+    const words = [this.slow, !this.tiles.complete && 'Loading the ground …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
     if (words !== this.under.textContent) this.under.textContent = words;
   }
 
@@ -383,10 +379,6 @@ export class MapPanel {
     this.boxing.setAttribute('aria-pressed', String(on));
     this.canvas.classList.toggle('boxing', on);
   }
-}
-
-function option(value, textContent = value) {
-  return make('option', {value, textContent});
 }
 
 export function panel(app, element) {

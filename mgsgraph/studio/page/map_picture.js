@@ -69,8 +69,14 @@ export class MapPicture {
     const {colour} = this.scale(), size = east.length > 1500 ? 2 : 3.5;
     Object.assign(context, {strokeStyle: ink, lineWidth: 0.5});
     east.forEach((one, k) => {
+      const shape = SHAPES[MARKS[classes[k]]];
       context.fillStyle = colour(values[k]);
-      mark(context, MARKS[classes[k]], x(one), y(north[k]), size);
+      context.beginPath();
+      if (shape) for (const [right, down] of shape) context.lineTo(x(one) + size * right, y(north[k]) + size * down);
+      else context.arc(x(one), y(north[k]), size, 0, 2 * Math.PI);
+      context.closePath();
+      context.fill();
+      if (size > 3) context.stroke();
     });
   }
 
@@ -152,13 +158,4 @@ export class MapPicture {
       make('p', {className: 'caption', textContent: `${points.count} points in and around the window${points.form === 'cells' ? ', medians of cells' : ''}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${enlarged && ` ${enlarged}.`}`}),
     ];
   }
-}
-
-function mark(context, kind, a, b, size) {
-  context.beginPath();
-  if (SHAPES[kind]) for (const [right, down] of SHAPES[kind]) context.lineTo(a + size * right, b + size * down);
-  else context.arc(a, b, size, 0, 2 * Math.PI);
-  context.closePath();
-  context.fill();
-  if (size > 3) context.stroke();
 }

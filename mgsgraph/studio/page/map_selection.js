@@ -21,7 +21,7 @@ export class MapSelection {
   async ask(which, words) {
     const {app, value} = this.map;
     try {
-      this.found = await app.request(`/api/select?${new URLSearchParams({...which, value: value.value, classes: this.map.classNames()})}`);
+      this.found = await app.request(`/api/select?${new URLSearchParams({...which, value: value.value, classes: this.map.asked().get('classes')})}`);
     } catch (error) {
       return app.say(error.message, 'error');
     }
