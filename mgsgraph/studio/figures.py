@@ -9,8 +9,10 @@ from starlette.responses import Response
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.studio.map_points import map_points, shaded_relief
-from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.map_graticule import graticule
+from mgsgraph.studio.map_images import MapImages
+from mgsgraph.studio.map_points import map_points, pixels_of
+from mgsgraph.units import KM
 
 if TYPE_CHECKING:
     from mgsgraph.results.figures.sheet import Sheet
@@ -18,11 +20,9 @@ if TYPE_CHECKING:
 _TYPES = {"svg": "image/svg+xml", "png": "image/png", "pdf": "application/pdf"}
 _MATPLOTLIB = Lock()
 """All threads share matplotlib's settings."""
-LAYERS = ("footprints", "points", "ellipses", "moved", "relief")
+LAYERS = ("footprints", "points", "ellipses", "moved", "images", "relief", "graticule")
 """Layers of the map that a figure has."""
 _SIGNED = "moved_up"
-_STEP = 5
-"""Of so many columns and rows of cells one has its correction drawn."""
 
 
 def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
@@ -45,14 +45,15 @@ def drawn(view: str, kind: str, make: "Callable[[], Sheet]") -> Response:
 
 
 def map_figure(
-    opened: Opened, box: Array, size: tuple[float, float], value: str, kinds: Mask, layers: Collection[str],
-    factor: float = 0.0,
+    images: MapImages, box: Array, size: tuple[float, float], value: str, kinds: Mask, layers: Collection[str],
+    factor: float = 0.0, top: str = "",
 ) -> "Sheet":
     """A window of the map as a figure.
 
     Parameters
     ----------
-    opened : Opened
+    images : MapImages
+        Of the block.
     box : (4,)
         x and y, low and high, m on the map.
     size : tuple of float
@@ -65,6 +66,8 @@ def map_figure(
         Those of `LAYERS` that are drawn; others are left out.
     factor : float, optional
         Enlargement of ellipses and corrections; 0 chooses a round one.
+    top : str, optional
+        Image that lies on the others.
 
     Raises
     ------
@@ -77,6 +80,7 @@ def map_figure(
         raise InputError("figure of the map", "no layer", f"some of {', '.join(LAYERS)}")
     if factor < 0.0:
         raise InputError("figure of the map, factor", f"{factor:g}", "0 or above")
+    opened = images.opened
     points = map_points(opened)
     record = points.window(box, size, value, kinds)
     classes_and_ellipses: tuple[Index | None, Array | None] = None, None
@@ -85,28 +89,29 @@ def map_figure(
         places, values, moved = points.plane[chosen], points.value(value)[chosen], points.moved[chosen][:, :2]
         classes_and_ellipses = points.classes[chosen], points.local[chosen][:, :2, :2] if "ellipses" in layers else None
     else:
-        places, values, moved = _cells(record)
+        values, cells = np.full((record["rows"], record["columns"]), np.nan), np.array(record["cells"], dtype=np.int64)
+        values.flat[cells] = np.array(record["values"], dtype=np.float64)
+        places, moved = np.array(record["places"]).reshape(-1, 2), np.array(record["moved"]).reshape(2, -1).T
     low, high = record["low"], record["high"]
     if value == _SIGNED:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     names = [image.name for image in opened.block().images]
-    shaded = opened.block().terrain is not None and "relief" in layers
-    return window_sheet(MapWindow(
+    ground = images.picture(box, pixels_of(size)[::-1], layers, top) / 255.0
+    sheet = window_sheet(MapWindow(
         opened.now.name, opened.centre, box,
         dict(zip(names, opened.footprints(), strict=True)) if "footprints" in layers else {},
         places, values if "points" in layers else np.full_like(values, np.nan), (record["title"], record["unit"]),
         (low, high), record["count"], *classes_and_ellipses, moved if "moved" in layers else None,
-        shaded_relief(opened, box, size) if shaded else None, factor,
+        ground if np.any(np.isfinite(ground)) else None, factor,
     ))  # fmt: skip
+    for line in graticule(opened, box) if "graticule" in layers else []:
+        _draw_line(sheet.figure.axes[0], line["label"], np.array(line["places"]) / KM)
+    return sheet
 
 
-def _cells(record: dict[str, Any]) -> tuple[Array, Array, Array]:
-    """Middles (k, 2) of the cells whose corrections are drawn, values (rows, columns) of all, and these corrections."""
-    rows, columns, cells = record["rows"], record["columns"], np.array(record["cells"], dtype=np.int64)
-    values = np.full(rows * columns, np.nan)
-    values[cells] = np.array(record["values"], dtype=np.float64)
-    row, column = np.divmod(cells, columns)
-    is_drawn = (row % _STEP == _STEP // 2) & (column % _STEP == _STEP // 2)
-    box = np.array(record["box"])
-    places = box[:2] + (np.column_stack([column, row])[is_drawn] + 0.5) * (box[2:] - box[:2]) / [columns, rows]
-    return places, values.reshape(rows, columns), np.array(record["moved"], dtype=np.float64).T[is_drawn]
+def _draw_line(panel: Any, label: str, line: Array) -> None:
+    """A meridian or parallel (k, 2) in km, with its label where it begins in the panel."""
+    panel.plot(*line.T, color="gray", lw=0.5, zorder=1.5)
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    for place in line[np.all((line > low) & (line < high), axis=1)][:1]:
+        panel.annotate(label, place, xytext=(2, 2), textcoords="offset points", size=6.5, zorder=8)

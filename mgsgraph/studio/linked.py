@@ -112,7 +112,7 @@ class GroundModel:
     def _near_points(self, image: int, line: float, sample: float) -> Ground:
         picture, correction = self._block.images[image], self._block.corrections[image]
         pixel = np.array([line]), np.array([sample])
-        height, sigma, surface = self._middle, np.nan, _ELLIPSOID
+        height, sigma, surface = self._block.median_height, np.nan, _ELLIPSOID
         rounds = _ROUNDS if self._tree is not None else 0
         for _ in range(rounds):
             point, _ = picture.image_to_ground(*pixel, height, correction)
@@ -176,11 +176,6 @@ class GroundModel:
     @cached_property
     def _tree(self) -> KDTree | None:
         return KDTree(self._block.places[self._located]) if self._located.size else None
-
-    @cached_property
-    def _middle(self) -> float:
-        """m, median height."""
-        return float(np.median(self._heights)) if self._heights.size else 0.0
 
 
 

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from mgsgraph.analysis.measures import MeasureKind
 from mgsgraph.analysis.places import SigmaGrid, sigma_grid
@@ -19,13 +18,14 @@ from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.network import PointClass
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
-from mgsgraph.studio.tiles import png
 
 MOST_POINTS = 4000
 """Most points of a window that are sent singly; above that, cells."""
 _CELL = 7.0
 """CSS pixels, side of a cell."""
 _MOST_CELLS = 60_000
+_ARROWS = 5
+"""Of so many columns and rows of cells one has its correction."""
 _MAP_WORDS = "m east and north of the block's middle, azimuthal equidistant on the sphere through it"
 _MOST_OUTLINES, _FEW_PLACES = 3000, 5
 """Most images with full outlines; above that, vertices of each outline."""
@@ -68,17 +68,21 @@ class MapPoints:
         frames = self.frames()
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
-    def frames(self, chosen: Index | None = None) -> Array:
+    def frames(self, chosen: Index | slice = slice(None)) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
-        places = self.block.places if chosen is None else self.block.places[chosen]
+        places = self.block.places[chosen]
         return east_north_up(np.where(np.isfinite(places), places, 1.0))
 
     @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, adjusted minus before; NaN without a place before."""
+        return self.moved_of(slice(None))
+
+    def moved_of(self, chosen: Index | slice) -> Array:
+        """(m, 3) the same of some points (m,)."""
         stored = self.opened.now.before
         before = self.block.network.points.places if stored is None else stored
-        return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
+        return np.asarray(np.einsum("nij,nj->ni", self.frames(chosen), self.block.places[chosen] - before[chosen]))
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
@@ -160,12 +164,15 @@ class MapPoints:
         place = np.minimum(((self.plane[chosen] - box[:2]) / cell_size).astype(np.int64), [columns - 1, rows - 1])
         cell, total = place[:, 1] * columns + place[:, 0], columns * rows
         point_counts, cell_medians = counts(cell, total), medians(values[chosen], cell, total)
-        arrows = [medians(self.moved[chosen, k], cell, total) for k in range(2)]
-        filled = np.flatnonzero(point_counts)
+        filled, has_arrow = np.flatnonzero(point_counts), np.all(place % _ARROWS == _ARROWS // 2, axis=1)
+        moved = self.moved_of(chosen[has_arrow])
+        arrows = np.array([medians(moved[:, k], cell[has_arrow], total) for k in range(2)])
+        arrowed = np.flatnonzero(np.all(np.isfinite(arrows), axis=0))
+        middles = box[:2] + (np.column_stack([arrowed % columns, arrowed // columns]) + 0.5) * cell_size
         return {
             "form": "cells", "columns": columns, "rows": rows, "box": box.tolist(), "cells": filled.tolist(),
             "numbers": point_counts[filled].tolist(), "values": digits(cell_medians[filled]),
-            "moved": [digits(arrow[filled]) for arrow in arrows],
+            "places": middles.tolist(), "moved": arrows[:, arrowed].tolist(),
         }  # fmt: skip
 
     # --- selections
@@ -207,14 +214,6 @@ _STEP = 1.0
 """m, of the difference quotient of an image's places by the ground."""
 
 
-def relief_png(opened: Opened, box: Array, size: tuple[float, float]) -> bytes:
-    """`shaded_relief` as a picture, transparent outside the model."""
-    light = shaded_relief(opened, box, size)
-    covered = np.isfinite(light)
-    grey = np.where(covered, 40.0 + 200.0 * np.nan_to_num(light), 0.0).astype(np.uint8)
-    return png(Image.merge("LA", [Image.fromarray(grey), Image.fromarray(covered.astype(np.uint8) * 255)]))
-
-
 def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Array:
     """Light (rows, columns), 0 to 1, on the terrain model in a box (4,) of x and y, low and high, in m on the map, from
     the north downwards; NaN outside the model.
@@ -227,7 +226,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     terrain = opened.block().terrain
     if terrain is None:
         raise InputError(str(opened.path), "no terrain model", "a block whose case names one")
-    columns, rows = _pixels(size)
+    columns, rows = pixels_of(size)
     x = box[0] + (np.arange(columns) + 0.5) * (box[2] - box[0]) / columns
     y = box[3] - (np.arange(rows) + 0.5) * (box[3] - box[1]) / rows
     plane = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -237,7 +236,7 @@ def shaded_relief(opened: Opened, box: Array, size: tuple[float, float]) -> Arra
     return np.asarray(np.clip(normal @ _SUN / np.linalg.norm(normal, axis=-1), 0.0, 1.0))
 
 
-def _pixels(size: tuple[float, float]) -> tuple[int, int]:
+def pixels_of(size: tuple[float, float]) -> tuple[int, int]:
     """Columns and rows of a picture for a window of so many CSS pixels."""
     share = min(1.0, _MOST_PIXELS / max(*size, 1.0))
     return max(int(size[0] * share), 2), max(int(size[1] * share), 2)

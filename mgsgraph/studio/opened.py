@@ -22,7 +22,7 @@ from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.output.folders import PROJECT
-from mgsgraph.geometry.body import centre_of, plane_coordinates
+from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
@@ -118,6 +118,12 @@ class Block:
     def joint(self) -> JointCovariance | None:
         """Covariance of the shared unknowns, a-priori before any adjustment; None where some have none."""
         return self.joint_of()
+
+    @cached_property
+    def median_height(self) -> float:
+        """M above the ellipsoid, of the points; 0 where none has a place."""
+        located = self.places[np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1)]
+        return float(np.median(geodetic(located, self.images[0].body)[:, 2])) if len(located) else 0.0
 
     @cached_property
     def rays_by_image(self) -> list[Index]:

@@ -22,12 +22,14 @@ from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.figures import drawn, map_figure
 from mgsgraph.studio.inputs import bounded, number, number_of, place_of, text_of
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
+from mgsgraph.studio.map_distance import distance
+from mgsgraph.studio.map_graticule import graticule
+from mgsgraph.studio.map_images import MapImages
 from mgsgraph.studio.map_points import (
     CLASSES,
     longitude_latitude,
     map_points,
     outlines_record,
-    relief_png,
     residual_vectors,
     scene_record,
     selected,
@@ -173,7 +175,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     getting: _Getting = {
         "/api/state": lambda request: state_record(opened, lock, _browser(request)),
         "/api/scene": lambda _: scene_record(opened),
-        **_map(opened),
+        **_map(opened, views),
         **_images(opened, views),
         **_points(opened, views),
     }
@@ -184,13 +186,24 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
     ]
 
 
-def _map(opened: Opened) -> _Getting:
+def _map(opened: Opened, views: Views) -> _Getting:
     def points(request: Request) -> Any:
         query = request.query_params
         return map_points(opened).window(_box(query), _size(query), query.get("value", "sigma"), _kinds(query))
 
-    def relief(request: Request) -> Any:
-        return _png(relief_png(opened, _box(request.query_params), _size(request.query_params)), 0)
+    def images() -> MapImages:
+        _ = views.linked  # which finds the pictures
+        return opened.once("map images", lambda: MapImages(opened, views.tiles))
+
+    def tile(request: Request) -> Any:
+        query = request.query_params
+        level, row, column = (int(number_of(query, key)) for key in ("level", "row", "column"))
+        return _png(images().tile((level, row, column), text_of(query, "layers").split(","), text_of(query, "top")), 0)
+
+    def between(request: Request) -> Any:
+        query = request.query_params
+        plane = np.array([[number_of(query, f"{axis}{k}") for axis in "xy"] for k in range(2)])
+        return distance(opened, (text_of(query, "from"), text_of(query, "to")), plane)
 
     def select(request: Request) -> Any:
         query = request.query_params
@@ -207,7 +220,7 @@ def _map(opened: Opened) -> _Getting:
         query = request.query_params
         layers, value = query.get("layers", "footprints,points").split(","), query.get("value", "sigma")
         box, size, kinds, factor = _box(query), _size(query), _kinds(query), number_of(query, "factor", 0.0)
-        return map_figure(opened, box, size, value, kinds, layers, factor)
+        return map_figure(images(), box, size, value, kinds, layers, factor, text_of(query, "top"))
 
     def figure(request: Request) -> Any:
         return drawn("map", text_of(request.query_params, "kind"), lambda: figure_of_map(request))
@@ -215,7 +228,10 @@ def _map(opened: Opened) -> _Getting:
     return {
         "/api/map/outlines": lambda _: outlines_record(opened),
         "/api/map/points": points,
-        "/api/map/relief.png": relief,
+        "/api/map/images": lambda _: images().record(),
+        "/api/map/tile.png": tile,
+        "/api/map/graticule": lambda request: {"lines": graticule(opened, _box(request.query_params))},
+        "/api/map/distance": between,
         "/api/map/sigmas": lambda _: opened.once("sigma cells", lambda: sigma_cells(opened)),
         "/api/map/residuals": lambda request: residual_vectors(opened, request.query_params.get("image", "")),
         "/api/map/where": where,

@@ -97,9 +97,9 @@ class Pyramid:
         if not (0 <= top < lines and 0 <= left < samples):
             found = f"tile {row}, {column} of level {level}"
             raise InputError(str(self.path), found, f"one of {self.levels} levels from {self.lines} x {self.samples}")
-        return self._pixels(level, slice(top, min(top + SIDE, lines)), slice(left, min(left + SIDE, samples)))
+        return self.pixels(level, slice(top, min(top + SIDE, lines)), slice(left, min(left + SIDE, samples)))
 
-    def _pixels(self, level: int, lines: slice, samples: slice) -> Grey:
+    def pixels(self, level: int, lines: slice, samples: slice) -> Grey:
         """Pixels of a level, between its lines and samples."""
         if level >= self.finest:
             return self.in_memory[level - self.finest][lines, samples]

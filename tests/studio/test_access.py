@@ -39,7 +39,9 @@ from mgsgraph.studio.inputs import bounded
 
 NOBODY = 65534
 ANSWERS = (
-    "/api/state", "/api/scene", "/api/map/outlines", "/api/map/points?x0=0&y0=0&x1=1&y1=1", "/api/map/relief.png",
+    "/api/state", "/api/scene", "/api/map/outlines", "/api/map/points?x0=0&y0=0&x1=1&y1=1", "/api/map/images",
+    "/api/map/tile.png?level=4&row=0&column=0",
+    "/api/map/graticule?x0=0&y0=0&x1=1&y1=1", "/api/map/distance?x0=0&y0=0&x1=1&y1=1",
     "/api/map/sigmas", "/api/map/residuals", "/api/map/where?x=0&y=0", "/api/map/figure?kind=svg", "/api/select",
     "/api/image?name=A", "/api/image/tile.png?name=A", "/api/image/ground?name=A", "/api/point?name=A",
     "/api/point/tests?name=A", "/api/point/correlations?name=A", "/api/chip.png?image=A", "/api/plan",
@@ -226,7 +228,9 @@ def test_odd_texts_and_numbers_are_answered_or_refused(known: Browser) -> None:
     window = {"x0": x0, "y0": y0, "x1": x1, "y1": y1, "w": 800, "h": 600, "value": "sigma", "classes": "tie"}
     place = {"line": 5, "sample": 5}
     given: dict[str, dict[str, object]] = {
-        "/api/map/points": window, "/api/map/relief.png": window, "/api/map/residuals": {"image": image},
+        "/api/map/points": window, "/api/map/graticule": window, "/api/map/residuals": {"image": image},
+        "/api/map/tile.png": {"level": 4, "row": 0, "column": 0, "layers": "images,relief", "top": image},
+        "/api/map/distance": {"from": point, "to": "", "x0": 0, "y0": 0, "x1": 9, "y1": 9},
         "/api/map/figure": {**window, "kind": "svg", "layers": "points,ellipses", "factor": 1},
         "/api/map/where": {"x": 1, "y": 1}, "/api/select": {**window, "least": 0},
         "/api/image": {"name": image}, "/api/image/ground": {"name": image, **place, "with": image},

@@ -3,6 +3,8 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import matched
 import numpy as np
@@ -19,7 +21,7 @@ from mgsgraph.analysis.posterior import Posterior, cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
-from mgsgraph.geometry.body import east_north_up, geodetic
+from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
 from mgsgraph.geometry.records import Array
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.parts import KnownImage, alone, with_images
@@ -27,6 +29,7 @@ from mgsgraph.project.reading import posterior_near, read_posterior
 from mgsgraph.simulation.files import write_site
 from mgsgraph.studio.changes import change
 from mgsgraph.studio.linked import Ellipse, GroundModel, LinkedImages, ground_record
+from mgsgraph.studio.map_images import ground_at
 from mgsgraph.studio.marks import laser_profiles, shots_of, ties_of
 from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.point_sheet import correlations, point_sheet, refine
@@ -226,6 +229,18 @@ def test_a_moved_terrain_model_is_the_ground(on_terrain: Block) -> None:
     assert np.linalg.norm(motion) > 50.0
     below = ground.point - motion
     assert on_terrain.terrain.at(below[None])[0] == pytest.approx(float(np.linalg.norm(below)), abs=0.5)
+
+
+def test_the_ground_under_the_map_is_the_same_model(on_terrain: Block) -> None:
+    centre = centre_of(on_terrain.places)
+    opened = cast(Opened, SimpleNamespace(block=lambda: on_terrain, centre=centre, once=lambda _, make: make()))
+    plane = np.random.default_rng(6).uniform(-2000.0, 2000.0, (50, 2))
+    ground = ground_at(opened, plane)
+    np.testing.assert_allclose(plane_coordinates(ground, centre), plane, atol=1e-3)
+    below = ground - on_terrain.terrain_motion(ground)
+    assert on_terrain.terrain is not None
+    assert np.linalg.norm(ground - below, axis=1).min() > 50.0
+    np.testing.assert_allclose(on_terrain.terrain.at(below), np.linalg.norm(below, axis=1), atol=0.5)
 
 
 def test_jacobian_follows_the_slope_of_the_terrain(on_terrain: Block) -> None:

@@ -85,8 +85,8 @@ class MapWindow:
     """(n, 2, 2) m^2, east and north, for ellipses; None for none."""
     moved: Array | None
     """(n, 2) m, corrections east and north; None for none."""
-    relief: Array | None
-    """(rows, columns) light on the ground in the box, 0 to 1, from the north; None for none."""
+    ground: Array | None
+    """(rows, columns) grey values of the ground in the box, 0 to 1, from the north; None for none."""
     factor: float
     """Enlargement of ellipses and corrections; 0 for round ones that suit."""
 
@@ -212,10 +212,10 @@ def window_sheet(window: MapWindow) -> Sheet:
     sheet = new_sheet("map", width + 3.0, height + 0.69, name, _caption(window, factors), band=0.0)
     panel: Axes = sheet.panels()[0, 0]
     map_axes(panel, low, high, window.centre)
-    if window.relief is not None:
+    if window.ground is not None:
         x0, y0, x1, y1 = (window.box / KM).tolist()
         panel.imshow(
-            np.ma.masked_invalid(window.relief), extent=(x0, x1, y0, y1), cmap="gray", vmin=-0.2, vmax=1.05, zorder=1,
+            np.ma.masked_invalid(window.ground), extent=(x0, x1, y0, y1), cmap="gray", vmin=0.0, vmax=1.0, zorder=1,
             aspect=panel.get_aspect(),
         )
     named = _draw_outlines(panel, window.outlines, low, high)
@@ -355,8 +355,8 @@ def _caption(window: MapWindow, factors: Sequence[float]) -> str:
         if values is not None:
             count = many(_drawn_rows(window, values).size, "cell" if window.classes is None else "point")
             sentences.append(f"{marks} of {count}, {factor:g} times true size.")
-    if window.relief is not None:
-        sentences.append("Shaded relief of the terrain model, light from the north-west.")
+    if window.ground is not None:
+        sentences.append("In gray, orthorectified images or shaded relief (light from the north-west).")
     if _is_long(window.box[2:] - window.box[:2]):
         sentences.append("The map has two scales; ellipses and arrows take that of its longer side.")
     return " ".join(sentences)

@@ -15,7 +15,7 @@ const PANELS = [
 const KEYS = [
   ['1 … 6', 'the views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
   ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
-  ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
+  ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'], ['map: d', 'distance of two points or places (click, or Enter at the middle)'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
   ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
   ['Escape', 'close what is open'],

@@ -1,188 +1,162 @@
-// The map: outlines of the images, points one by one or in cells, vectors, ellipses, relief. What was drawn last follows
-// the hand at once (a picture that is moved and scaled); when the hand rests, it is drawn anew from the server's answer.
+// The map: outlines of the images, points one by one or in cells, vectors, ellipses; images and relief under it. What was
+// drawn last follows the hand at once (a picture that is moved and scaled); when the hand rests, it is drawn anew from the
+// server's answer.
 
-import {ask} from './app.js';
+import {MapDistance} from './map_distance.js';
+import {MapFrame} from './map_frame.js';
 import {MapPicture} from './map_picture.js';
 import {MapSelection} from './map_selection.js';
+import {MapTiles} from './map_tiles.js';
 import {download, make, short} from './plot.js';
 
 const LAYERS = [
+  ['images', 'Images', true], ['relief', 'Relief', true], ['graticule', 'Graticule', true],
   ['footprints', 'Outlines', true], ['points', 'Points', true], ['ellipses', 'Error ellipses (95 %)', false],
   ['moved', 'Corrections', false], ['changes', 'Last change', true], ['residuals', 'Residuals of an image', false],
-  ['sigmas', 'Sigmas of new points', false], ['relief', 'Relief', false], ['candidates', 'What to measure next', true],
+  ['sigmas', 'Sigmas of new points', false], ['candidates', 'What to measure next', true],
 ];
 const REST = 120; // ms after the last movement before it is drawn anew
 const MARGIN = 0.25; // of the window, drawn on each side beside it
 const NEAR = 12; // CSS pixels around a mark that belong to it
+const LABEL = 'Map of the block: arrow keys move, plus and minus zoom, 0 shows all, c selects the point nearest to the middle, b all points in the window, d measures a distance';
+const MOST_IMAGES = 60; // with pixels, that are shown without being asked for
 
 export class MapPanel {
   constructor(app, element) {
-    Object.assign(this, {app, element, shown: {}, view: null, points: null, layers: {}, drawn: null, hidden: new Set()});
-    this.picture = new MapPicture(this);
-    this.selection = new MapSelection(this);
-    this.statistics = {frames: 0, draws: 0};
+    Object.assign(this, {app, element, shown: {}, layers: {}, view: null, drawn: null, pending: null, hidden: new Set()});
+    Object.assign(this, {picture: new MapPicture(this), selection: new MapSelection(this), distance: new MapDistance(this)});
+    Object.assign(this, {frame: new MapFrame(this), tiles: new MapTiles(this), statistics: {frames: 0}});
     this.build();
     app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
-    app.addEventListener('renewed', () => { this.layers = {}; this.readOutlines(); this.ask(); });
+    app.addEventListener('renewed', () => { this.layers = {}; this.checked = false; this.readOutlines(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
     app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
-    app.addEventListener('shown', event => { if (event.detail === 'map') { this.fit(); this.ask(); } });
+    app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
     if (app.scene) this.open();
   }
 
   // --- its parts
 
   build() {
-    const tools = make('div', {className: 'tools'});
-    this.value = make('select', {title: 'What points are colored by'});
-    this.value.addEventListener('change', () => this.ask());
-    tools.append(make('label', {}, 'Color ', this.value));
-    this.classBox = make('fieldset', {}, make('legend', {textContent: 'Points'}));
-    const layers = make('fieldset', {}, make('legend', {textContent: 'Layers'}));
-    for (const [key, words, on] of LAYERS) {
-      this.shown[key] = on;
-      const box = make('input', {type: 'checkbox', checked: on, id: `layer-${key}`});
-      box.addEventListener('change', () => { this.shown[key] = box.checked; this.ask(); });
-      layers.append(make('label', {}, box, words));
-    }
-    this.image = make('select', {title: 'Image whose residuals are drawn'});
-    this.image.addEventListener('change', () => this.ask());
-    this.factor = make('input', {type: 'number', min: 0.01, step: 'any', value: 0, title: 'Enlargement of vectors and ellipses; 0: by itself'});
-    this.factor.addEventListener('input', () => this.render());
-    const drawn = make('details', {open: window.innerWidth >= 1000}, make('summary', {textContent: 'What is drawn'}),
-      make('div', {className: 'tools'}, this.classBox, layers, make('label', {}, 'Residuals of ', this.image),
-        make('label', {}, 'Vectors × (0: automatic) ', this.factor)));
-    const button = (words, title, act) => {
-      const one = make('button', {type: 'button', textContent: words, title});
-      one.addEventListener('click', act);
-      tools.append(one);
-      return one;
-    };
-    button('+', 'Zoom in', () => this.zoom(1.5));
-    button('−', 'Zoom out', () => this.zoom(1 / 1.5));
-    button('Whole block', 'Key 0', () => this.whole());
+    const button = (textContent, title, onclick) => make('button', {type: 'button', textContent, title, onclick});
+    [this.value, this.image, this.top] = ['What points are colored by', 'Image whose residuals are drawn', 'Where images overlap, this one is shown']
+      .map(title => make('select', {title, onchange: () => this.ask()}));
+    this.factor = make('input', {type: 'number', min: 0.01, step: 'any', value: 0, title: 'Enlargement of vectors and ellipses; 0: by itself', oninput: () => this.render()});
     this.boxing = button('Select in a box', 'Then drag a box; or drag with the Shift key', () => this.toggleBox());
-    button('Select in window', 'Key b', () => this.selection.inside(this.box()));
-    tools.append(this.selection.form, this.saveMenu());
-    this.canvas = make('canvas', {className: 'map-canvas', tabIndex: 0});
-    this.canvas.setAttribute('role', 'application');
-    this.canvas.setAttribute('aria-label', 'Map of the block: arrow keys move, plus and minus zoom, 0 shows all, c selects the point nearest to the middle, b all points in the window');
-    this.legend = make('div');
-    this.where = make('p', {className: 'caption'});
-    this.words = make('p', {className: 'caption'});
-    this.impact = make('div');
-    const side = make('div', {className: 'map-side'}, this.legend, drawn, this.where, this.words, this.impact, this.selection.words, this.selection.names);
+    this.distanceButton = button('Distance', 'Key d: between two points, with sigmas, or free places', () => this.distance.toggle());
+    const save = make('select', {title: 'Save this view as a figure with its caption', onchange: () => this.save(save)});
+    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]) save.append(new Option(words, value));
+    const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), button('+', 'Zoom in', () => this.zoom(1.5)),
+      button('−', 'Zoom out', () => this.zoom(1 / 1.5)), button('Whole block', 'Key 0', () => this.whole()), this.distanceButton,
+      this.boxing, button('Select in window', 'Key b', () => this.selection.inside(this.box())), this.selection.form, save);
+    this.classBox = make('fieldset', {}, make('legend', {textContent: 'Points'}));
+    const layers = make('fieldset', {}, make('legend', {textContent: 'Layers'}), ...LAYERS.map(([key, words, on]) => {
+      this.shown[key] = on;
+      return this.check(words, on, checked => { this.shown[key] = checked; }, `layer-${key}`);
+    }));
+    const drawn = make('details', {open: window.innerWidth >= 1000}, make('summary', {textContent: 'What is drawn'}),
+      make('div', {className: 'tools'}, layers, this.classBox, make('label', {}, 'Image on top ', this.top),
+        make('label', {}, 'Residuals of ', this.image), make('label', {}, 'Vectors × (0: automatic) ', this.factor)));
+    this.canvas = make('canvas', {className: 'map-canvas', tabIndex: 0, role: 'application', ariaLabel: LABEL});
+    [this.where, this.words, this.under] = ['', '', ''].map(() => make('p', {className: 'caption'}));
+    [this.legend, this.impact] = [make('div'), make('div')];
+    const side = make('div', {className: 'map-side'}, this.distance.words, this.where, this.legend, this.under, drawn, this.words, this.impact,
+      this.selection.words, this.selection.names);
     this.element.replaceChildren(tools, make('div', {className: 'map'}, make('div', {className: 'map-view'}, this.canvas), side));
     this.hear();
   }
 
-  saveMenu() {
-    const menu = make('select', {title: 'Save this view as a figure with its caption'});
-    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']])
-      menu.append(make('option', {value, textContent: words}));
-    menu.addEventListener('change', () => {
-      const kind = menu.value;
-      menu.value = '';
-      if (!kind) return;
-      const asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
-      asked.set('layers', layers.join(','));
-      asked.set('factor', this.factor.value || 0);
-      asked.set('kind', kind);
-      download(`/api/map/figure?${asked}`, `map.${kind}`).catch(error => this.app.say(error.message, 'error'));
-    });
-    return menu;
+  check(words, checked, act, id = '') {
+    return make('label', {}, make('input', {type: 'checkbox', checked, id, onchange: ({target}) => { act(target.checked); this.ask(); }}), words);
+  }
+
+  save(menu) {
+    const kind = menu.value, asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
+    menu.value = '';
+    for (const [key, value] of Object.entries({layers, factor: this.factor.value || 0, top: this.top.value, kind})) asked.set(key, value);
+    if (kind) download(`/api/map/figure?${asked}`, `map.${kind}`).catch(error => this.app.say(error.message, 'error'));
   }
 
   hear() {
-    const {canvas} = this;
+    const {canvas} = this, at = event => [event.offsetX, event.offsetY];
     new ResizeObserver(() => this.fit()).observe(canvas);
     canvas.addEventListener('wheel', event => {
       event.preventDefault();
-      this.zoom(Math.exp(-0.0015 * event.deltaY), this.at(event));
+      this.zoom(Math.exp(-0.0015 * event.deltaY), at(event));
     }, {passive: false});
     let from = null, moved = false;
     canvas.addEventListener('pointerdown', event => {
       if (event.button) return;
       canvas.setPointerCapture(event.pointerId);
-      from = this.at(event);
-      moved = false;
+      [from, moved] = [at(event), false];
       if (event.shiftKey || this.boxMode) this.rubber = [from, from];
     });
     canvas.addEventListener('pointermove', event => {
-      const now = this.at(event);
-      if (!from) return this.point(now);
+      if (!from) return this.point(at(event));
+      const now = at(event);
       moved ||= Math.hypot(now[0] - from[0], now[1] - from[1]) > 3;
       if (this.rubber) this.rubber[1] = now;
-      else {
+      else if (moved) {
         this.move(from[0] - now[0], now[1] - from[1]);
         from = now;
       }
-      this.draw();
-      return undefined;
+      return this.draw();
     });
     const release = event => {
       if (!from) return;
-      const {rubber} = this, at = this.at(event);
+      const {rubber} = this;
       from = this.rubber = null;
       if (rubber && moved) {
-        const [a, b] = rubber.map(one => this.toGround(one));
-        this.selection.inside([Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.max(a[0], b[0]), Math.max(a[1], b[1])]);
-      } else if (!moved) this.pick(at);
+        const [[x0, y0], [x1, y1]] = rubber.map(one => this.toGround(one));
+        this.selection.inside([Math.min(x0, x1), Math.min(y0, y1), Math.max(x0, x1), Math.max(y0, y1)]);
+      } else if (!moved) this.pick(at(event));
       this.draw();
     };
-    canvas.addEventListener('pointerup', release);
-    canvas.addEventListener('pointercancel', release);
+    for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, release);
+    canvas.addEventListener('pointerleave', () => { this.hover = null; this.draw(); });
     canvas.addEventListener('keydown', event => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const act = {
         ArrowLeft: () => this.move(-60, 0), ArrowRight: () => this.move(60, 0), ArrowUp: () => this.move(0, 60),
         ArrowDown: () => this.move(0, -60), '+': () => this.zoom(1.5), '=': () => this.zoom(1.5), '-': () => this.zoom(1 / 1.5),
-        0: () => this.whole(), c: () => this.pick([canvas.clientWidth / 2, canvas.clientHeight / 2], Infinity),
-        b: () => this.selection.inside(this.box()), Escape: () => { this.boxMode = true; this.toggleBox(); },
+        0: () => this.whole(), c: () => this.pick(this.middle(), Infinity), b: () => this.selection.inside(this.box()),
+        d: () => this.distance.toggle(), Enter: () => this.pick(this.middle()),
+        Escape: () => { this.toggleBox(false); this.distance.toggle(false); },
       }[event.key];
       if (!act) return;
       event.preventDefault();
       event.stopPropagation();
       act();
+      this.point(this.middle());
     });
   }
 
   // --- window: view = {x, y: m in its middle; scale: CSS pixels a metre}
 
-  at(event) {
-    const box = this.canvas.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
+  middle() {
+    return [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2];
   }
 
-  toGround([x, y], view = this.view) {
-    return [view.x + (x - this.canvas.clientWidth / 2) / view.scale, view.y - (y - this.canvas.clientHeight / 2) / view.scale];
+  toGround([x, y], {view} = this, [across, down] = this.middle()) {
+    return [view.x + (x - across) / view.scale, view.y - (y - down) / view.scale];
   }
 
   box(margin = 0) {
-    const {clientWidth: w, clientHeight: h} = this.canvas, {x, y, scale} = this.view;
-    const across = (0.5 + margin) * w / scale, up = (0.5 + margin) * h / scale;
-    return [x - across, y - up, x + across, y + up];
+    const {clientWidth: w, clientHeight: h} = this.canvas;
+    return [...this.toGround([-margin * w, (1 + margin) * h]), ...this.toGround([(1 + margin) * w, -margin * h])];
   }
 
   fit() {
-    const {canvas} = this, density = window.devicePixelRatio || 1;
-    if (!canvas.clientWidth) return;
-    const size = [Math.round(canvas.clientWidth * density), Math.round(canvas.clientHeight * density)];
-    if (canvas.width === size[0] && canvas.height === size[1] && this.view) return;
-    [canvas.width, canvas.height] = size;
-    if (!this.app.scene) return;
-    if (!this.view) this.whole();
-    else this.ask();
+    if (this.app.scene && this.canvas.clientWidth) this.touchedOnce ? this.ask() : this.whole();
   }
 
   whole() {
-    const {clientWidth: w, clientHeight: h} = this.canvas;
-    if (!w) return;
+    const [w, h] = this.middle().map(one => 1.84 * one);
     let [x0, y0, x1, y1] = this.app.scene.map.bounds_m;
     for (const [x, y] of (this.outlines || []).flat()) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
-    this.touchedOnce = false;
-    this.view = {x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale: 0.92 * Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1))};
+    const scale = Math.min(w / Math.max(x1 - x0, 1), h / Math.max(y1 - y0, 1));
+    Object.assign(this, {touchedOnce: false, view: {x: (x0 + x1) / 2, y: (y0 + y1) / 2, scale}});
     this.ask();
   }
 
@@ -192,13 +166,11 @@ export class MapPanel {
     this.touched();
   }
 
-  zoom(factor, about = [this.canvas.clientWidth / 2, this.canvas.clientHeight / 2]) {
-    const before = this.toGround(about);
-    this.view.scale = Math.min(Math.max(this.view.scale * factor, 1e-7), 1e3);
+  zoom(factor, about = this.middle()) {
+    const before = this.toGround(about), {view} = this;
+    view.scale = Math.min(Math.max(view.scale * factor, 1e-7), 1e3);
     const after = this.toGround(about);
-    this.view.x += before[0] - after[0];
-    this.view.y += before[1] - after[1];
-    this.touched();
+    this.move((before[0] - after[0]) * view.scale, (before[1] - after[1]) * view.scale);
   }
 
   touched() {
@@ -211,203 +183,201 @@ export class MapPanel {
   // --- what the server is asked
 
   open() {
-    const {scene} = this.app;
-    this.value.replaceChildren(...scene.values.map(one => make('option', {value: one.name, textContent: `${one.title} (${one.unit})`})));
+    const {scene} = this.app, pictured = scene.images.filter(one => one.picture).length;
+    this.value.replaceChildren(...scene.values.map(one => new Option(`${one.title} (${one.unit})`, one.name)));
     this.value.value = scene.adjusted ? 'sigma' : 'rays';
-    this.image.replaceChildren(...scene.images.map(one => make('option', {value: one.name, textContent: one.name})));
+    this.image.replaceChildren(...scene.images.map(one => new Option(one.name)));
     this.classBox.querySelectorAll('label').forEach(one => one.remove());
-    for (const {name, count} of scene.classes) {
-      if (!count) continue;
-      const box = make('input', {type: 'checkbox', checked: true});
-      box.addEventListener('change', () => {
-        box.checked ? this.hidden.delete(name) : this.hidden.add(name);
-        this.ask();
-      });
-      this.classBox.append(make('label', {}, box, `${name} (${count})`));
-    }
-    document.getElementById('layer-relief').disabled = !scene.terrain;
-    if (scene.terrain && !this.view) {
-      this.shown.relief = true;
-      document.getElementById('layer-relief').checked = true;
-    }
+    for (const {name, count} of scene.classes.filter(one => one.count))
+      this.classBox.append(this.check(`${name} (${count})`, true, on => { on ? this.hidden.delete(name) : this.hidden.add(name); }));
+    this.allow('relief', scene.terrain, 'no terrain model', true);
+    this.allow('images', pictured, 'no image has pixels', pictured <= MOST_IMAGES);
+    for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet', false);
     this.words.textContent = `Map in ${scene.map.frame}.`;
     this.fit();
-    if (this.view && this.drawn === null) this.whole();
     this.readOutlines();
   }
 
+  // A layer that can't be shown is disabled, and says why
+  allow(key, possible, reason, on) {
+    const box = document.getElementById(`layer-${key}`), [, words] = LAYERS.find(([one]) => one === key);
+    Object.assign(box, {disabled: !possible, checked: Boolean(possible && on)});
+    box.nextSibling.textContent = possible ? words : `${words} (${reason})`;
+    this.shown[key] = box.checked;
+  }
+
   changed(found) {
-    const list = make('ul', {className: 'moved-list'});
-    for (const one of (found.moved || []).slice(0, 8)) {
-      const words = one.sigmas === null ? 'new' : `${short(Math.hypot(...one.vector_m))} m, ${short(one.sigmas)} of its sigmas`;
-      list.append(make('li', {textContent: `${one.name}: ${words}`}));
-    }
+    const words = one => (one.sigmas === null ? 'new' : `${short(Math.hypot(...one.vector_m))} m, ${short(one.sigmas)} of its sigmas`);
+    const moved = (found.moved || []).slice(0, 8).map(one => make('li', {textContent: `${one.name}: ${words(one)}`}));
     this.impact.replaceChildren(make('h2', {textContent: 'What the last change did'}),
-      make('p', {className: 'caption', textContent: found.sentences.join(' ')}), list);
+      make('p', {className: 'caption', textContent: found.sentences.join(' ')}), make('ul', {className: 'moved-list'}, ...moved));
     this.render();
   }
 
   asked(margin = 0) {
-    const [x0, y0, x1, y1] = this.box(margin), share = 1 + 2 * margin;
+    const [x0, y0, x1, y1] = this.box(margin), [w, h] = this.middle().map(one => Math.round(2 * one * (1 + 2 * margin)));
     const classes = this.app.scene.classes.map(one => one.name).filter(name => !this.hidden.has(name)).join(',');
-    return new URLSearchParams({
-      x0, y0, x1, y1, w: Math.round(share * this.canvas.clientWidth), h: Math.round(share * this.canvas.clientHeight),
-      value: this.value.value, classes,
-    });
+    return new URLSearchParams({x0, y0, x1, y1, w, h, value: this.value.value, classes});
   }
 
   // One round of questions at a time; the last window that was wanted comes next
   async ask() {
     if (!this.view || !this.canvas.clientWidth || this.element.hidden) return;
     this.render();
-    if (this.asking) {
-      this.again = true;
-      return;
-    }
+    this.again = true;
+    if (this.asking) return;
     this.asking = true;
+    const slow = setTimeout(() => { this.slow = 'Reading the points …'; this.draw(); }, 200);
+    while (this.again) {
+      this.again = false;
+      await Promise.all(Object.entries(this.addresses()).map(([key, address]) => this.read(key, address)));
+      this.legend.replaceChildren(...this.picture.legend());
+      clearTimeout(slow);
+      this.slow = '';
+      this.render();
+    }
+    this.asking = false;
+    this.element.dataset.ready = 'true';
+  }
+
+  // Of each layer that is shown what the server is asked for it
+  addresses() {
+    const {shown} = this, asked = this.asked(MARGIN), image = new URLSearchParams({image: this.image.value});
+    return {
+      ...(shown.points || shown.ellipses || shown.moved) && {points: `/api/map/points?${asked}`},
+      ...shown.graticule && {graticule: `/api/map/graticule?${asked}`},
+      ...shown.sigmas && {sigmas: '/api/map/sigmas'}, ...shown.residuals && {residuals: `/api/map/residuals?${image}`},
+    };
+  }
+
+  async read(key, address) {
+    if (this.layers[key]?.address === address) return;
     try {
-      do {
-        this.again = false;
-        await this.read();
-        this.render();
-      } while (this.again);
+      this.layers[key] = Object.assign(await this.app.request(address), {address});
     } catch (error) {
       this.app.say(error.message, 'error');
-    } finally {
-      this.asking = false;
-      this.element.dataset.ready = 'true';
+      if (key === 'sigmas') this.allow(key, false, error.message, false);
     }
-  }
-
-  async read() {
-    const asked = this.asked(MARGIN), box = this.box(MARGIN), {shown, layers} = this;
-    const wanted = [];
-    if (shown.points || shown.ellipses || shown.moved)
-      wanted.push(this.app.request(`/api/map/points?${asked}`).then(found => { this.points = found; }));
-    if (shown.relief && this.app.scene.terrain) wanted.push(this.readRelief(asked, box));
-    if (shown.sigmas && !layers.sigmas)
-      wanted.push(this.app.request('/api/map/sigmas').then(found => { layers.sigmas = found; }, error => this.refused('sigmas', error)));
-    if (shown.residuals && layers.residuals?.image !== this.image.value)
-      wanted.push(this.app.request(`/api/map/residuals?${new URLSearchParams({image: this.image.value})}`).then(found => { layers.residuals = found; }));
-    await Promise.all(wanted);
-    this.legend.replaceChildren(...this.picture.legend());
-  }
-
-  refused(layer, error) {
-    this.shown[layer] = false;
-    document.getElementById(`layer-${layer}`).checked = false;
-    this.app.say(error.message, 'error');
   }
 
   // They come after the points, for it takes longer to find them; the window holds them then, unless it was moved meanwhile
   async readOutlines() {
-    const found = await this.app.request('/api/map/outlines').catch(error => this.app.say(error.message, 'error'));
-    if (!found) return;
     const first = !this.outlines;
-    this.outlines = found.outlines_m;
-    if (first && this.view && !this.touchedOnce) this.whole();
+    await this.read('outlines', '/api/map/outlines');
+    this.outlines = this.layers.outlines?.outlines_m;
+    const [x0, y0, x1, y1] = this.view ? this.box() : [0, 0, 0, 0], isOut = ([x, y]) => x < x0 || y < y0 || x > x1 || y > y1;
+    if (first && !this.touchedOnce && this.outlines?.flat().some(isOut)) this.whole();
     else this.render();
     this.element.dataset.outlines = 'true';
   }
 
-  async readRelief(asked, box) {
-    const answer = await ask(`/api/map/relief.png?${asked}`);
-    this.layers.relief = {box, picture: await createImageBitmap(await answer.blob())};
+  // Once the first tiles are there: which files could not be read is known then
+  async readImages() {
+    this.checked = true;
+    const {names, count, unreadable} = await this.app.request('/api/map/images').catch(error => ({names: [], unreadable: [error.message]}));
+    const chosen = this.top.value;
+    this.top.replaceChildren(new Option('the finest', ''), ...names.map(name => new Option(name)));
+    this.top.value = names.includes(chosen) ? chosen : '';
+    this.absent = [names.length < count && `${count - names.length} of ${count} images have no pixels.`, ...unreadable].filter(Boolean).join(' ');
+    this.draw();
   }
 
   // --- drawing
 
   // What was drawn, moved to where the window is now; then what must be sharp
   draw() {
-    if (this.pending) return;
-    this.pending = true;
-    requestAnimationFrame(() => {
-      this.pending = false;
+    this.pending ??= requestAnimationFrame(() => {
+      this.pending = null;
       this.statistics.frames += 1;
       this.show();
     });
   }
 
+  // Of an empty canvas of this size in CSS pixels: its context, places of m on the map in pixels, colors
+  pen(canvas, width, height) {
+    const {view} = this, density = window.devicePixelRatio || 1, context = canvas.getContext('2d'), style = getComputedStyle(this.canvas);
+    const size = {width: Math.round(width * density), height: Math.round(height * density)};
+    if (canvas.width !== size.width || canvas.height !== size.height) Object.assign(canvas, size);
+    context.setTransform(density, 0, 0, density, 0, 0);
+    context.clearRect(0, 0, width, height);
+    context.font = `12px ${style.fontFamily}`;
+    const [x, y] = [one => width / 2 + (one - view.x) * view.scale, one => height / 2 - (one - view.y) * view.scale];
+    const colors = ['paper', 'moved', 'strong'].map(key => [key, style.getPropertyValue(`--${key}`)]);
+    return {context, width, height, density, x, y, ink: style.color, ...Object.fromEntries(colors)};
+  }
+
   show() {
     const {canvas, view, drawn} = this;
     if (!view || !canvas.clientWidth) return;
-    const density = window.devicePixelRatio || 1, context = canvas.getContext('2d');
-    const [w, h] = [canvas.clientWidth, canvas.clientHeight];
-    context.setTransform(density, 0, 0, density, 0, 0);
-    context.clearRect(0, 0, w, h);
+    const pen = this.pen(canvas, canvas.clientWidth, canvas.clientHeight);
+    this.tiles.draw(pen);
     if (drawn) {
-      const share = view.scale / drawn.view.scale, wide = drawn.width * share, high = drawn.height * share;
-      const x = w / 2 + (drawn.view.x - view.x) * view.scale - wide / 2, y = h / 2 - (drawn.view.y - view.y) * view.scale - high / 2;
-      context.drawImage(drawn.picture, x, y, wide, high);
+      const wide = drawn.width * view.scale / drawn.scale, high = drawn.height * view.scale / drawn.scale;
+      pen.context.drawImage(drawn.picture, pen.x(drawn.x) - wide / 2, pen.y(drawn.y) - high / 2, wide, high);
     }
-    this.picture.drawScaleBar(context, w, h);
+    this.frame.draw(pen);
+    this.distance.draw(pen);
     if (this.rubber) {
       const [[x0, y0], [x1, y1]] = this.rubber;
-      context.strokeStyle = getComputedStyle(canvas).color;
-      context.setLineDash([5, 4]);
-      context.strokeRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
-      context.setLineDash([]);
+      Object.assign(pen.context, {strokeStyle: pen.strong, lineWidth: 2});
+      pen.context.strokeRect(x0, y0, x1 - x0, y1 - y0);
     }
+    if (this.tiles.complete && !this.checked) this.readImages();
+    const {unnamed} = this.frame, names = this.shown.footprints && unnamed && `Names of ${unnamed} images have no room: zoom in, or point at an image.`;
+    const words = [this.slow, !this.tiles.complete && 'Loading the ground …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
+    if (words !== this.under.textContent) this.under.textContent = words;
   }
 
   // Everything anew, on a picture of the window and a margin around it
   render() {
-    const {canvas, view} = this;
-    if (!view || !canvas.clientWidth) return;
-    this.statistics.draws += 1;
-    const density = window.devicePixelRatio || 1, share = 1 + 2 * MARGIN;
-    const width = share * canvas.clientWidth, height = share * canvas.clientHeight;
+    const {canvas, view} = this, share = 1 + 2 * MARGIN, width = share * canvas.clientWidth, height = share * canvas.clientHeight;
+    if (!view || !width) return;
     const picture = this.spare || document.createElement('canvas');
     this.spare = this.drawn?.picture;
-    picture.width = Math.round(width * density);
-    picture.height = Math.round(height * density);
-    const context = picture.getContext('2d');
-    context.setTransform(density, 0, 0, density, 0, 0);
-    const style = getComputedStyle(canvas);
-    const x = one => width / 2 + (one - view.x) * view.scale, y = one => height / 2 - (one - view.y) * view.scale;
-    const pen = {context, x, y, width, height, ink: style.color, moved: style.getPropertyValue('--moved'), strong: style.getPropertyValue('--strong')};
-    context.font = `12px ${style.fontFamily}`;
-    this.picture.draw(pen);
-    this.drawn = {picture, view: {...view}, width, height};
+    this.picture.draw(this.pen(picture, width, height));
+    this.drawn = {picture, ...view, width, height};
+    this.frame.names = null;
     this.show();
   }
 
   // --- places and selections
 
   point(at) {
-    const [east, north] = this.toGround(at), place = `${short(east, 6)} m east, ${short(north, 6)} m north`;
+    const [east, north] = this.hover = this.toGround(at), place = `${short(east, 6)} m east, ${short(north, 6)} m north`;
+    this.draw();
     this.where.textContent = place;
     clearTimeout(this.wondering);
     this.wondering = setTimeout(async () => {
       const found = await this.app.request(`/api/map/where?${new URLSearchParams({x: east, y: north})}`).catch(() => null);
       if (found) this.where.textContent = `${place}: longitude ${found.longitude_deg.toFixed(5)}° E, latitude ${found.latitude_deg.toFixed(5)}° (planetocentric)`;
-    }, 120);
+    }, REST);
   }
 
   placeOf(name) {
-    if (!name) return null;
-    let k = this.points?.names?.indexOf(name) ?? -1;
-    if (k >= 0) return [this.points.x[k], this.points.y[k]];
-    k = this.selection.found?.names.indexOf(name) ?? -1;
-    return k >= 0 ? this.selection.found.places[k] : null;
+    const {points} = this.layers, {found} = this.selection;
+    const k = points?.names?.indexOf(name) ?? -1, chosen = found?.names.indexOf(name) ?? -1;
+    return k >= 0 ? [points.x[k], points.y[k]] : chosen >= 0 ? found.places[chosen] : null;
+  }
+
+  // Name of the point that is drawn nearest to a place of the window; none where it is far
+  nearest(at, near = NEAR) {
+    const {points} = this.layers, [east, north] = this.toGround(at);
+    const away = points?.form === 'points' ? points.x.map((one, k) => Math.hypot(one - east, points.y[k] - north)) : [Infinity];
+    const least = away.reduce((one, other) => Math.min(one, other), Infinity);
+    return least <= near / this.view.scale && least < Infinity ? points.names[away.indexOf(least)] : null;
   }
 
   pick(at, near = NEAR) {
-    if (this.points?.form !== 'points') return this.app.say('Zoom in until points are drawn one by one, then click one; or select in a box.');
-    const [east, north] = this.toGround(at);
-    let best = -1, least = near / this.view.scale;
-    this.points.x.forEach((one, k) => {
-      const distance = Math.hypot(one - east, this.points.y[k] - north);
-      if (distance <= least) [best, least] = [k, distance];
-    });
-    if (best >= 0) this.app.select(this.points.names[best]);
-    return undefined;
+    if (this.distance.on) return this.distance.take(at);
+    if (this.layers.points?.form !== 'points') return this.app.say('Zoom in until points are drawn one by one, then click one; or select in a box.');
+    const name = this.nearest(at, near);
+    return name && this.app.select(name);
   }
 
-  toggleBox() {
-    this.boxMode = !this.boxMode;
-    this.boxing.setAttribute('aria-pressed', String(this.boxMode));
-    this.canvas.classList.toggle('boxing', this.boxMode);
+  toggleBox(on = !this.boxMode) {
+    this.boxMode = on;
+    this.boxing.setAttribute('aria-pressed', String(on));
+    this.canvas.classList.toggle('boxing', on);
   }
 }
 

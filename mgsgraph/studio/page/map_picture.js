@@ -1,41 +1,40 @@
-// What the map shows, drawn on a canvas: outlines, points one by one or in cells, vectors, ellipses, relief, and the legend.
+// What the map shows, drawn on a canvas: outlines, points one by one or in cells, vectors, ellipses, and the legend.
 
+import {trace} from './map_frame.js';
 import {make, palette, roundBelow, short} from './plot.js';
 
 const SIGNED = ['moved_up'];
 const ELLIPSE = Math.sqrt(5.991); // 95 % of two dimensions
 const MARKS = ['tie', 'laser', 'control', 'post'];
+const SHAPES = {laser: [[0, -1], [1, 1], [-1, 1]], control: [[-1, -1], [1, -1], [1, 1], [-1, 1]], post: [[0, -1], [1, 0], [0, 1], [-1, 0]]};
 
 export class MapPicture {
   constructor(map) {
-    this.map = map;
+    Object.assign(this, {map, factors: {}});
   }
 
   // All layers that are shown, from below upwards; pen: {context, x, y: m to pixels, width, height, ink, moved, strong}
   draw(pen) {
-    const {shown, layers, points, app, candidates} = this.map;
-    if (shown.relief && layers.relief) this.drawRelief(pen, layers.relief);
+    const {shown, layers, app, candidates, outlines} = this.map, {points} = layers, single = points?.form === 'points';
     if (shown.sigmas && layers.sigmas) this.drawSigmas(pen, layers.sigmas);
-    if (shown.footprints && this.map.outlines) this.drawOutlines(pen);
-    if (points && shown.points) points.form === 'cells' ? this.drawCells(pen) : this.drawMarks(pen);
-    if (points?.form === 'points' && shown.ellipses) this.drawEllipses(pen);
-    if (points && shown.moved) this.drawMoved(pen);
-    if (shown.residuals && layers.residuals) this.drawResiduals(pen);
-    if (shown.changes && app.last?.moved) this.drawChange(pen);
-    if (shown.candidates && candidates) this.drawCandidates(pen);
+    if (shown.footprints && outlines) this.drawOutlines(pen, outlines);
+    if (shown.points && points) single ? this.drawMarks(pen, points) : this.drawCells(pen, points);
+    if (shown.ellipses && single) this.drawEllipses(pen, points);
+    if (shown.moved && points) {
+      const places = points.places || points.x.map((one, k) => [one, points.y[k]]), [east, north] = points.moved;
+      this.factors.moved = this.arrows({...pen, ink: pen.strong}, places, east.map((one, k) => [one, north[k]]));
+    }
+    if (shown.residuals && layers.residuals) this.factors.residuals = this.arrows(pen, layers.residuals.places, layers.residuals.vectors, 30);
+    if (shown.changes && app.last?.moved) this.drawChange({...pen, ink: pen.moved}, app.last.moved.filter(one => one.map_m));
+    if (shown.candidates && candidates) this.drawCandidates(pen, candidates.filter(one => one.map_m));
     this.drawSelection(pen);
   }
 
-  drawRelief({context, x, y}, {box, picture}) {
-    context.imageSmoothingEnabled = true;
-    context.drawImage(picture, x(box[0]), y(box[3]), x(box[2]) - x(box[0]), y(box[1]) - y(box[3]));
-  }
-
   drawSigmas({context, x, y}, layer) {
-    const colours = palette(), span = layer.high - layer.low || 1;
+    const {colour} = this.scale(layer);
     context.globalAlpha = 0.75;
     layer.corners.forEach((one, k) => {
-      context.fillStyle = colours[step((layer.values[k] - layer.low) / span)];
+      context.fillStyle = colour(layer.values[k]);
       context.beginPath();
       for (let c = 0; c < 8; c += 2) context.lineTo(x(one[c]), y(one[c + 1]));
       context.fill();
@@ -43,228 +42,120 @@ export class MapPicture {
     context.globalAlpha = 1;
   }
 
-  drawOutlines({context, x, y, ink, width, height}) {
-    context.strokeStyle = ink;
-    context.lineWidth = 1;
-    const {outlines} = this.map, few = outlines.length <= 12;
-    context.beginPath();
-    for (const outline of outlines)
-      outline.forEach(([east, north], k) => (k ? context.lineTo(x(east), y(north)) : context.moveTo(x(east), y(north))));
-    context.stroke();
-    if (!few) return;
-    context.fillStyle = ink;
-    for (const [k, outline] of outlines.entries()) {
-      const top = outline.reduce((best, one) => (one[1] > best[1] ? one : best), [0, -Infinity]);
-      if (outline.length && x(top[0]) > 0 && x(top[0]) < width && y(top[1]) > 0 && y(top[1]) < height)
-        context.fillText(this.map.app.scene.images[k].name, x(top[0]) + 4, y(top[1]) - 4 - 14 * (k % 3));
+  drawOutlines({context, x, y, ink, paper}, outlines) {
+    for (const [strokeStyle, lineWidth] of this.map.shown.images ? [[paper, 2.5], [ink, 1]] : [[ink, 1]]) {
+      Object.assign(context, {strokeStyle, lineWidth});
+      for (const outline of outlines) trace(context, outline.map(([east, north]) => [x(east), y(north)]));
     }
   }
 
-  share(value) {
-    const {low, high} = this.map.points, ends = this.signed() ? Math.max(Math.abs(low), Math.abs(high)) : 0;
-    return this.signed() ? 0.5 + 0.5 * value / (ends || 1) : (value - low) / (high - low || 1);
+  // Ends of the color scale, and the color of a value
+  scale({value, low, high} = this.map.layers.points) {
+    const signed = SIGNED.includes(value), most = Math.max(Math.abs(low), Math.abs(high)), colours = palette(signed);
+    const [first, last] = signed ? [-most, most] : [low, high];
+    const step = one => Math.min(Math.max(Math.floor(64 * (one - first) / (last - first || 1)), 0), 63);
+    return {first, last, colours, colour: one => (one === null ? '#888' : colours[step(one)])};
   }
 
-  signed() {
-    return SIGNED.includes(this.map.points?.value);
-  }
-
-  drawCells({context, x, y}) {
-    const {columns, rows, box, cells, values} = this.map.points, colours = palette(this.signed());
-    const wide = (x(box[2]) - x(box[0])) / columns, high = (y(box[1]) - y(box[3])) / rows;
+  drawCells({context, x, y}, {columns, rows, box, cells, values}) {
+    const {colour} = this.scale(), wide = (x(box[2]) - x(box[0])) / columns, high = (y(box[1]) - y(box[3])) / rows;
     cells.forEach((cell, k) => {
-      const column = cell % columns, row = Math.floor(cell / columns);
-      context.fillStyle = values[k] === null ? '#888' : colours[step(this.share(values[k]))];
-      context.fillRect(x(box[0]) + column * wide, y(box[1]) - (row + 1) * high, Math.max(wide, 1), Math.max(high, 1));
+      context.fillStyle = colour(values[k]);
+      context.fillRect(x(box[0]) + (cell % columns) * wide, y(box[1]) - (Math.floor(cell / columns) + 1) * high, Math.max(wide, 1), Math.max(high, 1));
     });
   }
 
-  drawMarks({context, x, y, ink}) {
-    const {x: east, y: north, values, classes} = this.map.points, colours = palette(this.signed());
-    const size = east.length > 1500 ? 2 : 3.5;
-    context.strokeStyle = ink;
-    context.lineWidth = 0.5;
+  drawMarks({context, x, y, ink}, {x: east, y: north, values, classes}) {
+    const {colour} = this.scale(), size = east.length > 1500 ? 2 : 3.5;
+    Object.assign(context, {strokeStyle: ink, lineWidth: 0.5});
     east.forEach((one, k) => {
-      const [a, b] = [x(one), y(north[k])];
-      context.fillStyle = values[k] === null ? '#888' : colours[step(this.share(values[k]))];
-      mark(context, MARKS[classes[k]], a, b, size);
+      const shape = SHAPES[MARKS[classes[k]]];
+      context.fillStyle = colour(values[k]);
+      context.beginPath();
+      if (shape) for (const [right, down] of shape) context.lineTo(x(one) + size * right, y(north[k]) + size * down);
+      else context.arc(x(one), y(north[k]), size, 0, 2 * Math.PI);
+      context.closePath();
+      context.fill();
+      if (size > 3) context.stroke();
     });
   }
 
-  enlarged(longest, most) {
-    const wanted = Number(this.map.factor.value);
-    if (wanted > 0) return wanted;
-    if (!(longest > 0)) return 1;
-    return roundBelow(most / (longest * this.map.view.scale));
+  enlarged(lengths, share, most) {
+    const sorted = lengths.filter(Number.isFinite).sort((a, b) => a - b), wanted = Number(this.map.factor.value);
+    const longest = sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
+    return wanted > 0 ? wanted : longest > 0 ? roundBelow(most / (longest * this.map.view.scale)) : 1;
   }
 
-  drawEllipses({context, x, y, strong}) {
-    const {x: east, y: north, covariance: [ee, en, nn]} = this.map.points, sizes = ee.map((one, k) => Math.sqrt(Math.max(one, nn[k])));
-    const factor = this.ellipseFactor = this.enlarged(quantile(sizes.filter(Number.isFinite), 0.9) * ELLIPSE, 25);
-    context.strokeStyle = strong;
-    context.lineWidth = 1;
+  drawEllipses({context, x, y, strong}, {x: east, y: north, covariance: [ee, en, nn]}) {
+    const factor = this.factors.ellipses = this.enlarged(ee.map((one, k) => ELLIPSE * Math.sqrt(Math.max(one, nn[k]))), 0.9, 25);
+    const axis = square => Math.max(factor * ELLIPSE * this.map.view.scale * Math.sqrt(Math.max(square, 0)), 0.5);
+    Object.assign(context, {strokeStyle: strong, lineWidth: 1});
     east.forEach((one, k) => {
       if (ee[k] === null) return;
-      const middle = (ee[k] + nn[k]) / 2, half = Math.hypot((ee[k] - nn[k]) / 2, en[k]);
-      const a = Math.sqrt(Math.max(middle + half, 0)), b = Math.sqrt(Math.max(middle - half, 0)), turn = 0.5 * Math.atan2(2 * en[k], ee[k] - nn[k]);
-      const enlarge = factor * ELLIPSE * this.map.view.scale;
+      const middle = (ee[k] + nn[k]) / 2, half = Math.hypot((ee[k] - nn[k]) / 2, en[k]), turn = 0.5 * Math.atan2(2 * en[k], ee[k] - nn[k]);
       context.beginPath();
-      context.ellipse(x(one), y(north[k]), Math.max(a * enlarge, 0.5), Math.max(b * enlarge, 0.5), -turn, 0, 2 * Math.PI);
+      context.ellipse(x(one), y(north[k]), axis(middle + half), axis(middle - half), -turn, 0, 2 * Math.PI);
       context.stroke();
     });
   }
 
-  arrows({context, x, y}, places, vectors, most = 45) {
-    const lengths = vectors.map(one => Math.hypot(one[0], one[1])).filter(Number.isFinite);
-    const factor = this.enlarged(quantile(lengths, 0.95), most);
-    context.lineWidth = 1.2;
-    context.beginPath();
-    vectors.forEach((one, k) => {
-      if (one[0] === null || one[1] === null) return;
-      const from = [x(places[k][0]), y(places[k][1])];
-      const to = [from[0] + one[0] * factor * this.map.view.scale, from[1] - one[1] * factor * this.map.view.scale];
-      const angle = Math.atan2(to[1] - from[1], to[0] - from[0]), head = Math.min(6, 0.4 * Math.hypot(to[0] - from[0], to[1] - from[1]));
-      context.moveTo(...from);
-      context.lineTo(...to);
-      context.lineTo(to[0] - head * Math.cos(angle - 0.5), to[1] - head * Math.sin(angle - 0.5));
-      context.moveTo(...to);
-      context.lineTo(to[0] - head * Math.cos(angle + 0.5), to[1] - head * Math.sin(angle + 0.5));
+  // Returns by how much the vectors are enlarged
+  arrows({context, x, y, ink}, places, vectors, most = 45) {
+    const factor = this.enlarged(vectors.map(one => Math.hypot(...one)), 0.95, most), scale = factor * this.map.view.scale;
+    Object.assign(context, {strokeStyle: ink, lineWidth: 1.2});
+    vectors.forEach(([east, north], k) => {
+      if (east === null || north === null) return;
+      const from = [x(places[k][0]), y(places[k][1])], to = [from[0] + east * scale, from[1] - north * scale];
+      const angle = Math.atan2(-north, east), head = Math.min(6, 0.4 * Math.hypot(east, north) * scale);
+      const side = turn => [to[0] - head * Math.cos(angle + turn), to[1] - head * Math.sin(angle + turn)];
+      trace(context, [from, to, side(-0.5), to, side(0.5)]);
     });
-    context.stroke();
     return factor;
   }
 
-  drawMoved(pen) {
-    const {points} = this.map;
-    pen.context.strokeStyle = pen.strong;
-    let places, vectors;
-    if (points.form === 'points') {
-      places = points.x.map((one, k) => [one, points.y[k]]);
-      vectors = points.moved[0].map((one, k) => [one, points.moved[1][k]]);
-    } else {
-      const {columns, box, cells, rows} = points, wide = (box[2] - box[0]) / columns, high = (box[3] - box[1]) / rows;
-      const chosen = cells.map((cell, k) => [cell, k]).filter(([cell]) => cell % columns % 5 === 2 && Math.floor(cell / columns) % 5 === 2);
-      places = chosen.map(([cell]) => [box[0] + (cell % columns + 0.5) * wide, box[1] + (Math.floor(cell / columns) + 0.5) * high]);
-      vectors = chosen.map(([, k]) => [points.moved[0][k], points.moved[1][k]]);
-    }
-    this.movedFactor = this.arrows(pen, places, vectors);
+  drawChange(pen, moved) {
+    this.ring(pen, moved.filter(one => one.sigmas === null).map(one => one.map_m), 5, 2);
+    const known = moved.filter(one => one.vector_m);
+    this.factors.changes = this.arrows(pen, known.map(one => one.map_m), known.map(one => one.vector_m), 60);
   }
 
-  drawResiduals(pen) {
-    const {places, vectors} = this.map.layers.residuals;
-    pen.context.strokeStyle = pen.ink;
-    this.residualFactor = this.arrows(pen, places, vectors, 30);
-  }
-
-  drawChange(pen) {
-    const {last} = this.map.app, moved = last.moved.filter(one => one.map_m && one.vector_m);
-    pen.context.strokeStyle = pen.moved;
-    pen.context.lineWidth = 2;
-    for (const one of last.moved.filter(one => one.map_m && one.sigmas === null)) {
-      pen.context.beginPath();
-      pen.context.arc(pen.x(one.map_m[0]), pen.y(one.map_m[1]), 5, 0, 2 * Math.PI);
-      pen.context.stroke();
-    }
-    this.changeFactor = this.arrows(pen, moved.map(one => one.map_m), moved.map(one => one.vector_m), 60);
-  }
-
-  drawCandidates({context, x, y, moved}) {
-    context.strokeStyle = context.fillStyle = moved;
-    context.lineWidth = 2;
-    this.map.candidates.filter(one => one.map_m).forEach((one, k) => {
-      const [a, b] = [x(one.map_m[0]), y(one.map_m[1])];
-      context.strokeRect(a - 7, b - 7, 14, 14);
-      context.fillText(String(k + 1), a + 9, b + 4);
+  drawCandidates({context, x, y, moved}, candidates) {
+    Object.assign(context, {strokeStyle: moved, fillStyle: moved, lineWidth: 2});
+    candidates.forEach(({map_m: [east, north]}, k) => {
+      context.strokeRect(x(east) - 7, y(north) - 7, 14, 14);
+      context.fillText(String(k + 1), x(east) + 9, y(north) + 4);
     });
   }
 
-  drawSelection({context, x, y, moved}) {
-    context.strokeStyle = moved;
-    context.lineWidth = 2;
-    for (const [east, north] of (this.map.selection.found?.places || [])) {
-      context.beginPath();
-      context.arc(x(east), y(north), 6, 0, 2 * Math.PI);
-      context.stroke();
-    }
+  drawSelection(pen) {
     const at = this.map.placeOf(this.map.app.selection);
-    if (!at) return;
-    context.lineWidth = 3;
-    context.beginPath();
-    context.arc(x(at[0]), y(at[1]), 9, 0, 2 * Math.PI);
-    context.stroke();
+    this.ring(pen, this.map.selection.found?.places || [], 6, 2);
+    this.ring(pen, at ? [at] : [], 9, 3);
   }
 
-  drawScaleBar(context, w, h) {
-    const length = roundBelow(140 / this.map.view.scale), wide = length * this.map.view.scale;
-    const style = getComputedStyle(this.map.canvas), words = length >= 1000 ? `${length / 1000} km` : `${length} m`;
-    context.font = `12px ${style.fontFamily}`;
-    context.fillStyle = style.getPropertyValue('--paper');
-    context.globalAlpha = 0.85;
-    context.fillRect(8, h - 34, wide + 60, 28);
-    context.globalAlpha = 1;
-    context.fillStyle = context.strokeStyle = style.color;
-    context.lineWidth = 2;
-    context.beginPath();
-    context.moveTo(14, h - 18);
-    context.lineTo(14, h - 13);
-    context.lineTo(14 + wide, h - 13);
-    context.lineTo(14 + wide, h - 18);
-    context.stroke();
-    context.fillText(words, 18, h - 20);
-    context.fillText('N ↑', w - 34, 18);
+  ring({context, x, y, moved}, places, radius, lineWidth) {
+    Object.assign(context, {strokeStyle: moved, lineWidth});
+    for (const [east, north] of places) {
+      context.beginPath();
+      context.arc(x(east), y(north), radius, 0, 2 * Math.PI);
+      context.stroke();
+    }
   }
 
   // What the colours, marks and lengths mean
   legend() {
-    const {points} = this.map;
+    const {shown, layers: {points, residuals, sigmas}, app} = this.map, {factors} = this;
     if (!points) return [];
-    const bar = make('canvas', {className: 'legend-bar', width: 320, height: 14}), context = bar.getContext('2d');
-    palette(this.signed()).forEach((one, k) => {
-      context.fillStyle = one;
-      context.fillRect(5 * k, 0, 5, 14);
-    });
-    const most = Math.max(Math.abs(points.low), Math.abs(points.high)), ends = this.signed() ? [-most, most] : [points.low, points.high];
-    const form = points.form === 'cells' ? `${points.count} points in and around the window, medians of cells` : `${points.count} points in and around the window`;
-    const factors = [
-      this.map.shown.ellipses && points.form === 'points' && `ellipses × ${short(this.ellipseFactor)}`,
-      this.map.shown.moved && `corrections × ${short(this.movedFactor)}`,
-      this.map.shown.residuals && this.map.layers.residuals && `residuals of ${this.map.layers.residuals.image} on the ground × ${short(this.residualFactor)}, median ${short(this.map.layers.residuals.median_px)} px`,
-      this.map.shown.changes && this.map.app.last?.moved && `last change × ${short(this.changeFactor)}`,
-      this.map.shown.sigmas && this.map.layers.sigmas && `cells: ${this.map.layers.sigmas.sentence}`,
+    const {first, last, colours} = this.scale(), bar = make('div', {className: 'legend-bar', style: `background: linear-gradient(to right, ${colours})`});
+    const enlarged = [
+      shown.ellipses && points.form === 'points' && `ellipses × ${short(factors.ellipses)}`, shown.moved && `corrections × ${short(factors.moved)}`,
+      shown.residuals && residuals && `residuals of ${residuals.image} on the ground × ${short(factors.residuals)}, median ${short(residuals.median_px)} px`,
+      shown.changes && app.last?.moved && `last change × ${short(factors.changes)}`, shown.sigmas && sigmas && `cells: ${sigmas.sentence}`,
     ].filter(Boolean).join('; ');
     return [
       make('strong', {textContent: `${points.title} (${points.unit})`}), bar,
-      make('div', {className: 'legend-ends'}, make('span', {textContent: short(ends[0])}), make('span', {textContent: short(ends[1])})),
-      make('p', {className: 'caption', textContent: `${form}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${factors ? ` ${factors}.` : ''}`}),
+      make('div', {className: 'legend-ends'}, make('span', {textContent: short(first)}), make('span', {textContent: short(last)})),
+      make('p', {className: 'caption', textContent: `${points.count} points in and around the window${points.form === 'cells' ? ', medians of cells' : ''}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${enlarged && ` ${enlarged}.`}`}),
     ];
   }
-}
-
-function step(share) {
-  return Math.min(Math.max(Math.floor(64 * share), 0), 63);
-}
-
-function quantile(values, share) {
-  if (!values.length) return 0;
-  const sorted = [...values].sort((a, b) => a - b);
-  return sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))];
-}
-
-function mark(context, kind, a, b, size) {
-  context.beginPath();
-  if (kind === 'laser') {
-    context.moveTo(a, b - size);
-    context.lineTo(a + size, b + size);
-    context.lineTo(a - size, b + size);
-    context.closePath();
-  } else if (kind === 'control') context.rect(a - size, b - size, 2 * size, 2 * size);
-  else if (kind === 'post') {
-    context.moveTo(a, b - size);
-    context.lineTo(a + size, b);
-    context.lineTo(a, b + size);
-    context.lineTo(a - size, b);
-    context.closePath();
-  } else context.arc(a, b, size, 0, 2 * Math.PI);
-  context.fill();
-  if (size > 3) context.stroke();
 }

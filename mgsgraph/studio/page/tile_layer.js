@@ -5,16 +5,76 @@ import {ask} from './app.js';
 const KEPT = 400; // tiles of a picture in memory
 const AT_ONCE = 6; // requests
 
-export class TileLayer {
+// Tiles that are kept and asked for; a class for each kind has their address(key)
+export class Tiles {
   // `say` is called with a sentence where a tile can't be had, `changed` when one has come
-  constructor(name, image, say, changed) {
-    Object.assign(this, {name, image, say, changed});
-    this.low = image.picture.low;
-    this.high = image.picture.high;
+  constructor(say, changed) {
+    Object.assign(this, {say, changed, wanted: [], failed: false});
     this.tiles = new Map(); // key -> ImageBitmap
     this.pending = new Map(); // key -> AbortController
+  }
+
+  cancel() {
+    for (const control of this.pending.values()) control.abort();
+    this.pending.clear();
     this.wanted = [];
-    this.failed = false;
+  }
+
+  get complete() {
+    return this.wanted.length === 0 && this.pending.size === 0;
+  }
+
+  want(keys) {
+    const needed = new Set(keys.map(one => one.key));
+    for (const [key, control] of this.pending)
+      if (!needed.has(key)) {
+        control.abort();
+        this.pending.delete(key);
+      }
+    this.wanted = keys.map(one => one.key).filter(key => !this.pending.has(key));
+    this.next();
+  }
+
+  next() {
+    while (!this.failed && this.wanted.length && this.pending.size < AT_ONCE) {
+      const key = this.wanted.shift(), control = new AbortController();
+      this.pending.set(key, control);
+      this.fetch(key, control);
+    }
+  }
+
+  async fetch(key, control) {
+    const {tiles} = this;
+    try {
+      const answer = await ask(this.address(key), {signal: control.signal});
+      tiles.set(key, await createImageBitmap(await answer.blob()));
+      while (tiles.size > KEPT) {
+        const oldest = tiles.keys().next().value;
+        tiles.get(oldest).close();
+        tiles.delete(oldest);
+      }
+    } catch (error) {
+      if (error.name === 'AbortError') return;
+      if (error.status === 503) return void await new Promise(done => { setTimeout(done, 300); }); // too many at once
+      this.failed = true;
+      this.say(error.message);
+    } finally {
+      if (this.pending.get(key) === control) this.pending.delete(key);
+      this.changed();
+    }
+  }
+}
+
+export class TileLayer extends Tiles {
+  constructor(name, image, say, changed) {
+    super(sentence => say(`${name}: ${sentence}`), changed);
+    Object.assign(this, {name, image, low: image.picture.low, high: image.picture.high});
+  }
+
+  address(key) {
+    const [level, row, column] = key.split('/'), {version} = this.image.picture;
+    const asked = new URLSearchParams({name: this.name, level, row, column, low: this.low, high: this.high, v: version});
+    return `/api/image/tile.png?${asked}`;
   }
 
   // Grey values that are black and white
@@ -26,16 +86,6 @@ export class TileLayer {
     this.tiles = new Map();
     this.cancel();
     this.changed();
-  }
-
-  cancel() {
-    for (const control of this.pending.values()) control.abort();
-    this.pending.clear();
-    this.wanted = [];
-  }
-
-  get complete() {
-    return this.wanted.length === 0 && this.pending.size === 0;
   }
 
   draw(context, mapping, width, height, density) {
@@ -84,49 +134,6 @@ export class TileLayer {
       context.drawImage(
         tile, column * step, row * step, tile.width * pixel + overlap, tile.height * pixel + overlap,
       );
-    }
-  }
-
-  want(keys) {
-    const needed = new Set(keys.map(one => one.key));
-    for (const [key, control] of this.pending)
-      if (!needed.has(key)) {
-        control.abort();
-        this.pending.delete(key);
-      }
-    this.wanted = keys.map(one => one.key).filter(key => !this.pending.has(key));
-    this.next();
-  }
-
-  next() {
-    while (!this.failed && this.wanted.length && this.pending.size < AT_ONCE) {
-      const key = this.wanted.shift(), control = new AbortController();
-      this.pending.set(key, control);
-      this.fetch(key, control);
-    }
-  }
-
-  async fetch(key, control) {
-    const {version} = this.image.picture;
-    const [level, row, column] = key.split('/');
-    const asked = new URLSearchParams({name: this.name, level, row, column, low: this.low, high: this.high, v: version});
-    const tiles = this.tiles;
-    try {
-      const answer = await ask(`/api/image/tile.png?${asked}`, {signal: control.signal});
-      tiles.set(key, await createImageBitmap(await answer.blob()));
-      while (tiles.size > KEPT) {
-        const oldest = tiles.keys().next().value;
-        tiles.get(oldest).close();
-        tiles.delete(oldest);
-      }
-    } catch (error) {
-      if (error.name === 'AbortError') return;
-      if (error.status === 503) return void await new Promise(done => { setTimeout(done, 300); }); // too many at once
-      this.failed = true;
-      this.say(`${this.name}: ${error.message}`);
-    } finally {
-      if (this.pending.get(key) === control) this.pending.delete(key);
-      this.changed();
     }
   }
 }
