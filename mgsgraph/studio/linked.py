@@ -15,7 +15,7 @@ common errors cancel.
 
 from collections.abc import Collection
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -313,13 +313,15 @@ class LinkedImages:
         return OrientationCorrection(np.zeros((1, 6)), self.block.settings.angles)
 
 
-def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, object]:
+def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, Any]:
     """The ground and where other images show it, as JSON: degrees and pixels."""
     longitude, latitude, _ = planetocentric(ground.point).tolist()
+    east_north = east_north_up(ground.point[None])[0, :2]
     return {
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG,
         "height_m": ground.height, "height_sigma_m": ground.height_sigma if np.isfinite(ground.height_sigma) else None,
         "surface": ground.surface, "spacing_m": np.linalg.norm(ground.slopes, axis=0).tolist(),
+        "east_north_m": (east_north @ ground.slopes).tolist(),
         "others": {block.images[prediction.image].name: _prediction_record(prediction) for prediction in predictions},
         "sigmas": "posterior" if block.adjusted else "a-priori",
     }  # fmt: skip

@@ -34,7 +34,7 @@ from mgsgraph.studio.map_points import (
     sigma_cells,
 )
 from mgsgraph.studio.marks import shots_of, ties_of
-from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.point_sheet import chip, correlations, next_measures, point_sheet, refine, tests_of
 from mgsgraph.studio.tiles import Tiles
 from mgsgraph.units import DEG
@@ -72,6 +72,16 @@ class Views:
                 files, images = self.opened.pictures, self._linked[1].block.images
                 self.tiles.pictures = {item.name: (files.get(item.name), item.lines, item.samples) for item in images}
             return self._linked[1]
+
+    @property
+    def nominal(self) -> LinkedImages:
+        """The same before the adjustment: nominal orientation, a-priori places and sigmas."""
+
+        def make() -> LinkedImages:
+            block = self.opened.block()
+            return LinkedImages(Block.of_network(block.network, block.settings))
+
+        return self.opened.once("nominal images", make)
 
     def image_record(self, name: str) -> dict[str, Any]:
         """Size, picture, ties and shots of an image; in place of a picture that can't be read, the sentence why."""
@@ -234,7 +244,8 @@ def _images(opened: Opened, views: Views) -> _Getting:
         return _png(views.tiles.tile(name, level, row, column, *contrast), 86400)
 
     def ground(request: Request) -> Any:
-        query, linked = request.query_params, views.linked
+        query = request.query_params
+        linked = views.nominal if "before" in query else views.linked
         required = [name for name in query.getlist("with") if name]
         pixel = number_of(query, "line"), number_of(query, "sample")
         try:
@@ -242,12 +253,21 @@ def _images(opened: Opened, views: Views) -> _Getting:
         except NoGround as error:  # no error: users look at limbs, too
             return {"sentence": str(error), "others": {}}
         map_m = np.asarray(opened.map_places(ground_at_pixel.point[None]))[0].tolist()
-        return ground_record(ground_at_pixel, predictions, linked.block) | {"map_m": map_m}
+        record = ground_record(ground_at_pixel, predictions, linked.block)
+        places = [(_name(request), *pixel)] + [(name, one["line"], one["sample"]) for name, one in record["others"].items()]
+        return record | {"map_m": map_m, "grey": {place[0]: views.tiles.value(*place) for place in places}}
+
+    def contrast(request: Request) -> Any:
+        query = request.query_params
+        corners = np.array([number_of(query, key) for key in ("line0", "sample0", "line1", "sample1")]).reshape(2, 2)
+        low, high = views.tiles.picture(_name(request)).contrast(corners)
+        return {"low": low, "high": high}
 
     return {
         "/api/image": lambda request: views.image_record(_name(request)),
         "/api/image/tile.png": tile,
         "/api/image/ground": ground,
+        "/api/image/contrast": contrast,
     }
 
 

@@ -1,14 +1,15 @@
-// What is drawn on an image's canvas: frame, ties with residuals, shots before and after, ellipses, the cross.
+// What is drawn on an image's canvas: frame, grid, ties with residuals, shots before and after, ellipses, the cross.
 
-import {roundBelow} from './plot.js';
+import {roundBelow, short, ticks} from './plot.js';
 
 export const COLOURS = {
-  tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0',
+  tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0', other: '#C9A7FF',
 };
 const MARK = 4; // CSS pixels, half a mark
+const CELL = 24; // CSS pixels, about: cells with one mark each
 
 // Strokes twice, dark and wide beneath: to be seen on any grey
-function stroke(context, path, colour, width = 1.5) {
+export function stroke(context, path, colour, width = 1.5) {
   context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
   context.lineWidth = width + 2;
   context.stroke(path);
@@ -17,28 +18,70 @@ function stroke(context, path, colour, width = 1.5) {
   context.stroke(path);
 }
 
-export function drawFrame(context, mapping, image) {
+// Text with a dark rim
+function label(context, words, x, y, colour = '#ffffff') {
+  Object.assign(context, {lineWidth: 3, strokeStyle: 'rgba(0, 0, 0, 0.75)', fillStyle: colour});
+  context.strokeText(words, x, y);
+  context.fillText(words, x, y);
+}
+
+// The edges of an image, with pixels or without; of another image than the canvas has, with its name
+export function drawFrame(context, mapping, image, other = '') {
   const corners = [[0, 0], [0, image.samples], [image.lines, image.samples], [image.lines, 0]];
   const path = new Path2D();
   corners.forEach(([line, sample], k) => path[k ? 'lineTo' : 'moveTo'](...mapping.toCanvas(line, sample)));
   path.closePath();
-  if (!image.picture) {
-    context.fillStyle = '#6b6b6b';
+  if (!other && !image.picture) {
+    context.fillStyle = '#404850';
     context.fill(path);
   }
-  context.strokeStyle = '#9a9a9a';
+  context.strokeStyle = other ? COLOURS.other : '#9a9a9a';
   context.lineWidth = 1;
+  context.stroke(path);
+  if (!other) return;
+  Object.assign(context, {font: '11px sans-serif', textAlign: 'center', textBaseline: 'middle'});
+  label(context, other, ...mapping.toCanvas(image.lines / 2, image.samples / 2), COLOURS.other);
+}
+
+// Round lines and samples, in place of pixels; each has its number where it is first seen
+export function drawGrid(context, mapping, {lines, samples}, width, height) {
+  const path = new Path2D(), bounds = mapping.bounds(width, height);
+  const first = bounds.map(one => Math.max(one[0], 0)), last = bounds.map((one, k) => Math.min(one[1], [lines, samples][k]));
+  Object.assign(context, {font: '11px sans-serif', textAlign: 'left', textBaseline: 'top', strokeStyle: '#7d8894', lineWidth: 1});
+  ['line', 'sample'].forEach((name, k) => {
+    if (!(last[k] > first[k])) return;
+    for (const value of ticks(first[k], last[k], mapping.scale * (last[k] - first[k]) / 110)) {
+      const ends = [first, last].map(one => mapping.toCanvas(...(k ? [one[0], value] : [value, one[1]])));
+      path.moveTo(...ends[0]);
+      path.lineTo(...ends[1]);
+      const [x, y] = ends.find(([px, py]) => px >= 0 && py >= 0 && px < width - 60 && py < height - 12) || ends[0];
+      label(context, `${name} ${short(value, 6)}`, x + 3, y + 2, '#e4e9ee');
+    }
+  });
   context.stroke(path);
 }
 
-// Ties with a place on the canvas: [{k, x, y}]
-export function tiesSeen(mapping, ties, width, height) {
-  const [down, right] = mapping.bounds(width, height), found = [];
-  ties.measured.forEach(([line, sample], k) => {
-    if (line < down[0] || line > down[1] || sample < right[0] || sample > right[1]) return;
-    const [x, y] = mapping.toCanvas(line, sample);
-    found.push({k, x, y});
-  });
+// Ties by their residuals in sigmas, the largest first
+export function worstFirst({names, residuals, sigmas}) {
+  const sizes = residuals.map((one, k) => one ? Math.hypot(one[0] / sigmas[k][0], one[1] / sigmas[k][1]) : -1);
+  return names.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]);
+}
+
+// Whether a place is the first one in its cell; cells move with the image, for marks would come and go while it is panned
+function firstInCell(mapping) {
+  const side = CELL / 2 ** Math.round(Math.log2(mapping.scale)), taken = new Set();
+  return (line, sample) => taken.size < taken.add(Math.floor(line / side) * 1e6 + Math.floor(sample / side)).size;
+}
+
+// Ties on the canvas that are drawn, [{k, x, y}]: the chosen one, and of others in a cell the worst; `all` counts them
+export function tiesSeen(mapping, {ties, order}, width, height, chosen) {
+  const found = Object.assign([], {all: 0}), isFirst = firstInCell(mapping);
+  for (const k of order) {
+    const [x, y] = mapping.toCanvas(...ties.measured[k]);
+    if (x < 0 || y < 0 || x > width || y > height) continue;
+    found.all += 1;
+    if (isFirst(...ties.measured[k]) || ties.names[k] === chosen) found.push({k, x, y});
+  }
   return found;
 }
 
@@ -78,22 +121,22 @@ export function drawNames(context, ties, seen) {
   context.font = '11px sans-serif';
   context.textAlign = 'left';
   context.textBaseline = 'middle';
-  context.lineWidth = 3;
-  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
-  context.fillStyle = COLOURS.tie;
-  for (const {k, x, y} of seen.slice(0, 300)) {
-    context.strokeText(ties.names[k], x + 7, y - 7);
-    context.fillText(ties.names[k], x + 7, y - 7);
-  }
+  for (const {k, x, y} of seen.slice(0, 300)) label(context, ties.names[k], x + 7, y - 7, COLOURS.tie);
 }
 
+// Shots before and after, one in a cell; returns how many of those on the canvas
 export function drawShots(context, mapping, shots, width, height, near) {
-  const before = new Path2D(), after = new Path2D(), between = new Path2D();
+  const before = new Path2D(), after = new Path2D(), between = new Path2D(), isFirst = firstInCell(mapping);
+  const counts = {drawn: 0, all: 0};
   for (const profile of shots.profiles)
     profile.names.forEach((_, k) => {
       const ends = [profile.before[k], profile.after[k]].map(one => one && mapping.toCanvas(...one));
       const inside = ends.some(one => one && one[0] > -50 && one[1] > -50 && one[0] < width + 50 && one[1] < height + 50);
       if (!inside) return;
+      counts.all += 1;
+      const isNear = near && near.profile === profile && near.k === k;
+      if (!isFirst(...(profile.after[k] || profile.before[k])) && !isNear) return;
+      counts.drawn += 1;
       if (ends[0]) {
         before.moveTo(ends[0][0] + MARK, ends[0][1]);
         before.arc(...ends[0], MARK, 0, 7);
@@ -108,7 +151,7 @@ export function drawShots(context, mapping, shots, width, height, near) {
         between.moveTo(...ends[0]);
         between.lineTo(...ends[1]);
       }
-      if (near && near.profile === profile && near.k === k && ends[1]) {
+      if (isNear && ends[1]) {
         const ring = new Path2D();
         ring.arc(...ends[1], 10, 0, 7);
         stroke(context, ring, COLOURS.after, 2);
@@ -119,6 +162,7 @@ export function drawShots(context, mapping, shots, width, height, near) {
   context.stroke(between);
   stroke(context, before, COLOURS.before);
   stroke(context, after, COLOURS.after);
+  return counts;
 }
 
 // An error ellipse in pixels of the image about [line, sample]; one that is smaller than can be seen is a dot.
@@ -164,12 +208,7 @@ export function drawScale(context, metres, width, height) {
   context.font = '12px sans-serif';
   context.textAlign = 'left';
   context.textBaseline = 'bottom';
-  context.lineWidth = 3;
-  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
-  const words = length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`;
-  context.strokeText(words, x + 4, y - 3);
-  context.fillStyle = '#ffffff';
-  context.fillText(words, x + 4, y - 3);
+  label(context, length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`, x + 4, y - 3);
 }
 
 // A place measured just now, not yet stored

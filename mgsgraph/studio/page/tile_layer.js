@@ -4,6 +4,7 @@ import {ask} from './app.js';
 
 const KEPT = 400; // tiles of a picture in memory
 const AT_ONCE = 6; // requests
+const LATE = 200; // ms, after which it is said that pixels are being read
 
 export class TileLayer {
   // `say` is called with a sentence where a tile can't be had, `changed` when one has come
@@ -36,6 +37,10 @@ export class TileLayer {
 
   get complete() {
     return this.wanted.length === 0 && this.pending.size === 0;
+  }
+
+  get late() {
+    return !this.complete && !this.failed && performance.now() - this.since >= LATE;
   }
 
   draw(context, mapping, width, height, density) {
@@ -88,6 +93,10 @@ export class TileLayer {
   }
 
   want(keys) {
+    if (this.complete && keys.length) {
+      this.since = performance.now();
+      setTimeout(this.changed, LATE + 10);
+    }
     const needed = new Set(keys.map(one => one.key));
     for (const [key, control] of this.pending)
       if (!needed.has(key)) {
