@@ -2,6 +2,7 @@
 
 from asyncio import Semaphore
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,8 @@ _LONGEST = 200_000
 """bytes of a request's body."""
 _AT_ONCE, _MOST_WAITING = 4, 40
 """Questions of one kind that are answered at a time, and those that wait or are answered."""
+_MOST_PRIOR = 200_000
+"""Most points of a block whose a-priori covariance is computed while the user waits."""
 BROWSER = "x-browser"
 """Header by which the page says which browser asks."""
 
@@ -75,11 +78,12 @@ class Views:
 
     @property
     def nominal(self) -> LinkedImages:
-        """The same before the adjustment: nominal orientation, a-priori places and sigmas."""
+        """The same before the adjustment: nominal orientation, a-priori places and, in smaller blocks, sigmas."""
 
         def make() -> LinkedImages:
             block = self.opened.block()
-            return LinkedImages(Block.of_network(block.network, block.settings))
+            before = Block.of_network(block.network, block.settings)
+            return LinkedImages(before if len(before.places) <= _MOST_PRIOR else replace(before, joint_of=lambda: None))
 
         return self.opened.once("nominal images", make)
 
@@ -254,13 +258,13 @@ def _images(opened: Opened, views: Views) -> _Getting:
             return {"sentence": str(error), "others": {}}
         map_m = np.asarray(opened.map_places(ground_at_pixel.point[None]))[0].tolist()
         record = ground_record(ground_at_pixel, predictions, linked.block)
-        places = [(_name(request), *pixel)] + [(name, one["line"], one["sample"]) for name, one in record["others"].items()]
-        return record | {"map_m": map_m, "grey": {place[0]: views.tiles.value(*place) for place in places}}
+        places = {_name(request): pixel} | {key: (one["line"], one["sample"]) for key, one in record["others"].items()}
+        grey = {key: views.tiles.value(key, *place) for key, place in places.items()}
+        return record | {"map_m": map_m, "grey": plain(grey)}
 
     def contrast(request: Request) -> Any:
-        query = request.query_params
-        corners = np.array([number_of(query, key) for key in ("line0", "sample0", "line1", "sample1")]).reshape(2, 2)
-        low, high = views.tiles.picture(_name(request)).contrast(corners)
+        corners = [[number_of(request.query_params, f"{key}{end}") for key in ("line", "sample")] for end in (0, 1)]
+        low, high = views.tiles.picture(_name(request)).contrast(np.array(corners))
         return {"low": low, "high": high}
 
     return {

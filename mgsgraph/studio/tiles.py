@@ -18,7 +18,6 @@ from PIL import Image
 
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import ANY_SIZE, opened
-from mgsgraph.files.output.table import plain
 from mgsgraph.files.rasters.pictures import picture_size, read_picture, read_picture_part
 from mgsgraph.geometry.records import Array
 
@@ -116,11 +115,10 @@ class Pyramid:
         return _reduced(self.path, (self.lines, self.samples), level, lines, samples)
 
     def value(self, line: float, sample: float) -> float | None:
-        """Grey value of the pixel at a place; None outside the picture, and where there is no pixel."""
-        row, column = int(np.floor(line)), int(np.floor(sample))
-        if not (0 <= row < self.lines and 0 <= column < self.samples):
+        """Grey value of the pixel at a place; None outside the picture, NaN where there is no pixel."""
+        if not (0 <= line < self.lines and 0 <= sample < self.samples):
             return None
-        return plain(float(self._pixels(0, slice(row, row + 1), slice(column, column + 1))[0, 0]))
+        return float(self._pixels(0, slice(int(line), int(line) + 1), slice(int(sample), int(sample) + 1))[0, 0])
 
     def contrast(self, corners: Array) -> tuple[float, float]:
         """Black and white by the quantiles inside a window, [line, sample] of two opposite corners (2, 2)."""
@@ -219,11 +217,10 @@ def _contrast(grey: Grey) -> tuple[float, float, float, float, float, float, tup
     most = most if most > least else least + 1.0
     low, high = (low, high) if high > low else (least, most)
     first, last = max(least, 2.0 * low - high), min(most, 2.0 * high - low)
-    step = (last - first) / _BINS
-    if np.array_equal(some, np.rint(some)):
-        step = float(np.ceil(step))  # as many grey values in each class
-    counts = np.bincount(((some[(some >= first) & (some <= last)] - first) / step).astype(int))
-    return low, high, least, most, first, step, tuple(counts.tolist())
+    is_whole = np.array_equal(some, np.rint(some))  # then each class has as many grey values
+    width = float(np.ceil((last - first) / _BINS) if is_whole else (last - first) / _BINS)
+    counts = np.bincount(((some[(some >= first) & (some <= last)] - first) / width).astype(int))
+    return low, high, least, most, first, width, tuple(counts.tolist())
 
 
 def encoded_tile(grey: Grey, low: float, high: float) -> bytes:
@@ -307,7 +304,7 @@ class Tiles:
         return encoded_tile(pyramid.part(level, row, column), black, white)
 
     def value(self, image: str, line: float, sample: float) -> float | None:
-        """Grey value of an image's pixel at a place; None where its picture isn't open, or has none there."""
+        """Grey value of an image's pixel at a place; None outside it, and where its picture isn't open."""
         pyramid = self._open.get(image)
         return None if pyramid is None else pyramid.value(line, sample)
 

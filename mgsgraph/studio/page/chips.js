@@ -2,7 +2,7 @@
 
 import {Affine, ofFrame, ofOther} from './affine.js';
 import {ask} from './app.js';
-import {COLOURS, stroke} from './image_marks.js';
+import {drawTies} from './image_marks.js';
 import {make, prepared} from './plot.js';
 
 const HALF = 96; // pixels from the middle pixel to the edges, as the server cuts them
@@ -15,22 +15,20 @@ export class Chips {
 
   // The canvas of a measurement
   of(ray) {
-    const canvas = make('canvas', {className: 'chip', tabIndex: 0, title: `${ray.image}: wheel, + and − zoom all chips`, role: 'img'});
-    canvas.setAttribute('aria-label', `Pixels around the measurement in ${ray.image}; plus and minus zoom all chips`);
-    const chip = {ray, canvas};
-    this.all.push(chip);
-    new ResizeObserver(() => this.draw()).observe(canvas);
-    this.read(chip).catch(error => this.app.say(error.message, 'error'));
-    canvas.addEventListener('wheel', event => {
-      event.preventDefault();
-      this.zoomBy(event.deltaY < 0 ? 1.25 : 0.8);
-    }, {passive: false});
-    canvas.addEventListener('keydown', event => {
-      const factor = {'+': 1.25, '=': 1.25, '-': 0.8}[event.key];
+    const canvas = make('canvas', {className: 'chip', tabIndex: 0, role: 'img', ariaLabel: `Pixels around the measurement in ${ray.image}`});
+    canvas.title = `${ray.image}: wheel, + and − zoom all chips`;
+    const chip = {ray, canvas}, zoomed = event => {
+      const factor = event.deltaY ? Math.exp(-event.deltaY / 400) : {'+': 1.25, '=': 1.25, '-': 0.8}[event.key];
       if (!factor) return;
       event.preventDefault();
-      this.zoomBy(factor);
-    });
+      zoom = Math.max(1, Math.min(8, zoom * factor));
+      this.draw();
+    };
+    canvas.addEventListener('wheel', zoomed, {passive: false});
+    canvas.addEventListener('keydown', zoomed);
+    new ResizeObserver(() => this.draw()).observe(canvas);
+    this.all.push(chip);
+    this.read(chip).catch(error => this.app.say(error.message, 'error'));
     return canvas;
   }
 
@@ -42,11 +40,6 @@ export class Chips {
       const asked = new URLSearchParams({name: first.image, line: first.line, sample: first.sample, with: image});
       Object.assign(this.others, (await this.app.request(`/api/image/ground?${asked}`)).others);
     }
-    this.draw();
-  }
-
-  zoomBy(factor) {
-    zoom = Math.max(1, Math.min(8, zoom * factor));
     this.draw();
   }
 
@@ -69,19 +62,8 @@ export class Chips {
       context.transform(a, c, b, d, x, y);
       context.drawImage(pixels, left, top);
       context.setTransform(density, 0, 0, density, 0, 0);
-      const path = new Path2D();
-      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-        path.moveTo(x + 5 * dx, y + 5 * dy);
-        path.lineTo(x + 16 * dx, y + 16 * dy);
-      }
-      stroke(context, path, COLOURS.tie, 1);
-      if (!ray.predicted) continue;
-      const residual = new Path2D(), end = mapping.toCanvas(...ray.predicted);
-      residual.moveTo(x, y);
-      residual.lineTo(...end);
-      residual.moveTo(end[0] + 3, end[1]);
-      residual.arc(...end, 3, 0, 7);
-      stroke(context, residual, COLOURS.rejected, 1);
+      // the mark at the measurement; its line ends where the geometry puts the point
+      drawTies(context, mapping, {measured: [[ray.line, ray.sample]], residuals: [ray.residual_px], used: [ray.used], names: ['']}, [{k: 0, x, y}], -1);
     }
   }
 }

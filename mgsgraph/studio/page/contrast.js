@@ -8,25 +8,15 @@ export class Contrast {
   constructor(pane, picture) {
     const {first, step, counts, least, most, low, high} = picture;
     Object.assign(this, {pane, picture, window: [low, high], ends: [first, first + step * counts.length]});
+    const span = this.ends[1] - first, oninput = () => this.set(this.handles.map(one => Number(one.value)));
+    this.handles = ['Black', 'White'].map(title => make('input', {type: 'range', min: first, max: this.ends[1], step: 'any', title, ariaLabel: title, oninput}));
     this.canvas = make('canvas', {className: 'histogram', title: 'Drag to move the window'});
-    this.handles = ['Black', 'White'].map((title, k) => {
-      const handle = make('input', {type: 'range', min: this.ends[0], max: this.ends[1], step: 'any', title});
-      handle.setAttribute('aria-label', title);
-      handle.addEventListener('input', () => this.set(k ? [this.window[0], Number(handle.value)] : [Number(handle.value), this.window[1]]));
-      return handle;
-    });
-    const button = (textContent, act) => {
-      const one = make('button', {type: 'button', textContent});
-      one.addEventListener('click', act);
-      return one;
-    };
+    this.canvas.onpointerdown = event => this.canvas.setPointerCapture(event.pointerId);
+    this.canvas.onpointermove = event => event.buttons && this.set(this.window.map(one => one + event.movementX * span / this.canvas.clientWidth));
+    const button = (textContent, onclick) => make('button', {type: 'button', textContent, onclick});
     this.words = make('output');
     this.element = make('div', {className: 'contrast'}, this.words, make('div', {className: 'histogram-box'}, this.canvas, ...this.handles),
       button('Whole range', () => this.set([least, most])), button('0.5 to 99.5 %', () => this.set([low, high])), button('This view', () => this.ofView()));
-    this.canvas.addEventListener('pointerdown', event => this.canvas.setPointerCapture(event.pointerId));
-    this.canvas.addEventListener('pointermove', event => {
-      if (event.buttons) this.set(this.window.map(one => one + event.movementX * (this.ends[1] - this.ends[0]) / this.canvas.clientWidth));
-    });
     this.set(this.window);
   }
 

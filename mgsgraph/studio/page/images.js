@@ -10,7 +10,7 @@ import {make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
-  ['ties', '+ tie, × rejected', true], ['names', 'names of ties', false], ['residuals', '— residual times', true], ['shots', '○ △ shots', true],
+  ['ties', '+ tie, × rejected', true], ['names', 'names of ties', false], ['residuals', '— residual ×', true], ['shots', '○ △ shots', true],
   ['ellipses', '○ predicted, 95 %', true], ['outlines', '▭ other images', true], ['turned', 'turn to the first', true], ['shape', 'ground shape', false],
 ];
 const LAYOUTS = [['along', 'Lines along the pane'], ['upright', 'Lines downwards'], ['north', 'North up']];
@@ -37,59 +37,43 @@ export class Images {
   }
 
   build() {
-    const tools = make('div', {className: 'image-tools', role: 'group'}), marks = make('div', {className: 'image-marks', role: 'group'});
-    tools.setAttribute('aria-label', 'Images');
-    marks.setAttribute('aria-label', 'What is drawn on the images');
-    const check = (where, key, words, on, act) => {
-      this.shown[key] = on;
-      const box = make('input', {type: 'checkbox', checked: on});
-      box.addEventListener('change', () => {
-        this.shown[key] = box.checked;
+    const check = (key, words, checked, act) => {
+      this.shown[key] = checked;
+      const onchange = event => {
+        this.shown[key] = event.target.checked;
         act();
-      });
-      where.append(make('label', {className: `mark-${key}`}, box, ` ${words}`));
-      return box;
+      };
+      return make('label', {className: `mark-${key}`}, make('input', {type: 'checkbox', checked, onchange}), ` ${words}`);
     };
-    const choice = (label, options, value, act) => {
-      const one = make('select', {title: label}, ...options.map(([key, words]) => make('option', {value: key, textContent: words, selected: key === value})));
-      one.setAttribute('aria-label', label);
-      one.addEventListener('change', () => act(one.value));
-      tools.append(one);
-      return one;
-    };
-    const button = (words, act, title) => {
-      const one = make('button', {type: 'button', textContent: words, title});
-      one.addEventListener('click', act);
-      tools.append(one);
-      return one;
-    };
-    for (const one of SHOWN) check(marks, ...one, () => this.request());
-    this.factor = make('input', {type: 'number', min: 1, max: 10000, value: 20, className: 'factor'});
-    this.factor.setAttribute('aria-label', 'Residuals times');
-    this.factor.addEventListener('input', () => this.request());
-    marks.querySelector('.mark-residuals').after(this.factor);
-    this.layouts = choice('Direction of the lines (t)', LAYOUTS, this.layout, key => this.setLayout(key));
-    this.comparing = choice('Compare with the second image', COMPARED, '', key => this.setCompare(key));
-    this.swiper = make('input', {type: 'range', min: 0, max: 1, step: 0.01, value: 0.5, className: 'swiper', title: 'Swipe ([ and ])'});
-    this.swiper.setAttribute('aria-label', 'Swipe');
-    this.swiper.addEventListener('input', () => this.swipe(Number(this.swiper.value)));
-    this.before = check(tools, 'before', 'Before the adjustment', false, () => this.ask());
-    this.adder = button('Add an image', () => this.addPane(), 'One more image beside the others');
-    button('Whole image', () => this.whole(), 'Show the whole first image (0)');
-    button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen');
-    this.measureButton = button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)');
-    check(tools, 'side', 'Contrast, marks, profile', true, () => { this.element.dataset.side = this.shown.side; });
+    const choice = (ariaLabel, options, act) => make('select', {ariaLabel, title: ariaLabel, onchange: event => act(event.target.value)},
+      ...options.map(([value, textContent]) => make('option', {value, textContent})));
+    const button = (textContent, onclick, title) => make('button', {type: 'button', textContent, onclick, title});
+    this.layouts = choice('Direction of the lines (t)', LAYOUTS, key => this.setLayout(key));
+    this.layouts.value = this.layout;
+    this.comparing = choice('Compare with the second image', COMPARED, key => this.setCompare(key));
+    this.swiper = make('input', {type: 'range', min: 0, max: 1, step: 0.01, className: 'swiper', title: 'Swipe ([ and ])', ariaLabel: 'Swipe'});
+    this.swiper.oninput = () => this.swipe(Number(this.swiper.value));
+    this.before = check('before', 'Before the adjustment', false, () => this.ask());
+    this.adder = button('Add an image', () => this.addPane(), 'One more image over the same ground');
+    const tools = make('div', {className: 'image-tools', role: 'group', ariaLabel: 'Images'}, this.layouts, this.comparing, this.before, this.adder,
+      button('Whole image', () => this.whole(), 'Show the whole first image (0)'),
+      button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen'),
+      button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)'),
+      check('side', 'Contrast, marks, profile', true, () => { this.element.dataset.side = this.shown.side; }));
+    this.factor = make('input', {type: 'number', min: 1, max: 10000, value: 20, className: 'factor', ariaLabel: 'Residuals times', oninput: () => this.request()});
+    const marks = make('div', {className: 'image-marks', role: 'group', ariaLabel: 'What is drawn on the images'},
+      ...SHOWN.map(one => check(...one, () => this.request())));
+    marks.querySelector('.mark-residuals').append(this.factor);
     this.row = make('div', {className: 'image-panes'});
     this.dialogPlace = make('div', {className: 'image-dialog'});
     this.contrastPlace = make('div');
     this.place = make('p', {className: 'caption', textContent: 'Move over an image to see its ground.'});
-    [this.laser, this.differences] = ['laser-profile', 'laser-profile laser-differences'].map(className => make('canvas', {className, tabIndex: 0, role: 'img'}));
-    for (const one of [this.laser, this.differences]) one.addEventListener('click', event => this.pickShot(one, event));
-    this.laserWords = make('p', {className: 'caption'});
-    const legend = ['○ before', '△ after'].map((textContent, k) => make('span', {className: k ? 'ink-after' : 'ink-before', textContent}));
-    this.profile = make('div', {className: 'laser'}, make('p', {className: 'caption'}, 'Laser profile: ', legend[0], ' ', legend[1], ' the adjustment, — surface'),
-      this.laser, this.differences, this.laserWords);
-    this.element.replaceChildren(tools, this.dialogPlace, this.row, make('div', {className: 'image-side'}, this.contrastPlace, marks, this.profile, this.place));
+    [this.laser, this.differences] = ['', 'differences'].map(name => make('canvas',
+      {className: `laser-profile ${name}`, tabIndex: 0, role: 'img', onclick: event => this.pickShot(event)}));
+    this.laserWords = make('span');
+    this.profile = make('div', {className: 'laser'}, make('p', {className: 'caption'}, make('b', {className: 'ink-before', textContent: '○ before'}), ' ',
+      make('b', {className: 'ink-after', textContent: '■ after'}), ' the adjustment. ', this.laserWords), this.laser, this.differences);
+    this.element.replaceChildren(tools, this.dialogPlace, this.row, make('div', {className: 'image-side'}, this.contrastPlace, marks, this.place), this.profile);
   }
 
   // --- images
@@ -101,8 +85,8 @@ export class Images {
   async open() {
     const names = this.app.scene.images.map(one => one.name);
     this.sizes = new Map(this.app.scene.images.map(one => [one.name, one]));
-    this.before.disabled = !this.app.scene.adjusted;
-    this.before.parentElement.title = this.before.disabled ? 'Nothing has been adjusted' : 'Nominal orientation of all images (o)';
+    this.before.control.disabled = !this.app.scene.adjusted;
+    this.before.title = this.app.scene.adjusted ? 'Nominal orientation of all images (o)' : 'Nothing has been adjusted';
     this.panes.forEach(one => one.close());
     this.panes = [];
     this.row.replaceChildren();
@@ -220,9 +204,8 @@ export class Images {
     const {lines, samples} = image, {clientWidth: width, clientHeight: height} = canvas;
     this.centre = [lines / 2, samples / 2];
     this.cursor = [0, 0];
-    const unit = ofFrame(this.centre, 1, this.axes, 0, 0), ends = [[0, 0], [0, samples]].map(one => unit.toCanvas(...one));
-    const [wide, high] = [0, 1].map(k => 2 * Math.max(...ends.map(one => Math.abs(one[k]))));
-    this.zoom = 0.95 * Math.min(height / high, width / wide);
+    const [a, b, c, d] = this.axes.map(Math.abs);
+    this.zoom = 0.95 * Math.min(width / (a * samples + b * lines), height / (c * samples + d * lines));
     this.isWhole = true;
     this.link = null;
     this.ask();
@@ -381,8 +364,8 @@ export class Images {
     this.laser.setAttribute('aria-label', this.laserWords.textContent);
   }
 
-  pickShot(canvas, event) {
-    const found = canvas.nearest?.(event.offsetX);
+  pickShot(event) {
+    const found = event.target.nearest?.(event.offsetX);
     const place = found && (found.profile.after[found.k] || found.profile.before[found.k]);
     if (place) this.centreOn(this.active, place);
   }
@@ -425,8 +408,7 @@ export class Images {
   // --- keyboard
 
   key(event) {
-    const tag = event.target.tagName;
-    if (['INPUT', 'SELECT', 'TEXTAREA'].includes(tag) || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.matches('input:not([type=checkbox]), select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
     if (!this.fitted() || !this.act(event)) return;
     event.preventDefault();
     event.stopPropagation();
@@ -449,7 +431,7 @@ export class Images {
       this.blinked = !this.blinked;
       this.request();
     } else if (compared[event.key]) this.setCompare(compared[event.key]);
-    else if (event.key === 'o') this.before.click();
+    else if (event.key === 'o') this.before.control.click();
     else if (event.key === '[' || event.key === ']') this.swipe(this.handle + (event.key === '[' ? -0.02 : 0.02));
     else if (event.key === 'n' || event.key === 'p') this.nextTie(event.key === 'n' ? 1 : -1);
     else if (event.key === 'Enter' && event.target.tagName === 'CANVAS') this.take(this.active);

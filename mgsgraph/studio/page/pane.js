@@ -2,7 +2,7 @@
 
 import {Contrast} from './contrast.js';
 import {
-  drawCross, drawEllipse, drawFrame, drawGrid, drawMeasured, drawNames, drawScale, drawShots, drawTies, tiesSeen, worstFirst,
+  drawCross, drawEllipse, drawFrame, drawGrid, drawMeasured, drawNames, drawScale, drawShots, drawTies, label, tiesSeen, worstFirst,
 } from './image_marks.js';
 import {make, prepared, short} from './plot.js';
 import {TileLayer} from './tile_layer.js';
@@ -14,16 +14,11 @@ const LATE = 200; // ms, after which it is said that something is being read
 export class Pane {
   constructor(owner, name) {
     Object.assign(this, {owner, name, image: null, layer: null, pointers: new Map()});
-    this.chooser = make('select', {title: 'Image'});
-    this.chooser.setAttribute('aria-label', 'Image');
-    for (const one of owner.app.scene.images)
-      this.chooser.append(make('option', {value: one.name, textContent: one.name, selected: one.name === name}));
-    this.chooser.addEventListener('change', () => this.choose(this.chooser.value));
-    const away = make('button', {type: 'button', textContent: '×', title: 'Take this image away'});
-    away.addEventListener('click', () => owner.removePane(this));
-    this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas'});
-    this.canvas.setAttribute('role', 'application');
-    this.words = make('figcaption', {textContent: ''});
+    this.chooser = make('select', {title: 'Image', ariaLabel: 'Image', onchange: () => this.choose(this.chooser.value)},
+      ...owner.app.scene.images.map(one => make('option', {value: one.name, textContent: one.name, selected: one.name === name})));
+    const away = make('button', {type: 'button', textContent: '×', title: 'Take this image away', onclick: () => owner.removePane(this)});
+    this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas', role: 'application'});
+    this.words = make('figcaption');
     this.box = make('div', {className: 'image-box'}, this.canvas);
     this.element = make('figure', {className: 'image-pane'}, make('div', {className: 'image-head'}, this.chooser, this.words, away), this.box);
     this.listen();
@@ -82,11 +77,14 @@ export class Pane {
     this.drawn = mapping;
     if (!width) return;
     if (this.late || !this.image || !mapping) return this.say(context, width, height);
-    const other = owner.over(this), there = other && owner.mapping(other, this.canvas);
-    if (!there || owner.compare !== 'blink' || !owner.blinked) this.pixels(context, mapping, width, height, density);
+    const other = owner.over(this), there = other && owner.mapping(other, this.canvas), blinked = there && owner.blinked;
+    if (!blinked) this.pixels(context, mapping, width, height, density);
     if (there) this.beside(context, other, there, width, height, density);
-    if (there && owner.compare === 'blink' && owner.blinked) other.marks(context, there, width, height);
-    else this.marks(context, mapping, width, height);
+    if (there) other.marks(context, there, width, height, blinked);
+    this.marks(context, mapping, width, height, !blinked);
+    if (!there || owner.compare !== 'blink') return;
+    Object.assign(context, {font: 'bold 15px sans-serif', textAlign: 'left', textBaseline: 'top'});
+    label(context, (blinked ? other : this).name, 8, 8);
   }
 
   pixels(context, mapping, width, height, density) {
@@ -98,32 +96,29 @@ export class Pane {
   // Another image over this one: in its place, to the right of the handle, or this one in red and the other in cyan
   beside(context, other, there, width, height, density) {
     const {compare, blinked, handle} = this.owner;
+    const fill = (on, fillStyle, globalCompositeOperation, left = 0, wide = width) => {
+      Object.assign(on, {fillStyle, globalCompositeOperation});
+      on.fillRect(left, 0, wide, height);
+      on.globalCompositeOperation = 'source-over';
+    };
+    context.save();
     if (compare === 'red') {
-      const copy = this.copy ??= make('canvas'), {canvas} = this, second = copy.getContext('2d');
-      if (copy.width !== canvas.width || copy.height !== canvas.height) Object.assign(copy, {width: canvas.width, height: canvas.height});
-      second.setTransform(density, 0, 0, density, 0, 0);
-      second.clearRect(0, 0, width, height);
+      const copy = new OffscreenCanvas(this.canvas.width, this.canvas.height), second = copy.getContext('2d');
+      second.scale(density, density);
       other.pixels(second, there, width, height, density);
-      for (const [on, colour] of [[context, '#ff0000'], [second, '#00ffff']]) {
-        Object.assign(on, {globalCompositeOperation: 'multiply', fillStyle: colour});
-        on.fillRect(0, 0, width, height);
-        on.globalCompositeOperation = 'source-over';
-      }
+      fill(context, '#ff0000', 'multiply');
+      fill(second, '#00ffff', 'multiply');
       context.globalCompositeOperation = 'lighter';
       context.drawImage(copy, 0, 0, width, height);
-      context.globalCompositeOperation = 'source-over';
     } else if (compare === 'swipe') {
-      context.save();
+      fill(context, '#ffffff', 'source-over', handle * width - 2, 2);
       context.beginPath();
       context.rect(handle * width, 0, width, height);
       context.clip();
-      context.fillStyle = '#2b2b2b';
-      context.fillRect(0, 0, width, height);
+      fill(context, '#2b2b2b', 'source-over');
       other.pixels(context, there, width, height, density);
-      context.restore();
-      context.fillStyle = '#ffffff';
-      context.fillRect(handle * width - 1, 0, 2, height);
     } else if (blinked) other.pixels(context, there, width, height, density);
+    context.restore();
   }
 
   say(context, width, height) {
@@ -135,8 +130,11 @@ export class Pane {
     this.words.textContent = '';
   }
 
-  marks(context, mapping, width, height) {
-    const {owner, image} = this, {shown, cursor, link} = owner, counts = [];
+  // Marks and the line about them; in the canvas of another image, only those of the one on top
+  marks(context, mapping, width, height, onTop = true) {
+    const {owner, image} = this, {shown, cursor, link} = owner, counts = [], at = [width / 2 + cursor[0], height / 2 + cursor[1]];
+    const predicted = this === owner.frame ? null : link?.others[this.name];
+    if (!onTop) return this.tell(mapping.toImage(...at), predicted, null, counts);
     if (shown.outlines && (shown.turned || this === owner.frame)) owner.outlines(context, this.name, width, height);
     if (shown.shots) {
       const {drawn, all} = drawShots(context, mapping, image.shots, width, height, this === owner.active ? owner.near : null);
@@ -147,12 +145,10 @@ export class Pane {
     const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
     drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
     if (shown.names) drawNames(context, image.ties, this.seen);
-    const predicted = this === owner.frame ? null : link?.others[this.name];
     if (shown.ellipses && predicted?.ellipse_px)
       drawEllipse(context, mapping, [predicted.line, predicted.sample], predicted.ellipse_px);
     const place = owner.measuring.placeIn(this.name);
     if (place) drawMeasured(context, mapping, place);
-    const at = [width / 2 + cursor[0], height / 2 + cursor[1]];
     drawCross(context, ...at, width, height);
     if (this === owner.frame && link) drawScale(context, link.spacing_m[1] / owner.zoom, width, height);
     this.tell(mapping.toImage(...at), predicted, this.tieNear(at), counts);
