@@ -20,7 +20,8 @@ export class Pane {
     this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas', role: 'application'});
     this.words = make('figcaption');
     this.box = make('div', {className: 'image-box'}, this.canvas);
-    this.element = make('figure', {className: 'image-pane'}, make('div', {className: 'image-head'}, this.chooser, this.words, away), this.box);
+    this.note = make('p', {className: 'no-picture'});
+    this.element = make('figure', {className: 'image-pane'}, make('div', {className: 'image-head'}, this.chooser, this.words, away), this.note, this.box);
     this.listen();
   }
 
@@ -58,7 +59,7 @@ export class Pane {
     this.layer?.cancel();
     this.layer = this.contrast = null;
     const {picture, sentence} = this.image, owner = this.owner;
-    this.box.replaceChildren(this.canvas, ...(picture ? [] : [make('p', {className: 'no-picture', textContent: sentence})]));
+    this.note.textContent = picture ? '' : sentence;
     if (!picture) return;
     this.layer = new TileLayer(this.name, this.image, words => owner.app.say(words, 'error'), () => owner.request());
     this.contrast = new Contrast(this, picture);
@@ -138,10 +139,10 @@ export class Pane {
     if (shown.outlines && (shown.turned || this === owner.frame)) owner.outlines(context, this.name, width, height);
     if (shown.shots) {
       const {drawn, all} = drawShots(context, mapping, image.shots, width, height, this === owner.active ? owner.near : null);
-      if (all) counts.push(`${drawn} of ${all} shots`);
+      if (drawn < all) counts.push(`${drawn} of ${all} shots`);
     }
     this.seen = shown.ties ? tiesSeen(mapping, image, width, height, owner.app.selection) : [];
-    if (this.seen.all) counts.push(`${this.seen.length} of ${this.seen.all} ties, largest residuals first`);
+    if (this.seen.length < this.seen.all) counts.push(`${this.seen.length} of ${this.seen.all} ties, largest residuals first`);
     const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
     drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
     if (shown.names) drawNames(context, image.ties, this.seen);
