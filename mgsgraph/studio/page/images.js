@@ -203,7 +203,6 @@ export class Images {
     if (!image || !canvas.clientWidth) return;
     const {lines, samples} = image, {clientWidth: width, clientHeight: height} = canvas;
     this.centre = [lines / 2, samples / 2];
-    this.cursor = [0, 0];
     const [a, b, c, d] = this.axes.map(Math.abs);
     this.zoom = 0.95 * Math.min(width / (a * samples + b * lines), height / (c * samples + d * lines));
     this.isWhole = true;
