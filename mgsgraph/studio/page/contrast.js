@@ -31,7 +31,9 @@ export class Contrast {
 
   // 0.5 to 99.5 % of the pixels in the window of the pane
   async ofView() {
-    const {canvas, drawn, name, owner} = this.pane, bounds = drawn.bounds(canvas.clientWidth, canvas.clientHeight);
+    const {name, owner} = this.pane, {canvas} = owner.frame;
+    const bounds = owner.mapping(this.pane, canvas)?.bounds(canvas.clientWidth, canvas.clientHeight);
+    if (!bounds) return;
     const asked = new URLSearchParams({name, line0: bounds[0][0], line1: bounds[0][1], sample0: bounds[1][0], sample1: bounds[1][1]});
     try {
       const {low, high} = await owner.app.request(`/api/image/contrast?${asked}`);

@@ -5,7 +5,7 @@ import {likeFrame, ofFrame, ofOther} from './affine.js';
 import {drawFrame, worstFirst} from './image_marks.js';
 import {drawLaser, nearestShot} from './laser_plot.js';
 import {Measuring} from './measuring.js';
-import {Pane} from './pane.js';
+import {LATE, Pane} from './pane.js';
 import {make, short} from './plot.js';
 
 const MOST = 4; // panes
@@ -128,9 +128,8 @@ export class Images {
     this.panes = this.panes.filter(one => one !== pane);
     this.row.dataset.count = this.panes.length;
     this.adder.disabled = false;
-    if (first) this.known = null;
-    if (this.panes.length < 2) this.setCompare('');
-    if (first) this.whole();
+    if (first) Object.assign(this, {link: null, known: null, isWhole: true});
+    this.setCompare(this.panes.length < 2 ? '' : this.compare);
     this.changedPanes();
   }
 
@@ -177,10 +176,8 @@ export class Images {
       const {ties} = image, now = measures.find(one => one.image === name), columns = ['names', 'measured', 'residuals', 'sigmas', 'used', 'kinds'];
       let k = ties.names.indexOf(point);
       if (k >= 0 && !now) columns.forEach(key => ties[key].splice(k, 1));
-      image.order = worstFirst(ties);
-      if (!now) continue;
       if (k < 0) k = ties.names.length;
-      [point, [now.line, now.sample], null, now.sigma_px, true, ties.kinds[k] || 'tie'].forEach((value, c) => { ties[columns[c]][k] = value; });
+      if (now) [point, [now.line, now.sample], null, now.sigma_px, true, ties.kinds[k] || 'tie'].forEach((value, c) => { ties[columns[c]][k] = value; });
       image.order = worstFirst(ties);
     }
     this.request();
@@ -277,10 +274,10 @@ export class Images {
 
   // --- the server's answers
 
-  ground(name, place, others) {
+  ground(name, place, others, before = this.shown.before) {
     const asked = new URLSearchParams({name, line: place[0], sample: place[1]});
     for (const one of others) asked.append('with', one);
-    if (this.shown.before) asked.append('before', 1);
+    if (before) asked.append('before', 1);
     return this.app.request(`/api/image/ground?${asked}`);
   }
 
@@ -295,17 +292,21 @@ export class Images {
       const {name, image} = this.frame, cross = this.crossPlace;
       const place = [Math.max(0, Math.min(image.lines, cross[0])), Math.max(0, Math.min(image.samples, cross[1]))];
       const beside = place[0] !== cross[0] || place[1] !== cross[1];
+      const late = setTimeout(() => { this.place.textContent = 'Reading the ground …'; }, LATE);
       try {
         const found = await this.ground(name, place, this.panes.slice(1).map(one => one.name));
         if (name !== this.frame.name) continue;
         if (!found.sentence) this.link = {...found, line: place[0], sample: place[1]};
         if (!this.known && this.link) {
           this.known = this.link;
+          this.ground(name, place, [], true).catch(() => {}); // the server is ready then for the first `o`
           if (this.isWhole && (this.layout === 'north' || this.shown.shape)) this.whole();
         }
         this.place.textContent = found.sentence || (beside ? 'At the edge of the first image: ' : '') + this.groundWords(found);
       } catch (error) {
         this.place.textContent = error.message;
+      } finally {
+        clearTimeout(late);
       }
       this.request();
     }
@@ -342,9 +343,10 @@ export class Images {
     this.statistics.milliseconds += performance.now() - begin;
   }
 
-  // The pane that has the keyboard, or the first one
+  // The pane that has the keyboard, or the first one; the one that blinking shows
   get active() {
-    return this.panes.find(one => one.canvas === document.activeElement) || this.panes[0];
+    const own = this.panes.find(one => one.canvas === document.activeElement) || this.panes[0];
+    return (this.blinked && this.over(own)) || own;
   }
 
   // Contrast and profile are those of the active pane
@@ -400,8 +402,12 @@ export class Images {
     const now = order.findIndex(k => ties.names[k] === this.app.selection);
     const k = order[(now < 0 ? (step > 0 ? 0 : order.length - 1) : now + step + order.length) % order.length];
     this.centreOn(this.active, ties.measured[k]);
-    this.app.select(ties.names[k]);
-    this.app.say(this.active.tieWords(k));
+    this.choose(this.active, k);
+  }
+
+  choose(pane, k) {
+    this.app.select(pane.image.ties.names[k]);
+    this.app.say(pane.tieWords(k));
   }
 
   // --- keyboard
@@ -428,6 +434,7 @@ export class Images {
     else if (event.key === 't') this.setLayout(LAYOUTS[(LAYOUTS.findIndex(([key]) => key === this.layout) + 1) % LAYOUTS.length][0]);
     else if (event.key === 'b' && this.compare === 'blink') {
       this.blinked = !this.blinked;
+      this.activate();
       this.request();
     } else if (compared[event.key]) this.setCompare(compared[event.key]);
     else if (event.key === 'o') this.before.control.click();
@@ -445,10 +452,10 @@ export class Images {
     const {canvas} = own, pane = (this.blinked && this.over(own)) || own;
     const mapping = this.mapping(pane, canvas), at = [canvas.clientWidth / 2 + this.cursor[0], canvas.clientHeight / 2 + this.cursor[1]];
     if (!mapping) return;
-    const [line, sample] = mapping.toImage(...at), name = pane.tieAt(at);
+    const [line, sample] = mapping.toImage(...at), tie = pane.tieNear(at);
     if (this.measuring.running) return this.measuring.take(pane, [line, sample]);
     this.app.place({image: pane.name, line, sample});
-    if (name) this.app.select(name);
+    if (tie !== null) this.choose(pane, tie);
   }
 }
 

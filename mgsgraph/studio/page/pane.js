@@ -9,7 +9,7 @@ import {TileLayer} from './tile_layer.js';
 
 const CLOSE = 9; // CSS pixels, from a tie that is chosen
 const STILL = 4; // CSS pixels, up to which a press is a click
-const LATE = 200; // ms, after which it is said that something is being read
+export const LATE = 200; // ms, after which it is said that something is being read
 
 export class Pane {
   constructor(owner, name) {
@@ -28,9 +28,8 @@ export class Pane {
   async choose(name) {
     this.name = name;
     const first = this.owner.frame === this;
-    if (first) Object.assign(this.owner, {link: null, known: null});
+    if (first) Object.assign(this.owner, {link: null, known: null, isWhole: true});
     await this.load();
-    if (first) this.owner.whole();
     this.owner.changedPanes();
   }
 
@@ -184,12 +183,7 @@ export class Pane {
       + `sigma ${short(sigma[0], 2)} and ${short(sigma[1], 2)} px`;
   }
 
-  // Name of the tie nearest to a point of the canvas; none where it is far
-  tieAt(at) {
-    const k = this.tieNear(at);
-    return k === null ? null : this.image.ties.names[k];
-  }
-
+  // The tie nearest to a point of the canvas; null where none is near
   tieNear([x, y]) {
     let best = null, least = CLOSE;
     for (const one of this.seen || []) {
