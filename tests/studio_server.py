@@ -146,6 +146,7 @@ class Page:
         self.run("document.activeElement.blur()")
         self.tab.keyboard.press(str(PANELS.index(panel) + 1))
         self.tab.wait_for_selector(f"#{panel}:not([hidden])")
+        self.until("id => Boolean(document.getElementById(id).view)", panel)
 
     def close(self) -> None:
         assert self.complaints == []
