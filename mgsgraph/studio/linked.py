@@ -15,7 +15,7 @@ common errors cancel.
 
 from collections.abc import Collection
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -128,13 +128,13 @@ class GroundModel:
         distances (Shepard 1968).
         """
         assert self._tree is not None
-        count = min(_NEIGHBOURS, self._heights.size)
+        count = min(_NEIGHBOURS, self._located.size)
         distances, nearest = (np.atleast_1d(array) for array in self._tree.query(point, count))
-        heights = self._heights[nearest]
+        heights, sigmas = self._heights(nearest), self._sigmas(nearest)
         weights = 1.0 / np.maximum(distances, 1.0) ** 2
         weights /= weights.sum()
         height = float(weights @ heights)
-        spread = float(np.sqrt(weights @ (heights - height) ** 2 + weights @ self._sigmas[nearest] ** 2))
+        spread = float(np.sqrt(weights @ (heights - height) ** 2 + weights @ sigmas**2))
         kind = "adjusted point" if self._block.adjusted else "a-priori place"
         surface = f"at the height of the nearest {many(count, kind)}, {height:.0f} m with a sigma of {spread:.2g} m"
         return height, spread, f"{surface}; the next one is {distances.min() / KM:.2g} km away"
@@ -159,25 +159,22 @@ class GroundModel:
         """(m,) points with a place."""
         return np.flatnonzero(np.all(np.isfinite(self._block.places), axis=1) & np.any(self._block.places, axis=1))
 
-    @cached_property
-    def _heights(self) -> Array:
-        """(m,) m above the ellipsoid, of these."""
-        return np.asarray(geodetic(self._block.places[self._located], self._block.images[0].body)[:, 2])
+    def _heights(self, numbers: Index) -> Array:
+        """(k,) m above the ellipsoid, of some of these."""
+        return np.asarray(geodetic(self._block.places[self._located[numbers]], self._block.images[0].body)[:, 2])
 
-    @cached_property
-    def _sigmas(self) -> Array:
-        """(m,) m, of these."""
-        covariances = self._block.covariances
+    def _sigmas(self, numbers: Index) -> Array:
+        """(k,) m, of the same."""
+        covariances, points = self._block.covariances, self._located[numbers]
         if covariances is None:
-            return np.zeros(self._located.size)
-        up = east_north_up(self._block.places[self._located])[:, 2]
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[self._located], up), 0.0)))
+            return np.zeros(points.size)
+        up = east_north_up(self._block.places[points])[:, 2]
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", up, covariances[points], up), 0.0)))
 
     @cached_property
     def _tree(self) -> KDTree | None:
-        return KDTree(self._block.places[self._located]) if self._located.size else None
-
-
+        places = self._block.places[self._located]  # a tree of many points is built fast, not balanced
+        return KDTree(places, balanced_tree=False, compact_nodes=False) if self._located.size else None
 
 
 class Ellipse(NamedTuple):
@@ -308,13 +305,14 @@ class LinkedImages:
         return OrientationCorrection(np.zeros((1, 6)), self.block.settings.angles)
 
 
-def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, object]:
+def ground_record(ground: Ground, predictions: list[Prediction], block: Block) -> dict[str, Any]:
     """The ground and where other images show it, as JSON: degrees and pixels."""
     longitude, latitude, _ = planetocentric(ground.point).tolist()
     return {
         "longitude_deg": longitude / DEG % 360.0, "latitude_deg": latitude / DEG,
         "height_m": ground.height, "height_sigma_m": ground.height_sigma if np.isfinite(ground.height_sigma) else None,
         "surface": ground.surface, "spacing_m": np.linalg.norm(ground.slopes, axis=0).tolist(),
+        "east_north_m": (east_north_up(ground.point[None])[0, :2] @ ground.slopes).tolist(),
         "others": {block.images[prediction.image].name: _prediction_record(prediction) for prediction in predictions},
         "sigmas": "posterior" if block.adjusted else "a-priori",
     }  # fmt: skip

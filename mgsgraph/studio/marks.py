@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.body import east_north_up, geodetic
@@ -15,6 +16,8 @@ MOST_TIES = 20_000
 """Most ties of an image that a page is sent, evenly chosen."""
 MOST_SHOTS = 20_000
 """Most shots of a profile, likewise."""
+_NEAREST = 5
+"""Points whose mean height is the surface under a shot."""
 
 
 def ties_of(block: Block, image: int) -> dict[str, Any]:
@@ -64,8 +67,9 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        above: what heights are above; profiles: of each its name, shots' names, before and after (n, 2) line and
-        sample, along_m, height_before_m, height_m, sigma_m (null where nothing is known).
+        above: what heights are above; surface: what the surface is, null without one; profiles: of each its name,
+        shots' names, before and after (n, 2) line and sample, along_m, height_before_m, height_m, sigma_m,
+        surface_before_m and surface_m under the shots before and after (null where nothing is known).
     """
     profiles = []
     for name, profile in laser_profiles(block):
@@ -77,7 +81,8 @@ def shots_of(block: Block, image: int) -> dict[str, Any]:
         if shown.size:
             shown = shown[_order(block.network.points.places[points[shown]])]
             profiles.append(_profile(block, name, points[shown], before[shown], after[shown]))
-    return {"above": "areoid" if block.network.areoid is not None else "ellipsoid", "profiles": profiles}
+    above = "areoid" if block.network.areoid is not None else "ellipsoid"
+    return {"above": above, "surface": _surface_words(block), "profiles": profiles}
 
 
 def laser_profiles(block: Block) -> list[tuple[str, Index]]:
@@ -115,8 +120,38 @@ def _profile(block: Block, name: str, points: Index, before: Array, after: Array
         "name": name, "names": [block.network.points.ids[i] for i in points.tolist()],
         "before": _pairs(before), "after": _pairs(after), "along_m": along.tolist(),
         "height_before_m": plain(_heights(block, archived)), "height_m": plain(_heights(block, ground)),
-        "sigma_m": plain(sigmas),
+        "sigma_m": plain(sigmas), "surface_before_m": plain(_surface_heights(block, archived)),
+        "surface_m": plain(_surface_heights(block, ground)),
     }  # fmt: skip
+
+
+def _surface_words(block: Block) -> str | None:
+    if block.terrain is not None:
+        return "terrain model" + (" as adjusted" if block.adjusted and block.network.terrain_moves else "")
+    kind = "adjusted" if block.adjusted else "a-priori"
+    return f"mean of the {_NEAREST} nearest {kind} points" if _without_lasers(block).size >= _NEAREST else None
+
+
+def _surface_heights(block: Block, places: Array) -> Array:
+    """(n,) m as `_heights`, of the surface at places (n, 3) in m: the terrain model as adjusted, else the mean of the
+    nearest points without laser shots, weighted by the inverse squares of distances; NaN without both.
+    """
+    if block.terrain is not None:
+        motion = block.terrain_motion(places)
+        feet = places - motion
+        return _heights(block, feet * (block.terrain.at(feet) / np.linalg.norm(feet, axis=1))[:, None] + motion)
+    points = block.places[_without_lasers(block)]
+    if len(points) < _NEAREST:
+        return np.full(len(places), np.nan)
+    distances, nearest = KDTree(points).query(places, _NEAREST)
+    weights = 1.0 / np.maximum(distances, 1.0) ** 2
+    return np.asarray((weights * _heights(block, points)[nearest]).sum(axis=1) / weights.sum(axis=1))
+
+
+def _without_lasers(block: Block) -> Index:
+    """(m,) points with a place that are no laser shots."""
+    return np.flatnonzero(np.all(np.isfinite(block.places), axis=1) & np.any(block.places, axis=1)
+                          & (block.network.points.classes != PointClass.LASER))  # fmt: skip
 
 
 def _heights(block: Block, points: Array) -> Array:

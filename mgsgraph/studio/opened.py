@@ -121,8 +121,9 @@ class Block:
 
     @cached_property
     def median_height(self) -> float:
-        """M above the ellipsoid, of the points; 0 where none has a place."""
+        """m above the ellipsoid, of some of the points; 0 where none has a place."""
         located = self.places[np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1)]
+        located = located[thinned(len(located), 10_000)]
         return float(np.median(geodetic(located, self.images[0].body)[:, 2])) if len(located) else 0.0
 
     @cached_property

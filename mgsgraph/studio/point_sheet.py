@@ -39,10 +39,8 @@ from mgsgraph.units import DEG
 
 _SHOWN = 12
 """Most correlated points that are shown."""
-_CHIP = 32
-"""px from the middle of a chip to its edge, at the most."""
-_ENLARGED = 4
-"""Screen pixels for one of a chip."""
+CHIP = 96
+"""px from the pixel in the middle of a chip to its edges; more than is shown at first, for turning and zooming out."""
 
 
 def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
@@ -170,7 +168,7 @@ def correlations(opened: Opened, point: str) -> dict[str, Any]:
 
 
 def chip(path: Path, line: float, sample: float) -> bytes:
-    """The pixels around a place of a picture, enlarged, as PNG; the place is in its middle, but at the edges.
+    """The pixels around a place of a picture as PNG, black outside the picture; that of the place is in its middle.
 
     Raises
     ------
@@ -181,14 +179,12 @@ def chip(path: Path, line: float, sample: float) -> bytes:
     row, column = int(np.floor(line)), int(np.floor(sample))
     if not (0 <= row <= lines and 0 <= column <= samples):
         raise InputError(str(path), f"line {line:g}, sample {sample:g}", f"a place in {lines} x {samples} pixels")
-    high, wide = 2 * _CHIP + 1, 2 * _CHIP + 1
-    grey = np.full((high, wide), np.nan)
-    top, left = row - _CHIP, column - _CHIP
-    rows, columns = slice(max(top, 0), min(top + high, lines)), slice(max(left, 0), min(left + wide, samples))
+    side, top, left = 2 * CHIP + 1, row - CHIP, column - CHIP
+    grey = np.full((side, side), np.nan)
+    rows, columns = slice(max(top, 0), min(top + side, lines)), slice(max(left, 0), min(left + side, samples))
     part = read_picture_part(path, rows, columns).astype(np.float64)
     grey[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = part
-    picture = Image.fromarray(stretched(grey[None])[0])
-    return png(picture.resize((_ENLARGED * wide, _ENLARGED * high), Image.Resampling.NEAREST))
+    return png(Image.fromarray(stretched(grey[None])[0]))
 
 
 

@@ -2,6 +2,7 @@
 
 from asyncio import Semaphore
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,7 @@ from mgsgraph.studio.map_points import (
     sigma_cells,
 )
 from mgsgraph.studio.marks import shots_of, ties_of
-from mgsgraph.studio.opened import Opened
+from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.point_sheet import chip, correlations, next_measures, point_sheet, refine, tests_of
 from mgsgraph.studio.tiles import Tiles
 from mgsgraph.units import DEG
@@ -48,6 +49,8 @@ _LONGEST = 200_000
 """bytes of a request's body."""
 _AT_ONCE, _MOST_WAITING = 4, 40
 """Questions of one kind that are answered at a time, and those that wait or are answered."""
+_MOST_PRIOR = 200_000
+"""Most points of a block whose a-priori covariance is computed while the user waits."""
 BROWSER = "x-browser"
 """Header by which the page says which browser asks."""
 
@@ -74,6 +77,17 @@ class Views:
                 files, images = self.opened.pictures, self._linked[1].block.images
                 self.tiles.pictures = {item.name: (files.get(item.name), item.lines, item.samples) for item in images}
             return self._linked[1]
+
+    @property
+    def nominal(self) -> LinkedImages:
+        """The same before the adjustment: nominal orientation, a-priori places and, in smaller blocks, sigmas."""
+
+        def make() -> LinkedImages:
+            block = self.opened.block()
+            before = Block.of_network(block.network, block.settings)
+            return LinkedImages(before if len(before.places) <= _MOST_PRIOR else replace(before, joint_of=lambda: None))
+
+        return self.opened.once("nominal images", make)
 
     def image_record(self, name: str) -> dict[str, Any]:
         """Size, picture, ties and shots of an image; in place of a picture that can't be read, the sentence why."""
@@ -250,7 +264,8 @@ def _images(opened: Opened, views: Views) -> _Getting:
         return _png(views.tiles.tile(name, level, row, column, *contrast), 86400)
 
     def ground(request: Request) -> Any:
-        query, linked = request.query_params, views.linked
+        query = request.query_params
+        linked = views.nominal if "before" in query else views.linked
         required = [name for name in query.getlist("with") if name]
         pixel = number_of(query, "line"), number_of(query, "sample")
         try:
@@ -258,12 +273,21 @@ def _images(opened: Opened, views: Views) -> _Getting:
         except NoGround as error:  # no error: users look at limbs, too
             return {"sentence": str(error), "others": {}}
         map_m = np.asarray(opened.map_places(ground_at_pixel.point[None]))[0].tolist()
-        return ground_record(ground_at_pixel, predictions, linked.block) | {"map_m": map_m}
+        record = ground_record(ground_at_pixel, predictions, linked.block)
+        places = {_name(request): pixel} | {key: (one["line"], one["sample"]) for key, one in record["others"].items()}
+        grey = {key: views.tiles.value(key, *place) for key, place in places.items()}
+        return record | {"map_m": map_m, "grey": plain(grey)}
+
+    def contrast(request: Request) -> Any:
+        corners = [[number_of(request.query_params, f"{key}{end}") for key in ("line", "sample")] for end in (0, 1)]
+        low, high = views.tiles.picture(_name(request)).contrast(np.array(corners))
+        return {"low": low, "high": high}
 
     return {
         "/api/image": lambda request: views.image_record(_name(request)),
         "/api/image/tile.png": tile,
         "/api/image/ground": ground,
+        "/api/image/contrast": contrast,
     }
 
 

@@ -19,6 +19,7 @@ from PIL import Image
 from mgsgraph.errors import InputError
 from mgsgraph.files.opening import ANY_SIZE, opened
 from mgsgraph.files.rasters.pictures import picture_size, read_picture, read_picture_part
+from mgsgraph.geometry.records import Array
 
 SIDE = 256
 """Lines and samples of a tile."""
@@ -29,7 +30,9 @@ _MOST_KEPT = 1 << 29
 _QUANTILES = (0.005, 0.995)
 """Grey values below and above are black and white at first: dead pixels and cosmic rays don't set the contrast."""
 _SAMPLED = 1 << 18
-"""Pixels from which the quantiles are taken."""
+"""Pixels from which the quantiles and the histogram are taken."""
+_BINS = 128
+"""Most classes of a histogram."""
 
 Grey = NDArray[Any]
 """(lines, samples) of a picture: unsigned bytes, or float32 with NaN where there is no pixel."""
@@ -69,6 +72,12 @@ class Pyramid:
     """Smallest grey value of some pixels, evenly spread."""
     most: float
     """The largest one, above `least`."""
+    first: float
+    """Where the histogram of these pixels begins: three times as wide as `low` to `high`, for single pixels lie far."""
+    step: float
+    """Grey values in one of its classes; a whole number for a picture of whole grey values."""
+    counts: tuple[int, ...]
+    """Pixels in each class."""
 
     @property
     def levels(self) -> int:
@@ -104,6 +113,21 @@ class Pyramid:
         if level >= self.finest:
             return self.in_memory[level - self.finest][lines, samples]
         return _reduced(self.path, (self.lines, self.samples), level, lines, samples)
+
+    def value(self, line: float, sample: float) -> float | None:
+        """Grey value of the pixel at a place; None outside the picture, NaN where there is no pixel."""
+        if not (0 <= line < self.lines and 0 <= sample < self.samples):
+            return None
+        return float(self._pixels(0, slice(int(line), int(line) + 1), slice(int(sample), int(sample) + 1))[0, 0])
+
+    def contrast(self, corners: Array) -> tuple[float, float]:
+        """Black and white by the quantiles inside a window, [line, sample] of two opposite corners (2, 2)."""
+        size = np.array([self.lines, self.samples])
+        low = np.clip(np.floor(corners.min(axis=0)), 0, size - 1).astype(int)
+        high = np.maximum(np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int), low + 1)
+        level = min(int((high - low).max() // (2 * SIDE)).bit_length(), self.levels - 1)
+        lines, samples = (slice(a >> level, -(-b >> level)) for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        return _contrast(self._pixels(level, lines, samples))[:2]
 
     def require_unchanged(self) -> None:
         """Raise InputError where the file is gone or has been replaced."""
@@ -182,16 +206,21 @@ def _float(pixels: Grey) -> Grey:
     return pixels if pixels.dtype == np.uint8 else pixels.astype(np.float32)
 
 
-def _contrast(grey: Grey) -> tuple[float, float, float, float]:
-    """Black and white, least and largest grey value, by some pixels."""
+def _contrast(grey: Grey) -> tuple[float, float, float, float, float, float, tuple[int, ...]]:
+    """Black and white, least and largest grey value, and the histogram, by some pixels."""
     step = max(1, int(np.sqrt(grey.size / _SAMPLED)))
     some = grey[::step, ::step]
     some = some[np.isfinite(some)]
     if not some.size:
-        return 0.0, 1.0, 0.0, 1.0
+        return 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, (0,)
     low, high, least, most = np.quantile(some, (*_QUANTILES, 0.0, 1.0)).tolist()
     most = most if most > least else least + 1.0
-    return (low, high, least, most) if high > low else (least, most, least, most)
+    low, high = (low, high) if high > low else (least, most)
+    first, last = max(least, 2.0 * low - high), min(most, 2.0 * high - low)
+    is_whole = np.array_equal(some, np.rint(some))  # then each class has as many grey values
+    width = float(np.ceil((last - first) / _BINS) if is_whole else (last - first) / _BINS)
+    counts = np.bincount(((some[(some >= first) & (some <= last)] - first) / width).astype(int))
+    return low, high, least, most, first, width, tuple(counts.tolist())
 
 
 def encoded_tile(grey: Grey, low: float, high: float) -> bytes:
@@ -274,10 +303,16 @@ class Tiles:
         black, white = pyramid.low if low is None else low, pyramid.high if high is None else high
         return encoded_tile(pyramid.part(level, row, column), black, white)
 
+    def value(self, image: str, line: float, sample: float) -> float | None:
+        """Grey value of an image's pixel at a place; None outside it, and where its picture isn't open."""
+        pyramid = self._open.get(image)
+        return None if pyramid is None else pyramid.value(line, sample)
+
     def record(self, image: str) -> dict[str, Any]:
         """What the page needs to know of a picture, as JSON."""
         pyramid = self.picture(image)
         return {
             "levels": pyramid.levels, "side": SIDE, "low": pyramid.low, "high": pyramid.high, "least": pyramid.least,
-            "most": pyramid.most, "version": "{:x}-{:x}".format(*pyramid.stamp),
+            "most": pyramid.most, "first": pyramid.first,
+            "step": pyramid.step, "counts": pyramid.counts, "version": "{:x}-{:x}".format(*pyramid.stamp),
         }  # fmt: skip

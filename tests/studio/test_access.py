@@ -43,8 +43,9 @@ ANSWERS = (
     "/api/map/tile.png?level=4&row=0&column=0",
     "/api/map/graticule?x0=0&y0=0&x1=1&y1=1", "/api/map/distance?x0=0&y0=0&x1=1&y1=1",
     "/api/map/sigmas", "/api/map/residuals", "/api/map/where?x=0&y=0", "/api/map/figure?kind=svg", "/api/select",
-    "/api/image?name=A", "/api/image/tile.png?name=A", "/api/image/ground?name=A", "/api/point?name=A",
-    "/api/point/tests?name=A", "/api/point/correlations?name=A", "/api/chip.png?image=A", "/api/plan",
+    "/api/image?name=A", "/api/image/tile.png?name=A", "/api/image/ground?name=A",
+    "/api/image/contrast?name=A", "/api/point?name=A", "/api/point/tests?name=A",
+    "/api/point/correlations?name=A", "/api/chip.png?image=A", "/api/plan",
     "/api/changes", "/api/refine", "/api/questions",
 )  # fmt: skip
 
@@ -234,6 +235,7 @@ def test_odd_texts_and_numbers_are_answered_or_refused(known: Browser) -> None:
         "/api/map/figure": {**window, "kind": "svg", "layers": "points,ellipses", "factor": 1},
         "/api/map/where": {"x": 1, "y": 1}, "/api/select": {**window, "least": 0},
         "/api/image": {"name": image}, "/api/image/ground": {"name": image, **place, "with": image},
+        "/api/image/contrast": {"name": image, "line0": 1, "sample0": 1, "line1": 9, "sample1": 9},
         "/api/image/tile.png": {"name": image, "level": 0, "row": 0, "column": 0, "low": 0, "high": 1},
         "/api/point": {"name": point}, "/api/point/tests": {"name": point}, "/api/point/correlations": {"name": point},
         "/api/chip.png": {"image": image, **place}, "/page/../server.py": {}, "/page/%00": {}, f"/page/{LONG}": {},

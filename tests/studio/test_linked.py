@@ -23,6 +23,7 @@ from mgsgraph.case.reading import read_case
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import centre_of, east_north_up, geodetic, plane_coordinates
 from mgsgraph.geometry.records import Array
+from mgsgraph.geometry.terrain import areoid_heights
 from mgsgraph.network.corrections import whole_correction
 from mgsgraph.network.parts import KnownImage, alone, with_images
 from mgsgraph.project.reading import posterior_near, read_posterior
@@ -198,6 +199,18 @@ def test_shots_move_from_nominal_to_adjusted_places(block: Block, solution: Solu
         np.testing.assert_allclose(np.array(profile["before"]), before, atol=1e-6)
 
 
+def test_the_surface_under_shots_is_that_of_the_nearest_other_points(block: Block, solution: Solution) -> None:
+    ties = solution.places[solution.network.points.classes == 0]
+    heights = geodetic(ties, block.images[0].body)[:, 2]
+    found = shots_of(block, 0)
+    assert found["surface"]
+    for profile in found["profiles"]:
+        for name, height in zip(profile["names"], profile["surface_m"], strict=True):
+            away = np.linalg.norm(ties - solution.places[list(solution.network.points.ids).index(name)], axis=1)
+            nearest = np.argsort(away)[:5]
+            assert height == pytest.approx(np.average(heights[nearest], weights=1.0 / away[nearest] ** 2), abs=1e-3)
+
+
 def test_a_posterior_gives_the_same_block_as_its_solution(block: Block, solution: Solution) -> None:
     """So that a project looks alike before and after its batch adjustment."""
     other = replace(Block.of_posterior(Posterior.of(solution)), terrain=None)
@@ -241,6 +254,19 @@ def test_the_ground_under_the_map_is_the_same_model(on_terrain: Block) -> None:
     assert on_terrain.terrain is not None
     assert np.linalg.norm(ground - below, axis=1).min() > 50.0
     np.testing.assert_allclose(on_terrain.terrain.at(below), np.linalg.norm(below, axis=1), atol=0.5)
+
+
+def test_the_surface_under_shots_is_the_moved_terrain_model(on_terrain: Block) -> None:
+    """As that of the rays through the shots, which meet it near by."""
+    ground, away = GroundModel(on_terrain), list[float]()
+    for profile in shots_of(on_terrain, 0)["profiles"]:
+        for place, height in list(zip(profile["after"], profile["surface_m"], strict=True))[::7]:
+            if place is not None and height is not None:
+                found = ground.under(0, *place)
+                areoid = on_terrain.network.areoid
+                away.append((found.height if areoid is None else areoid_heights(found.point[None], areoid)[0]) - height)
+    assert len(away) > 5
+    assert np.median(np.abs(away)) < 2.0
 
 
 def test_jacobian_follows_the_slope_of_the_terrain(on_terrain: Block) -> None:

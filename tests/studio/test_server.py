@@ -21,7 +21,7 @@ from mgsgraph.cli import group
 from mgsgraph.project.edits import point_state
 from mgsgraph.project.project import open_project
 from mgsgraph.results.archive import read_solution
-from mgsgraph.studio.point_sheet import chip
+from mgsgraph.studio.point_sheet import CHIP, chip
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def test_the_window_of_the_map_is_a_figure(kind: str, browser_: Browser) -> None
     "/api/map/residuals?image=nowhere", "/api/point?name=nobody", "/api/point/tests?name=nobody",
     "/api/image?name=nowhere",
     "/api/chip.png?image=nowhere&line=1&sample=1",
-    "/api/image/ground?name=none&line=1&sample=1",
+    "/api/image/ground?name=none&line=1&sample=1", "/api/image/contrast?name=none&line0=1&sample0=1&line1=2&sample1=2",
     "/api/image/tile.png?name=none&level=0&row=0&column=0&low=0&high=1",
 ])  # fmt: skip
 def test_bad_requests_are_one_line(path: str, browser_: Browser) -> None:
@@ -327,4 +327,4 @@ def test_results_and_cases_are_read_alone(solved: Path, case_file: Path) -> None
 def test_chips_are_pictures(pictured_case: Path) -> None:
     data = chip(pictured_case.with_name("A.tif"), 5.0, 199.0)
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    assert struct.unpack(">II", data[16:24]) == (260, 260)
+    assert struct.unpack(">II", data[16:24]) == (2 * CHIP + 1, 2 * CHIP + 1)

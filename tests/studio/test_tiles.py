@@ -115,6 +115,30 @@ def test_contrast_leaves_few_pixels_out_and_is_chosen(tmp_path: Path) -> None:
     np.testing.assert_array_equal(chosen[pixels > 1001.0], 255)
 
 
+@pytest.mark.parametrize("kind", ["uint8", "float32"])
+def test_a_histogram_counts_all_pixels_but_those_far_out(kind: str, tmp_path: Path) -> None:
+    pixels = np.random.default_rng(3).normal(120.0, 10.0, (200, 200)).astype(kind)
+    pixels[0, :5] = 255
+    found = Tiles({"a": (tif(tmp_path / "a.tif", pixels), 200, 200)}).record("a")
+    ends = found["first"] + found["step"] * np.arange(len(found["counts"]) + 1)
+    np.testing.assert_array_equal(found["counts"], np.histogram(pixels, np.append(ends[:-1], ends[-1] - 1e-6))[0])
+    assert sum(found["counts"]) == pixels.size - 5
+    assert (found["step"] == 1.0) == (kind == "uint8")
+
+
+def test_grey_values_and_contrast_of_a_part(tmp_path: Path) -> None:
+    pixels = grey(1500, 40, "float32")
+    pixels[700:] += 1000.0
+    pixels[3, 4] = np.nan
+    picture = open_picture(tif(tmp_path / "a.tif", pixels), 1500, 40)
+    low, high = picture.contrast(np.array([[-20.0, -5.0], [500.0, 45.0]]))
+    assert [low, high] == pytest.approx(np.nanquantile(pixels[:500], [0.005, 0.995]), abs=3.0)
+    assert picture.contrast(np.array([[1400.0, 3.0], [800.0, 30.0]]))[0] > 1000.0
+    assert picture.value(20.9, 7.1) == pixels[20, 7]
+    assert np.isnan(picture.value(3.5, 4.5) or 0.0)
+    assert picture.value(1500.0, 7.0) is picture.value(5.0, -0.1) is None
+
+
 def test_missing_pixels_are_transparent(tmp_path: Path) -> None:
     pixels = grey(20, 30, "uint16") + 1
     pixels[3, 4] = 0

@@ -31,10 +31,10 @@ export class Affine {
   }
 }
 
-// The first image, whose own pixels make the frame of all others: `centre` is in the middle of the canvas, a sample
-// takes `zoom` CSS pixels and a line `zoom` times `shape`.
-export function ofFrame(centre, zoom, shape, width, height) {
-  return new Affine(centre, [width / 2, height / 2], zoom, 0, 0, zoom * shape);
+// The first image, whose own pixels make the frame of all others: `centre` is in the middle of the canvas; `axes` are
+// a, b, c and d for a sample of about one CSS pixel.
+export function ofFrame(centre, zoom, axes, width, height) {
+  return new Affine(centre, [width / 2, height / 2], ...axes.map(one => zoom * one));
 }
 
 // Another image so that the same ground is at the same point of its canvas, exactly at a linked place and about it by
@@ -52,7 +52,7 @@ export function ofOther(frame, link, other) {
   );
 }
 
-// The same with the image's own pixels upright and square, as large on the ground.
-export function upright(mapping) {
-  return new Affine(mapping.place, mapping.at, mapping.scale, 0, 0, mapping.scale);
+// The same with the image's own pixels as those of the first one, as large on the ground.
+export function likeFrame(mapping, frame) {
+  return new Affine(mapping.place, mapping.at, ...['a', 'b', 'c', 'd'].map(key => frame[key] * mapping.scale / frame.scale));
 }

@@ -1,15 +1,16 @@
-// What is drawn on an image's canvas: frame, ties with residuals, shots before and after, ellipses, the cross.
+// What is drawn on an image's canvas: frame, grid, ties with residuals, shots before and after, ellipses, the cross.
 
-import {roundBelow} from './plot.js';
+import {roundBelow, short, ticks} from './plot.js';
 
 export const COLOURS = {
-  tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0',
+  tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0', other: '#C9A7FF',
 };
 const MARK = 4; // CSS pixels, half a mark
+const TIES = 24, SHOTS = 40; // CSS pixels, about: cells of the screen with one mark each
 
 // Strokes twice, dark and wide beneath: to be seen on any grey
-function stroke(context, path, colour, width = 1.5) {
-  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
+function stroke(context, path, colour, width = 1.5, rim = 0.75) {
+  context.strokeStyle = `rgba(0, 0, 0, ${rim})`;
   context.lineWidth = width + 2;
   context.stroke(path);
   context.strokeStyle = colour;
@@ -17,50 +18,90 @@ function stroke(context, path, colour, width = 1.5) {
   context.stroke(path);
 }
 
-export function drawFrame(context, mapping, image) {
+// Text with a dark rim
+export function label(context, words, x, y, colour = '#ffffff') {
+  Object.assign(context, {lineWidth: 3, strokeStyle: 'rgba(0, 0, 0, 0.75)', fillStyle: colour});
+  context.strokeText(words, x, y);
+  context.fillText(words, x, y);
+}
+
+// The edges of an image, with pixels or without; of another image than the canvas has, with its name
+export function drawFrame(context, mapping, image, other = '') {
   const corners = [[0, 0], [0, image.samples], [image.lines, image.samples], [image.lines, 0]];
   const path = new Path2D();
   corners.forEach(([line, sample], k) => path[k ? 'lineTo' : 'moveTo'](...mapping.toCanvas(line, sample)));
   path.closePath();
-  if (!image.picture) {
-    context.fillStyle = '#6b6b6b';
+  if (!other && !image.picture) {
+    context.fillStyle = '#404850';
     context.fill(path);
   }
-  context.strokeStyle = '#9a9a9a';
+  context.strokeStyle = other ? COLOURS.other : '#9a9a9a';
   context.lineWidth = 1;
   context.stroke(path);
+  if (!other) return;
+  const [x, y] = corners.map(one => mapping.toCanvas(...one)).sort((one, next) => one[0] - next[0] || one[1] - next[1])[0];
+  Object.assign(context, {font: '11px sans-serif', textAlign: 'left', textBaseline: 'bottom'});
+  label(context, other, x, y, COLOURS.other);
 }
 
-// Ties with a place on the canvas: [{k, x, y}]
-export function tiesSeen(mapping, ties, width, height) {
-  const [down, right] = mapping.bounds(width, height), found = [];
-  ties.measured.forEach(([line, sample], k) => {
-    if (line < down[0] || line > down[1] || sample < right[0] || sample > right[1]) return;
-    const [x, y] = mapping.toCanvas(line, sample);
-    found.push({k, x, y});
+// Round lines and samples, in place of pixels; each has its number where it is first seen
+export function drawGrid(context, mapping, {lines, samples}, width, height) {
+  const path = new Path2D(), bounds = mapping.bounds(width, height);
+  const first = bounds.map(one => Math.max(one[0], 0)), last = bounds.map((one, k) => Math.min(one[1], [lines, samples][k]));
+  Object.assign(context, {font: '11px sans-serif', textAlign: 'left', textBaseline: 'top'});
+  ['line', 'sample'].forEach((name, k) => {
+    if (!(last[k] > first[k])) return;
+    for (const value of ticks(first[k], last[k], mapping.scale * (last[k] - first[k]) / 110)) {
+      const ends = [first, last].map(one => mapping.toCanvas(...(k ? [one[0], value] : [value, one[1]])));
+      segments(path, ends.flat());
+      const [x, y] = ends.find(([px, py]) => px >= 0 && py >= 0 && px < width - 60 && py < height - 12) || ends[0];
+      label(context, `${name} ${short(value, 6)}`, x + 3, y + 2, '#e4e9ee');
+    }
   });
+  stroke(context, path, '#7d8894', 1, 0);
+}
+
+// Ties by their residuals in sigmas, the largest first
+export function worstFirst({names, residuals, sigmas}) {
+  const sizes = residuals.map((one, k) => one ? Math.hypot(one[0] / sigmas[k][0], one[1] / sigmas[k][1]) : -1);
+  return names.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]);
+}
+
+// Whether a place is the first one in its cell; cells move with the image, for marks would come and go while it is panned
+function firstInCell(mapping, cell) {
+  const side = cell / 2 ** Math.round(Math.log2(mapping.scale)), taken = new Set();
+  return (line, sample) => taken.size < taken.add(Math.floor(line / side) * 1e6 + Math.floor(sample / side)).size;
+}
+
+// Ties on the canvas that are drawn, [{k, x, y}]: the chosen one, and of others in a cell the worst; `all` counts them
+export function tiesSeen(mapping, {ties, order}, width, height, chosen) {
+  const found = Object.assign([], {all: 0}), isFirst = firstInCell(mapping, TIES);
+  for (const k of order) {
+    const [x, y] = mapping.toCanvas(...ties.measured[k]);
+    if (x < 0 || y < 0 || x > width || y > height) continue;
+    found.all += 1;
+    if (isFirst(...ties.measured[k]) || ties.names[k] === chosen) found.push({k, x, y});
+  }
   return found;
+}
+
+// Line segments from x, y to x, y
+function segments(path, ...ends) {
+  for (const [x0, y0, x1, y1] of ends) {
+    path.moveTo(x0, y0);
+    path.lineTo(x1, y1);
+  }
 }
 
 export function drawTies(context, mapping, ties, seen, factor, chosen) {
   const marks = new Path2D(), out = new Path2D(), vectors = new Path2D(), own = new Path2D();
   for (const {k, x, y} of seen) {
-    if (ties.used[k]) {
-      marks.moveTo(x - MARK, y);
-      marks.lineTo(x + MARK, y);
-      marks.moveTo(x, y - MARK);
-      marks.lineTo(x, y + MARK);
-    } else {
-      out.moveTo(x - MARK, y - MARK);
-      out.lineTo(x + MARK, y + MARK);
-      out.moveTo(x - MARK, y + MARK);
-      out.lineTo(x + MARK, y - MARK);
-    }
+    if (ties.used[k]) segments(marks, [x - MARK, y, x + MARK, y], [x, y - MARK, x, y + MARK]);
+    else segments(out, [x - MARK, y - MARK, x + MARK, y + MARK], [x - MARK, y + MARK, x + MARK, y - MARK]);
     const residual = ties.residuals[k];
     if (factor && residual) {
       const [line, sample] = ties.measured[k];
-      vectors.moveTo(x, y);
-      vectors.lineTo(...mapping.toCanvas(line + factor * residual[0], sample + factor * residual[1]));
+      segments(vectors, [x, y, ...mapping.toCanvas(line + factor * residual[0], sample + factor * residual[1])]);
     }
     if (ties.names[k] === chosen) {
       own.moveTo(x + 9, y);
@@ -78,22 +119,22 @@ export function drawNames(context, ties, seen) {
   context.font = '11px sans-serif';
   context.textAlign = 'left';
   context.textBaseline = 'middle';
-  context.lineWidth = 3;
-  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
-  context.fillStyle = COLOURS.tie;
-  for (const {k, x, y} of seen.slice(0, 300)) {
-    context.strokeText(ties.names[k], x + 7, y - 7);
-    context.fillText(ties.names[k], x + 7, y - 7);
-  }
+  for (const {k, x, y} of seen.slice(0, 300)) label(context, ties.names[k], x + 7, y - 7, COLOURS.tie);
 }
 
+// Shots before and after, one in a cell; returns how many of those on the canvas
 export function drawShots(context, mapping, shots, width, height, near) {
-  const before = new Path2D(), after = new Path2D(), between = new Path2D();
+  const before = new Path2D(), after = new Path2D(), between = new Path2D(), isFirst = firstInCell(mapping, SHOTS);
+  const counts = {drawn: 0, all: 0};
   for (const profile of shots.profiles)
     profile.names.forEach((_, k) => {
       const ends = [profile.before[k], profile.after[k]].map(one => one && mapping.toCanvas(...one));
       const inside = ends.some(one => one && one[0] > -50 && one[1] > -50 && one[0] < width + 50 && one[1] < height + 50);
       if (!inside) return;
+      counts.all += 1;
+      const isNear = near && near.profile === profile && near.k === k;
+      if (!isFirst(...(profile.after[k] || profile.before[k])) && !isNear) return;
+      counts.drawn += 1;
       if (ends[0]) {
         before.moveTo(ends[0][0] + MARK, ends[0][1]);
         before.arc(...ends[0], MARK, 0, 7);
@@ -104,11 +145,8 @@ export function drawShots(context, mapping, shots, width, height, near) {
         after.lineTo(ends[1][0] - MARK, ends[1][1] + 0.8 * MARK);
         after.closePath();
       }
-      if (ends[0] && ends[1]) {
-        between.moveTo(...ends[0]);
-        between.lineTo(...ends[1]);
-      }
-      if (near && near.profile === profile && near.k === k && ends[1]) {
+      if (ends[0] && ends[1]) segments(between, ends.flat());
+      if (isNear && ends[1]) {
         const ring = new Path2D();
         ring.arc(...ends[1], 10, 0, 7);
         stroke(context, ring, COLOURS.after, 2);
@@ -119,6 +157,7 @@ export function drawShots(context, mapping, shots, width, height, near) {
   context.stroke(between);
   stroke(context, before, COLOURS.before);
   stroke(context, after, COLOURS.after);
+  return counts;
 }
 
 // An error ellipse in pixels of the image about [line, sample]; one that is smaller than can be seen is a dot.
@@ -135,20 +174,8 @@ export function drawEllipse(context, mapping, place, ellipse) {
 
 export function drawCross(context, x, y, width, height) {
   const path = new Path2D(), gap = 7;
-  path.moveTo(0, y);
-  path.lineTo(x - gap, y);
-  path.moveTo(x + gap, y);
-  path.lineTo(width, y);
-  path.moveTo(x, 0);
-  path.lineTo(x, y - gap);
-  path.moveTo(x, y + gap);
-  path.lineTo(x, height);
-  context.strokeStyle = 'rgba(0, 0, 0, 0.5)';
-  context.lineWidth = 2.5;
-  context.stroke(path);
-  context.strokeStyle = 'rgba(255, 255, 255, 0.85)';
-  context.lineWidth = 1;
-  context.stroke(path);
+  segments(path, [0, y, x - gap, y], [x + gap, y, width, y], [x, 0, x, y - gap], [x, y + gap, x, height]);
+  stroke(context, path, 'rgba(255, 255, 255, 0.85)', 1, 0.3);
 }
 
 // A bar of a round length on the ground, `metres` of which a CSS pixel to the right takes
@@ -156,29 +183,18 @@ export function drawScale(context, metres, width, height) {
   if (!(metres > 0) || !Number.isFinite(metres)) return;
   const length = roundBelow(metres * Math.min(160, width / 3)), pixels = length / metres;
   const path = new Path2D(), x = 12, y = height - 12;
-  path.moveTo(x, y - 6);
-  path.lineTo(x, y);
-  path.lineTo(x + pixels, y);
-  path.lineTo(x + pixels, y - 6);
+  segments(path, [x, y - 6, x, y], [x, y, x + pixels, y], [x + pixels, y, x + pixels, y - 6]);
   stroke(context, path, '#ffffff', 1.6);
   context.font = '12px sans-serif';
   context.textAlign = 'left';
   context.textBaseline = 'bottom';
-  context.lineWidth = 3;
-  context.strokeStyle = 'rgba(0, 0, 0, 0.75)';
-  const words = length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`;
-  context.strokeText(words, x + 4, y - 3);
-  context.fillStyle = '#ffffff';
-  context.fillText(words, x + 4, y - 3);
+  label(context, length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`, x + 4, y - 3);
 }
 
 // A place measured just now, not yet stored
 export function drawMeasured(context, mapping, place) {
   const [x, y] = mapping.toCanvas(...place), path = new Path2D();
   path.arc(x, y, 7, 0, 7);
-  path.moveTo(x - 11, y);
-  path.lineTo(x + 11, y);
-  path.moveTo(x, y - 11);
-  path.lineTo(x, y + 11);
+  segments(path, [x - 11, y, x + 11, y], [x, y - 11, x, y + 11]);
   stroke(context, path, COLOURS.measured, 1.6);
 }

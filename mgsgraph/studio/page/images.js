@@ -1,22 +1,27 @@
 // Images side by side over the same ground. The first one's pixels are the frame; the others follow by the Jacobian of
 // the last answer of the server, at once, and by the next answer exactly.
 
-import {ofFrame, ofOther, upright} from './affine.js';
+import {likeFrame, ofFrame, ofOther} from './affine.js';
+import {drawFrame, worstFirst} from './image_marks.js';
 import {drawLaser, nearestShot} from './laser_plot.js';
 import {Measuring} from './measuring.js';
-import {Pane} from './pane.js';
+import {LATE, Pane} from './pane.js';
 import {make, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
-  ['ties', 'Ties', true], ['names', 'Names', false], ['residuals', 'Residuals', true], ['shots', 'Shots', true], ['ellipses', 'Predicted places', true],
-  ['turned', 'Turn to the first image', true], ['shape', 'Shape of the ground', false],
+  ['ties', '+ tie, × rejected', true], ['names', 'names of ties', false], ['residuals', '— residual ×', true], ['shots', '○ △ shots', true],
+  ['ellipses', '○ predicted, 95 %', true], ['outlines', '▭ other images', true], ['turned', 'turn to the first', true], ['shape', 'ground shape', false],
 ];
+const LAYOUTS = [['along', 'Lines along the pane'], ['upright', 'Lines downwards'], ['north', 'North up']];
+const COMPARED = [['', 'Side by side'], ['blink', 'Blink (b)'], ['swipe', 'Swipe (w)'], ['red', 'Red and cyan (a)']];
+const LONG = 2; // times as long as wide: such images stand one above the other
 const STEP = 60; // CSS pixels by which an arrow key moves
 
 export class Images {
   constructor(app, element) {
-    Object.assign(this, {app, element, panes: [], centre: null, zoom: 0, link: null, cursor: [0, 0], shown: {}});
+    Object.assign(this, {app, element, panes: [], centre: null, zoom: 0, link: null, known: null, cursor: [0, 0], shown: {}});
+    Object.assign(this, {compare: '', blinked: false, handle: 0.5, layout: localStorage.layout || 'along'});
     this.statistics = {draws: 0, milliseconds: 0};
     this.asked = {running: false, next: null};
     element.classList.add('images');
@@ -27,50 +32,48 @@ export class Images {
     app.addEventListener('renewed', () => this.refresh());
     app.addEventListener('selected', () => this.showPoint(app.selection));
     element.addEventListener('keydown', event => this.key(event));
-    new ResizeObserver(() => this.fitted() && this.request()).observe(element);
+    new ResizeObserver(() => this.isWhole || !this.fitted() ? this.whole() : this.request()).observe(this.row);
     if (app.scene) this.open();
   }
 
   build() {
-    const tools = make('div', {className: 'image-tools', role: 'group'});
-    tools.setAttribute('aria-label', 'What is drawn on the images');
-    for (const [key, words, on] of SHOWN) {
-      this.shown[key] = on;
-      const box = make('input', {type: 'checkbox', checked: on});
-      box.addEventListener('change', () => {
-        this.shown[key] = box.checked;
-        this.request();
-      });
-      tools.append(make('label', {}, box, ` ${words}`));
-    }
-    this.factor = make('input', {type: 'number', min: 1, max: 10000, value: 20, className: 'factor'});
-    this.factor.addEventListener('input', () => this.request());
-    tools.append(make('label', {}, 'Residuals × ', this.factor));
-    const button = (words, act, title) => {
-      const one = make('button', {type: 'button', textContent: words, title});
-      one.addEventListener('click', act);
-      tools.append(one);
-      return one;
+    const check = (key, words, checked, act) => {
+      this.shown[key] = checked;
+      const onchange = event => {
+        this.shown[key] = event.target.checked;
+        act();
+      };
+      return make('label', {className: `mark-${key}`}, make('input', {type: 'checkbox', checked, onchange}), ` ${words}`);
     };
-    this.adder = button('Add an image', () => this.addPane(), 'One more image beside the others');
-    button('Whole image', () => this.whole(), 'Show the whole first image (0)');
-    button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen');
-    this.measureButton = button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)');
-    this.place = make('p', {className: 'image-ground', textContent: 'Move over an image to see its ground.'});
-    this.place.setAttribute('aria-live', 'off');
+    const choice = (ariaLabel, options, act) => make('select', {ariaLabel, title: ariaLabel, onchange: event => act(event.target.value)},
+      ...options.map(([value, textContent]) => make('option', {value, textContent})));
+    const button = (textContent, onclick, title) => make('button', {type: 'button', textContent, onclick, title});
+    this.layouts = choice('Direction of the lines (t)', LAYOUTS, key => this.setLayout(key));
+    this.layouts.value = this.layout;
+    this.comparing = choice('Compare with the second image', COMPARED, key => this.setCompare(key));
+    this.swiper = make('input', {type: 'range', min: 0, max: 1, step: 0.01, className: 'swiper', title: 'Swipe ([ and ])', ariaLabel: 'Swipe'});
+    this.swiper.oninput = () => this.swipe(Number(this.swiper.value));
+    this.before = check('before', 'Before the adjustment', false, () => this.ask());
+    this.adder = button('Add an image', () => this.addPane(), 'One more image over the same ground');
+    const tools = make('div', {className: 'image-tools', role: 'group', ariaLabel: 'Images'}, this.layouts, this.comparing, this.before, this.adder,
+      button('Whole image', () => this.whole(), 'Show the whole first image (0)'),
+      button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen'),
+      button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)'),
+      check('side', 'Contrast, marks, profile', true, () => { this.element.dataset.side = this.shown.side; }));
+    this.factor = make('input', {type: 'number', min: 1, max: 10000, value: 20, className: 'factor', ariaLabel: 'Residuals times', oninput: () => this.request()});
+    const marks = make('div', {className: 'image-marks', role: 'group', ariaLabel: 'What is drawn on the images'},
+      ...SHOWN.map(one => check(...one, () => this.request())));
+    marks.querySelector('.mark-residuals').append(this.factor);
     this.row = make('div', {className: 'image-panes'});
-    this.dialogPlace = make('div');
-    this.laser = make('canvas', {className: 'laser-profile', tabIndex: 0});
-    this.laser.setAttribute('role', 'img');
-    this.laserWords = make('p', {className: 'caption'});
-    this.legend = make('p', {className: 'image-legend'});
-    for (const [key, words] of [
-      ['tie', '+ tie, line: residual'], ['rejected', '× rejected'], ['before', '○ shot before'], ['after', '△ shot after'],
-      ['ellipse', '○ place predicted for the ground under the cross, with 95 % probability'],
-    ])
-      this.legend.append(make('span', {className: `mark-${key}`, textContent: words}));
-    this.element.replaceChildren(tools, this.dialogPlace, this.place, this.row, this.legend, this.laser, this.laserWords);
-    this.laser.addEventListener('click', event => this.pickShot(event));
+    this.dialogPlace = make('div', {className: 'image-dialog'});
+    this.contrastPlace = make('div');
+    this.place = make('p', {className: 'caption', textContent: 'Move over an image to see its ground.'});
+    [this.laser, this.differences] = ['', 'differences'].map(name => make('canvas',
+      {className: `laser-profile ${name}`, tabIndex: 0, role: 'img', onclick: event => this.pickShot(event)}));
+    this.laserWords = make('span');
+    this.profile = make('div', {className: 'laser'}, make('p', {className: 'caption'}, make('b', {className: 'ink-before', textContent: '○ before'}), ' ',
+      make('b', {className: 'ink-after', textContent: '■ after'}), ' the adjustment. ', this.laserWords), this.laser, this.differences);
+    this.element.replaceChildren(tools, this.dialogPlace, this.row, make('div', {className: 'image-side'}, this.contrastPlace, marks, this.place), this.profile);
   }
 
   // --- images
@@ -81,10 +84,13 @@ export class Images {
 
   async open() {
     const names = this.app.scene.images.map(one => one.name);
+    this.sizes = new Map(this.app.scene.images.map(one => [one.name, one]));
+    this.before.control.disabled = !this.app.scene.adjusted;
+    this.before.title = this.app.scene.adjusted ? 'Nominal orientation of all images (o)' : 'Nothing has been adjusted';
     this.panes.forEach(one => one.close());
     this.panes = [];
     this.row.replaceChildren();
-    this.link = null;
+    this.link = this.known = null;
     this.zoom = 0;
     if (!names.length) return;
     await this.addPane(names[0]);
@@ -122,15 +128,45 @@ export class Images {
     this.panes = this.panes.filter(one => one !== pane);
     this.row.dataset.count = this.panes.length;
     this.adder.disabled = false;
-    if (first) this.whole();
+    if (first) Object.assign(this, {link: null, known: null, isWhole: true});
+    this.setCompare(this.panes.length < 2 ? '' : this.compare);
     this.changedPanes();
   }
 
   changedPanes() {
-    if (!this.fitted()) this.whole();
+    const {lines, samples} = this.frame.image || {lines: 1, samples: 1};
+    this.comparing.disabled = this.panes.length < 2;
+    this.row.dataset.stacked = this.layout === 'along' && Math.max(lines, samples) > LONG * Math.min(lines, samples);
+    if (this.isWhole || !this.fitted()) this.whole();
     this.ask();
-    this.drawProfile();
+    this.activate();
     this.request();
+  }
+
+  setLayout(key) {
+    localStorage.layout = this.layout = this.layouts.value = key;
+    this.isWhole = true;
+    this.changedPanes();
+  }
+
+  // One image over the other in the first pane, or all panes side by side
+  setCompare(key) {
+    if (key && !this.panes[1]) return this.app.say('Add an image to compare with.', 'error');
+    Object.assign(this, {compare: key, blinked: false});
+    this.comparing.value = this.row.dataset.compare = key;
+    this.swiper.remove();
+    if (key === 'swipe') this.frame.box.append(this.swiper);
+    return this.request();
+  }
+
+  swipe(share) {
+    this.handle = this.swiper.value = Math.max(0, Math.min(1, share));
+    this.request();
+  }
+
+  // The image that lies over a pane's own
+  over(pane) {
+    return this.compare && pane === this.frame && this.panes[1]?.image ? this.panes[1] : null;
   }
 
   // The point's measures as they are now, until all is read anew
@@ -140,9 +176,9 @@ export class Images {
       const {ties} = image, now = measures.find(one => one.image === name), columns = ['names', 'measured', 'residuals', 'sigmas', 'used', 'kinds'];
       let k = ties.names.indexOf(point);
       if (k >= 0 && !now) columns.forEach(key => ties[key].splice(k, 1));
-      if (!now) continue;
       if (k < 0) k = ties.names.length;
-      [point, [now.line, now.sample], null, now.sigma_px, true, ties.kinds[k] || 'tie'].forEach((value, c) => { ties[columns[c]][k] = value; });
+      if (now) [point, [now.line, now.sample], null, now.sigma_px, true, ties.kinds[k] || 'tie'].forEach((value, c) => { ties[columns[c]][k] = value; });
+      image.order = worstFirst(ties);
     }
     this.request();
   }
@@ -150,45 +186,57 @@ export class Images {
   async refresh() {
     this.link = null;
     await Promise.all(this.panes.map(one => one.load(true)));
-    this.ask();
-    this.drawProfile();
-    this.request();
+    this.changedPanes();
   }
 
   // --- the common view
 
   fitted() {
-    return this.zoom > 0 && this.centre;
+    return this.zoom > 0 && this.centre && this.frame?.image;
   }
 
   whole() {
     const {image, canvas} = this.frame || {};
     if (!image || !canvas.clientWidth) return;
-    this.centre = [image.lines / 2, image.samples / 2];
-    const shape = this.shapeFactor();
-    this.zoom = 0.95 * Math.min(canvas.clientHeight / (image.lines * shape), canvas.clientWidth / image.samples);
+    const {lines, samples} = image, {clientWidth: width, clientHeight: height} = canvas;
+    this.centre = [lines / 2, samples / 2];
+    const [a, b, c, d] = this.axes.map(Math.abs);
+    this.zoom = 0.95 * Math.min(width / (a * samples + b * lines), height / (c * samples + d * lines));
+    this.isWhole = true;
     this.link = null;
     this.ask();
     this.request();
   }
 
-  // Lines are drawn as high as they are on the ground, where that is wanted
-  shapeFactor() {
-    const spacing = this.link?.spacing_m || this.spacing;
-    if (spacing) this.spacing = spacing;
-    return this.shown.shape && spacing ? spacing[0] / spacing[1] : 1;
+  // Canvas pixels right and down by samples and lines of the first image, at a zoom of 1: as `ofFrame` wants them
+  get axes() {
+    const {canvas, image} = this.frame, {east_north_m: ground, spacing_m: spacing} = this.known || {};
+    if (this.layout === 'north' && ground) return [ground[0][1], ground[0][0], -ground[1][1], -ground[1][0]].map(one => one / spacing[1]);
+    const shape = this.shown.shape && spacing ? spacing[0] / spacing[1] : 1;
+    const lies = (image.lines * shape > image.samples) === (canvas.clientWidth > canvas.clientHeight);
+    return this.layout === 'along' && lies ? [0, shape, -1, 0] : [1, 0, 0, shape];
   }
 
-  mapping(pane) {
+  // Where the pixels of a pane's image lie on its canvas, or on that of the first pane
+  mapping(pane, canvas = pane.canvas) {
     if (!this.fitted()) return null;
-    const {clientWidth: width, clientHeight: height} = pane.canvas;
-    const frame = ofFrame(this.centre, this.zoom, this.shapeFactor(), width, height);
+    const frame = ofFrame(this.centre, this.zoom, this.axes, canvas.clientWidth, canvas.clientHeight);
     if (pane === this.frame) return frame;
     if (!this.link) return null;
     const same = pane.name === this.frame.name ? {...this.link, jacobian: [[1, 0], [0, 1]]} : null;
     const other = same || this.link.others[pane.name];
     const found = other && ofOther(frame, this.link, other);
-    return found && !this.shown.turned ? upright(found) : found;
+    return found && !this.shown.turned && canvas === pane.canvas ? likeFrame(found, frame) : found;
+  }
+
+  // Edges of the other images that show the ground under the cross, as they lie about it
+  outlines(context, name, width, height) {
+    const frame = ofFrame(this.centre, this.zoom, this.axes, width, height);
+    if (name !== this.frame.name) drawFrame(context, frame, this.frame.image, this.frame.name);
+    for (const [other, one] of Object.entries(this.link?.others || {})) {
+      const mapping = other !== name && ofOther(frame, this.link, one);
+      if (mapping) drawFrame(context, mapping, this.sizes.get(other), other);
+    }
   }
 
   // [line, sample] of the first image at the cross
@@ -198,18 +246,19 @@ export class Images {
   }
 
   pan(dx, dy) {
-    this.centre = [this.centre[0] - dy / (this.zoom * this.shapeFactor()), this.centre[1] - dx / this.zoom];
+    const {clientWidth: width, clientHeight: height} = this.frame.canvas;
+    this.centre = this.mapping(this.frame).toImage(width / 2 - dx, height / 2 - dy);
+    this.isWhole = false;
     this.request();
   }
 
   // Zoom about the cross
   zoomBy(factor) {
-    const least = 0.2 * Math.min(...['lines', 'samples'].map(key => 100 / this.frame.image[key]));
-    const zoom = Math.max(least, Math.min(64, this.zoom * factor)), change = 1 / this.zoom - 1 / zoom;
-    this.centre = [
-      this.centre[0] + this.cursor[1] * change / this.shapeFactor(), this.centre[1] + this.cursor[0] * change,
-    ];
-    this.zoom = zoom;
+    const least = 0.2 * Math.min(...['lines', 'samples'].map(key => 100 / this.frame.image[key])), before = this.crossPlace;
+    this.zoom = Math.max(least, Math.min(64, this.zoom * factor));
+    const after = this.crossPlace;
+    this.centre = this.centre.map((one, k) => one + before[k] - after[k]);
+    this.isWhole = false;
     this.request();
   }
 
@@ -225,9 +274,10 @@ export class Images {
 
   // --- the server's answers
 
-  ground(name, place, others) {
+  ground(name, place, others, before = this.shown.before) {
     const asked = new URLSearchParams({name, line: place[0], sample: place[1]});
     for (const one of others) asked.append('with', one);
+    if (before) asked.append('before', 1);
     return this.app.request(`/api/image/ground?${asked}`);
   }
 
@@ -242,24 +292,35 @@ export class Images {
       const {name, image} = this.frame, cross = this.crossPlace;
       const place = [Math.max(0, Math.min(image.lines, cross[0])), Math.max(0, Math.min(image.samples, cross[1]))];
       const beside = place[0] !== cross[0] || place[1] !== cross[1];
+      const late = setTimeout(() => { this.place.textContent = 'Reading the ground …'; }, LATE);
       try {
         const found = await this.ground(name, place, this.panes.slice(1).map(one => one.name));
         if (name !== this.frame.name) continue;
         if (!found.sentence) this.link = {...found, line: place[0], sample: place[1]};
+        if (!this.known && this.link) {
+          this.known = this.link;
+          this.ground(name, place, [], true).catch(() => {}); // the server is ready then for the first `o`
+          if (this.isWhole && (this.layout === 'north' || this.shown.shape)) this.whole();
+        }
         this.place.textContent = found.sentence || (beside ? 'At the edge of the first image: ' : '') + this.groundWords(found);
       } catch (error) {
         this.place.textContent = error.message;
+      } finally {
+        clearTimeout(late);
       }
       this.request();
     }
     this.asked.running = false;
   }
 
+  // Longitude, latitude and height, short
+  position({longitude_deg: east, latitude_deg: north, height_m: height, height_sigma_m: sigma}) {
+    return `${east.toFixed(6)}° E ${Math.abs(north).toFixed(6)}° ${north < 0 ? 'S' : 'N'} · ${height.toFixed(1)}${sigma === null ? '' : ` ± ${short(sigma, 2)}`} m`;
+  }
+
   groundWords(found) {
-    const sigma = found.height_sigma_m === null ? '' : ` (sigma ${short(found.height_sigma_m, 2)} m)`;
-    return `Longitude ${found.longitude_deg.toFixed(6)}° E, latitude ${found.latitude_deg.toFixed(6)}° (planetocentric), `
-      + `height ${found.height_m.toFixed(1)} m above the ellipsoid${sigma}, ${found.surface}. `
-      + `Sigmas: ${found.sigmas}. A pixel is ${short(found.spacing_m[0])} m × ${short(found.spacing_m[1])} m on the ground.`;
+    return `Planetocentric; height above the ellipsoid, ${found.surface}; ${found.sigmas} sigmas. `
+      + `A pixel is ${short(found.spacing_m[0])} × ${short(found.spacing_m[1])} m.`;
   }
 
   // --- drawing
@@ -282,21 +343,30 @@ export class Images {
     this.statistics.milliseconds += performance.now() - begin;
   }
 
-  // The pane that has the keyboard, or the first one
+  // The pane that has the keyboard, or the first one; the one that blinking shows
   get active() {
-    return this.panes.find(one => one.canvas === document.activeElement) || this.panes[0];
+    const own = this.panes.find(one => one.canvas === document.activeElement) || this.panes[0];
+    return (this.blinked && this.over(own)) || own;
+  }
+
+  // Contrast and profile are those of the active pane
+  activate() {
+    const {contrast} = this.active || {};
+    this.contrastPlace.replaceChildren(...(contrast ? [contrast.element] : []));
+    contrast?.draw();
+    this.drawProfile();
   }
 
   drawProfile() {
     this.drawnNear = this.near;
-    const pane = this.active;
-    if (pane?.image) this.laserWords.textContent = drawLaser(this.laser, pane.image, this.near);
-    this.laser.hidden = !pane?.image?.shots.profiles.length;
+    const {image} = this.active || {};
+    this.profile.hidden = !image?.shots.profiles.length;
+    if (image) this.laserWords.textContent = drawLaser(this.laser, this.differences, image, this.near);
     this.laser.setAttribute('aria-label', this.laserWords.textContent);
   }
 
   pickShot(event) {
-    const found = this.laser.nearest?.(event.offsetX);
+    const found = event.target.nearest?.(event.offsetX);
     const place = found && (found.profile.after[found.k] || found.profile.before[found.k]);
     if (place) this.centreOn(this.active, place);
   }
@@ -327,27 +397,30 @@ export class Images {
 
   // The tie of the active image with the next smaller (or larger) residual in units of its sigma
   nextTie(step) {
-    const {ties} = this.active.image;
-    const size = k => ties.residuals[k] ? Math.hypot(...ties.residuals[k].map((one, c) => one / ties.sigmas[k][c])) : -1;
-    const order = ties.names.map((_, k) => k).sort((a, b) => size(b) - size(a));
+    const {ties, order} = this.active.image;
     if (!order.length) return this.app.say('No tie is measured in this image.', 'error');
     const now = order.findIndex(k => ties.names[k] === this.app.selection);
     const k = order[(now < 0 ? (step > 0 ? 0 : order.length - 1) : now + step + order.length) % order.length];
     this.centreOn(this.active, ties.measured[k]);
-    this.app.select(ties.names[k]);
+    this.choose(this.active, k);
+  }
+
+  choose(pane, k) {
+    this.app.select(pane.image.ties.names[k]);
+    this.app.say(pane.tieWords(k));
   }
 
   // --- keyboard
 
   key(event) {
-    const tag = event.target.tagName;
-    if (['INPUT', 'SELECT', 'TEXTAREA'].includes(tag) || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.matches('input:not([type=checkbox]), select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
     if (!this.fitted() || !this.act(event)) return;
     event.preventDefault();
     event.stopPropagation();
   }
 
   act(event) {
+    const compared = {b: 'blink', w: 'swipe', a: 'red'};
     const ways = {ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}, way = ways[event.key];
     if (way) {
       const step = event.shiftKey ? this.zoom : STEP;
@@ -358,23 +431,31 @@ export class Images {
     else if (event.key === '-') this.zoomBy(0.8);
     else if (event.key === '0') this.whole();
     else if (event.key === 'm') this.measuring.open();
+    else if (event.key === 't') this.setLayout(LAYOUTS[(LAYOUTS.findIndex(([key]) => key === this.layout) + 1) % LAYOUTS.length][0]);
+    else if (event.key === 'b' && this.compare === 'blink') {
+      this.blinked = !this.blinked;
+      this.activate();
+      this.request();
+    } else if (compared[event.key]) this.setCompare(compared[event.key]);
+    else if (event.key === 'o') this.before.control.click();
+    else if (event.key === '[' || event.key === ']') this.swipe(this.handle + (event.key === '[' ? -0.02 : 0.02));
     else if (event.key === 'n' || event.key === 'p') this.nextTie(event.key === 'n' ? 1 : -1);
     else if (event.key === 'Enter' && event.target.tagName === 'CANVAS') this.take(this.active);
     else if (event.key === 'Escape' && this.measuring.running) this.measuring.close();
+    else if (event.key === 'Escape' && this.compare) this.setCompare('');
     else return false;
     return true;
   }
 
   // The place at the cross of a pane: measured, or the tie there chosen
-  take(pane) {
-    const mapping = this.mapping(pane);
+  take(own) {
+    const {canvas} = own, pane = (this.blinked && this.over(own)) || own;
+    const mapping = this.mapping(pane, canvas), at = [canvas.clientWidth / 2 + this.cursor[0], canvas.clientHeight / 2 + this.cursor[1]];
     if (!mapping) return;
-    const {clientWidth: width, clientHeight: height} = pane.canvas;
-    const at = [width / 2 + this.cursor[0], height / 2 + this.cursor[1]];
-    if (this.measuring.running) return this.measuring.take(pane, mapping.toImage(...at));
-    const [line, sample] = mapping.toImage(...at), name = pane.tieAt(at);
+    const [line, sample] = mapping.toImage(...at), tie = pane.tieNear(at);
+    if (this.measuring.running) return this.measuring.take(pane, [line, sample]);
     this.app.place({image: pane.name, line, sample});
-    if (name) this.app.select(name);
+    if (tie !== null) this.choose(pane, tie);
   }
 }
 

@@ -18,6 +18,8 @@ const KEYS = [
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'], ['map: d', 'distance of two points or places (click, or Enter at the middle)'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
   ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
+  ['images: t', 'lines along the pane, downwards, or north up'], ['images: b', 'two images in one pane: blink'], ['images: w, [ ]', 'swipe between them, move the handle'],
+  ['images: a', 'both in red and cyan'], ['images: o', 'orientation before or after the adjustment'], ['point: + −', 'on a chip: zoom all chips'],
   ['Escape', 'close what is open'],
 ];
 

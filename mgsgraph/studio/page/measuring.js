@@ -25,12 +25,10 @@ export class Measuring {
     this.list = make('ul', {className: 'measured-places'});
     this.sentence = make('p', {className: 'caption'});
     this.storing = make('button', {type: 'submit', textContent: 'Store', disabled: true});
-    const cancel = make('button', {type: 'button', textContent: 'Cancel'});
-    cancel.addEventListener('click', () => this.close());
-    const form = make('form', {className: 'measuring'},
+    const cancel = make('button', {type: 'button', textContent: 'Cancel', onclick: () => this.close()});
+    const form = make('form', {className: 'measuring', ariaLabel: 'Measure a point'},
       make('label', {}, 'Point ', this.name), make('label', {}, this.refine, ' Refine by least squares'),
       this.list, this.storing, cancel, this.sentence);
-    form.setAttribute('aria-label', 'Measure a point');
     form.addEventListener('submit', event => {
       event.preventDefault();
       this.store();
@@ -89,10 +87,7 @@ export class Measuring {
   show() {
     const items = [...this.places].map(([name, one]) => {
       const away = make('button', {type: 'button', textContent: '×', title: `Take the place in ${name} away`});
-      away.addEventListener('click', () => {
-        this.places.delete(name);
-        this.show();
-      });
+      away.onclick = () => this.places.delete(name) && this.show();
       return make('li', {}, `${name}: line ${one.at[0].toFixed(2)}, sample ${one.at[1].toFixed(2)} (${one.words}) `, away);
     });
     this.list.replaceChildren(...items);

@@ -1,93 +1,67 @@
-// One image among those side by side: its name, its contrast, its canvas, and what the pointer does there.
+// One image among those over the same ground: its name, what is under the cross, its canvas, and what the pointer does.
 
+import {Contrast} from './contrast.js';
 import {
-  drawCross, drawEllipse, drawFrame, drawMeasured, drawNames, drawScale, drawShots, drawTies, tiesSeen,
+  drawCross, drawEllipse, drawFrame, drawGrid, drawMeasured, drawNames, drawScale, drawShots, drawTies, label, tiesSeen, worstFirst,
 } from './image_marks.js';
 import {make, prepared, short} from './plot.js';
 import {TileLayer} from './tile_layer.js';
 
 const CLOSE = 9; // CSS pixels, from a tie that is chosen
 const STILL = 4; // CSS pixels, up to which a press is a click
+export const LATE = 200; // ms, after which it is said that something is being read
 
 export class Pane {
   constructor(owner, name) {
     Object.assign(this, {owner, name, image: null, layer: null, pointers: new Map()});
-    this.chooser = make('select', {title: 'Image'});
-    this.chooser.setAttribute('aria-label', 'Image');
-    for (const one of owner.app.scene.images)
-      this.chooser.append(make('option', {value: one.name, textContent: one.name, selected: one.name === name}));
-    this.chooser.addEventListener('change', () => this.choose(this.chooser.value));
-    const away = make('button', {type: 'button', textContent: '×', title: 'Take this image away'});
-    away.addEventListener('click', () => owner.removePane(this));
-    this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas'});
-    this.canvas.setAttribute('role', 'application');
-    this.words = make('figcaption', {textContent: ''});
-    this.contrast = make('div', {className: 'contrast'});
-    this.element = make('figure', {className: 'image-pane'},
-      make('div', {className: 'image-head'}, this.chooser, away), this.canvas, this.contrast, this.words);
+    this.chooser = make('select', {title: 'Image', ariaLabel: 'Image', onchange: () => this.choose(this.chooser.value)},
+      ...owner.app.scene.images.map(one => make('option', {value: one.name, textContent: one.name, selected: one.name === name})));
+    const away = make('button', {type: 'button', textContent: '×', title: 'Take this image away', onclick: () => owner.removePane(this)});
+    this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas', role: 'application'});
+    this.words = make('figcaption');
+    this.box = make('div', {className: 'image-box'}, this.canvas);
+    this.note = make('p', {className: 'no-picture'});
+    this.element = make('figure', {className: 'image-pane'}, make('div', {className: 'image-head'}, this.chooser, this.words, away), this.note, this.box);
     this.listen();
   }
 
   async choose(name) {
     this.name = name;
     const first = this.owner.frame === this;
-    if (first) Object.assign(this.owner, {link: null, spacing: null});
+    if (first) Object.assign(this.owner, {link: null, known: null, isWhole: true});
     await this.load();
-    first ? this.owner.whole() : this.owner.ask();
-    this.owner.drawProfile();
-    this.owner.request();
+    this.owner.changedPanes();
   }
 
   // Read what is known of the image; `again` after a change: the picture's tiles stay
   async load(again = false) {
-    const name = this.name;
+    const name = this.name, late = setTimeout(() => {
+      this.late = `Reading ${name} …`;
+      this.owner.request();
+    }, again ? 1e6 : LATE);
     try {
       const image = await this.owner.app.request(`/api/image?${new URLSearchParams({name})}`);
       if (name !== this.name) return;
       const same = again && this.layer && image.picture?.version === this.image?.picture?.version;
-      this.image = image;
+      this.image = Object.assign(image, {order: worstFirst(image.ties)});
       this.canvas.setAttribute('aria-label', `Image ${name}: arrows move, plus and minus zoom, m measures`);
       if (!same) this.openLayer();
     } catch (error) {
       this.owner.app.say(error.message, 'error');
+    } finally {
+      clearTimeout(late);
+      if (name === this.name) this.late = '';
     }
   }
 
   openLayer() {
     this.layer?.cancel();
-    this.layer = null;
-    this.contrast.replaceChildren();
+    this.layer = this.contrast = null;
     const {picture, sentence} = this.image, owner = this.owner;
-    if (!picture) {
-      this.contrast.append(make('p', {className: 'no-picture', textContent: sentence}));
-      return;
-    }
+    this.note.textContent = picture ? '' : sentence;
+    if (!picture) return;
     this.layer = new TileLayer(this.name, this.image, words => owner.app.say(words, 'error'), () => owner.request());
-    const input = (key, words) => {
-      const {least, most} = picture, fine = Math.max((most - least) / 500, 1e-9);
-      const step = Number.isInteger(least) && most - least >= 50 ? Math.ceil(fine) : fine;
-      const slider = make('input', {type: 'range', min: least, max: most, step, title: `${words} (grey value)`});
-      slider.value = picture[key];
-      slider.setAttribute('aria-label', words);
-      slider.addEventListener('input', () => this.stretch());
-      return slider;
-    };
-    this.low = input('low', 'Black');
-    this.high = input('high', 'White');
-    const reset = make('button', {type: 'button', textContent: 'Auto', title: 'Black and white at 0.5 % and 99.5 %'});
-    reset.addEventListener('click', () => {
-      this.low.value = picture.low;
-      this.high.value = picture.high;
-      this.stretch();
-    });
-    this.contrast.append(make('label', {}, 'Black ', this.low), make('label', {}, 'White ', this.high), reset);
-  }
-
-  stretch() {
-    const low = Number(this.low.value), high = Number(this.high.value);
-    clearTimeout(this.timer);
-    if (low < high) this.timer = setTimeout(() => this.layer?.setContrast(low, high), 120);
-    else this.owner.app.say('Black must be below white.', 'error');
+    this.contrast = new Contrast(this, picture);
   }
 
   close() {
@@ -97,52 +71,102 @@ export class Pane {
   // --- drawing
 
   draw(mapping) {
-    const {context, width, height, density} = prepared(this.canvas);
+    const {context, width, height, density} = prepared(this.canvas), {owner} = this;
     context.fillStyle = '#2b2b2b';
     context.fillRect(0, 0, width, height);
     this.drawn = mapping;
-    if (!this.image || !width) return;
-    if (!mapping) return this.say(context, width, height);
+    if (!width) return;
+    if (this.late || !this.image || !mapping) return this.say(context, width, height);
+    const other = owner.over(this), there = other && owner.mapping(other, this.canvas), blinked = there && owner.blinked;
+    if (!blinked) this.pixels(context, mapping, width, height, density);
+    if (there) this.beside(context, other, there, width, height, density);
+    if (there) other.marks(context, there, width, height, blinked);
+    this.marks(context, mapping, width, height, !blinked);
+    if (!there || owner.compare !== 'blink') return;
+    Object.assign(context, {font: 'bold 15px sans-serif', textAlign: 'left', textBaseline: 'top'});
+    label(context, (blinked ? other : this).name, 8, 8);
+  }
+
+  pixels(context, mapping, width, height, density) {
     drawFrame(context, mapping, this.image);
     this.layer?.draw(context, mapping, width, height, density);
-    this.marks(context, mapping, width, height);
+    if (!this.layer) drawGrid(context, mapping, this.image, width, height);
+  }
+
+  // Another image over this one: in its place, to the right of the handle, or this one in red and the other in cyan
+  beside(context, other, there, width, height, density) {
+    const {compare, blinked, handle} = this.owner;
+    const fill = (on, fillStyle, globalCompositeOperation, left = 0, wide = width) => {
+      Object.assign(on, {fillStyle, globalCompositeOperation});
+      on.fillRect(left, 0, wide, height);
+      on.globalCompositeOperation = 'source-over';
+    };
+    context.save();
+    if (compare === 'red') {
+      const copy = new OffscreenCanvas(this.canvas.width, this.canvas.height), second = copy.getContext('2d');
+      second.scale(density, density);
+      other.pixels(second, there, width, height, density);
+      fill(context, '#ff0000', 'multiply');
+      fill(second, '#00ffff', 'multiply');
+      context.globalCompositeOperation = 'lighter';
+      context.drawImage(copy, 0, 0, width, height);
+    } else if (compare === 'swipe') {
+      fill(context, '#ffffff', 'source-over', handle * width - 2, 2);
+      context.beginPath();
+      context.rect(handle * width, 0, width, height);
+      context.clip();
+      fill(context, '#2b2b2b', 'source-over');
+      other.pixels(context, there, width, height, density);
+    } else if (blinked) other.pixels(context, there, width, height, density);
+    context.restore();
   }
 
   say(context, width, height) {
     context.fillStyle = '#dddddd';
     context.font = '14px sans-serif';
     context.textAlign = 'center';
-    context.fillText(this.owner.link ? 'This image does not show the ground under the cross.' : 'Looking …', width / 2,
-      height / 2, width - 20);
+    const words = this.owner.link ? 'This image does not show the ground under the cross.' : '';
+    context.fillText(this.late || words, width / 2, height / 2, width - 20);
     this.words.textContent = '';
   }
 
-  marks(context, mapping, width, height) {
-    const {owner, image} = this, {shown, cursor, link} = owner;
-    if (shown.shots) drawShots(context, mapping, image.shots, width, height, this === owner.active ? owner.near : null);
-    this.seen = tiesSeen(mapping, image.ties, width, height);
-    const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
-    if (shown.ties) drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
-    if (shown.ties && shown.names) drawNames(context, image.ties, this.seen);
+  // Marks and the line about them; in the canvas of another image, only those of the one on top
+  marks(context, mapping, width, height, onTop = true) {
+    const {owner, image} = this, {shown, cursor, link} = owner, counts = [], at = [width / 2 + cursor[0], height / 2 + cursor[1]];
     const predicted = this === owner.frame ? null : link?.others[this.name];
+    if (!onTop) return this.tell(mapping.toImage(...at), predicted, null, counts);
+    if (shown.outlines && (shown.turned || this === owner.frame)) owner.outlines(context, this.name, width, height);
+    if (shown.shots) {
+      const {drawn, all} = drawShots(context, mapping, image.shots, width, height, this === owner.active ? owner.near : null);
+      if (drawn < all) counts.push(`${drawn} of ${all} shots`);
+    }
+    this.seen = shown.ties ? tiesSeen(mapping, image, width, height, owner.app.selection) : [];
+    if (this.seen.length < this.seen.all) counts.push(`${this.seen.length} of ${this.seen.all} ties, largest residuals first`);
+    const factor = shown.residuals ? Math.max(0, Number(owner.factor.value) || 0) : 0;
+    drawTies(context, mapping, image.ties, this.seen, factor, owner.app.selection);
+    if (shown.names) drawNames(context, image.ties, this.seen);
     if (shown.ellipses && predicted?.ellipse_px)
       drawEllipse(context, mapping, [predicted.line, predicted.sample], predicted.ellipse_px);
     const place = owner.measuring.placeIn(this.name);
     if (place) drawMeasured(context, mapping, place);
-    const at = [width / 2 + cursor[0], height / 2 + cursor[1]];
     drawCross(context, ...at, width, height);
     if (this === owner.frame && link) drawScale(context, link.spacing_m[1] / owner.zoom, width, height);
-    this.tell(mapping.toImage(...at), predicted, shown.ties ? this.tieNear(at) : null);
+    this.tell(mapping.toImage(...at), predicted, this.tieNear(at), counts);
   }
 
-  tell([line, sample], predicted, tie) {
-    let words = `line ${line.toFixed(2)}, sample ${sample.toFixed(2)} (first pixel's centre at 0.5)`;
-    if (predicted?.ellipse_px) {
-      const [large, small] = predicted.ellipse_px.semi_axes_px;
-      words += `; predicted within ${short(large, 2)} × ${short(small, 2)} px (95 %)`;
-    } else if (predicted && !predicted.inside) words += '; the ground under the cross lies beside this image';
-    if (tie !== null) words += `; ${this.tieWords(tie)}`;
-    if (words !== this.words.textContent) this.words.textContent = words;
+  // One line: what is under the cross, and how much of what is there is drawn
+  tell([line, sample], predicted, tie, counts) {
+    const {link} = this.owner, grey = link?.grey?.[this.name];
+    const parts = [`line ${line.toFixed(2)}, sample ${sample.toFixed(2)}`];
+    if (grey !== null && grey !== undefined) parts.push(`grey ${short(grey)}`);
+    if (this === this.owner.frame && link) parts.push(this.owner.position(link));
+    if (predicted?.ellipse_px) parts.push(`predicted within ${predicted.ellipse_px.semi_axes_px.map(one => short(one, 2)).join(' × ')} px (95 %)`);
+    else if (predicted && !predicted.inside) parts.push('the ground under the cross lies beside this image');
+    if (tie !== null) parts.push(this.tieWords(tie));
+    if (counts.length) parts.push(`drawn: ${counts.join('; ')}`);
+    if (this.layer?.late) parts.push('reading pixels …');
+    const words = parts.join(' · ');
+    if (words !== this.words.textContent) this.words.textContent = this.words.title = words;
   }
 
   // Whether a place is well inside the canvas
@@ -159,12 +183,7 @@ export class Pane {
       + `sigma ${short(sigma[0], 2)} and ${short(sigma[1], 2)} px`;
   }
 
-  // Name of the tie nearest to a point of the canvas; none where it is far
-  tieAt(at) {
-    const k = this.tieNear(at);
-    return k === null ? null : this.image.ties.names[k];
-  }
-
+  // The tie nearest to a point of the canvas; null where none is near
   tieNear([x, y]) {
     let best = null, least = CLOSE;
     for (const one of this.seen || []) {
@@ -196,7 +215,7 @@ export class Pane {
       event.preventDefault();
       if (owner.fitted()) owner.zoomBy(Math.exp(-Math.max(-300, Math.min(300, event.deltaY)) / 400));
     }, {passive: false});
-    canvas.addEventListener('focus', () => owner.drawProfile());
+    canvas.addEventListener('focus', () => owner.activate());
   }
 
   moved(event) {

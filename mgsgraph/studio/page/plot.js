@@ -94,7 +94,7 @@ export function axes(canvas, {x, y, xLabel, yLabel, equal = false}) {
   }
   context.textAlign = 'right';
   context.textBaseline = 'middle';
-  for (const value of ticks(Math.min(...y), Math.max(...y), Math.max(2, (box.bottom - box.top) / 45))) {
+  for (const value of ticks(Math.min(...y), Math.max(...y), Math.max(4, (box.bottom - box.top) / 45))) {
     line(box.left, toY(value), box.right, toY(value), colours.soft);
     context.fillText(short(value, 6), box.left - 6, toY(value));
   }

@@ -1,7 +1,8 @@
 // The sheet of the selected point: its place and sigmas, every ray with chip, residual and tests; what a person may
 // change of it. Each change is stored at once, and the map and this sheet say what it did.
 
-import {blobOf, make, short} from './plot.js';
+import {Chips} from './chips.js';
+import {make, short} from './plot.js';
 
 export class Sheet {
   constructor(app, element) {
@@ -75,6 +76,7 @@ export class Sheet {
       head.append(make('th', {scope: 'col'}, name, unit ? make('small', {textContent: unit}) : ''));
     const body = make('tbody');
     this.cells = new Map();
+    this.chips = new Chips(this.app);
     for (const ray of this.sheet.rays) body.append(this.ray(ray));
     const table = make('table', {className: 'rays'}, make('thead', {}, head), body);
     return make('div', {className: 'scroll', tabIndex: 0}, table);
@@ -82,16 +84,7 @@ export class Sheet {
 
   ray(ray) {
     const number = text => make('td', {className: 'number', textContent: text});
-    const chip = make('td');
-    if (ray.picture) {
-      const asked = new URLSearchParams({image: ray.image, line: ray.line, sample: ray.sample});
-      const image = make('img', {width: 130, height: 130, alt: `Pixels around the measure in ${ray.image}`});
-      blobOf(`/api/chip.png?${asked}`).then(src => {
-        image.onload = () => URL.revokeObjectURL(src);
-        image.src = src;
-      }, error => this.app.say(error.message, 'error'));
-      chip.append(make('div', {className: 'chip'}, image));
-    }
+    const chip = make('td', {}, ...(ray.picture ? [this.chips.of(ray)] : []));
     const tests = ['redundancy', 'w', 'detectable_px'].map(() => number('…'));
     this.cells.set(ray.image, tests);
     const act = make('td');

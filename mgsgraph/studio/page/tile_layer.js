@@ -4,6 +4,7 @@ import {ask} from './app.js';
 
 const KEPT = 400; // tiles of a picture in memory
 const AT_ONCE = 6; // requests
+const LATE = 200; // ms, after which it is said that pixels are being read
 
 // Tiles that are kept and asked for; a class for each kind has their address(key)
 export class Tiles {
@@ -24,7 +25,15 @@ export class Tiles {
     return this.wanted.length === 0 && this.pending.size === 0;
   }
 
+  get late() {
+    return !this.complete && !this.failed && performance.now() - this.since >= LATE;
+  }
+
   want(keys) {
+    if (this.complete && keys.length) {
+      this.since = performance.now();
+      setTimeout(this.changed, LATE + 10);
+    }
     const needed = new Set(keys.map(one => one.key));
     for (const [key, control] of this.pending)
       if (!needed.has(key)) {
