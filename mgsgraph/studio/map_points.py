@@ -65,7 +65,7 @@ class MapPoints:
         count = len(self.classes)
         if self.block.covariances is None:
             return np.full((count, 3, 3), np.nan)
-        frames = self.frames()
+        frames = self.every_frame
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
     def frames(self, chosen: Index | None = None) -> Array:
@@ -74,11 +74,16 @@ class MapPoints:
         return east_north_up(np.where(np.isfinite(places), places, 1.0))
 
     @cached_property
+    def every_frame(self) -> Array:
+        """(n, 3, 3) `frames` of all points."""
+        return self.frames()
+
+    @cached_property
     def moved(self) -> Array:
         """(n, 3) m east, north and up, adjusted minus before; NaN without a place before."""
         stored = self.opened.now.before
         before = self.block.network.points.places if stored is None else stored
-        return np.asarray(np.einsum("nij,nj->ni", self.frames(), self.block.places - before))
+        return np.asarray(np.einsum("nij,nj->ni", self.every_frame, self.block.places - before))
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
@@ -101,19 +106,12 @@ class MapPoints:
 
     def _residual(self) -> Array:
         """(n,) px, largest image residual of each point."""
-        block, rays = self.block, self.block.network.rays
-        predicted = np.full((rays.point.size, 2), np.nan)
-        for j, of_image in enumerate(block.rays_by_image):
-            points = rays.point[of_image]
-            predicted[of_image] = projected(block, j, block.places[points], rays.places[of_image, 0])
-        size = np.linalg.norm(rays.places - predicted, axis=1)
-        return _largest(size, rays.point, len(self.classes))
+        size = np.linalg.norm(ray_residuals(self.opened), axis=1)
+        return largest(size, self.block.network.rays.point, len(self.classes))
 
     def _wtest(self) -> Array:
         """(n,) largest |w| of the image measures of each point."""
-        measures = reliability(self.opened.posterior().linearised).measures
-        rays = np.flatnonzero((measures.kind == MeasureKind.RAY) & (measures.point >= 0))
-        return _largest(np.abs(measures.test[rays]), measures.point[rays].astype(np.int64), len(self.classes))
+        return largest(ray_tests(self.opened)[0], self.block.network.rays.point, len(self.classes))
 
     # --- windows
 
@@ -187,7 +185,37 @@ def map_points(opened: Opened) -> MapPoints:
     return opened.once("map points", lambda: MapPoints(opened, opened.block()))
 
 
-def _largest(values: Array, groups: Index, number: int) -> Array:
+def ray_residuals(opened: Opened) -> Array:
+    """(k, 2) px, line and sample, measured minus predicted, of all image measurements; NaN where unknown."""
+
+    def make() -> Array:
+        block, rays = opened.block(), opened.block().network.rays
+        if opened.now.solution is not None:
+            return opened.now.solution.residuals
+        predicted = np.full((rays.point.size, 2), np.nan)
+        for j, of_image in enumerate(block.rays_by_image):
+            points = block.places[rays.point[of_image]]
+            predicted[of_image] = projected(block, j, points, rays.places[of_image, 0])
+        return rays.places - predicted
+
+    return opened.once("ray residuals", make)
+
+
+def ray_tests(opened: Opened) -> tuple[Array, Array]:
+    """Of all image measurements (k,) the larger |w| of line and sample and the smaller redundancy number; NaN where
+    they have none.
+    """
+
+    def make() -> tuple[Array, Array]:
+        measures = reliability(opened.posterior().linearised).measures
+        rays = np.flatnonzero(measures.kind == MeasureKind.RAY)
+        row, count = measures.row[rays].astype(np.int64), opened.block().network.rays.point.size
+        return largest(np.abs(measures.test[rays]), row, count), -largest(-measures.redundancy[rays], row, count)
+
+    return opened.once("ray tests", make)
+
+
+def largest(values: Array, groups: Index, number: int) -> Array:
     """(number,) largest finite value of each group; NaN where there is none."""
     largest = np.full(number, -np.inf)
     finite = np.isfinite(values)
@@ -328,6 +356,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,
+        "verdicts": None if opened.judging is None else str(opened.judging.path),
     }  # fmt: skip
 
 
