@@ -201,6 +201,7 @@ def _points(opened: Opened, rays: ListedRays) -> list[Column]:
         Column("id", rays.ids), Column("class", RepeatedNames(tuple(CLASSES), classes)),
         Column("kind", RepeatedNames(tuple(kind.name.lower() for kind in PointKind), kinds)),
         Column("images", used, meaning="image measurements that are used"),
+        Column("rejected", np.bincount(rays.point[rays.rejected], minlength=count), meaning="image measurements"),
     ]  # fmt: skip
     if "residuals" in ready:
         residuals = ray_residuals(opened)
@@ -208,7 +209,7 @@ def _points(opened: Opened, rays: ListedRays) -> list[Column]:
             in_sigmas = np.linalg.norm(residuals / block.network.ray_sigmas, axis=1)
         columns += [
             Column("residual", rays.per_point(np.linalg.norm(residuals, axis=1)), "px", "largest of the point"),
-            Column("residual_sigmas", rays.per_point(in_sigmas), head="residual", meaning="largest, in its sigmas"),
+            Column("residual_sigmas", rays.per_point(in_sigmas), head="residual / sigma", meaning="largest of the point"),
         ]
     if "tests" in ready:
         columns += [Column("w", rays.per_point(ray_tests(opened)[0]), head="|w|", meaning="largest w-test")]
@@ -224,8 +225,7 @@ def _points(opened: Opened, rays: ListedRays) -> list[Column]:
     values = {"sigma": points.value("sigma"), **dict(zip(("sigma_east", "sigma_north", "sigma_up"), sigmas, strict=True))}
     values["correction"] = np.linalg.norm(points.moved, axis=1)
     columns += [Column(key, padded(of_points, 0, more), "m") for key, of_points in values.items()]
-    rejected = np.bincount(rays.point[rays.rejected], minlength=count)
-    return [*columns, Column("rejected", rejected, meaning="rejected image measurements")]
+    return columns
 
 
 def _measurements(opened: Opened, rays: ListedRays) -> list[Column]:
@@ -241,7 +241,7 @@ def _measurements(opened: Opened, rays: ListedRays) -> list[Column]:
         columns += [
             Column("residual_line", padded(residuals[:, 0], 0, more), "px"),
             Column("residual_sample", padded(residuals[:, 1], 0, more), "px"),
-            Column("residual_sigmas", padded(in_sigmas, 0, more), head="residual", meaning="in its sigmas"),
+            Column("residual_sigmas", padded(in_sigmas, 0, more), head="residual / sigma"),
         ]
     if "tests" in ready:
         test, redundancy = ray_tests(opened)
@@ -370,14 +370,18 @@ def _given(ids: Names, texts: Mapping[str, str]) -> RepeatedNames:
 
 def rows_of(opened: Opened, shown: Table, query: Mapping[str, str]) -> Index:
     """Rows of a table that meet conditions on its columns (`query` has them by keys), in an order: `sort` is the key
-    of a column, after a minus for the largest first.
+    of a column, after a minus for the largest first; `only=rejected` leaves out what is not.
     """
-    conditions = {column.key: query[column.key].strip() for column in shown.columns if query.get(column.key)}
-    sort, by_key = query.get("sort", ""), {column.key: column for column in shown.columns}
+    by_key = {column.key: column for column in shown.columns}
+    conditions = {key: query[key].strip() for key in by_key if query.get(key)}
+    if query.get("only") == "rejected":
+        conditions |= {key: text for key, text in (("state", "rejected"), ("rejected", "> 0")) if key in by_key}
+    sort = query.get("sort", "")
     views = opened.once("views of lists", dict[tuple[Any, ...], Index])
     verdicts = None if opened.judging is None else opened.judging.verdicts
     key = (len(shown.columns), shown.name, sort, verdicts, *conditions.items())
-    if key not in views:
+    rows = views.get(key)
+    if rows is None:
         rows = np.arange(len(shown))
         if by_key.get(sort.removeprefix("-")) is not None:
             rows = _order(opened, shown.name, by_key[sort.removeprefix("-")], sort.startswith("-"))
@@ -386,7 +390,7 @@ def rows_of(opened: Opened, shown: Table, query: Mapping[str, str]) -> Index:
         while len(views) >= _KEPT_VIEWS:
             views.pop(next(iter(views)), None)
         views[key] = rows
-    return views[key]
+    return rows
 
 
 def _order(opened: Opened, name: str, column: Column, down: bool) -> Index:
@@ -445,11 +449,24 @@ def window(opened: Opened, query: Mapping[str, str]) -> dict[str, Any]:
         "revision": opened.revision, "total": len(shown), "count": int(rows.size), "first": first,
         "at": _position(opened, shown.name, rows, query["find"]) if query.get("find") else None,
         "columns": [{"key": one.key, "title": one.head or one.key.replace("_", " "), "unit": one.unit,
-                     "meaning": one.meaning, "text": not isinstance(one.values, np.ndarray)} for one in shown.columns],
+                     "meaning": one.meaning, "decimals": _decimals(opened, shown.name, one)} for one in shown.columns],
         "rows": list(zip(*map(_cells, part.columns), strict=True)),
         "missing": [{"group": name, "title": GROUPS[name].title, "at_once": size <= GROUPS[name].at_once}
                     for name in missing],
     }  # fmt: skip
+
+
+def _decimals(opened: Opened, name: str, column: Column) -> int | None:
+    """Decimals with which most numbers of a column have three digits or more; None of texts."""
+    values = column.scaled
+    if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+        return 0 if isinstance(values, np.ndarray) else None
+
+    def make() -> int:
+        sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+        return int(np.clip(2.0 - np.floor(np.log10(np.median(sizes))), 0.0, 6.0)) if sizes.size else 0
+
+    return opened.once(f"decimals {name} {column.key}", make)
 
 
 def _cells(column: Column) -> Sequence[Any]:

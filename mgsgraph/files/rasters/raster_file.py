@@ -248,9 +248,9 @@ def open_raster(path: Path, expected: str) -> Iterator["DatasetReader"]:
     kind = raster_kind(path, expected)
     _require_alone(path)
     logging.getLogger("rasterio").addHandler(_SILENT)  # what GDAL says is in the error
-    with warnings.catch_warnings(), Env(**_ENVIRONMENT):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with raster_understood(path, expected):
+    with Env(**_ENVIRONMENT):
+        with raster_understood(path, expected), warnings.catch_warnings():  # filters, too, are one for all threads
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
             file = DatasetReader(path.absolute(), driver=[kind.driver])
         with file:
             _require_own(file, path)

@@ -4,36 +4,35 @@
 import {blobOf, download, make, short} from './plot.js';
 
 const TABLES = {points: 'Points', measurements: 'Measurements', images: 'Images', passes: 'Passes', profiles: 'Profiles'};
-const EMPTY = {passes: 'This block has no passes: each image has an orientation of its own.', profiles: 'This block has no laser profiles.'};
+const EMPTY = {passes: 'no passes: each image has an orientation of its own', profiles: 'no laser profiles'};
+const ACTS = {r: ['reject', 'Reject'], a: ['accept', 'Accept'], u: ['undecided', 'Undecided']}; // by their keys
 const ROW = 26, TALLEST = 8e6; // px of a row, and of what a browser scrolls
 const BLOCK = 100, KEPT = 30, MOST = 200, WAIT = 250; // rows of a request, their blocks, rows of a change, ms
 
+const button = (textContent, title, act) => {
+  const one = make('button', {type: 'button', textContent, title});
+  one.addEventListener('click', act);
+  return one;
+};
+
 class Lists {
   constructor(app, element) {
-    Object.assign(this, {app, element, name: 'points', states: new Map(), version: 0, computing: new Set(), chipsOf: ''});
-    const button = (textContent, title, act) => {
-      const one = make('button', {type: 'button', textContent, title});
-      one.addEventListener('click', act);
-      return one;
-    };
-    this.tabs = Object.entries(TABLES).map(([name, title]) => Object.assign(button(title, '', () => this.open(name)), {value: name}));
+    Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: ''});
+    this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, '', () => this.open(value)), {value}));
     this.rejected = make('input', {type: 'checkbox'});
-    this.rejected.addEventListener('change', () => this.filter('rejected', this.rejected.checked));
-    this.missing = make('span', {className: 'list-missing'});
+    this.rejected.addEventListener('change', () => this.renew({only: this.rejected.checked ? 'rejected' : ''}));
+    this.missing = make('span');
     this.words = make('span', {className: 'caption', role: 'status'});
-    this.acts = [['reject', 'Reject', 'r'], ['accept', 'Accept', 'a'], ['undecided', 'Undecided', 'u']].map(([kind, title, key]) =>
-      Object.assign(button(`${title} (${key})`, '', () => this.act(kind)), {value: kind}));
-    this.note = make('input', {type: 'text', size: 18, maxLength: 200, placeholder: 'note', title: 'Note about the row (n); Enter stores it'});
-    this.note.addEventListener('keydown', event => { if (event.key === 'Enter') this.act(this.valueOf('verdict') || 'undecided', this.note.value); });
+    this.acts = Object.entries(ACTS).map(([key, [value, title]]) => Object.assign(button(`${title} (${key})`, '', () => this.act(value)), {value}));
+    this.note = make('input', {type: 'text', size: 18, maxLength: 200, placeholder: 'note (n)', title: 'Note about the active row; Enter stores it'});
+    this.note.addEventListener('keydown', event => { if (event.key === 'Enter') this.act(this.cell('verdict') || 'undecided', this.note.value); });
     this.reason = make('span', {className: 'caption'});
-    this.all = button('Mark all', `Mark the rows that are listed, ${MOST} at the most`, () => this.markAll());
+    this.all = button('Mark all', '', () => this.markAll());
     this.none = button('Unmark', 'No row is marked any more', () => { this.state.marked.clear(); this.draw(); });
-    this.save = button('Save table …', 'All rows that are listed, as CSV', () => this.saveTable());
-    this.saveMarked = button('Save marked …', 'The marked rows, as CSV', () => this.saveRows());
-    this.table = make('table', {}, this.head = make('thead'), this.body = make('tbody'));
-    this.height = make('div', {className: 'list-all'}, this.table);
-    this.grid = make('div', {className: 'list-scroll scroll', tabIndex: 0, role: 'grid'}, this.height);
-    this.grid.setAttribute('aria-multiselectable', 'true');
+    this.save = button('', '', () => (this.state.marked.size ? this.saveMarked() : download(`/api/list/csv?${this.query()}`, `${this.name}.csv`)));
+    this.table = make('table', {}, this.widths = make('colgroup'), this.head = make('thead'), this.body = make('tbody'));
+    this.whole = make('div', {className: 'list-all'}, this.table);
+    this.grid = make('div', {className: 'list-scroll scroll', tabIndex: 0, role: 'grid', ariaMultiSelectable: 'true'}, this.whole);
     this.grid.addEventListener('scroll', () => this.draw());
     this.grid.addEventListener('keydown', event => this.key(event));
     this.body.addEventListener('click', event => this.click(event));
@@ -43,45 +42,47 @@ class Lists {
     element.classList.add('lists');
     element.replaceChildren(
       make('div', {className: 'tools'}, ...this.tabs, this.only = make('label', {}, this.rejected, 'only rejected'), this.missing, this.words),
-      make('div', {className: 'tools'}, ...this.acts, this.note, this.all, this.none, this.save, this.saveMarked, this.reason),
+      make('div', {className: 'tools'}, ...this.acts, this.note, this.all, this.none, this.save, this.reason),
       make('div', {className: 'list-middle'}, this.grid, this.side));
-    for (const event of ['opened', 'renewed', 'changed']) app.addEventListener(event, () => this.reload());
+    for (const event of ['opened', 'renewed']) app.addEventListener(event, () => this.reload());
     app.addEventListener('selected', ({detail}) => { if (!this.selecting) this.reload(detail); });
-    app.addEventListener('shown', ({detail}) => { if (detail === 'lists') { this.reload(app.selection); this.grid.focus({preventScroll: true}); } });
+    app.addEventListener('shown', ({detail}) => { if (detail === 'lists') this.reload(app.selection).then(() => this.grid.focus({preventScroll: true})); });
     this.open('points');
-  }
-
-  get state() {
-    return this.states.get(this.name);
   }
 
   open(name) {
     this.name = name;
-    if (!this.state) this.states.set(name, {sort: '', filters: {}, active: 0, marked: new Map(), blocks: new Map(), found: null, top: 0});
-    for (const tab of this.tabs) tab.setAttribute('aria-pressed', String(tab.value === name));
-    this.grid.setAttribute('aria-label', TABLES[name]);
-    this.columns = '';
-    this.reload(this.app.selection);
+    this.state = this.states[name] ??= {sort: '', only: '', filters: {}, active: 0, marked: new Map(), blocks: new Map(), found: null};
+    for (const tab of this.tabs) tab.ariaPressed = String(tab.value === name);
+    this.grid.ariaLabel = TABLES[name];
+    this.rejected.checked = Boolean(this.state.only);
+    return this.reload(this.app.selection);
   }
 
   query(more = {}) {
-    const {sort, filters} = this.state;
-    return new URLSearchParams({table: this.name, ...(sort ? {sort} : {}), ...filters, ...more});
+    const {sort, only, filters} = this.state;
+    return new URLSearchParams({table: this.name, sort, only, ...filters, ...more});
   }
 
-  // Everything anew, with a point in sight where it is named
+  // Another order or filter, from its first row on
+  renew(changes) {
+    Object.assign(this.state, changes, {active: 0});
+    this.grid.scrollTop = 0;
+    return this.reload();
+  }
+
+  // All rows anew, with a point in sight where it is named
   async reload(find = '') {
     if (!this.app.scene || this.element.hidden) return;
-    const version = ++this.version, {state} = this, late = setTimeout(() => { this.words.textContent = 'reading …'; }, 200);
-    const first = BLOCK * Math.floor(this.first / BLOCK) || 0;
+    const version = ++this.version, {state} = this, block = Math.floor(this.first / BLOCK);
+    const late = setTimeout(() => { this.words.textContent = 'reading …'; }, 200);
     try {
-      const found = await this.app.request(`/api/list?${this.query({first, count: BLOCK, ...(find ? {find} : {})})}`);
+      const found = await this.app.request(`/api/list?${this.query({first: BLOCK * block, count: BLOCK, find})}`);
       if (version !== this.version) return;
-      Object.assign(state, {found, blocks: new Map([[first / BLOCK, found.rows]]), active: Math.max(0, Math.min(state.active, found.count - 1))});
+      Object.assign(state, {found, blocks: new Map([[block, found.rows]])});
       this.showHead();
-      if (found.at !== null) this.go(found.at);
-      this.draw();
-      this.computeAll();
+      this.go(found.at ?? state.active);
+      this.showMissing();
     } catch (error) {
       if (version === this.version) this.words.textContent = error.message;
     } finally {
@@ -95,86 +96,56 @@ class Lists {
     blocks.set(block, null);
     const found = await this.app.request(`/api/list?${this.query({first: BLOCK * block, count: BLOCK})}`).catch(() => null);
     if (version !== this.version) return;
-    if (found) blocks.set(block, found.rows);
-    else blocks.delete(block);
+    blocks.set(block, found?.rows);
     for (const old of [...blocks.keys()].slice(0, -KEPT)) blocks.delete(old);
-    this.draw();
+    if (found) this.draw();
   }
 
   // Columns that take long: computed at once in a small block, at a click in a large one
-  computeAll() {
+  showMissing() {
     const {missing} = this.state.found;
-    for (const {group, at_once: atOnce} of missing) if (atOnce) this.compute(group);
-    this.missing.replaceChildren(...missing.map(({group, title}) => {
-      const busy = this.computing.has(group);
-      const one = make('button', {type: 'button', disabled: busy, textContent: busy ? `computing ${title} …` : `Compute ${title}`, title: 'In a large block this takes minutes; go on working meanwhile'});
-      one.addEventListener('click', () => { this.compute(group); this.computeAll(); });
-      return one;
-    }));
+    for (const one of missing) if (one.at_once && !this.failed.has(one.group)) this.compute(one.group);
+    this.missing.replaceChildren(...missing.map(({group, title}) => Object.assign(button(
+      this.computing.has(group) ? `computing ${title} …` : `Compute ${title}`, 'In a large block this takes minutes; go on working meanwhile',
+      () => { this.compute(group); this.showMissing(); }), {disabled: this.computing.has(group)})));
   }
 
   async compute(group) {
     if (this.computing.has(group)) return;
     this.computing.add(group);
-    try {
-      await this.app.request(`/api/list/compute?group=${group}`);
-    } catch (error) {
-      this.app.say(error.message, 'error');
-      return; // not asked for again by itself
-    }
+    await this.app.request(`/api/list/compute?group=${group}`).catch(error => { this.failed.add(group); this.app.say(error.message, 'error'); });
     this.computing.delete(group);
     this.reload();
   }
 
   showHead() {
-    const {columns, missing} = this.state.found, {sort, filters} = this.state, keys = `${this.name} ${columns.map(one => one.key)}`;
-    this.only.hidden = !columns.some(one => one.key === 'rejected' || one.key === 'state');
-    if (keys !== this.columns) {
-      const widths = columns.map((one, k) => (one.text ? Math.min(34, Math.max(9, one.title.length + 4, ...this.state.found.rows.map(row => row[k].length + 2))) : Math.max(9, one.title.length + 4)));
-      const titles = columns.map(one => {
-        const button = make('button', {type: 'button', title: `${one.meaning ? `${one.meaning}; ` : ''}sort`}, one.title, make('small', {textContent: one.unit}));
-        button.addEventListener('click', () => this.sortBy(one));
-        return make('th', {scope: 'col'}, button);
-      });
-      const conditions = columns.map(one => {
-        const input = make('input', {type: 'text', placeholder: one.text ? 'contains' : '> 3', maxLength: 60, value: filters[one.key] || ''});
-        input.setAttribute('aria-label', `Filter of ${one.title}`);
-        input.addEventListener('input', () => { clearTimeout(this.typing); this.typing = setTimeout(() => this.filter(one.key, input.value), WAIT); });
-        return make('th', {}, input);
-      });
-      this.head.replaceChildren(make('tr', {}, ...titles), make('tr', {className: 'list-filters'}, ...conditions));
-      this.table.querySelector('colgroup')?.remove();
-      this.table.prepend(make('colgroup', {}, ...widths.map(width => make('col', {style: `width:${width}ch`}))));
-      this.table.style.width = `max(100%, ${widths.reduce((sum, one) => sum + one, 0)}ch)`;
-      this.columns = keys;
+    const {found: {columns, rows}, sort, filters} = this.state, keys = `${this.name} ${columns.map(one => one.key)}`;
+    if (keys !== this.keys) {
+      const width = (one, k) => Math.max(7, ...one.title.split(' ').map(word => word.length + 3), ...(one.decimals === null ? rows.map(row => Math.min(34, row[k].length + 2)) : []));
+      this.widths.replaceChildren(...columns.map((one, k) => make('col', {style: `width: ${width(one, k)}ch`})));
+      this.whole.style.minWidth = `${columns.reduce((sum, one, k) => sum + width(one, k), 0)}ch`;
+      this.head.replaceChildren(make('tr'), make('tr', {className: 'list-filters'}));
+      for (const one of columns) {
+        const input = make('input', {type: 'text', placeholder: one.decimals === null ? 'text' : '> 3', maxLength: 60, value: filters[one.key] || '', ariaLabel: `Filter of ${one.title}`});
+        input.addEventListener('input', () => {
+          filters[one.key] = input.value.trim();
+          clearTimeout(this.typing);
+          this.typing = setTimeout(() => this.renew({}), WAIT);
+        });
+        const title = button(one.title, `${one.meaning ? `${one.meaning}; ` : ''}click to sort`, () => this.sortBy(one));
+        title.append(make('small', {textContent: one.unit}));
+        this.head.rows[0].append(make('th', {scope: 'col', className: one.decimals === null ? '' : 'number'}, title));
+        this.head.rows[1].append(make('th', {}, input));
+      }
+      this.keys = keys;
     }
-    columns.forEach((one, k) => this.head.rows[0].cells[k].setAttribute('aria-sort', {[one.key]: 'ascending', [`-${one.key}`]: 'descending'}[sort] || 'none'));
-    return missing;
+    columns.forEach(({key}, k) => { this.head.rows[0].cells[k].ariaSort = {[key]: 'ascending', [`-${key}`]: 'descending'}[sort] || 'none'; });
   }
 
-  // Numbers: the largest first, then the smallest; texts the other way round
-  sortBy({key, text}) {
-    const turns = text ? [key, `-${key}`, ''] : [`-${key}`, key, ''], {state} = this;
-    state.sort = turns[(turns.indexOf(state.sort) + 1) % 3];
-    this.top();
-  }
-
-  filter(key, value) {
-    const {filters} = this.state;
-    if (key === 'rejected' && typeof value === 'boolean') {
-      const column = this.state.found.columns.some(one => one.key === 'state') ? ['state', 'rejected'] : ['rejected', '> 0'];
-      [key, value] = [column[0], value ? column[1] : ''];
-      this.head.rows[1].cells[this.state.found.columns.findIndex(one => one.key === key)].firstChild.value = value;
-    }
-    if (value.trim()) filters[key] = value.trim();
-    else delete filters[key];
-    this.top();
-  }
-
-  top() {
-    this.state.active = 0;
-    this.grid.scrollTop = 0;
-    this.reload();
+  // Numbers: the largest first, then the smallest; texts the other way round; then as they are in the files
+  sortBy({key, decimals}) {
+    const turns = decimals === null ? [key, `-${key}`, ''] : [`-${key}`, key, ''];
+    this.renew({sort: turns[(turns.indexOf(this.state.sort) + 1) % 3]});
   }
 
   // --- rows
@@ -183,81 +154,78 @@ class Lists {
     return Math.max(1, Math.floor((this.grid.clientHeight - this.head.offsetHeight) / ROW));
   }
 
-  get hidden() {
-    return Math.max(0, (this.state.found?.count || 0) - this.shown); // rows beyond one window
+  get beyond() {
+    return Math.max(0, (this.state.found?.count || 0) - this.shown); // rows that the window does not hold
+  }
+
+  get far() {
+    return Math.min(ROW * this.beyond, TALLEST); // px to scroll for them
   }
 
   get first() {
-    const far = Math.min(ROW * this.hidden, TALLEST);
-    return far ? Math.min(this.hidden, Math.round(this.grid.scrollTop / far * this.hidden)) : 0;
+    return this.far ? Math.min(this.beyond, Math.round(this.grid.scrollTop / this.far * this.beyond)) : 0;
   }
 
-  row(number) {
+  row(number = this.state.active) {
     return this.state.blocks.get(Math.floor(number / BLOCK))?.[number % BLOCK];
   }
 
-  draw() {
-    const {state} = this, {found} = state;
-    if (!found || !this.grid.clientHeight) return;
-    this.height.style.height = `${this.grid.clientHeight + Math.min(ROW * this.hidden, TALLEST)}px`;
-    const {first, shown} = this, last = Math.min(found.count, first + shown);
-    for (let block = Math.floor(first / BLOCK); BLOCK * block < last; block++) this.read(block);
-    this.body.replaceChildren(...Array.from({length: Math.max(0, last - first)}, (_, k) => this.drawn(first + k)));
-    this.grid.setAttribute('aria-rowcount', String(found.count));
-    this.grid.setAttribute('aria-activedescendant', `list-row-${state.active}`);
-    const filtered = found.count === found.total ? '' : ` of ${found.total.toLocaleString('en')}`;
-    this.words.textContent = found.total ? `${found.count.toLocaleString('en')}${filtered} rows${state.marked.size ? `, ${state.marked.size} marked` : ''}` : EMPTY[this.name] || 'none';
-    this.showActs();
-    this.showChips();
+  cell(key, row = this.row()) {
+    return row?.[this.state.found.columns.findIndex(one => one.key === key)] ?? '';
   }
 
-  drawn(number) {
+  draw() {
+    const {found, active, marked} = this.state;
+    if (!found || !this.grid.clientHeight) return;
+    this.whole.style.height = `${this.grid.clientHeight + this.far}px`;
+    const {first} = this, last = Math.min(found.count, first + this.shown);
+    for (let block = Math.floor(first / BLOCK); BLOCK * block < last; block++) this.read(block);
+    this.body.replaceChildren(...Array.from({length: Math.max(0, last - first)}, (_, k) => this.line(first + k)));
+    Object.assign(this.grid, {ariaRowCount: String(found.count)}).setAttribute('aria-activedescendant', `list-row-${active}`);
+    const [count, total] = [found.count, found.total].map(one => one.toLocaleString('en'));
+    this.words.textContent = found.total ? `${count}${count === total ? '' : ` of ${total}`} rows${marked.size ? `, ${marked.size} marked` : ''}` : EMPTY[this.name] || 'none';
+    this.showActs();
+    this.showSide();
+  }
+
+  line(number) {
     const row = this.row(number), {found, active, marked} = this.state;
-    const line = make('tr', {id: `list-row-${number}`, className: number === active ? 'active' : ''});
-    line.dataset.row = number;
-    line.setAttribute('aria-rowindex', String(number + 1));
-    line.setAttribute('aria-selected', String(Boolean(row) && marked.has(this.keyOf(row))));
-    if (row && row[0] === this.app.selection) line.setAttribute('aria-current', 'true');
-    line.append(...found.columns.map(({key, text}, k) => {
-      const value = row?.[k] ?? '', near = ['line', 'sample'].includes(key);
-      return make('td', {className: text ? '' : 'number', textContent: text || value === '' ? value : near ? value.toFixed(2) : short(value, 4), title: text ? value : ''});
+    const line = make('tr', {id: `list-row-${number}`, className: number === active ? 'active' : '', ariaRowIndex: String(number + 1), ariaSelected: String(Boolean(row) && marked.has(this.keyOf(row)))});
+    if (row && row[0] === this.app.selection) line.ariaCurrent = 'true';
+    line.append(...found.columns.map(({key, decimals}, k) => {
+      const value = row?.[k] ?? '', text = decimals === null || value === '';
+      return make('td', {className: decimals === null ? '' : 'number', title: value, textContent: text ? value : value.toFixed(/^(line|sample)$/.test(key) ? 2 : decimals).replace('-', '−')});
     }));
-    return line;
+    return Object.assign(line, {number});
   }
 
   keyOf(row) {
     return this.name === 'measurements' ? `${row[0]}\n${row[1]}` : row[0];
   }
 
-  valueOf(key) {
-    return this.row(this.state.active)?.[this.state.found?.columns.findIndex(one => one.key === key)] || '';
-  }
-
-  // The active row, brought into sight
+  // Make a row the active one, and bring it into sight
   go(number) {
-    const {state} = this, {first, shown} = this;
+    const {state, first, shown, beyond} = this;
     state.active = Math.max(0, Math.min(number, state.found.count - 1));
-    const to = state.active < first ? state.active : state.active >= first + shown ? state.active - shown + 1 : first;
-    if (to !== first) {
-      this.height.style.height = `${this.grid.clientHeight + Math.min(ROW * this.hidden, TALLEST)}px`;
-      this.grid.scrollTop = to / this.hidden * Math.min(ROW * this.hidden, TALLEST);
-    }
+    const to = Math.max(Math.min(first, state.active), state.active - shown + 1);
+    this.whole.style.height = `${this.grid.clientHeight + this.far}px`;
+    if (to !== first) this.grid.scrollTop = to / beyond * this.far;
     this.draw();
   }
 
-  mark(number) {
-    const row = this.row(number), {marked, found} = this.state;
-    if (row && !marked.delete(this.keyOf(row))) marked.set(this.keyOf(row), Object.fromEntries(found.columns.map((one, k) => [one.key, row[k]])));
+  mark(row) {
+    if (row && !this.state.marked.delete(this.keyOf(row))) this.state.marked.set(this.keyOf(row), row);
   }
 
   async markAll() {
-    const {rows, columns} = await this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`);
-    for (const row of rows) this.state.marked.set(this.keyOf(row), Object.fromEntries(columns.map((one, k) => [one.key, row[k]])));
+    const {rows} = await this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`);
+    for (const row of rows) this.state.marked.set(this.keyOf(row), row);
     this.draw();
   }
 
+  // A point is selected for all views; an image is shown by those that hear of it
   select(whole = false) {
-    const row = this.row(this.state.active);
+    const row = this.row();
     if (!row) return;
     this.selecting = true;
     if (['points', 'measurements'].includes(this.name)) this.app.select(row[0]);
@@ -267,21 +235,21 @@ class Lists {
   }
 
   click(event) {
-    const number = Number(event.target.closest('tr')?.dataset.row ?? -1);
-    if (number < 0) return;
-    if (event.shiftKey) for (let k = Math.min(number, this.state.active); k <= Math.max(number, this.state.active); k++) this.mark(k);
-    else if (event.ctrlKey || event.metaKey) this.mark(number);
+    const number = event.target.closest('tr')?.number, {active} = this.state;
+    if (number === undefined) return;
+    if (event.shiftKey) for (let k = Math.min(number, active); k <= Math.max(number, active); k++) this.mark(this.row(k));
+    else if (event.ctrlKey || event.metaKey) this.mark(this.row(number));
     this.go(number);
     this.select();
   }
 
   key(event) {
-    if (event.target !== this.grid || event.ctrlKey || event.metaKey || event.altKey) return;
-    const {active, found} = this.state, acts = {r: 'reject', a: 'accept', ...(this.app.scene.verdicts ? {u: 'undecided'} : {})};
-    const to = {ArrowDown: active + 1, ArrowUp: active - 1, PageDown: active + this.shown, PageUp: active - this.shown, Home: 0, End: (found?.count || 1) - 1}[event.key];
-    if (to !== undefined) this.go(to);
+    if (event.target !== this.grid || !this.state.found || event.ctrlKey || event.metaKey || event.altKey) return;
+    const {active, found} = this.state, {shown} = this, steps = {ArrowDown: 1, ArrowUp: -1, PageDown: shown, PageUp: -shown, Home: -active, End: found.count};
+    const act = event.key === 'u' && !this.app.scene.verdicts ? null : ACTS[event.key]; // u: undo of a project
+    if (event.key in steps) this.go(active + steps[event.key]);
     else if (event.key === 'Enter') this.select(true);
-    else if (event.key === ' ') { this.mark(active); this.go(active + 1); } else if (acts[event.key]) this.act(acts[event.key]);
+    else if (event.key === ' ') { this.mark(this.row()); this.go(active + 1); } else if (act) this.act(act[0]);
     else if (event.key === 'n' && !this.note.hidden) this.note.focus();
     else return;
     event.preventDefault();
@@ -290,92 +258,79 @@ class Lists {
 
   // --- reject and accept, save
 
-  // Why rows can't be rejected or accepted; empty where they can
+  // Why rows can't be rejected or accepted, and what to do; empty where they can
   get refusal() {
-    const {scene} = this.app, {size} = this.state.marked;
-    if (scene.kind !== 'project' && !scene.verdicts) return 'Rejecting needs a project: mgsgraph project init PROJECT --case CASE; verdicts need --case CASE.';
-    if (scene.kind !== 'project' && this.name !== 'points') return 'Verdicts are about tie points, in the list of points; measurements are rejected in a project: mgsgraph project init PROJECT --case CASE.';
+    const {kind, verdicts, writable, lock} = this.app.scene, {size} = this.state.marked;
+    if (kind !== 'project' && !verdicts) return 'To reject, make a project: mgsgraph project init PROJECT --case CASE. For verdicts, start the studio with --case CASE.';
+    if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements, make a project: mgsgraph project init PROJECT --case CASE.';
     if (!['points', 'measurements'].includes(this.name)) return 'Points and measurements can be rejected.';
-    if (scene.kind === 'project' && !scene.writable) return scene.lock;
-    return size > MOST ? `At most ${MOST} rows at a time: ${size} are marked.` : '';
+    if (kind === 'project' && !writable) return lock;
+    return size > MOST ? `At most ${MOST} rows at a time; ${size} are marked.` : '';
   }
 
   showActs() {
-    const {refusal} = this, {scene} = this.app;
-    for (const one of this.acts) Object.assign(one, {disabled: Boolean(refusal), title: refusal || 'The marked rows, or the active row'});
-    this.acts[2].hidden = this.note.hidden = !scene.verdicts;
+    const {refusal} = this, {verdicts} = this.app.scene, {found: {count}, marked: {size}} = this.state;
+    for (const one of this.acts) Object.assign(one, {disabled: Boolean(refusal), title: refusal || (size ? 'The marked rows' : 'The active row')});
+    this.acts[2].hidden = this.note.hidden = !verdicts;
     this.note.disabled = Boolean(refusal);
-    if (document.activeElement !== this.note) this.note.value = this.valueOf('note');
-    this.reason.textContent = refusal || (scene.verdicts ? `Verdicts are in ${scene.verdicts.split(/[\\/]/).pop()}.` : '');
-    this.reason.title = refusal || scene.verdicts || '';
-    const {count} = this.state.found, many = count > MOST;
-    Object.assign(this.all, {disabled: many || !count, title: many ? `More than ${MOST} rows: filter first` : 'Mark the rows that are listed'});
-    this.none.disabled = this.saveMarked.disabled = !this.state.marked.size;
+    if (document.activeElement !== this.note) this.note.value = this.cell('note');
+    this.reason.textContent = refusal || (verdicts ? `Verdicts: ${verdicts.split(/[\\/]/).pop()}` : '');
+    this.reason.title = verdicts || '';
+    Object.assign(this.all, {disabled: count > MOST || !count, title: count > MOST ? `More than ${MOST} rows: filter first` : 'Mark the rows that are listed'});
+    Object.assign(this.save, {textContent: size ? 'Save marked …' : 'Save table …', title: `The ${size ? 'marked' : 'listed'} rows, as CSV`, disabled: !count});
+    this.none.disabled = !size;
   }
 
   async act(kind, note) {
-    const {state} = this, {scene} = this.app, rows = [...state.marked.values()];
-    if (this.refusal) return this.app.say(this.refusal, 'error');
-    if (!rows.length) {
-      const row = this.row(state.active);
-      if (!row) return undefined;
-      rows.push(Object.fromEntries(state.found.columns.map((one, k) => [one.key, row[k]])));
-    }
+    const {state} = this, {scene} = this.app, rows = state.marked.size ? [...state.marked.values()] : [this.row()].filter(Boolean);
+    if (this.refusal || !rows.length) return this.app.say(this.refusal, 'error');
     this.app.say(`${rows.length} rows: ${kind} …`);
     try {
-      if (scene.kind === 'project') await this.app.change({kind, rows: rows.map(one => [one.id ?? one.point, one.image ?? ''])});
+      if (scene.kind === 'project') await this.app.change({kind, rows: rows.map(row => [row[0], this.name === 'measurements' ? row[1] : ''])});
       else {
-        await this.app.request('/api/verdicts', {verdict: kind, points: rows.map(one => one.id), ...(note === undefined ? {} : {note})});
-        this.app.say(`${rows.length === 1 ? rows[0].id : `${rows.length} points`}: ${kind}.`);
+        await this.app.request('/api/verdicts', {verdict: kind, points: rows.map(row => row[0]), ...(note === undefined ? {} : {note})});
+        this.app.say(`${rows.length === 1 ? rows[0][0] : `${rows.length} points`}: ${kind}.`);
+        if (!state.marked.size) state.active += 1;
       }
-      if (!state.marked.size && scene.kind !== 'project') this.state.active += 1;
       state.marked.clear();
       await this.reload();
-      this.go(state.active);
     } catch (error) {
       this.app.say(error.message, 'error');
     }
     return this.grid.focus({preventScroll: true});
   }
 
-  saveTable() {
-    return download(`/api/list/csv?${this.query()}`, `${this.name}.csv`).catch(error => this.app.say(error.message, 'error'));
-  }
-
-  saveRows() {
-    const {columns} = this.state.found, quoted = value => (/[",\r\n]/.test(value) ? `"${value.replaceAll('"', '""')}"` : value);
-    const rows = [columns.map(one => (one.unit ? `${one.key}_${one.unit}` : one.key)), ...[...this.state.marked.values()].map(row => columns.map(one => String(row[one.key] ?? '')))];
-    const href = URL.createObjectURL(new Blob([rows.map(row => `${row.map(quoted).join(',')}\n`).join('')], {type: 'text/csv'}));
+  saveMarked() {
+    const quoted = value => (/[",\r\n]/.test(value ?? '') ? `"${value.replaceAll('"', '""')}"` : value ?? '');
+    const names = this.state.found.columns.map(({key, unit}) => (unit ? `${key}_${unit}` : key)), rows = [names, ...this.state.marked.values()];
+    const href = URL.createObjectURL(new Blob(rows.map(row => `${row.map(quoted).join(',')}\n`), {type: 'text/csv'}));
     make('a', {href, download: `${this.name}_marked.csv`}).click();
     setTimeout(() => URL.revokeObjectURL(href), 60000);
   }
 
-  // --- the pixels of the active row's point
+  // --- pixels around the measurements of the active row's point
 
-  showChips() {
-    const row = this.row(this.state.active), pictured = new Set(this.app.scene.images.filter(one => one.picture).map(one => one.name));
-    const point = row && pictured.size && ['points', 'measurements'].includes(this.name) ? row[0] : '';
-    if (this.side.hidden === Boolean(point)) {
-      this.side.hidden = !point;
-      return this.draw();
-    }
-    if (!point || point === this.chipsOf) return undefined;
-    this.chipsOf = point;
+  showSide() {
+    const pictured = new Set(this.app.scene.images.filter(one => one.picture).map(one => one.name));
+    const point = pictured.size && ['points', 'measurements'].includes(this.name) ? this.row()?.[0] ?? '' : '';
+    this.side.hidden = !point;
+    if (point === this.point) return;
+    this.point = point;
     clearTimeout(this.waiting);
-    this.waiting = setTimeout(() => this.chips(point, pictured).catch(error => this.app.say(error.message, 'error')), 80);
-    return undefined;
+    if (point) this.waiting = setTimeout(() => this.chips(point, pictured).catch(error => this.app.say(error.message, 'error')), 80);
   }
 
   async chips(point, pictured) {
     const {columns, rows} = await this.app.request(`/api/list?${new URLSearchParams({table: 'measurements', point: `=${point}`, count: 12})}`);
-    if (point !== this.chipsOf) return;
-    const at = key => columns.findIndex(one => one.key === key);
-    this.side.replaceChildren(make('strong', {textContent: point}), ...rows.map(row => {
-      const [image, line, sample, state, residual] = ['image', 'line', 'sample', 'state', 'residual_sigmas'].map(key => row[at(key)]);
-      const picture = make('img', {width: 130, height: 130, alt: `Pixels of ${image} around the measurement`}), chip = make('div', {className: 'chip'}, picture);
-      if (pictured.has(image)) blobOf(`/api/chip.png?${new URLSearchParams({image, line, sample})}`).then(src => Object.assign(picture, {src, onload: () => URL.revokeObjectURL(src)}), () => chip.remove());
-      return make('figure', {}, pictured.has(image) ? chip : '', make('figcaption', {textContent: `${image}, ${state}${residual ? `, residual ${short(residual)} sigmas` : ''}`}));
-    }), ...(rows.length ? [] : [make('p', {className: 'caption', textContent: 'No image measurement.'})]));
+    if (point !== this.point) return;
+    this.side.replaceChildren(make('strong', {textContent: point}), rows.length ? '' : make('p', {className: 'caption', textContent: 'No image measurement.'}));
+    for (const row of rows) {
+      const {image, line, sample, state, residual_sigmas: residual} = Object.fromEntries(columns.map(({key}, k) => [key, row[k]]));
+      const picture = make('img', {width: 130, height: 130, alt: `Pixels of ${image} around the measurement`}), place = new URLSearchParams({image, line, sample});
+      if (pictured.has(image)) blobOf(`/api/chip.png?${place}`).then(src => Object.assign(picture, {src, onload: () => URL.revokeObjectURL(src)}), () => picture.remove());
+      const words = `${image}, ${state}${residual ? `, residual ${short(residual)} sigmas` : ''}`;
+      this.side.append(make('figure', {}, pictured.has(image) ? make('div', {className: 'chip'}, picture) : '', make('figcaption', {textContent: words})));
+    }
   }
 }
 

@@ -18,6 +18,7 @@ const KEYS = [
   ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'],
   ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
   ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
+  ['lists: arrows, Page, Home, End', 'the active row'], ['lists: Enter, Space', 'select, mark the active row'], ['lists: r, a, u', 'reject, accept, undecided: the marked rows, else the active one'],
   ['Escape', 'close what is open'],
 ];
 
