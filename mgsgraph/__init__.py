@@ -170,6 +170,8 @@ if TYPE_CHECKING:
     from mgsgraph.export.spice import NaifIds as NaifIds
     from mgsgraph.export.spice import SpiceNaming as SpiceNaming
     from mgsgraph.export.spice import write_spice as write_spice
+    from mgsgraph.export.verdicts import apply_verdicts as apply_verdicts
+    from mgsgraph.export.verdicts import read_verdicts as read_verdicts
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud as read_altimetry_cloud
@@ -205,8 +207,6 @@ if TYPE_CHECKING:
     from mgsgraph.results.relief import write_coregistration as write_coregistration
     from mgsgraph.results.results import write_results as write_results
     from mgsgraph.results.terrain_model import make_dem as make_dem
-    from mgsgraph.export.verdicts import apply_verdicts as apply_verdicts
-    from mgsgraph.export.verdicts import read_verdicts as read_verdicts
 
 _HOME = {
     "adjust": "mgsgraph.case.reading",

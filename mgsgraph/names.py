@@ -188,6 +188,14 @@ class Names(_Column):
             return np.array([pc.index(self.arrow, pa.scalar(others[0], pa.large_string())).as_py()])
         return _numbers_among(Names.of(others).arrow, self.arrow)
 
+    def containing(self, text: str, whole: bool = False) -> NDArray[np.bool_]:
+        """(n,) whether each contains a text, in small or capital letters; or is it, where `whole`."""
+        wanted = pa.scalar(text, pa.large_string())
+        found = pc.equal(self.arrow, wanted) if whole else pc.match_substring(self.arrow, text, ignore_case=True)
+        contains = np.zeros(len(self), dtype=np.bool_)
+        contains[np.from_dlpack(pc.indices_nonzero(found))] = True
+        return contains
+
     @staticmethod
     def united(parts: "Sequence[Names]") -> "tuple[Names, list[NDArray[np.int64]]]":
         """The names of several, each once, as they come; and of each part the numbers of its names among them."""

@@ -69,7 +69,7 @@ def convert(
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
     setting = setting_of(**{name: options.pop(name) for name in names}, shifted=not nvm_no_shift)
     of_points = None if verdicts is None else read_verdicts(verdicts)
-    selection = Selection(Duplicates(duplicates), *map(options.pop, ("only", "split")), of_points)
+    selection = Selection(Duplicates(duplicates), options.pop("only"), options.pop("split"), of_points)
     try:
         written = make(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options

@@ -73,7 +73,7 @@ REMOVED = {
     "footprints --solution": "mgsgraph footprints RESULT, with --case CASE where RESULT doesn't know it",
     "locate --place": "--ground",
     "studio --point": "the studio lists all points, with a filter for their names",
-    "studio --review": "mgsgraph studio CASE --verdicts CSV to judge, mgsgraph convert NETWORK OUT --verdicts CSV to apply",
+    "studio --review": "mgsgraph studio CASE to judge, mgsgraph convert NETWORK OUT --verdicts CSV to apply",
     "studio --worst": "the studio lists all points, sorted by any column",
     "match --method": "features alone are matched; for more of them, --per-cell",
     **{f"{verb} --check": "`project solve` ends with the check against batch" for verb in ("add", "remove")},

@@ -22,6 +22,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.files.networks.record import ControlNetwork
 from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
+from mgsgraph.files.output.table import quoted
 from mgsgraph.record import Record
 from mgsgraph.text import some
 
@@ -73,12 +74,9 @@ def network_digest(ties: TiePoints) -> str:
 
 def verdicts_text(verdicts: Verdicts) -> str:
     """Verdicts as a file that `read_verdicts` reads."""
-    file = io.StringIO(newline="")
-    if verdicts.network:
-        file.write(f"# network {verdicts.network}\n")
-    rows = ((name, verdict.value, verdicts.notes.get(name, "")) for name, verdict in verdicts.of.items())
-    csv.writer(file, lineterminator="\n").writerows((COLUMNS, *rows))
-    return file.getvalue()
+    head = f"# network {verdicts.network}\n" if verdicts.network else ""
+    rows = [(name, verdict.value, verdicts.notes.get(name, "")) for name, verdict in verdicts.of.items()]
+    return head + "".join(",".join(map(quoted, row)) + "\n" for row in (COLUMNS, *rows))
 
 
 def read_verdicts(path: str | Path) -> Verdicts:

@@ -112,8 +112,8 @@ def _measures(content: Mapping[str, Any]) -> list[tuple[str, str]]:
         require(image, "change, image", "no image", "that of the measurement")
         return [(text_of(content, "point"), image)]
     rows = content["rows"]
-    if not isinstance(rows, list) or not all(isinstance(row, list) and list(map(type, row)) == [str, str] for row in rows):
-        raise InputError("change, rows", repr(rows)[:60], "a list of [point, image]")
+    good = isinstance(rows, list) and all(isinstance(row, list) and list(map(type, row)) == [str, str] for row in rows)
+    require(good, "change, rows", repr(rows)[:60], "a list of [point, image]")
     return [(point, image) for point, image in rows]
 
 

@@ -191,12 +191,12 @@ def ray_residuals(opened: Opened) -> Array:
     def make() -> Array:
         block, rays = opened.block(), opened.block().network.rays
         if opened.now.solution is not None:
-            return opened.now.solution.residuals
+            return np.asarray(opened.now.solution.residuals)
         predicted = np.full((rays.point.size, 2), np.nan)
         for j, of_image in enumerate(block.rays_by_image):
             points = block.places[rays.point[of_image]]
             predicted[of_image] = projected(block, j, points, rays.places[of_image, 0])
-        return rays.places - predicted
+        return np.asarray(rays.places - predicted)
 
     return opened.once("ray residuals", make)
 

@@ -18,7 +18,7 @@ const button = (textContent, title, act) => {
 class Lists {
   constructor(app, element) {
     Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: ''});
-    this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, '', () => this.open(value)), {value}));
+    this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, '', () => { this.open(value); this.reload(app.selection); }), {value}));
     this.rejected = make('input', {type: 'checkbox'});
     this.rejected.addEventListener('change', () => this.renew({only: this.rejected.checked ? 'rejected' : ''}));
     this.missing = make('span');
@@ -56,7 +56,6 @@ class Lists {
     for (const tab of this.tabs) tab.ariaPressed = String(tab.value === name);
     this.grid.ariaLabel = TABLES[name];
     this.rejected.checked = Boolean(this.state.only);
-    return this.reload(this.app.selection);
   }
 
   query(more = {}) {
