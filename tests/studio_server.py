@@ -126,7 +126,7 @@ class Page:
         self.tab.on("request", lambda one: self.asked.append(one.url))
         self.root = running.root
         self.tab.goto(running.root + running.entrance())
-        self.until("studio.scene && document.getElementById('start').view")
+        self.until("Boolean(studio.scene && document.getElementById('start').view)")
         self.show("map")
         self.tab.wait_for_selector("#map[data-ready]")
 

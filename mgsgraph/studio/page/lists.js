@@ -281,22 +281,22 @@ class Lists {
   }
 
   async act(kind, note) {
-    const {state} = this, {scene} = this.app, rows = state.marked.size ? [...state.marked.values()] : [this.row()].filter(Boolean);
+    const {state} = this, {scene} = this.app, marked = state.marked.size, rows = marked ? [...state.marked.values()] : [this.row()].filter(Boolean);
     if (this.refusal || !rows.length) return this.app.say(this.refusal, 'error');
+    this.grid.focus({preventScroll: true});
     this.app.say(`${rows.length} rows: ${kind} …`);
     try {
       if (scene.kind === 'project') await this.app.change({kind, rows: rows.map(row => [row[0], this.name === 'measurements' ? row[1] : ''])});
       else {
+        if (!marked) this.go(state.active + 1); // the next key is about the next row, also before the answer
         await this.app.request('/api/verdicts', {verdict: kind, points: rows.map(row => row[0]), ...(note === undefined ? {} : {note})});
-        this.app.say(`${rows.length === 1 ? rows[0][0] : `${rows.length} points`}: ${kind}.`);
-        if (!state.marked.size) state.active += 1;
+        this.app.say(`${marked ? `${rows.length} points` : rows[0][0]}: ${kind}.`);
       }
       state.marked.clear();
-      await this.reload();
+      return this.reload(this.name === 'points' ? this.row()?.[0] : '');
     } catch (error) {
-      this.app.say(error.message, 'error');
+      return this.app.say(error.message, 'error');
     }
-    return this.grid.focus({preventScroll: true});
   }
 
   saveMarked() {
