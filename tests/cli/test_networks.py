@@ -151,8 +151,10 @@ def test_a_network_without_rejected_points(pictured_case: Path, tmp_path: Path) 
 
 
 def test_old_words_of_the_review_say_the_new_ones(pictured_case: Path, tmp_path: Path) -> None:
-    assert "convert NETWORK OUT --verdicts" in refusal("studio", pictured_case, "--review", tmp_path / "page.html")
-    assert "--verdicts" in refusal("review", pictured_case)
+    done = run("studio", pictured_case, "--review", tmp_path / "page.html")
+    assert done.returncode == 2
+    assert "convert NETWORK OUT --verdicts CSV" in done.stderr
+    assert "studio CASE --verdicts" in run("review", pictured_case).stderr
     network = pictured_case.with_name("network.pvl")
     assert "header" in refusal("studio", pictured_case, "--verdicts", network, "--no-browser")
 

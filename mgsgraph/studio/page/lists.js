@@ -58,6 +58,10 @@ class Lists {
     this.rejected.checked = Boolean(this.state.only);
   }
 
+  get ofPoints() {
+    return this.name === 'points' || this.name === 'measurements';
+  }
+
   query(more = {}) {
     const {sort, only, filters} = this.state;
     return new URLSearchParams({table: this.name, sort, only, ...filters, ...more});
@@ -120,7 +124,7 @@ class Lists {
   showHead() {
     const {found: {columns, rows}, sort, filters} = this.state, keys = `${this.name} ${columns.map(one => one.key)}`;
     if (keys !== this.keys) {
-      const width = (one, k) => Math.max(7, ...one.title.split(' ').map(word => word.length + 3), ...(one.decimals === null ? rows.map(row => Math.min(34, row[k].length + 2)) : []));
+      const width = (one, k) => Math.max(7, ...`${one.title} ${one.unit}`.split(' ').map(word => word.length + 3), ...(one.decimals === null ? rows.map(row => Math.min(34, row[k].length + 2)) : []));
       this.widths.replaceChildren(...columns.map((one, k) => make('col', {style: `width: ${width(one, k)}ch`})));
       this.whole.style.minWidth = `${columns.reduce((sum, one, k) => sum + width(one, k), 0)}ch`;
       this.head.replaceChildren(make('tr'), make('tr', {className: 'list-filters'}));
@@ -227,7 +231,7 @@ class Lists {
     const row = this.row();
     if (!row) return;
     this.selecting = true;
-    if (['points', 'measurements'].includes(this.name)) this.app.select(row[0]);
+    if (this.ofPoints) this.app.select(row[0]);
     this.selecting = false;
     if (this.name === 'images') (whole ? this.app.show('images') : Promise.resolve()).then(() => this.app.emit('image', row[0]));
     this.draw();
@@ -248,7 +252,7 @@ class Lists {
     const act = event.key === 'u' && !this.app.scene.verdicts ? null : ACTS[event.key]; // u: undo of a project
     if (event.key in steps) this.go(active + steps[event.key]);
     else if (event.key === 'Enter') this.select(true);
-    else if (event.key === ' ') { this.mark(this.row()); this.go(active + 1); } else if (act) this.act(act[0]);
+    else if (event.key === ' ') { this.mark(this.row()); this.go(active + 1); } else if (act && this.ofPoints) this.act(act[0]);
     else if (event.key === 'n' && !this.note.hidden) this.note.focus();
     else return;
     event.preventDefault();
@@ -262,15 +266,15 @@ class Lists {
     const {kind, verdicts, writable, lock} = this.app.scene, {size} = this.state.marked;
     if (kind !== 'project' && !verdicts) return 'To reject, make a project: mgsgraph project init PROJECT --case CASE. For verdicts, start the studio with --case CASE.';
     if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements, make a project: mgsgraph project init PROJECT --case CASE.';
-    if (!['points', 'measurements'].includes(this.name)) return 'Points and measurements can be rejected.';
     if (kind === 'project' && !writable) return lock;
     return size > MOST ? `At most ${MOST} rows at a time; ${size} are marked.` : '';
   }
 
   showActs() {
-    const {refusal} = this, {verdicts} = this.app.scene, {found: {count}, marked: {size}} = this.state;
-    for (const one of this.acts) Object.assign(one, {disabled: Boolean(refusal), title: refusal || (size ? 'The marked rows' : 'The active row')});
-    this.acts[2].hidden = this.note.hidden = !verdicts;
+    const {verdicts} = this.app.scene, {found: {count}, marked: {size}} = this.state, hidden = !this.ofPoints, refusal = hidden ? '' : this.refusal;
+    for (const one of this.acts) Object.assign(one, {hidden, disabled: Boolean(refusal), title: refusal || (size ? 'The marked rows' : 'The active row')});
+    this.only.hidden = this.name === 'profiles';
+    this.acts[2].hidden = this.note.hidden = hidden || !verdicts;
     this.note.disabled = Boolean(refusal);
     if (document.activeElement !== this.note) this.note.value = this.cell('note');
     this.reason.textContent = refusal || (verdicts ? `Verdicts: ${verdicts.split(/[\\/]/).pop()}` : '');
@@ -311,7 +315,7 @@ class Lists {
 
   showSide() {
     const pictured = new Set(this.app.scene.images.filter(one => one.picture).map(one => one.name));
-    const point = pictured.size && ['points', 'measurements'].includes(this.name) ? this.row()?.[0] ?? '' : '';
+    const point = pictured.size && this.ofPoints ? this.row()?.[0] ?? '' : '';
     this.side.hidden = !point;
     if (point === this.point) return;
     this.point = point;
