@@ -17,7 +17,7 @@ const button = (textContent, title, act) => {
 
 class Lists {
   constructor(app, element) {
-    Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: ''});
+    Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: '', pending: 0});
     this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, '', () => { this.open(value); this.reload(app.selection); }), {value}));
     this.rejected = make('input', {type: 'checkbox'});
     this.rejected.addEventListener('change', () => this.renew({only: this.rejected.checked ? 'rejected' : ''}));
@@ -77,14 +77,14 @@ class Lists {
   // All rows anew, with a point in sight where it is named
   async reload(find = '') {
     if (!this.app.scene || this.element.hidden) return;
-    const version = ++this.version, {state} = this, block = Math.floor(this.first / BLOCK);
+    const version = ++this.version, {state} = this, {active} = state, block = Math.floor(this.first / BLOCK);
     const late = setTimeout(() => { this.words.textContent = 'reading …'; }, 200);
     try {
       const found = await this.app.request(`/api/list?${this.query({first: BLOCK * block, count: BLOCK, find})}`);
-      if (version !== this.version) return;
+      if (version !== this.version || this.pending) return;
       Object.assign(state, {found, blocks: new Map([[block, found.rows]])});
       this.showHead();
-      this.go(found.at ?? state.active);
+      this.go(state.active === active ? found.at ?? active : state.active); // keys may have gone on meanwhile
       this.showMissing();
     } catch (error) {
       if (version === this.version) this.words.textContent = error.message;
@@ -289,6 +289,7 @@ class Lists {
     if (this.refusal || !rows.length) return this.app.say(this.refusal, 'error');
     this.grid.focus({preventScroll: true});
     this.app.say(`${rows.length} rows: ${kind} …`);
+    this.pending += 1;
     try {
       if (scene.kind === 'project') await this.app.change({kind, rows: rows.map(row => [row[0], this.name === 'measurements' ? row[1] : ''])});
       else {
@@ -297,10 +298,11 @@ class Lists {
         this.app.say(`${marked ? `${rows.length} points` : rows[0][0]}: ${kind}.`);
       }
       state.marked.clear();
-      return this.reload(this.name === 'points' ? this.row()?.[0] : '');
     } catch (error) {
-      return this.app.say(error.message, 'error');
+      this.app.say(error.message, 'error');
     }
+    this.pending -= 1;
+    return this.pending || this.reload(this.name === 'points' ? this.row()?.[0] : '');
   }
 
   saveMarked() {
