@@ -191,7 +191,8 @@ class Names(_Column):
     def containing(self, text: str, whole: bool = False) -> NDArray[np.bool_]:
         """(n,) whether each contains a text, in small or capital letters; or is it, where `whole`."""
         wanted = pa.scalar(text, pa.large_string())
-        found = pc.equal(self.arrow, wanted) if whole else pc.match_substring(self.arrow, text, ignore_case=True)
+        letters = text.lower() != text.upper()  # without them it is much faster
+        found = pc.equal(self.arrow, wanted) if whole else pc.match_substring(self.arrow, text, ignore_case=letters)
         contains = np.zeros(len(self), dtype=np.bool_)
         contains[np.from_dlpack(pc.indices_nonzero(found))] = True
         return contains

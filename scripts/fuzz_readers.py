@@ -160,12 +160,12 @@ def _terrain() -> Iterator[Reader]:
 
 
 def _networks() -> Iterator[Reader]:
+    from mgsgraph.export.verdicts import read_verdicts
     from mgsgraph.files.networks.asp_match import read_match, read_match_text
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
     from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places
-    from mgsgraph.export.verdicts import read_verdicts
 
     asp = of_tests("files/networks/test_asp.py")
     pair, written = ("one", "two"), seeds.written_network

@@ -18,7 +18,7 @@ from mgsgraph.files.networks.tie_points import PointKind, TiePoints
 from mgsgraph.files.output.table import Column, Table, digits, padded
 from mgsgraph.files.rasters.pictures import read_picture
 from mgsgraph.geometry.body import east_north_up
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.matching.chips import chip_frames, likeness, misfit_beside_neighbours
 from mgsgraph.matching.scene import Pixels
 from mgsgraph.names import Names, RepeatedNames
@@ -39,6 +39,8 @@ _CONDITION = re.compile(r"(<=|>=|<|>|=)?\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)")
 _COMPARED = {"<": np.less, ">": np.greater, "<=": np.less_equal, ">=": np.greater_equal, "=": np.equal}
 _KEPT = 8
 """Views, and images whose pixels are kept."""
+_SAMPLE = 5000
+"""Values by which the decimals of a column are chosen."""
 
 
 # --- image measurements
@@ -166,8 +168,8 @@ def _ready(opened: Opened) -> set[str]:
 
 def compute(opened: Opened, group: str) -> dict[str, Any]:
     """Compute the columns of a group; returns when the tables have them."""
-    require(group in (possible := _possible(opened)), "request, group", repr(group)[:60], f"one of {', '.join(possible)}")
-    ready = _ready(opened)
+    possible, ready = _possible(opened), _ready(opened)
+    require(group in possible, "request, group", repr(group)[:60], f"one of {', '.join(possible)}")
     GROUPS[group][1](opened)
     ready.add(group)
     return {"revision": opened.revision}
@@ -425,7 +427,8 @@ def _decimals(opened: Opened, name: str, column: Column) -> int | None:
         return 0 if isinstance(values, np.ndarray) else None
 
     def make() -> int:
-        sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+        some = values[thinned(values.size, _SAMPLE)]
+        sizes = np.abs(some[np.isfinite(some) & (some != 0.0)])
         return int(np.clip(2.0 - np.floor(np.log10(np.median(sizes))), 0.0, 6.0)) if sizes.size else 0
 
     return opened.once(f"decimals {name} {column.key}", make)

@@ -1,7 +1,6 @@
 """Networks as a person uses them: found by `mgsgraph match`, judged in the studio, converted; one line for errors."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from commands import call, refusal, run, run_afresh
 from mgsgraph.errors import InputError
 from mgsgraph.export.verdicts import network_digest
 from mgsgraph.files.networks.binary import read_control_network, read_network
-from mgsgraph.files.networks.table import table_text
 from mgsgraph.matching import match as matching
 
 FEW = ("--cells", "40", "--no-figures")

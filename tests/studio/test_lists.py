@@ -1,4 +1,4 @@
-"""Lists of the studio: what the rows say, their order and filters, changes of many rows, and a person at the keyboard."""
+"""Lists of the studio: what the rows say, order and filters, changes of many rows, and a person at the keyboard."""
 
 import csv
 import io
@@ -55,7 +55,9 @@ def test_points_and_measurements_agree_with_the_adjustment(project: Path) -> Non
         own = [one for one in measurements if one["point"] == row["id"]]
         assert row["images"] == len(own)
         assert row["w"] == max(one["w"] for one in own)
-        assert row["residual"] == pytest.approx(max(np.hypot(one["residual_line"], one["residual_sample"]) for one in own), rel=1e-4)
+        assert row["residual"] == pytest.approx(
+            max(np.hypot(one["residual_line"], one["residual_sample"]) for one in own), rel=1e-4
+        )
     for row in rows(opened, "images"):
         own = [one["residual_line"] for one in measurements if one["image"] == row["image"]]
         assert row["measurements"] == len(own)
@@ -80,7 +82,9 @@ def test_order_and_filter(project: Path) -> None:
     assert ordered[at]["point"] == ordered[9]["point"]
     text = list(csv.DictReader(io.StringIO(csv_of(opened, {"table": "measurements", "sort": "-residual_line"}))))
     assert [row["point"] for row in text] == [row["point"] for row in ordered]
-    assert [float(row["residual_line_px"]) for row in text] == pytest.approx([row["residual_line"] for row in ordered], rel=1e-4)
+    assert [float(row["residual_line_px"]) for row in text] == pytest.approx(
+        [row["residual_line"] for row in ordered], rel=1e-4
+    )
     for wrong in ({"residual_line": "big"}, {"table": "nothing"}, {"first": "x"}):
         with pytest.raises(InputError):
             window(opened, {"table": "measurements"} | wrong)
