@@ -89,9 +89,7 @@ Tie points from the images
     read_scene              the images' pixels and geometry
     MatchSettings           how to match
     match_into              matches them; writes a control network
-    review_matches          the worst tie points with their pixels, for a person to look at
-    write_review            the page of these
-    read_verdicts           what the page saves
+    read_verdicts           verdicts about tie points, as the studio writes them
     apply_verdicts          the tie points without the rejected ones
 
 Products
@@ -172,6 +170,8 @@ if TYPE_CHECKING:
     from mgsgraph.export.spice import NaifIds as NaifIds
     from mgsgraph.export.spice import SpiceNaming as SpiceNaming
     from mgsgraph.export.spice import write_spice as write_spice
+    from mgsgraph.export.verdicts import apply_verdicts as apply_verdicts
+    from mgsgraph.export.verdicts import read_verdicts as read_verdicts
     from mgsgraph.fetch.folder import fetch_images as fetch_images
     from mgsgraph.fetch.needs import Archives as Archives
     from mgsgraph.files.altimetry.shots import read_altimetry_cloud as read_altimetry_cloud
@@ -207,16 +207,12 @@ if TYPE_CHECKING:
     from mgsgraph.results.relief import write_coregistration as write_coregistration
     from mgsgraph.results.results import write_results as write_results
     from mgsgraph.results.terrain_model import make_dem as make_dem
-    from mgsgraph.studio.match_review import review_matches as review_matches
-    from mgsgraph.studio.match_review import write_review as write_review
-    from mgsgraph.studio.verdicts import apply_verdicts as apply_verdicts
-    from mgsgraph.studio.verdicts import read_verdicts as read_verdicts
 
 _HOME = {
     "adjust": "mgsgraph.case.reading",
     "adjust_in_two_steps": "mgsgraph.adjustment.two_steps",
     "adjust_network": "mgsgraph.adjustment.adjust",
-    "apply_verdicts": "mgsgraph.studio.verdicts",
+    "apply_verdicts": "mgsgraph.export.verdicts",
     "Archives": "mgsgraph.fetch.needs",
     "build_network": "mgsgraph.network.observations",
     "Case": "mgsgraph.case.reading",
@@ -266,12 +262,11 @@ _HOME = {
     "read_scene": "mgsgraph.case.scene",
     "read_shots": "mgsgraph.files.altimetry.shots",
     "read_solution": "mgsgraph.results.archive",
-    "read_verdicts": "mgsgraph.studio.verdicts",
+    "read_verdicts": "mgsgraph.export.verdicts",
     "register_by_relief": "mgsgraph.registration.relief",
     "reliability": "mgsgraph.analysis.reliability",
     "ReliefSettings": "mgsgraph.registration.minima",
     "remove_images": "mgsgraph.project.changes",
-    "review_matches": "mgsgraph.studio.match_review",
     "select_points": "mgsgraph.network.parts",
     "sigma_grid": "mgsgraph.analysis.places",
     "Solution": "mgsgraph.adjustment.solution",
@@ -291,7 +286,6 @@ _HOME = {
     "write_coregistration": "mgsgraph.results.relief",
     "write_report": "mgsgraph.results.page",
     "write_results": "mgsgraph.results.results",
-    "write_review": "mgsgraph.studio.match_review",
     "write_spice": "mgsgraph.export.spice",
 }
 __all__ = sorted(_HOME)

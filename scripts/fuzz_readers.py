@@ -160,12 +160,12 @@ def _terrain() -> Iterator[Reader]:
 
 
 def _networks() -> Iterator[Reader]:
+    from mgsgraph.export.verdicts import read_verdicts
     from mgsgraph.files.networks.asp_match import read_match, read_match_text
     from mgsgraph.files.networks.asp_text import read_ground_control_network, read_nvm
     from mgsgraph.files.networks.binary import read_control_network, read_network
     from mgsgraph.files.networks.table import read_tie_points, read_whole
     from mgsgraph.files.place_table import read_places
-    from mgsgraph.studio.verdicts import read_verdicts
 
     asp = of_tests("files/networks/test_asp.py")
     pair, written = ("one", "two"), seeds.written_network
@@ -398,7 +398,6 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "analyze": ("result --weak 2 --components --out out", _RESULT),
     "batch": ("case.toml --out out --no-figures", ()),
     "check": ("case.toml", ()),
-    "convert": ("network.pvl out.net --to net --case case.toml", ()),
     "export": ("result --to isis --out out --scaled", _RESULT),
     "project init": ("out --case case.toml --name x", ()),
     "new": ("image_A.isd image_B.isd network.pvl lidar.json --out out.toml --name x", ()),
@@ -406,7 +405,7 @@ _LINES: dict[str, tuple[str, tuple[str, ...]]] = {
     "locate": ("case.toml SIM/A --points places.csv --into image --height 10 --out out.csv", ("places.csv",)),
     "project remove": ("project SIM/B", _PROJECT),
     "report": ("result --out out.html", _RESULT),
-    "studio": ("case.toml --review out.net --verdicts verdicts.csv", ("verdicts.csv",)),
+    "convert": ("network.pvl out.net --to net --case case.toml --verdicts verdicts.csv", ("verdicts.csv",)),
     "footprints": ("case.toml shots.csv --margin 5 --out out.csv", ("shots.csv",)),
     "project solve": ("project --no-figures", _PROJECT),
     "project status": ("project", _PROJECT),

@@ -8,7 +8,6 @@ python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of
 mgsgraph demo --out mgsgraph-demo
 mgsgraph match mgsgraph-demo/inputs/case.toml --out MATCHES
 mgsgraph adjust mgsgraph-demo/inputs/case.toml --ties MATCHES/network.pvl --out RESULT
-mgsgraph studio RESULT --ties MATCHES/network.pvl --review review.html
 mgsgraph dem RESULT --case mgsgraph-demo/inputs/case.toml --out DEM
 mgsgraph analyze mgsgraph-demo --out analysis
 mgsgraph analyze mgsgraph-demo --curve E02-00665 --raster --out sigmas
@@ -37,7 +36,7 @@ FIGURES = {
     "quantiles.png": "analysis/quantiles.png",
     "sigma_map.jpg": "sigmas/sigma_map.png",
 }
-PAGES = {"review.jpg": ("review.html", 820, 150), "report.jpg": ("report.html", 760, 0)}
+PAGES = {"report.jpg": ("report.html", 760, 0)}
 """Files, how much of them is shown, and from where on, px."""
 WIDTHS = {1280: (4, 0.5), 380: (7, 0.75)}
 """px; pages in a row of a sheet, and their scale there."""

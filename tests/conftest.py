@@ -26,7 +26,7 @@ PLAIN = (
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (
     "adjustment/", "matching/", "test_docs", "cli/", "results/", "scripts/", "registration/", "export/", "simulation/",
-    "project/", "studio/test_review",
+    "project/",
 )  # fmt: skip
 """Those that take long, next, so that short files fill up what is left at the end."""
 if ROOT not in [Path(one).resolve() for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]:

@@ -406,7 +406,7 @@ def a_table(text: str, folder: Path) -> None:
 
 
 def verdicts(text: str, folder: Path) -> None:
-    from mgsgraph.studio.verdicts import read_verdicts
+    from mgsgraph.export.verdicts import read_verdicts
 
     (folder / "verdicts.csv").write_text(text, encoding="utf-8")
     assert read_verdicts(folder / "verdicts.csv").of

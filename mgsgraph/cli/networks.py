@@ -38,18 +38,20 @@ _FORMATS = click.Choice([one.value for one in Format])
     help="Points of one id in several IN: refuse, or unite them; where they differ the first or the last file counts."
 )  # fmt: skip
 @click.option("--image", "only", multiple=True, metavar="IMAGE", help="Image to keep, or MGS/*; may be repeated.")
+@click.option("--verdicts", type=PATH, metavar="CSV", help="Of `studio`, about IN: rejected points get Ignore = True.")
 @click.option("--split", is_flag=True, help="A file for each connected part: OUT_1, OUT_2, ...")
 @click.option("--replace", is_flag=True, help="Overwrite OUT, whatever it is.")
 @click.option("--strict", is_flag=True, help="Write nothing (exit status 2) if OUT can't hold all that IN do.")
 @DETAILS
 def convert(
-    files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool, **options: Any
-) -> None:
+    files: tuple[Path, ...], out: Path | None, duplicates: str, replace: bool, nvm_no_shift: bool,
+    verdicts: Path | None, **options: Any,
+) -> None:  # fmt: skip
     """Read IN... as one network and write it to OUT (the last file, or --out), each in the format of its ending: .pvl
     and .net (ISIS), .csv, .parquet, .match and .txt (matches of the Ames Stereo Pipeline; OUT is then what the files'
     names begin with, and there is one for each pair of images), .gcp and .nvm.
 
-    --image and --split, in this order, take parts of it.
+    --verdicts, --image and --split, in this order, take parts of it.
 
     Says what was written and, one line each, what the format can't hold. Pixels are counted as each format counts them:
     see docs/exchange.md.
@@ -59,13 +61,15 @@ def convert(
     from mgsgraph.export.exchange import Lossy, Selection
     from mgsgraph.export.exchange import convert as make
     from mgsgraph.export.exchange_setting import setting_of
+    from mgsgraph.export.verdicts import read_verdicts
 
     if out is None and len(files) < 2:
         raise click.UsageError("one file alone: name what is written, last or by --out")
     inputs, output = (files[:-1], files[-1]) if out is None else (files, out)
     names = ("case", "sizes", "radii", "target", "rename", "prefix")
     setting = setting_of(**{name: options.pop(name) for name in names}, shifted=not nvm_no_shift)
-    selection = Selection(Duplicates(duplicates), *map(options.pop, ("only", "split")))
+    of_points = None if verdicts is None else read_verdicts(verdicts)
+    selection = Selection(Duplicates(duplicates), options.pop("only"), options.pop("split"), of_points)
     try:
         written = make(
             inputs, output, setting, selection, replace=replace or out is not None, anything=replace, **options

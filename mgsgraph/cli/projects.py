@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from mgsgraph.project.project import Project
     from mgsgraph.results.tables import TableForm
 
-_PAGES = (".html", ".htm")
-_NETWORKS = (".pvl", ".net", ".csv")
 _WHY = click.option("--why", default="", metavar="TEXT", help="Reason, for the history.")
 _IMPACT = click.option(
     "--impact", "table", type=PATH, metavar="FILE", help="Write every point that moved to a CSV file."
@@ -336,40 +334,25 @@ def _print_impact(
 @CASE
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
 @click.option("--no-browser", is_flag=True, help="Open no browser; the address is printed anyway.")
-@click.option(
-    "--review", type=PATH, metavar="FILE",
-    help="Write a page (.html) for the review of tie points, or with --verdicts a network (.pvl, .net, .csv), and end.",
-)  # fmt: skip
 @TIES
-@click.option("--worst", type=click.IntRange(1), help="Of --review: how many points to show.  [default: 300]")
 @click.option(
-    "--point", "points", multiple=True, metavar="NAME",
-    help="Of --review: point to show, in place of the worst; may be repeated.",
+    "--verdicts", type=PATH, metavar="CSV",
+    help="Verdicts about the tie points of CASE: read at the start, written at each verdict.  [default: "
+    "CASE-verdicts.csv, from the first verdict on]",
 )  # fmt: skip
-@click.option(
-    "--verdicts", type=PATH, metavar="CSV", help="Of --review: what the page has saved: to act upon, or to begin with."
-)
 def studio(
-    path: Path, of_case: Path | None, port: int | None, no_browser: bool, review: Path | None, ties: Path | None,
-    worst: int | None, points: tuple[str, ...], verdicts: Path | None,
-) -> None:  # fmt: skip
-    """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, points, questions.
+    path: Path, of_case: Path | None, port: int | None, no_browser: bool, ties: Path | None, verdicts: Path | None
+) -> None:
+    """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, lists, points, questions.
 
     The page is for this machine and your account alone; the printed address works once. Changes of a project are
     stored one by one: the command may be ended at any time (Ctrl+C), and ends after 12 hours without a request.
 
-    --review shows the images of CASE around its tie points instead, in one file for any browser, so that a user can
-    accept or reject each; with those of RESULT, their residuals. It saves verdicts as CSV. With --verdicts, and a
-    network as FILE, the network is written with Ignore = True at rejected points, and nothing else changed. Nothing
-    overwrites the network that was reviewed.
+    Tie points of CASE, or of the case of RESULT, are accepted or rejected in the lists; the verdicts are kept as CSV.
+    `mgsgraph convert NETWORK OUT --verdicts CSV` writes the network with Ignore = True at the rejected points.
 
     Exit status: 0, 2 bad input.
     """
-    if review is not None:
-        _review(path, of_case, review, ties, worst, points, verdicts)
-        return
-    if ties is not None or worst is not None or points or verdicts is not None:
-        raise click.UsageError("--ties, --worst, --point and --verdicts go with --review FILE")
     import webbrowser
 
     from mgsgraph.cli.progress import stage_bar
@@ -382,7 +365,7 @@ def studio(
     from mgsgraph.studio.server import serve
 
     with stage_bar(1) as stages, stages.stage("reading"):
-        opened = Opened(path, of_case)
+        opened = Opened(path, of_case, ties, verdicts)
         opened.footprints()
 
     click.echo("Ctrl+C ends the studio; changes of a project are stored when they are made.")
@@ -390,44 +373,3 @@ def studio(
         opened, port, lambda address: click.echo(f"An address for one browser, which works once: {address}"),
         None if no_browser else webbrowser.open_new_tab,
     )  # fmt: skip
-
-
-def _review(
-    path: Path, of_case: Path | None, out: Path, ties: Path | None, worst: int | None, points: tuple[str, ...],
-    verdicts: Path | None,
-) -> None:  # fmt: skip
-    """Write the page for review, or the network without the points rejected on it."""
-    from mgsgraph.case.reading import read_case
-    from mgsgraph.cli.progress import counting_bar
-    from mgsgraph.errors import InputError
-    from mgsgraph.export.exchange_setting import case_setting
-    from mgsgraph.files.networks.table import is_table
-    from mgsgraph.project.reading import case_with_results
-    from mgsgraph.results.archive import read_solution
-    from mgsgraph.studio.match_review import WORST, require_page, review_case, write_review
-    from mgsgraph.studio.verdicts import read_verdicts, reviewed_network, write_kept
-
-    source, page = case_with_results(path, of_case), out.suffix.lower() in _PAGES
-    if not page and out.suffix.lower() not in _NETWORKS:
-        raise InputError(str(out), f"the ending {out.suffix!r}", "a page (.html) or a network (.pvl, .net, .csv)")
-    if not page and (verdicts is None or worst is not None or points):
-        raise click.UsageError(f"{out}: a network is written by --verdicts; --worst and --point are for a page (.html)")
-    if worst is not None and points:
-        raise click.UsageError("--worst and --point can't both be given")
-    network = ties or reviewed_network(source.case)  # of several, none could be written without the rejected points
-    if page:
-        require_page(out)
-    earlier = None if verdicts is None else read_verdicts(verdicts)
-    if not page and earlier is not None:
-        setting = case_setting(source.case) if is_table(network) else None
-        ignored, total = write_kept(network, earlier, out, setting, lambda: tuple(case_setting(source.case).sizes))
-        click.echo(f"- {ignored} of {total} points of {network} are ignored now.")
-        click.echo(f"The network is {out}")
-        return
-    adjusted = None if source.folder is None else read_solution(source.folder)
-    case = read_case(source.case, ties=ties)
-    with counting_bar("comparing chips", "measure") as bar:
-        review = review_case(case, adjusted, worst=worst or WORST, points=points, verdicts=earlier, progress=bar)
-    write_review(review, out, earlier)
-    click.echo(f"- {review.choice}.")
-    click.echo(f"The page is {out}")

@@ -20,7 +20,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "locate": ("places", "Go from ground coordinates to pixels of an image, or from pixels to the ground."),
         "footprints": ("places", "Find laser footprints in images, and compare the images at them."),
         "plan": ("questions", "Rank what might be observed next by what it would do to the sigmas."),
-        "studio": ("projects", "Look at a project, results or a case in the browser, measure, ask, review tie points."),
+        "studio": ("projects", "Look at a project, results or a case in the browser, measure, ask, judge tie points."),
     },
     "Projects": {
         "project init": ("projects", "Make a project, to which images are added as they come."),
@@ -47,7 +47,7 @@ RENAMED = {
     "help": "mgsgraph VERB --help; the keys of a case file: mgsgraph new --keys",
     "nodes": "mgsgraph analyze CASE --nodes",
     "register": "mgsgraph footprints CASE",
-    "review": "mgsgraph studio CASE --review PAGE.html",
+    "review": "mgsgraph studio CASE --verdicts FILE.csv",
     "shots": "mgsgraph footprints CASE FILES",
     **{verb.removeprefix("project "): f"mgsgraph {verb}" for verb in GROUPS["Projects"]},
 }
@@ -72,6 +72,9 @@ REMOVED = {
     "fetch --verify": "the same fetch again holds the folder against its lock, and brings what differs",
     "footprints --solution": "mgsgraph footprints RESULT, with --case CASE where RESULT doesn't know it",
     "locate --place": "--ground",
+    "studio --point": "the studio lists all points, with a filter for their names",
+    "studio --review": "mgsgraph studio CASE to judge, mgsgraph convert NETWORK OUT --verdicts CSV to apply",
+    "studio --worst": "the studio lists all points, sorted by any column",
     "match --method": "features alone are matched; for more of them, --per-cell",
     **{f"{verb} --check": "`project solve` ends with the check against batch" for verb in ("add", "remove")},
     **{f"{verb} --form": "always eliminated; in GTSAM: mgsgraph.factor_graph" for verb in ("adjust", "batch")},

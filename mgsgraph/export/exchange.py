@@ -17,6 +17,7 @@ from mgsgraph.errors import InputError
 from mgsgraph.export import Format
 from mgsgraph.export.exchange_losses import losses
 from mgsgraph.export.exchange_setting import ExchangeSetting, ellipsoid_of, leading, require_one_body, with_head
+from mgsgraph.export.verdicts import Verdicts, ignore_rejected
 from mgsgraph.files.kinds import Kind, kind_of
 from mgsgraph.files.networks.asp_match import (
     MatchFile,
@@ -84,6 +85,8 @@ class Selection:
     """Names or patterns of images to keep; all when empty."""
     split: bool = False
     """Whether parts that are connected get files of their own."""
+    verdicts: Verdicts | None = None
+    """About the points that are read; rejected ones are written with Ignore = True."""
 
 
 class Lossy(InputError):
@@ -322,6 +325,10 @@ def convert(
         remedy = "name what is written last; or say --replace"
         raise InputError(str(output), "exists, and is of a format that is read", "a new file", remedy)
     network, notes = read_networks(paths, setting, read_as, selection.duplicates)
+    if selection.verdicts is not None:
+        network = ignore_rejected(network, selection.verdicts, setting.old_names())
+        ignored = sum(point.ignore for point in network.points)
+        notes = (*notes, f"Ignored: {ignored} of {many(len(network.points), 'point')}")
     network, sentences = in_images(network, selection.images) if selection.images else (network, [])
     files, more = _files(network, output, form, setting, selection.split)
     lossy = losses(network, form)

@@ -1,4 +1,4 @@
-"""Changes of single points by the user (measure, move, reject, hold ...): each is one transaction and can be undone.
+"""Changes of points by the user (measure, move, reject, hold ...): each is one transaction and can be undone.
 
 A change replaces the state of a point: its a-priori position and its image measurements. It is recorded as decisions
 (`project.decisions`), which hold for networks and images that are added later, too.
@@ -7,7 +7,7 @@ No adjustment uses a measurement that the user rejects, also not `solve`, until 
 that an adjustment finds are tested again in each batch adjustment.)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -33,6 +33,7 @@ from mgsgraph.project.decisions import (
 )
 from mgsgraph.project.former import former_content, network_of_points
 from mgsgraph.project.project import Project
+from mgsgraph.text import many
 from mgsgraph.units import DEG
 
 _LONGEST_NAME = 200
@@ -136,28 +137,66 @@ def move(
 
 def reject(project: Project, point: str, image: str, why: str = "") -> Changed:
     """Reject a measurement; `accept` reverses it."""
-    before = _existing_state(project, point)
-    rejected = _existing_measurement(before, point, image)
-    rest = tuple(ray for ray in before.measures if ray is not rejected)
-    after = msgspec.structs.replace(before, measures=rest, set_aside=(*before.set_aside, rejected))
-    return _store_state(project, "reject", point, after, f"rejected in {image}", why, [rejected])
+    return reject_all(project, [(point, image)], why)
 
 
 def accept(project: Project, point: str, image: str, why: str = "") -> Changed:
     """Use a rejected measurement again. If the last batch adjustment rejected it as a blunder, the next one tests it
     again.
     """
-    before = _existing_state(project, point)
-    blunder = before.of(image)
-    candidates = [ray for ray in before.set_aside if ray.image == image] or ([blunder] if blunder is not None else [])
-    if not candidates or (blunder is not None and not blunder.rejected):
-        all_rejected = (*before.set_aside, *(ray for ray in before.measures if ray.rejected))
-        rejected_images = ", ".join(ray.image for ray in all_rejected) or "it has none"
-        raise InputError(f"point {point}, image {image}", "no rejected measure", f"one of them ({rejected_images})")
-    accepted = msgspec.structs.replace(candidates[0], rejected=False)
-    rejected, rest = (tuple(ray for ray in rays if ray.image != image) for rays in (before.set_aside, before.measures))
-    after = msgspec.structs.replace(before, measures=(*rest, accepted), set_aside=rejected)
-    return _store_state(project, "accept", point, after, f"accepted in {image}", why, [accepted])
+    return accept_all(project, [(point, image)], why)
+
+
+def reject_all(project: Project, measures: Sequence[tuple[str, str]], why: str = "") -> Changed:
+    """Reject measurements, each given by point and image, or all of a point without an image, in one change."""
+
+    def without(point: str, state: PointState, image: str) -> tuple[PointState, Measure]:
+        rejected = _existing_measurement(state, point, image)
+        rest = tuple(ray for ray in state.measures if ray is not rejected)
+        return msgspec.structs.replace(state, measures=rest, set_aside=(*state.set_aside, rejected)), rejected
+
+    return _judge(project, "reject", measures, lambda state: state.measures, without, why)
+
+
+def accept_all(project: Project, measures: Sequence[tuple[str, str]], why: str = "") -> Changed:
+    """Use rejected measurements again, given as of `reject_all`, in one change."""
+
+    def rejected_ones(state: PointState) -> tuple[Measure, ...]:
+        return (*state.set_aside, *(ray for ray in state.measures if ray.rejected))
+
+    def with_it(point: str, state: PointState, image: str) -> tuple[PointState, Measure]:
+        blunder, candidates = state.of(image), [ray for ray in rejected_ones(state) if ray.image == image]
+        if not candidates or (blunder is not None and not blunder.rejected):
+            images = ", ".join(ray.image for ray in rejected_ones(state)) or "it has none"
+            raise InputError(f"point {point}, image {image}", "no rejected measure", f"one of them ({images})")
+        accepted = msgspec.structs.replace(candidates[0], rejected=False)
+        aside, rest = (tuple(ray for ray in rays if ray.image != image) for rays in (state.set_aside, state.measures))
+        return msgspec.structs.replace(state, measures=(*rest, accepted), set_aside=aside), accepted
+
+    return _judge(project, "accept", measures, rejected_ones, with_it, why)
+
+
+def _judge(
+    project: Project, kind: DecisionKind, measures: Sequence[tuple[str, str]],
+    every: Callable[[PointState], Sequence[Measure]],
+    judged: Callable[[str, PointState, str], tuple[PointState, Measure]], why: str,
+) -> Changed:  # fmt: skip
+    """Change measurements one by one, and store the new states of their points; `every`: those of a point that are
+    meant where no image is given.
+    """
+    states, done = dict[str, PointState](), list[tuple[str, Measure | None]]()
+    for point, image in measures:
+        state = states.get(point) or _existing_state(project, point)
+        for one in [image] if image else [ray.image for ray in every(state)]:
+            state, measure = judged(point, state, one)
+            done.append((point, measure))
+        states[point] = state
+    if not done:
+        raise InputError("points", f"no measurement to {kind}", "points that have some")
+    what = f"{many(len(done), 'measurement')} of {many(len(states), 'point')} {kind}ed"
+    if len(done) == 1 and done[0][1] is not None:
+        what = f"point {done[0][0]}: {kind}ed in {done[0][1].image}"
+    return _store_states(project, kind, states, what, why, done)
 
 
 def hold(project: Project, point: str, place: Array, sigmas: Array, why: str = "") -> Changed:
@@ -219,18 +258,31 @@ def _store_state(
     project: Project, kind: DecisionKind, point: str, after: PointState | None, description: str, why: str,
     measures: Sequence[Measure] = (),
 ) -> Changed:  # fmt: skip
-    """Replace the state of a point, adjust, and record the change; its decision is about some measurements, or about
-    the point itself where these are none.
+    """Replace the state of a point; its decision is about some measurements, or about the point itself where these are
+    none.
     """
-    network, former = _network_in_state(project, point, after), former_content(project, [point], whole=False)
+    about = [(point, measure) for measure in measures or (None,)]
+    return _store_states(project, kind, {point: after}, f"point {point}: {description}", why, about)
+
+
+def _store_states(
+    project: Project, kind: DecisionKind, after: Mapping[str, PointState | None], description: str, why: str,
+    about: Sequence[tuple[str, Measure | None]],
+) -> Changed:  # fmt: skip
+    """Replace the states of points, adjust, and record the change with its decisions about points and measurements."""
+    points = list(after)
+    point, former = points[0] if len(points) == 1 else "", former_content(project, points, whole=False)
+    networks = [_network_in_state(project, name, state) for name, state in after.items()]
+    left = [network for network in networks if network is not None]
     with errors_from(str(project.folder)):
-        impact = apply_content(project, kind, [point], network, (), (), project.store.definitions())
+        network = joined(left) if left else None
+        impact = apply_content(project, kind, points, network, (), (), project.store.definitions())
     summary = {"point": point, "kind": kind}
-    number = record_change(project, "edit", f"point {point}: {description}", summary, impact, why, former)
-    for measure in measures or (None,):
-        image = "" if measure is None else measure.image
-        project.record_decision(number, kind, point, image, measure, None if after is None else after.bare)
-    return Changed(kind, point, f"Point {point}: {description}.", impact, number)
+    number = record_change(project, "edit", description, summary, impact, why, former)
+    for name, measure in about:
+        image, state = "" if measure is None else measure.image, after[name]
+        project.record_decision(number, kind, name, image, measure, None if state is None else state.bare)
+    return Changed(kind, point, f"{description[0].upper()}{description[1:]}.", impact, number)
 
 
 def _network_in_state(project: Project, point: str, state: PointState | None) -> Network | None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mgsgraph.adjustment.incremental.impact import Impact
-from mgsgraph.errors import InputError
+from mgsgraph.errors import InputError, require
 from mgsgraph.files.output.table import vector
 from mgsgraph.geometry.body import east_north_up, from_geodetic
 from mgsgraph.geometry.records import Array
@@ -65,7 +65,8 @@ def change(opened: Opened, content: Mapping[str, Any]) -> dict[str, Any]:
     opened : Opened
         A project.
     content : mapping
-        kind (as of `project.edits`), point; image, line, sample; measures of a new point; place of a held one.
+        kind (as of `project.edits`), point; image, line, sample; rows, many of them; measures of a new point; place of
+        a held one.
 
     Raises
     ------
@@ -104,6 +105,18 @@ def _move(project: Project, content: Mapping[str, Any]) -> Changed:
     return edits.move(project, text_of(content, "point"), *place_of(content))
 
 
+def _measures(content: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Points and images of measurements: one, or many in `rows`, there with an empty image for all of a point."""
+    if "rows" not in content:
+        image = text_of(content, "image")
+        require(image, "change, image", "no image", "that of the measurement")
+        return [(text_of(content, "point"), image)]
+    rows = content["rows"]
+    good = isinstance(rows, list) and all(isinstance(row, list) and list(map(type, row)) == [str, str] for row in rows)
+    require(good, "change, rows", repr(rows)[:60], "a list of [point, image]")
+    return [(point, image) for point, image in rows]
+
+
 def _hold(project: Project, content: Mapping[str, Any]) -> Changed:
     """At a place in degrees (geodetic, that is planetographic latitude) and m above the ellipsoid, with sigmas in m."""
     point = text_of(content, "point")
@@ -120,8 +133,8 @@ def _hold(project: Project, content: Mapping[str, Any]) -> Changed:
 _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Changed]] = {
     "measure": _measure,
     "move": _move,
-    "reject": lambda project, content: edits.reject(project, text_of(content, "point"), text_of(content, "image")),
-    "accept": lambda project, content: edits.accept(project, text_of(content, "point"), text_of(content, "image")),
+    "reject": lambda project, content: edits.reject_all(project, _measures(content)),
+    "accept": lambda project, content: edits.accept_all(project, _measures(content)),
     "hold": _hold,
     "release": lambda project, content: edits.release(project, text_of(content, "point")),
     "remove": lambda project, content: edits.remove_point(project, text_of(content, "point")),

@@ -65,13 +65,18 @@ class MapPoints:
         count = len(self.classes)
         if self.block.covariances is None:
             return np.full((count, 3, 3), np.nan)
-        frames = self.frames()
+        frames = self.every_frame
         return np.asarray(frames @ self.block.covariances @ np.swapaxes(frames, 1, 2))
 
     def frames(self, chosen: Index | slice = slice(None)) -> Array:
         """(n, 3, 3) rows east, north and up at the points, or at some (m,) of them."""
         places = self.block.places[chosen]
         return east_north_up(np.where(np.isfinite(places), places, 1.0))
+
+    @cached_property
+    def every_frame(self) -> Array:
+        """(n, 3, 3) `frames` of all points."""
+        return self.frames()
 
     @cached_property
     def moved(self) -> Array:
@@ -105,19 +110,12 @@ class MapPoints:
 
     def _residual(self) -> Array:
         """(n,) px, largest image residual of each point."""
-        block, rays = self.block, self.block.network.rays
-        predicted = np.full((rays.point.size, 2), np.nan)
-        for j, of_image in enumerate(block.rays_by_image):
-            points = rays.point[of_image]
-            predicted[of_image] = projected(block, j, block.places[points], rays.places[of_image, 0])
-        size = np.linalg.norm(rays.places - predicted, axis=1)
-        return _largest(size, rays.point, len(self.classes))
+        size = np.linalg.norm(ray_residuals(self.opened), axis=1)
+        return largest(size, self.block.network.rays.point, len(self.classes))
 
     def _wtest(self) -> Array:
         """(n,) largest |w| of the image measures of each point."""
-        measures = reliability(self.opened.posterior().linearised).measures
-        rays = np.flatnonzero((measures.kind == MeasureKind.RAY) & (measures.point >= 0))
-        return _largest(np.abs(measures.test[rays]), measures.point[rays].astype(np.int64), len(self.classes))
+        return largest(ray_tests(self.opened)[0], self.block.network.rays.point, len(self.classes))
 
     # --- windows
 
@@ -194,7 +192,37 @@ def map_points(opened: Opened) -> MapPoints:
     return opened.once("map points", lambda: MapPoints(opened, opened.block()))
 
 
-def _largest(values: Array, groups: Index, number: int) -> Array:
+def ray_residuals(opened: Opened) -> Array:
+    """(k, 2) px, line and sample, measured minus predicted, of all image measurements; NaN where unknown."""
+
+    def make() -> Array:
+        block, rays = opened.block(), opened.block().network.rays
+        if opened.now.solution is not None:
+            return np.asarray(opened.now.solution.residuals)
+        predicted = np.full((rays.point.size, 2), np.nan)
+        for j, of_image in enumerate(block.rays_by_image):
+            points = block.places[rays.point[of_image]]
+            predicted[of_image] = projected(block, j, points, rays.places[of_image, 0])
+        return np.asarray(rays.places - predicted)
+
+    return opened.once("ray residuals", make)
+
+
+def ray_tests(opened: Opened) -> tuple[Array, Array]:
+    """Of all image measurements (k,) the larger |w| of line and sample and the smaller redundancy number; NaN where
+    they have none.
+    """
+
+    def make() -> tuple[Array, Array]:
+        measures = reliability(opened.posterior().linearised).measures
+        rays = np.flatnonzero(measures.kind == MeasureKind.RAY)
+        row, count = measures.row[rays].astype(np.int64), opened.block().network.rays.point.size
+        return largest(np.abs(measures.test[rays]), row, count), -largest(-measures.redundancy[rays], row, count)
+
+    return opened.once("ray tests", make)
+
+
+def largest(values: Array, groups: Index, number: int) -> Array:
     """(number,) largest finite value of each group; NaN where there is none."""
     largest = np.full(number, -np.inf)
     finite = np.isfinite(values)
@@ -327,6 +355,7 @@ def scene_record(opened: Opened) -> dict[str, Any]:
         "classes": [{"name": name, "count": int(count)} for name, count in zip(CLASSES, number, strict=True)],
         "values": [{"name": name, "title": title, "unit": unit} for name, (title, unit) in VALUES.items()],
         "terrain": block.terrain is not None,
+        "verdicts": None if opened.judging is None else str(opened.judging.path),
     }  # fmt: skip
 
 

@@ -20,20 +20,22 @@ from mgsgraph.analysis.posterior import Posterior, posterior_of_points
 from mgsgraph.analysis.statistics import solution_connectivity
 from mgsgraph.case.case_file import decode
 from mgsgraph.case.reading import picture_of, read_case
-from mgsgraph.errors import InputError, MgsgraphError
+from mgsgraph.errors import InputError, MgsgraphError, require
+from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.files.output.folders import PROJECT
 from mgsgraph.geometry.body import centre_of, geodetic, plane_coordinates
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
-from mgsgraph.geometry.records import Array, Index, Mask
+from mgsgraph.geometry.records import Array, Index, Mask, thinned
 from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network import Network
 from mgsgraph.network.connectivity import network_footprints
 from mgsgraph.project.changes import is_solved
 from mgsgraph.project.project import AdjustmentCache, Project, open_project
-from mgsgraph.project.reading import posterior_near, read_posterior, results_of
+from mgsgraph.project.reading import case_with_results, posterior_near, read_posterior, results_of
 from mgsgraph.results.archive import ARCHIVE, read_solution
+from mgsgraph.studio.judging import Judging
 
 _NEAR, _LEAST = 0.5, 5e3
 """Margin around an image's ground, as a share of its reach, and at least in m: for heights, and for the orientation
@@ -121,7 +123,7 @@ class Block:
 
     @cached_property
     def median_height(self) -> float:
-        """m above the ellipsoid, of some of the points; 0 where none has a place."""
+        """Height (m) above the ellipsoid, of some of the points; 0 where none has a place."""
         located = self.places[np.all(np.isfinite(self.places), axis=1) & np.any(self.places, axis=1)]
         located = located[thinned(len(located), 10_000)]
         return float(np.median(geodetic(located, self.images[0].body)[:, 2])) if len(located) else 0.0
@@ -189,6 +191,8 @@ class State(NamedTuple):
     """The batch solution; None of a case, and of a project that has changed since."""
     pictures: Mapping[str, Path | None]
     warning: str
+    ties: TiePoints | None = None
+    """Tie points of a case, as its files have them."""
 
 
 About = tuple[Block, Posterior | None]
@@ -204,6 +208,10 @@ class Opened:
         What to open.
     case : Path, optional
         Case of the results, for its images' pixels; known already of a demonstration and a project.
+    ties : Path, optional
+        Network in place of those that a case names.
+    verdicts : Path, optional
+        File of verdicts about the tie points of the case.
 
     Attributes
     ----------
@@ -219,8 +227,10 @@ class Opened:
         None of them, or one that can't be read.
     """
 
-    def __init__(self, path: Path, case: Path | None = None) -> None:
-        self.path, self._case = path, case
+    def __init__(
+        self, path: Path, case: Path | None = None, ties: Path | None = None, verdicts: Path | None = None
+    ) -> None:
+        self.path, self._case, self._ties = path, case, ties
         self.kind: Kind = _kind(path)
         self.revision = 0
         self._lock, self._near_lock, self._changing = threading.RLock(), threading.Lock(), threading.Lock()
@@ -236,6 +246,8 @@ class Opened:
         """For the user; empty where there is none."""
         self.centre = _centre(state.block)
         """(3,) m, body-fixed, origin of the map."""
+        self.judging = self._judging(verdicts)
+        """Verdicts about the tie points of the case; None of a project, and where no case is known."""
 
     # --- the state
 
@@ -246,7 +258,7 @@ class Opened:
             if self._state is None or self._state[0] != self.revision:
                 revision = self.revision
                 read_state = {"project": _project, "result": _result, "case": _of_case}[self.kind]
-                self._state = revision, read_state(self.path, self._case)
+                self._state = revision, read_state(self.path, self._ties if self.kind == "case" else self._case)
                 self._made = {}
             return self._state[1]
 
@@ -304,6 +316,29 @@ class Opened:
         members = None if solution is None else near_points(solution.network, solution.places, point)
         posterior = None if members is None or solution is None else posterior_of_points(solution, members)
         return None if posterior is None else (Block.of_posterior(posterior), posterior)
+
+    def _judging(self, verdicts: Path | None) -> Judging | None:
+        """Verdicts in a file, or in the one beside the case."""
+        source = None
+        with suppress(MgsgraphError):
+            source = None if self.kind == "project" else case_with_results(self.path, self._case)
+        if source is None:
+            found = "verdicts about a project, whose points can be rejected" if self.kind == "project" else "no case"
+            require(verdicts is None, f"--verdicts {verdicts}", found, "a case, or results with --case CASE")
+            return None
+
+        def read_ties() -> TiePoints:
+            ties = self.now.ties
+            if ties is None and self.kind == "result":
+                ties = self.once("ties", lambda: read_case(source.case, ties=self._ties or source.ties).ties)
+            if ties is None:
+                raise InputError(str(source.case), "no network of tie points", "one to judge", "name one by --ties")
+            return ties
+
+        judging = Judging(verdicts or source.case.with_name(f"{source.case.stem}-verdicts.csv"), read_ties)
+        if verdicts is not None:
+            _ = judging.verdicts
+        return judging
 
     # --- the map
 
@@ -418,11 +453,11 @@ def _of_solution(solution: Solution, pictures: Mapping[str, Path | None]) -> Sta
                 solution, pictures, "" if solution.converged else warning)  # fmt: skip
 
 
-def _of_case(path: Path, _: Path | None) -> State:
-    case = read_case(path)
+def _of_case(path: Path, ties: Path | None) -> State:
+    case = read_case(path, ties=ties)
     warning = "Nothing has been adjusted yet: nominal orientation, a-priori places."
     return State(case.name, Block.of_network(case.network, case.settings), None, None, None,
-                _pictures(path), warning)  # fmt: skip
+                _pictures(path), warning, case.ties)  # fmt: skip
 
 
 def _project(path: Path, case: Path | None) -> State:

@@ -23,6 +23,7 @@ from mgsgraph.studio.changes import EditLock, change
 from mgsgraph.studio.figures import drawn, map_figure
 from mgsgraph.studio.inputs import bounded, number, number_of, place_of, text_of
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
+from mgsgraph.studio.lists import compute, csv_of, window
 from mgsgraph.studio.map_distance import distance
 from mgsgraph.studio.map_graticule import graticule
 from mgsgraph.studio.map_images import MapImages
@@ -191,6 +192,7 @@ def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
         "/api/scene": lambda _: scene_record(opened),
         **_map(opened, views),
         **_images(opened, views),
+        **_lists(opened),
         **_points(opened, views),
     }
     posting: _Posting = {**_asked(opened, views), **_changing(opened, lock)}
@@ -291,6 +293,14 @@ def _images(opened: Opened, views: Views) -> _Getting:
     }
 
 
+def _lists(opened: Opened) -> _Getting:
+    return {
+        "/api/list": lambda request: window(opened, request.query_params),
+        "/api/list/compute": lambda request: compute(opened, request.query_params.get("group", "")),
+        "/api/list/csv": lambda request: Response(csv_of(opened, request.query_params), media_type="text/csv"),
+    }
+
+
 def _points(opened: Opened, views: Views) -> _Getting:
     def picture(request: Request) -> Any:
         query = request.query_params
@@ -340,7 +350,14 @@ def _changing(opened: Opened, lock: EditLock) -> _Posting:
                 lock.release(browser)
             raise
 
-    return {"/api/changes": changed}
+    def judged(content: Any, _: str) -> Any:
+        points, note = content.get("points"), text_of(content, "note") if "note" in content else None
+        if opened.judging is None or not isinstance(points, list):
+            raise InputError("verdicts", "no case is known, or no list of points", "points of a case")
+        opened.judging.judge(list(map(str, points)), text_of(content, "verdict"), note)
+        return {"file": str(opened.judging.path)}
+
+    return {"/api/changes": changed, "/api/verdicts": judged}
 
 
 _Endpoint = Callable[[Request], Awaitable[Response]]

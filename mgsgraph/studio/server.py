@@ -28,6 +28,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.studio.changes import EditLock
+from mgsgraph.studio.lists import table
 from mgsgraph.studio.map_points import map_points, scene_record
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.routes import BROWSER, Views, routes
@@ -243,3 +244,4 @@ def _prepare(opened: Opened) -> None:
         scene_record(opened)
         map_points(opened).value("sigma")
         opened.footprints()
+        table(opened, "points")

@@ -1,7 +1,6 @@
-"""Networks as a person uses them: found by `mgsgraph match`, judged by `review`, converted; one line for errors."""
+"""Networks as a person uses them: found by `mgsgraph match`, judged in the studio, converted; one line for errors."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -13,8 +12,8 @@ from click.exceptions import Abort
 from commands import call, refusal, run, run_afresh
 
 from mgsgraph.errors import InputError
+from mgsgraph.export.verdicts import network_digest
 from mgsgraph.files.networks.binary import read_control_network, read_network
-from mgsgraph.files.networks.table import table_text
 from mgsgraph.matching import match as matching
 
 FEW = ("--cells", "40", "--no-figures")
@@ -128,81 +127,34 @@ def test_what_cannot_be_matched_writes_nothing(site: Path, tmp_path: Path, case_
     assert (foreign / "mine.txt").exists()
 
 
-# --- `mgsgraph studio --review` as a person uses it: a page, its verdicts, a network without the rejected points; a
+# --- `mgsgraph convert --verdicts` as a person uses it: a network without the rejected points
 
 
-def test_from_a_page_to_a_network(pictured_case: Path, tmp_path: Path) -> None:
-    case = pictured_case
-    page, kept = tmp_path / "review.html", tmp_path / "kept.net"
-    done = run("studio", case, "--review", page, "--worst", 5)
+def test_a_network_without_rejected_points(pictured_case: Path, tmp_path: Path) -> None:
+    network, kept, verdicts = pictured_case.with_name("network.pvl"), tmp_path / "kept.net", tmp_path / "verdicts.csv"
+    before = read_control_network(network)
+    verdicts.write_text(f"# network {network_digest(before)}\nid,verdict,note\n{before.ids[0]},reject,blurred\n")
+    done = run("convert", network, kept, "--case", pictured_case, "--verdicts", verdicts)
     assert done.returncode == 0, done.stderr
-    assert not done.stderr
-    assert "- 5 of 20 tie points: in turn the next by lowest correlation, " in done.stdout
-    text = page.read_text(encoding="utf-8")
-    ids = re.findall(r'article tabindex="-1" data-id="(\w+)"', text)
-    (digest,) = re.findall(r'data-network="(\w+)"', text)
-    assert len(ids) == 5
-    verdicts = tmp_path / "verdicts.csv"
-    verdicts.write_text(f"# network {digest}\nid,verdict,note\n{ids[0]},reject,blurred\n{ids[1]},accept,\n")
-    done = run("studio", case, "--verdicts", verdicts, "--review", kept)
-    assert done.returncode == 0, done.stderr
-    assert "- 1 of 20 points of" in done.stdout
-    before = read_control_network(case.with_name("network.pvl"))
-    assert read_control_network(kept).ids == tuple(name for name in before.ids if name != ids[0])
+    assert "- Ignored: 1 of 20 points" in done.stdout
+    assert read_control_network(kept).ids == before.ids[1:]
 
-    done = run("studio", case, "--review", page, "--verdicts", verdicts, "--point", ids[0], "--point", ids[1])
-    assert done.returncode == 0, done.stderr
-    text = page.read_text(encoding="utf-8")
-    assert "2 of 20 tie points, as asked for" in text
-    assert re.search(rf'data-id="{ids[0]}" data-verdict="reject"', text)
-    assert 'value="blurred"' in text
-
-    other = "--ties", kept, "--verdicts", verdicts, "--review", tmp_path / "k.pvl"  # the new network is another one
-    assert "expected points of" in refusal("studio", case, *other)
-    verdicts.write_text(f"# network {digest}\nid,verdict\n{ids[1]},reject\n")
-    assert f"about network {digest}" in refusal("studio", case, *other)
+    other = kept, tmp_path / "k.pvl", "--verdicts", verdicts  # the new network is another one
+    assert "expected points of" in refusal("convert", *other)
+    verdicts.write_text(f"# network {network_digest(before)}\nid,verdict\n{before.ids[1]},reject\n")
+    assert "about network" in refusal("convert", *other)
+    verdicts.write_text("id,verdict\nTIE00001,perhaps\n")
+    assert "line 2: the verdict" in refusal("convert", network, tmp_path / "k.pvl", "--verdicts", verdicts)
     assert not (tmp_path / "k.pvl").exists()
 
 
-def test_a_table_that_a_case_has_becomes_a_network(case_file: Path, tmp_path: Path) -> None:
-    """With the name of the case's body, which ISIS demands."""
-    table = case_file.with_name("points.csv")
-    table.write_text(table_text(read_network(case_file.with_name("network.pvl"))), encoding="utf-8")
-    case_file.write_text(case_file.read_text(encoding="utf-8").replace("network.pvl", "points.csv"), encoding="utf-8")
-    verdicts = tmp_path / "v.csv"
-    verdicts.write_text("id,verdict\n")
-    done = run("studio", case_file, "--verdicts", verdicts, "--review", tmp_path / "kept.net")
-    assert done.returncode == 0, done.stderr
-    assert read_network(tmp_path / "kept.net").target_name == "MARS"
-
-
-def test_what_cannot_be_reviewed_writes_nothing(pictured_case: Path, tmp_path: Path) -> None:
-    page, network, verdicts, doubts = (tmp_path / name for name in ("p.html", "k.pvl", "v.csv", "doubts.csv"))
-    verdicts.write_text("id,verdict\nTIE00001,reject\n")
-    doubts.write_text("id,verdict\nTIE00001,perhaps\n")
-    case, own = pictured_case, pictured_case.with_name("network.pvl")
-    text = case.read_text(encoding="utf-8")
-    head, _, rest = text.partition("[ties]")
-    blind, untied = case.with_name("blind.toml"), case.with_name("untied.toml")
-    blind.write_text(text.replace('pixels = "B.tif"\n', ""), encoding="utf-8")
-    untied.write_text(head + rest[rest.index("\n[") :], encoding="utf-8")
-    for said, arguments in {
-        "no such file": (tmp_path / "none.toml", "--review", page),
-        "'.txt'; expected a page (.html) or a network": (case, "--review", tmp_path / "page.txt"),
-        "is written by --verdicts": (case, "--review", network),
-        "--worst and --point are for a page": (case, "--review", network, "--verdicts", verdicts, "--worst", 3),
-        "can't both be given": (case, "--review", page, "--worst", 3, "--point", "TIE00001"),
-        "no point NONE": (case, "--review", page, "--point", "NONE"),
-        "none.csv: no such file": (case, "--review", page, "--verdicts", tmp_path / "none.csv"),
-        "solution.npz": (tmp_path, "--case", case, "--review", page),
-        "that was reviewed": (case, "--review", own, "--verdicts", verdicts),
-        "doubts.csv, line 2: the verdict": (case, "--review", network, "--verdicts", doubts),
-        "image SIM/B: no file of its pixels": (blind, "--review", page),
-        "no network of tie points; expected one": (untied, "--review", page),
-        "go with --review FILE": (case, "--verdicts", verdicts),
-    }.items():
-        assert said in refusal("studio", *arguments)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "doubts.csv", "v.csv"]
+def test_old_words_of_the_review_say_the_new_ones(pictured_case: Path, tmp_path: Path) -> None:
+    done = run("studio", pictured_case, "--review", tmp_path / "page.html")
+    assert done.returncode == 2
+    assert "convert NETWORK OUT --verdicts CSV" in done.stderr
+    assert "studio CASE --verdicts" in run("review", pictured_case).stderr
+    network = pictured_case.with_name("network.pvl")
+    assert "header" in refusal("studio", pictured_case, "--verdicts", network, "--no-browser")
 
 
 # --- `mgsgraph convert` as a person uses it: endings, options, what was written and what was lost, one lin

@@ -35,7 +35,6 @@ from mgsgraph.files.writing import (
     write_page,
 )
 from mgsgraph.results.page import require_page as require_report
-from mgsgraph.studio.match_review import require_page as require_review
 
 
 def killed_within(made: Callable[[], AbstractContextManager[Path]]) -> str:
@@ -323,13 +322,13 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_work(
 # --- pages: earlier ones of the same verb are replaced
 
 
-REPORT, REVIEW = "results/templates/report.html", "studio/templates/review.html"
+REPORT, OTHER = "results/templates/report.html", "results/templates/other.html"
 
 
 def test_pages_are_known_by_the_head_of_the_template(tmp_path: Path) -> None:
     head = (HOUSE / "files/output/templates/page.html").read_text(encoding="utf-8")
     page = tmp_path / "page.html"
-    for template, other in ((REPORT, REVIEW), (REVIEW, REPORT)):
+    for template, other in ((REPORT, OTHER), (OTHER, REPORT)):
         page.write_text(head.replace("{% block generator %}{% endblock %}", Path(template).stem), encoding="utf-8")
         assert page_of(template).known(page)
         assert not page_of(other).known(page)
@@ -338,9 +337,7 @@ def test_pages_are_known_by_the_head_of_the_template(tmp_path: Path) -> None:
 def test_other_pages_are_left_alone(tmp_path: Path) -> None:
     page = tmp_path / "index.html"
     page.write_text("<!doctype html><title>Mine</title>", encoding="utf-8")
-    for attempt in (
-        lambda: require_report(page), lambda: require_review(page), lambda: write_page(REPORT, {}, page)
-    ):
+    for attempt in (lambda: require_report(page), lambda: write_page(REPORT, {}, page)):
         with pytest.raises(InputError, match=r"index\.html: exists and is not a page of mgsgraph re.*; choose another"):
             attempt()
     assert "Mine" in page.read_text(encoding="utf-8")

@@ -249,7 +249,7 @@ def open_raster(path: Path, expected: str) -> Iterator["DatasetReader"]:
     _require_alone(path)
     logging.getLogger("rasterio").addHandler(_SILENT)  # what GDAL says is in the error
     with Env(**_ENVIRONMENT):
-        with _HOOKS, warnings.catch_warnings(), raster_understood(path, expected):  # filters are of all threads, too
+        with raster_understood(path, expected), warnings.catch_warnings():  # filters, too, are one for all threads
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             file = DatasetReader(path.absolute(), driver=[kind.driver])
         with file:

@@ -20,6 +20,7 @@ const KEYS = [
   ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
   ['images: t', 'lines along the pane, downwards, or north up'], ['images: b', 'two images in one pane: blink'], ['images: w, [ ]', 'swipe between them, move the handle'],
   ['images: a', 'both in red and cyan'], ['images: o', 'orientation before or after the adjustment'], ['point: + −', 'on a chip: zoom all chips'],
+  ['lists: arrows, Page, Home, End', 'the active row'], ['lists: Enter, Space', 'select, mark the active row'], ['lists: r, a, u', 'reject, accept, undecided: the marked rows, else the active one'],
   ['Escape', 'close what is open'],
 ];
 

@@ -1,4 +1,4 @@
-"""Verdicts about tie points from the review page: accept, reject or undecided; read back, and applied.
+"""Verdicts about the tie points of a network: accept, reject or undecided; written, read and applied.
 
 CSV, RFC 4180: a header `id,verdict` or `id,verdict,note`, one row for each point. Lines before it that begin with # are
 comments; one of them, `# network DIGEST`, says which network the verdicts are about, and is compared with the one that
@@ -9,7 +9,7 @@ import csv
 import hashlib
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -17,20 +17,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mgsgraph.atomic_write import resolved
 from mgsgraph.case.assembly import in_images
-from mgsgraph.case.case_file import decode
 from mgsgraph.errors import InputError
-from mgsgraph.export import Format
-from mgsgraph.export.exchange import replaceable_network
-from mgsgraph.export.exchange_setting import ExchangeSetting, with_head
-from mgsgraph.files.networks.binary import write_binary_network
-from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.record import ControlNetwork
-from mgsgraph.files.networks.table import is_table, read_whole, table_text
 from mgsgraph.files.networks.tie_points import TiePoints, tie_points
 from mgsgraph.files.opening import read_text
-from mgsgraph.files.writing import require_free, write_file
+from mgsgraph.files.output.table import quoted
 from mgsgraph.record import Record
 from mgsgraph.text import some
 
@@ -38,7 +30,6 @@ COLUMNS = ("id", "verdict", "note")
 """Of a file of verdicts; the last one may be left out."""
 _NETWORK = re.compile(r"#\s*network\s+([0-9a-f]{16})[\s,;]*$")
 _DIGITS = 16
-_TABLE, _BINARY = ".csv", ".net"
 
 
 class Verdict(StrEnum):
@@ -78,11 +69,18 @@ def network_digest(ties: TiePoints) -> str:
     return digest.hexdigest()[:_DIGITS]
 
 
-# --- reading
+# --- writing and reading
+
+
+def verdicts_text(verdicts: Verdicts) -> str:
+    """Verdicts as a file that `read_verdicts` reads."""
+    head = f"# network {verdicts.network}\n" if verdicts.network else ""
+    rows = [(name, verdict.value, verdicts.notes.get(name, "")) for name, verdict in verdicts.of.items()]
+    return head + "".join(",".join(map(quoted, row)) + "\n" for row in (COLUMNS, *rows))
 
 
 def read_verdicts(path: str | Path) -> Verdicts:
-    r"""Read verdicts that the review page (or a person) has written.
+    r"""Read verdicts that the studio (or a person) has written.
 
     Parameters
     ----------
@@ -156,75 +154,6 @@ def _require_header(header: list[str], where: str) -> None:
 # --- application
 
 
-def reviewed_network(case: Path) -> Path:
-    """The one network of tie points that a case names; InputError where there is none, or several."""
-    groups = decode(case).tie_groups
-    if len(groups) != 1:
-        found = f"{len(groups)} networks of tie points" if groups else "no network of tie points"
-        raise InputError(str(case), found, "one that was reviewed", "name it by --ties")
-    return case.parent / groups[0].network
-
-
-def write_kept(
-    network: Path, verdicts: Verdicts, out: Path, setting: ExchangeSetting | None = None,
-    images: Callable[[], Sequence[str]] = tuple,
-) -> tuple[int, int]:  # fmt: skip
-    """Write the network with Ignore = True at rejected points and all else unchanged.
-
-    Parameters
-    ----------
-    network : Path
-        The reviewed one: ISIS's PVL or binary form, or a table (.csv, .parquet).
-    verdicts : Verdicts
-        About it.
-    out : Path
-        ``.net`` for ISIS's binary form, ``.csv`` for a table where the network is one, else PVL text.
-    setting : ExchangeSetting, optional
-        What a table doesn't say: the body's name, which ISIS's forms demand, and the ellipsoid of its heights.
-    images : callable
-        Those of the case, asked for where it may have left out measures in others.
-
-    Returns
-    -------
-    tuple of int
-        How many points are ignored in it, and how many there are.
-
-    Raises
-    ------
-    InputError
-        If the network or the verdicts can't be used (`apply_verdicts`), or `out` is the network itself, a file
-        that is no network of this form, or can't be written.
-    """
-    if resolved(out, "choose another --out") == resolved(network, ""):
-        raise InputError(str(out), "the network that was reviewed", "another file", "it is kept as it was")
-    form = {_BINARY: Format.NET, _TABLE: Format.CSV}.get(out.suffix.lower(), Format.PVL)
-    require_free(out, replaceable_network(form, out), remedy="choose another --out")
-    table = [is_table(network), out.suffix.lower() == _TABLE]
-    if table == [False, True]:
-        raise InputError(str(out), f"a table, of a network in another form ({network})", ".pvl or .net",
-                         "a table can't hold all of it: `mgsgraph convert` says what it can't")  # fmt: skip
-    setting = setting or ExchangeSetting()
-    record = read_whole(network, setting.ellipsoid)
-    ties = tie_points(record)
-    if verdicts.network not in ("", network_digest(ties)) and (names := images()):
-        ties, _ = in_images(ties, names)
-    reviewed = ignore_rejected(record, ties, verdicts)
-    if table == [True, False]:
-        reviewed = with_head(reviewed, out, setting)
-    _write(reviewed, out, form)
-    return sum(point.ignore for point in reviewed.points), len(reviewed.points)
-
-
-def _write(network: ControlNetwork, out: Path, form: Format) -> None:
-    match form:
-        case Format.NET:
-            write_binary_network(network, out)
-        case Format.CSV:
-            write_file(out, table_text(network))
-        case _:
-            write_pvl_network(network, out)
-
-
 def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
     r"""The points without the rejected ones.
 
@@ -243,10 +172,26 @@ def apply_verdicts(ties: TiePoints, verdicts: Verdicts) -> TiePoints:
     return ties.chosen(np.array([i for i, name in enumerate(ties.ids) if name not in rejected], dtype=np.int64))
 
 
-def ignore_rejected(network: ControlNetwork, ties: TiePoints, verdicts: Verdicts) -> ControlNetwork:
-    """The whole network with Ignore = True at the rejected points, all else as it was. `ties` is the same network as it
-    was reviewed; InputError as `apply_verdicts`.
+def ignore_rejected(network: ControlNetwork, verdicts: Verdicts, images: Collection[str] = ()) -> ControlNetwork:
+    """The whole network with Ignore = True at the rejected points, all else as it was.
+
+    Parameters
+    ----------
+    network : ControlNetwork
+        The one that was reviewed.
+    verdicts : Verdicts
+        About it.
+    images : collection of str
+        Those of the case, which may have left out measures in others.
+
+    Raises
+    ------
+    InputError
+        As `apply_verdicts`.
     """
+    ties = tie_points(network)
+    if images and verdicts.network not in ("", network_digest(ties)):
+        ties, _ = in_images(ties, list(images))
     rejected = _rejected(ties, verdicts)
     points = tuple(
         msgspec.structs.replace(point, ignore=True) if point.id in rejected else point for point in network.points
