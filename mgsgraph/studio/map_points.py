@@ -87,7 +87,8 @@ class MapPoints:
         """(m, 3) the same of some points (m,)."""
         stored = self.opened.now.before
         before = self.block.network.points.places if stored is None else stored
-        return np.asarray(np.einsum("nij,nj->ni", self.frames(chosen), self.block.places[chosen] - before[chosen]))
+        frames = self.every_frame if isinstance(chosen, slice) else self.frames(chosen)
+        return np.asarray(np.einsum("nij,nj->ni", frames, self.block.places[chosen] - before[chosen]))
 
     def value(self, name: str) -> Array:
         """(n,) a value of the points, one of `VALUES`; NaN where unknown."""
