@@ -336,6 +336,7 @@ def _print_impact(
 @CASE
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
 @click.option("--no-browser", is_flag=True, help="Open no browser; the address is printed anyway.")
+@click.option("--from", "folder", type=PATH, metavar="FOLDER", help="Images and networks that may be added to PROJECT.")
 @click.option(
     "--review", type=PATH, metavar="FILE",
     help="Write a page (.html) for the review of tie points, or with --verdicts a network (.pvl, .net, .csv), and end.",
@@ -350,8 +351,8 @@ def _print_impact(
     "--verdicts", type=PATH, metavar="CSV", help="Of --review: what the page has saved: to act upon, or to begin with."
 )
 def studio(
-    path: Path, of_case: Path | None, port: int | None, no_browser: bool, review: Path | None, ties: Path | None,
-    worst: int | None, points: tuple[str, ...], verdicts: Path | None,
+    path: Path, of_case: Path | None, port: int | None, no_browser: bool, folder: Path | None, review: Path | None,
+    ties: Path | None, worst: int | None, points: tuple[str, ...], verdicts: Path | None,
 ) -> None:  # fmt: skip
     """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, points, questions.
 
@@ -381,6 +382,8 @@ def studio(
     from mgsgraph.studio.opened import Opened
     from mgsgraph.studio.server import serve
 
+    if folder is not None and not folder.is_dir():
+        raise InputError("--from", f"{folder}: no such folder", "a folder of images and control networks")
     with stage_bar(1) as stages, stages.stage("reading"):
         opened = Opened(path, of_case)
         opened.footprints()
@@ -388,7 +391,7 @@ def studio(
     click.echo("Ctrl+C ends the studio; changes of a project are stored when they are made.")
     serve(
         opened, port, lambda address: click.echo(f"An address for one browser, which works once: {address}"),
-        None if no_browser else webbrowser.open_new_tab,
+        None if no_browser else webbrowser.open_new_tab, folder,
     )  # fmt: skip
 
 

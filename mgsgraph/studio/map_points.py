@@ -101,13 +101,8 @@ class MapPoints:
 
     def _residual(self) -> Array:
         """(n,) px, largest image residual of each point."""
-        block, rays = self.block, self.block.network.rays
-        predicted = np.full((rays.point.size, 2), np.nan)
-        for j, of_image in enumerate(block.rays_by_image):
-            points = rays.point[of_image]
-            predicted[of_image] = projected(block, j, block.places[points], rays.places[of_image, 0])
-        size = np.linalg.norm(rays.places - predicted, axis=1)
-        return _largest(size, rays.point, len(self.classes))
+        size = np.linalg.norm(ray_residuals(self.opened), axis=1)
+        return _largest(size, self.block.network.rays.point, len(self.classes))
 
     def _wtest(self) -> Array:
         """(n,) largest |w| of the image measures of each point."""
@@ -185,6 +180,22 @@ class MapPoints:
 def map_points(opened: Opened) -> MapPoints:
     """The points as they are now."""
     return opened.once("map points", lambda: MapPoints(opened, opened.block()))
+
+
+def ray_residuals(opened: Opened) -> Array:
+    """(k, 2) px, line and sample, measured minus predicted, of all image measurements; NaN where unknown."""
+
+    def make() -> Array:
+        block, rays = opened.block(), opened.block().network.rays
+        if opened.now.solution is not None:
+            return opened.now.solution.residuals
+        predicted = np.full((rays.point.size, 2), np.nan)
+        for j, of_image in enumerate(block.rays_by_image):
+            points = block.places[rays.point[of_image]]
+            predicted[of_image] = projected(block, j, points, rays.places[of_image, 0])
+        return np.asarray(rays.places - predicted)
+
+    return opened.once("ray residuals", make)
 
 
 def _largest(values: Array, groups: Index, number: int) -> Array:
