@@ -48,7 +48,6 @@ export class MapSelection {
 
   mark() {
     for (const one of this.names.querySelectorAll('button')) one.setAttribute('aria-current', String(one.dataset.point === this.map.app.selection));
-    if (this.map.app.selection && !this.map.element.hidden) this.map.app.say(`Point ${this.map.app.selection} is selected: key 3 shows its sheet.`);
     this.map.render();
   }
 }
