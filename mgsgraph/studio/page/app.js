@@ -144,12 +144,12 @@ export class App extends EventTarget {
   }
 
   // Images side by side, the first one's place in the middle: [{image, line, sample}]
-  async see(places, point = '') {
+  async see(places, point = '', most = 2) {
     await this.show('images');
     const {view} = document.getElementById('images');
     const ready = () => view.fitted() && view.panes.length >= Math.min(2, this.scene.images.length) && view.panes.every(one => one.image);
     for (let k = 0; k < 100 && !ready(); k += 1) await new Promise(done => { setTimeout(done, 50); });
-    for (const [k, {image}] of places.slice(0, 2).entries()) {
+    for (const [k, {image}] of places.slice(0, most).entries()) {
       const pane = view.panes[k];
       if (!pane) await view.addPane(image);
       else if (pane.name !== image) await pane.choose(pane.chooser.value = image);

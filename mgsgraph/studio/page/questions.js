@@ -33,11 +33,11 @@ export class Questions {
     element.replaceChildren(
       make('div', {className: 'tools'},
         row('Ground points', this.points, button('How well known?', () => this.askPoints()), button('Is the height difference real?', () => this.askPair())),
+        row('Next', this.planning = button('What should I measure next?', () => this.plan())),
         row('Place in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
           button('Orientation at this line', () => this.askPose()),
           button('Where is the selected point?', () => (app.selection ? this.ask({projections: [[app.selection, this.image.value]]}) : app.say('Select a point first.', 'error'))),
-          button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels}))),
-        row('Next', this.planning = button('What should I measure next?', () => this.plan()))),
+          button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels})))),
       this.examples, this.list, this.answers);
     app.addEventListener('opened', () => this.open());
     app.addEventListener('renewed', () => this.offer());
@@ -135,8 +135,8 @@ export class Questions {
       const {sentence, candidates} = await app.request('/api/plan');
       const found = table('What to measure next', ['', 'longitude (° E)', 'latitude (°)', 'height (m)', 'images (line, sample)', 'mean sigma then (m)', 'gain (%)', ''],
         candidates.map((one, k) => [k + 1, one.longitude_deg.toFixed(5), short(one.latitude_deg, 7), short(one.height_m, 4), places(one), short(one.mean_sigma_m, 5), short(one.gain_percent, 2),
-          [button('Images', () => app.see(one.images)), ' ', button('Measure', () => app.see(one.images).then(view => view.measuring.open()))]]), 'No further point would lower it.');
-      found.append(make('p', {className: 'caption', textContent: sentence}), button('Show them on the map', () => app.show('map')));
+          [button('Images', () => app.see(one.images)), ' ', button('Measure', () => app.see(one.images, '', 4).then(view => view.measuring.open()))]]), 'No further point would lower it.');
+      found.append(make('p', {className: 'caption', textContent: candidates[0]?.gain_percent < 0.1 ? `${sentence} Each gains less than 0.1 %.` : sentence}), button('Show them on the map', () => app.show('map')));
       this.answers.prepend(found);
       app.emit('candidates', candidates);
       app.say('The map marks them by squares with numbers.');
