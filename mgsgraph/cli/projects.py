@@ -334,6 +334,7 @@ def _print_impact(
 @CASE
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of this machine; any free one when absent.")
 @click.option("--no-browser", is_flag=True, help="Open no browser; the address is printed anyway.")
+@click.option("--from", "folder", type=PATH, metavar="FOLDER", help="Images and networks that may be added to PROJECT.")
 @TIES
 @click.option(
     "--verdicts", type=PATH, metavar="CSV",
@@ -341,9 +342,10 @@ def _print_impact(
     "CASE-verdicts.csv, from the first verdict on]",
 )  # fmt: skip
 def studio(
-    path: Path, of_case: Path | None, port: int | None, no_browser: bool, ties: Path | None, verdicts: Path | None
-) -> None:
-    """Look at CASE, RESULT or PROJECT in the browser, measure, and ask: map, images, lists, points, questions.
+    path: Path, of_case: Path | None, port: int | None, no_browser: bool, folder: Path | None, ties: Path | None,
+    verdicts: Path | None,
+) -> None:  # fmt: skip
+    """Look at CASE, RESULT or PROJECT in the browser, measure, ask, solve: map, images, lists, points, questions.
 
     The page is for this machine and your account alone; the printed address works once. Changes of a project are
     stored one by one: the command may be ended at any time (Ctrl+C), and ends after 12 hours without a request.
@@ -364,6 +366,8 @@ def studio(
     from mgsgraph.studio.opened import Opened
     from mgsgraph.studio.server import serve
 
+    if folder is not None and not folder.is_dir():
+        raise InputError("--from", f"{folder}: no such folder", "a folder of images and control networks")
     with stage_bar(1) as stages, stages.stage("reading"):
         opened = Opened(path, of_case, ties, verdicts)
         opened.footprints()
@@ -371,5 +375,5 @@ def studio(
     click.echo("Ctrl+C ends the studio; changes of a project are stored when they are made.")
     serve(
         opened, port, lambda address: click.echo(f"An address for one browser, which works once: {address}"),
-        None if no_browser else webbrowser.open_new_tab,
+        None if no_browser else webbrowser.open_new_tab, folder,
     )  # fmt: skip

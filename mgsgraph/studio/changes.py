@@ -5,6 +5,7 @@ One browser at a time changes a project: the first that asks. Other browsers rea
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.project import edits, history
 from mgsgraph.project.changes import Changed
 from mgsgraph.project.decisions import Measure
-from mgsgraph.project.project import Project
+from mgsgraph.project.project import Project, open_project
 from mgsgraph.studio.inputs import number_of, place_of, text_of
 from mgsgraph.studio.opened import Opened
 from mgsgraph.units import DEG
@@ -139,7 +140,17 @@ _KINDS: dict[str, Callable[[Project, Mapping[str, Any]], Changed]] = {
     "release": lambda project, content: edits.release(project, text_of(content, "point")),
     "remove": lambda project, content: edits.remove_point(project, text_of(content, "point")),
     "undo": lambda project, content: history.undo(project),
+    "redo": lambda project, content: history.redo(project),
 }
+
+
+@lru_cache(4)
+def reversible(opened: Opened, _revision: int) -> dict[str, bool]:
+    """Whether there is a change to undo, and one to redo, as JSON."""
+    if opened.kind != "project":
+        return {"undo": False, "redo": False}
+    with open_project(opened.path) as project:
+        return {"undo": bool(project.standing_changes()), "redo": project.last_undo() is not None}
 
 
 def _moved(opened: Opened, project: Project, impact: Impact) -> list[dict[str, Any]]:

@@ -480,6 +480,7 @@ def _warning(project: Project) -> str:
     """Warning about a project that differs from its last batch solution."""
     if not is_solved(project):
         return f"Nothing has been adjusted yet: mgsgraph project solve {project.folder}"
-    if project.last_results() is None:
+    last, changes = project.last_results(), project.changes(1)
+    if last is None or last.change >= changes[-1].number:
         return ""
     return f"Changed since its last batch solution, by iSAM2; for a new one: mgsgraph project solve {project.folder}"

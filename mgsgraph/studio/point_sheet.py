@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from mgsgraph.analysis.measures import MeasureKind
-from mgsgraph.analysis.posterior import Posterior, cross_covariances
+from mgsgraph.analysis.posterior import cross_covariances
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
@@ -31,7 +31,7 @@ from mgsgraph.project.project import open_project
 from mgsgraph.project.reading import read_state
 from mgsgraph.results.answers import Questions, replies
 from mgsgraph.studio.linked import LinkedImages
-from mgsgraph.studio.map_points import MapPoints
+from mgsgraph.studio.map_points import MapPoints, map_points
 from mgsgraph.studio.marks import projected
 from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.tiles import png
@@ -51,7 +51,8 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
     InputError
         No such point.
     """
-    block, posterior = opened.about(point)
+    at_once = opened.is_read and opened.now.solution is not None
+    block = opened.block() if at_once else opened.about(point)[0]
     set_aside, edited = _of_project(opened, point)
     (number,) = block.network.points.ids.find([point]).tolist()
     if number < 0 and not set_aside:
@@ -61,15 +62,15 @@ def point_sheet(opened: Opened, point: str) -> dict[str, Any]:
         "set_aside": [_measure_record(measure) for measure in set_aside],
     }  # fmt: skip
     if number < 0:
-        return record | {"rays": [], "class": "tie", "kind": "free", "place": None, "answer": None}
-    points = MapPoints(opened, block)
+        return record | {"rays": [], "class": "tie", "kind": "free", "place": None, "adjusted": False}
+    points = map_points(opened) if at_once else MapPoints(opened, block)
     rays = np.flatnonzero(block.network.rays.point == number)
     return record | {
         "class": PointClass(int(block.network.points.classes[number])).name.lower(),
         "kind": PointKind(int(block.network.points.kinds[number])).name.lower(),
         "place": _place(block, block.places[number]), "map_m": vector(points.plane[number]),
         "sigmas_m": vector(np.sqrt(np.diagonal(points.local[number]))),
-        "rays": [_ray(opened, block, number, k) for k in rays.tolist()], "answer": _answer(posterior, point),
+        "rays": [_ray(opened, block, number, k) for k in rays.tolist()], "adjusted": block.adjusted,
     }  # fmt: skip
 
 
@@ -109,11 +110,13 @@ def _ray(opened: Opened, block: Block, point: int, ray: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _answer(posterior: Posterior | None, point: str) -> str | None:
-    """What `mgsgraph analyze --point` prints; None before any adjustment, or of an undetermined point."""
+def answer_of(opened: Opened, point: str) -> dict[str, Any]:
+    """What `mgsgraph analyze --point` prints, as JSON; empty before any adjustment, or of an undetermined point."""
+    posterior = opened.about(point)[1]
     with suppress(InputError):
-        return None if posterior is None else "\n".join(next(replies(posterior, Questions(points=(point,)))).sentences)
-    return None
+        if posterior is not None:
+            return {"answer": "\n".join(next(replies(posterior, Questions(points=(point,)))).sentences)}
+    return {"answer": ""}
 
 
 def tests_of(opened: Opened, point: str) -> dict[str, Any]:
@@ -282,7 +285,7 @@ def _window(
 
 
 
-_MOST_IMAGES = 60
+MOST_PLANNED = 60
 """Most images of a block whose candidates are judged while the user waits."""
 _LINES, _SAMPLES, _MOST_PLACES = 9, 3, 80
 """Candidates along and across an image, and in all, about."""
@@ -308,31 +311,40 @@ def next_measures(opened: Opened, linked: LinkedImages) -> dict[str, Any]:
         A large block; one that has not been adjusted; one without ground that two images see.
     """
     block = opened.block()
-    if len(block.images) > _MOST_IMAGES:
+    if len(block.images) > MOST_PLANNED:
         remedy = "mgsgraph plan RESULT CANDIDATES.toml judges your own"
-        raise InputError(str(opened.path), f"{len(block.images)} images", f"up to {_MOST_IMAGES} here", remedy)
+        raise InputError(str(opened.path), f"{len(block.images)} images", f"up to {MOST_PLANNED} here", remedy)
     _, state, _ = read_state(opened.path)
     coverage = ImageCoverage(state)
-    places = _grid(linked)
+    places = _apart(_grid(linked), opened)
     names = [f"next-{k + 1}" for k in range(len(places))]
     candidates = [planned_point(coverage, name, place, None, _SIGMA) for name, place in zip(names, places, strict=True)]
     candidates = [candidate for candidate in candidates if candidate.addition is not None]
     if not candidates:
         raise InputError(str(opened.path), "no ground that two images see", "images that overlap")
     planned = plan(state, candidates, _CHOSEN, ("ties",), "mean", opened.now.name)
-    at = dict(zip(names, opened.map_places(places).tolist(), strict=True))
-    chosen = [
-        {"name": candidate.name, "map_m": at[candidate.name],
-         "text": f"in {', '.join(candidate.images)}: mean sigma of the tie points {candidate.after.total:.4g} m, "
-                 f"{100.0 * candidate.drop:.2g} % less"}
-        for candidate in planned.chosen
-    ]  # fmt: skip
+    at, planes, chosen = dict(zip(names, places, strict=True)), opened.map_places(places).tolist(), []
+    for step in planned.chosen:
+        place = at[step.name]
+        pixels = [(name, projected(block, block.network.image_number(name), place[None])[0]) for name in step.images]
+        chosen.append({
+            "name": step.name, "map_m": planes[names.index(step.name)], **(_place(block, place) or {}),
+            "images": [{"image": name, "line": float(pixel[0]), "sample": float(pixel[1])} for name, pixel in pixels],
+            "mean_sigma_m": step.after.total, "gain_percent": 100.0 * step.drop,
+        })  # fmt: skip
     sentence = (
-        f"Of {len(candidates)} places on a grid, measured to {_SIGMA:g} px in all images that show them, these would "
-        f"lower the mean sigma of the tie points most, one after the other: from {planned.now.total:.4g} m to "
+        f"{len(candidates)} places on a grid were compared. Measured to {_SIGMA:g} px in each image, these lower the "
+        f"mean sigma of the tie points most, one after the other, from {planned.now.total:.4g} m to "
         f"{planned.after.total:.4g} m."
     )
     return {"sentence": sentence, "candidates": chosen}
+
+
+def _apart(places: Array, opened: Opened) -> Array:
+    """Places (n, 3), one in each cell of a grid on the map: images that overlap give several of nearly one place."""
+    plane = opened.map_places(places)
+    side = max(float(np.sqrt(np.prod(np.ptp(plane, axis=0)) / _MOST_PLACES)), 1.0) if len(places) else 1.0
+    return places[np.sort(np.unique(np.floor(plane / side), axis=0, return_index=True)[1])]
 
 
 def _grid(linked: LinkedImages) -> Array:

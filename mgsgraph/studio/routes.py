@@ -3,6 +3,7 @@
 from asyncio import Semaphore
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
+from itertools import chain
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,13 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from mgsgraph.analysis.posterior import Pixel
+from mgsgraph.analysis.posterior import Pixel, Posterior, posterior_of_points
 from mgsgraph.errors import InputError, MgsgraphError
 from mgsgraph.files.opening import json_object
 from mgsgraph.files.output.table import plain
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.results.answers import Questions, replies
-from mgsgraph.studio.changes import EditLock, change
+from mgsgraph.studio.changes import EditLock, change, reversible
 from mgsgraph.studio.figures import drawn, map_figure
 from mgsgraph.studio.inputs import bounded, number, number_of, place_of, text_of
 from mgsgraph.studio.linked import LinkedImages, NoGround, ground_record
@@ -39,8 +40,10 @@ from mgsgraph.studio.map_points import (
 )
 from mgsgraph.studio.marks import shots_of, ties_of
 from mgsgraph.studio.opened import Block, Opened
-from mgsgraph.studio.point_sheet import chip, correlations, next_measures, point_sheet, refine, tests_of
+from mgsgraph.studio.point_sheet import answer_of, chip, correlations, next_measures, point_sheet, refine, tests_of
+from mgsgraph.studio.start import names_with, verdict_record, worst_record
 from mgsgraph.studio.tiles import Tiles
+from mgsgraph.studio.work import Work
 from mgsgraph.units import DEG
 
 if TYPE_CHECKING:
@@ -109,7 +112,7 @@ class Views:
 # --- requests
 
 
-def _box(query: Mapping[str, str]) -> Array:
+def _box(query: Mapping[str, Any]) -> Array:
     """(4,) m on the map, x and y, low and high; InputError for an empty box."""
     box = np.array([number_of(query, key) for key in ("x0", "y0", "x1", "y1")])
     if not np.all(box[2:] > box[:2]):
@@ -166,13 +169,15 @@ def questions_of(content: dict[str, Any]) -> Questions:
 # --- answers
 
 
-def state_record(opened: Opened, lock: EditLock, browser: str) -> dict[str, Any]:
-    """Whether it may be changed, and why not, as JSON; changes of other processes are noticed."""
+def state_record(opened: Opened, lock: EditLock, work: Work, browser: str) -> dict[str, Any]:
+    """Whether it may be changed, and why not, what can be undone, and the present job, as JSON; changes of other
+    processes are noticed.
+    """
     opened.notice()
     refusal = lock.refusal(browser)
     return {
         "revision": opened.revision, "writable": opened.kind == "project" and not refusal, "lock": refusal,
-        "warning": opened.warning,
+        "warning": opened.warning, "job": work.record, **reversible(opened, opened.revision),
     }  # fmt: skip
 
 
@@ -185,17 +190,18 @@ _Posting = dict[str, Callable[[Any, str], Any]]
 """By address: answer to a body and the browser that sends it."""
 
 
-def routes(opened: Opened, views: Views, lock: EditLock) -> list[Route]:
+def routes(opened: Opened, views: Views, lock: EditLock, work: Work) -> list[Route]:
     """All addresses but those of the page's own files, for the server's list."""
     getting: _Getting = {
-        "/api/state": lambda request: state_record(opened, lock, _browser(request)),
+        "/api/state": lambda request: state_record(opened, lock, work, _browser(request)),
         "/api/scene": lambda _: scene_record(opened),
         **_map(opened, views),
         **_images(opened, views),
         **_lists(opened),
         **_points(opened, views),
+        **_start(opened, work),
     }
-    posting: _Posting = {**_asked(opened, views), **_changing(opened, lock)}
+    posting: _Posting = {**_asked(opened, views), **_changing(opened, lock, work)}
     return [
         *(Route(path, _got(answer)) for path, answer in getting.items()),
         *(Route(path, _posted(answer), methods=["POST"]) for path, answer in posting.items()),
@@ -312,10 +318,20 @@ def _points(opened: Opened, views: Views) -> _Getting:
 
     return {
         "/api/point": lambda request: point_sheet(opened, _name(request)),
+        "/api/point/answer": lambda request: answer_of(opened, _name(request)),
+        "/api/point/named": lambda request: names_with(opened, _name(request)),
         "/api/point/tests": lambda request: tests_of(opened, _name(request)),
         "/api/point/correlations": lambda request: correlations(opened, _name(request)),
         "/api/chip.png": picture,
         "/api/plan": lambda _: opened.once("next measures", lambda: next_measures(opened, views.linked)),
+    }
+
+
+def _start(opened: Opened, work: Work) -> _Getting:
+    return {
+        "/api/verdict": lambda _: opened.once("verdict", lambda: verdict_record(opened)),
+        "/api/worst": lambda _: opened.once("worst", lambda: worst_record(opened)),
+        "/api/work/files": lambda _: work.files(),
     }
 
 
@@ -330,21 +346,36 @@ def _asked(opened: Opened, views: Views) -> _Posting:
                 "sentence": sentence}  # fmt: skip
 
     def answers(content: Any, _: str) -> Any:
-        sections = replies(opened.posterior(), questions_of(content))
+        questions = questions_of(content)
+        sections = replies(_posterior_for(opened, questions), questions)
         return [{"text": "\n".join(section.sentences), "record": plain(section.numbers)} for section in sections]
 
     return {"/api/refine": refined, "/api/questions": answers}
 
 
-def _changing(opened: Opened, lock: EditLock) -> _Posting:
+def _posterior_for(opened: Opened, questions: Questions) -> Posterior:
+    """The posterior of the points that are asked about; of the whole block where these can't be read alone."""
+    names = [*questions.points, *chain(*questions.pairs), *(point for point, _ in questions.projections)]
+    solution, numbers = opened.now.solution, opened.block().network.points.ids.find(names)
+    if solution is None or np.any(numbers < 0):
+        return opened.posterior()
+    points = np.unique(numbers) if names else np.flatnonzero(solution.determined)[:1]
+    return posterior_of_points(solution, points) or opened.posterior()
+
+
+def _changing(opened: Opened, lock: EditLock, work: Work) -> _Posting:
     def changed(content: Any, browser: str) -> Any:
         if content.get("kind") == "take over":
             lock.take(browser)
             sentences = ["This browser changes the project now."]
-            return state_record(opened, lock, browser) | {"sentences": sentences, "moved": []}
+            return state_record(opened, lock, work, browser) | {"sentences": sentences, "moved": []}
+        return holding(browser, lambda: change(opened, content) | {"writable": True, "lock": ""})
+
+    def holding(browser: str, act: Callable[[], Any]) -> Any:
+        work.require_free()
         held = lock.require(browser)
         try:
-            return change(opened, content) | {"writable": True, "lock": ""}
+            return act()
         except MgsgraphError:
             if not held:  # a refused change locks nobody out
                 lock.release(browser)
@@ -357,7 +388,15 @@ def _changing(opened: Opened, lock: EditLock) -> _Posting:
         opened.judging.judge(list(map(str, points)), text_of(content, "verdict"), note)
         return {"file": str(opened.judging.path)}
 
-    return {"/api/changes": changed, "/api/verdicts": judged}
+    def worked(content: Any, browser: str) -> Any:
+        kind, box = text_of(content, "kind"), _box(content) if "x0" in content else None
+        if kind == "cancel" and work.job is not None:
+            lock.require(browser)
+            work.job.cancel()
+            return {"job": work.record}
+        return {"job": holding(browser, lambda: work.start(kind, content.get("files"), box))}
+
+    return {"/api/changes": changed, "/api/verdicts": judged, "/api/work": worked}
 
 
 _Endpoint = Callable[[Request], Awaitable[Response]]

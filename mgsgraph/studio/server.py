@@ -32,6 +32,7 @@ from mgsgraph.studio.lists import table
 from mgsgraph.studio.map_points import map_points, scene_record
 from mgsgraph.studio.opened import Opened
 from mgsgraph.studio.routes import BROWSER, Views, routes
+from mgsgraph.studio.work import Work
 
 PAGE = Path(__file__).parent / "page"
 HOST = "127.0.0.1"
@@ -104,7 +105,7 @@ def _same(text: str, secret: str) -> bool:
     return secrets.compare_digest(text.encode(), secret.encode())
 
 
-def application(opened: Opened, access: Access) -> Starlette:
+def application(opened: Opened, access: Access, work: Work) -> Starlette:
     """The server's application, which shows what is opened to those who have access."""
     files = {file.name: file for file in PAGE.iterdir()}
 
@@ -123,7 +124,7 @@ def application(opened: Opened, access: Access) -> Starlette:
         return JSONResponse({"error": "out of memory; close other programs, or show a part of the block"}, 503)
 
     return Starlette(
-        routes=[Route("/", index), *routes(opened, Views(opened), EditLock()), Route("/page/{name}", of_page)],
+        routes=[Route("/", index), *routes(opened, Views(opened), EditLock(), work), Route("/page/{name}", of_page)],
         middleware=[Middleware(_Guard, access=access), Middleware(GZipMiddleware, minimum_size=2000)],
         exception_handlers={MgsgraphError: error, MemoryError: memory},
     )
@@ -194,8 +195,9 @@ def listening(port: int | None) -> socket.socket:
 
 
 def serve(
-    opened: Opened, port: int | None, announce: Callable[[str], Any], show: Callable[[str], Any] | None = None
-) -> None:
+    opened: Opened, port: int | None, announce: Callable[[str], Any], show: Callable[[str], Any] | None = None,
+    folder: Path | None = None,
+) -> None:  # fmt: skip
     """Serve until an interrupt, or 12 hours without a request.
 
     Parameters
@@ -208,9 +210,12 @@ def serve(
     show : callable, optional
         Opens a page in a browser. It is a file for this user alone, which leads to the address: other users see the
         command line of a browser.
+    folder : Path, optional
+        Files that may be added to a project are in it.
     """
-    with closing(listening(port)) as place, TemporaryDirectory(prefix="mgsgraph-studio-") as folder:
-        page = Path(folder) / "studio.html"
+    work = Work(opened, folder)
+    with closing(listening(port)) as place, TemporaryDirectory(prefix="mgsgraph-studio-") as own:
+        page = Path(own) / "studio.html"
 
         def entered(address: str) -> None:
             page.unlink(missing_ok=True)
@@ -218,7 +223,7 @@ def serve(
 
         access = Access(place.getsockname()[1], entered)
         server = uvicorn.Server(uvicorn.Config(
-            application(opened, access), http=_Timed, ws="none", log_level="error", access_log=False,
+            application(opened, access, work), http=_Timed, ws="none", log_level="error", access_log=False,
             timeout_graceful_shutdown=2,
         ))  # fmt: skip
         announce(access.address)
@@ -229,7 +234,7 @@ def serve(
         # while a browser starts, its first answers are prepared
         threading.Thread(target=_prepare, args=(opened,), daemon=True).start()
         threading.Thread(target=end_when_idle, args=(server, access), daemon=True).start()
-        server.run(sockets=[place])
+        server.run(sockets=[place])  # a job ends with this process (`work`)
 
 
 def end_when_idle(server: uvicorn.Server, access: Access) -> None:

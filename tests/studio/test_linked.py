@@ -33,7 +33,7 @@ from mgsgraph.studio.linked import Ellipse, GroundModel, LinkedImages, ground_re
 from mgsgraph.studio.map_images import ground_at
 from mgsgraph.studio.marks import laser_profiles, shots_of, ties_of
 from mgsgraph.studio.opened import Block, Opened
-from mgsgraph.studio.point_sheet import correlations, point_sheet, refine
+from mgsgraph.studio.point_sheet import answer_of, correlations, point_sheet, refine
 from mgsgraph.studio.point_sheet import tests_of as judged
 
 
@@ -378,7 +378,7 @@ def test_after_a_change_the_sheet_reads_its_point_alone(changed: tuple[Opened, s
     for ray in sheet["rays"]:
         at = whole.projection(name, ray["image"]).pixel
         np.testing.assert_allclose(ray["residual_px"], [ray["line"] - at[0], ray["sample"] - at[1]], atol=1e-4)
-    assert name in sheet["answer"]
+    assert name in answer_of(opened, name)["answer"]
 
 
 def test_tests_of_a_point_are_those_of_the_whole_block(changed: tuple[Opened, str]) -> None:
@@ -447,7 +447,8 @@ def test_near_by_there_is_nothing_without_the_point_or_an_adjustment(
     opened = Opened(tmp_path / "new")
     name = opened.block().network.points.ids[0]
     assert posterior_near(tmp_path / "new", name) is None
-    assert point_sheet(opened, name)["answer"] is None
+    assert not point_sheet(opened, name)["adjusted"]
+    assert answer_of(opened, name)["answer"] == ""
     with pytest.raises(InputError, match="nothing has been adjusted"):
         judged(opened, name)
     with pytest.raises(InputError, match="no"):

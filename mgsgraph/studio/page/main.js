@@ -3,6 +3,9 @@
 
 import {App} from './app.js';
 import {make} from './plot.js';
+import {difference} from './questions.js';
+import {Verdict} from './verdict.js';
+import {Work} from './work.js';
 
 const PANELS = [
   ['start', 'Start', '1', './start.js'],
@@ -12,20 +15,20 @@ const PANELS = [
   ['point', 'Point', '5', './sheet.js'],
   ['questions', 'Questions', '6', './questions.js'],
 ];
-const KEYS = [
-  ['1 … 6', 'the views'], ['u', 'undo the last change of the project'], ['?', 'these keys'],
-  ['map: arrows, + −, 0', 'move, zoom, whole block'], ['map: c', 'select the point nearest to the middle'],
-  ['map: b', 'select the points in the window'], ['map: Shift + drag', 'select the points in a box'], ['map: d', 'distance of two points or places (click, or Enter at the middle)'],
-  ['images: arrows, + −, 0', 'move, zoom, whole image'], ['images: Tab', 'to the next tool, then the next image'],
-  ['images: n, p', 'next, previous tie by the size of its residual'], ['images: m', 'measure a point'], ['images: Enter', 'the place under the cross: select or measure'],
-  ['images: t', 'lines along the pane, downwards, or north up'], ['images: b', 'two images in one pane: blink'], ['images: w, [ ]', 'swipe between them, move the handle'],
-  ['images: a', 'both in red and cyan'], ['images: o', 'orientation before or after the adjustment'], ['point: + −', 'on a chip: zoom all chips'],
-  ['lists: arrows, Page, Home, End', 'the active row'], ['lists: Enter, Space', 'select, mark the active row'], ['lists: r, a, u', 'reject, accept, undecided: the marked rows, else the active one'],
-  ['Escape', 'close what is open'],
-];
+const KEYS = {
+  Everywhere: [['1 … 6', 'the views'], ['u, U', 'undo, redo a change of the project'], ['d', 'height difference of the last two selected points'], ['v', 'verdict and its reasons'], ['?', 'these keys'], ['Escape', 'close what is open']],
+  Map: [['arrows, + −, 0', 'move, zoom, whole block'], ['c', 'select the point nearest to the middle'], ['b', 'select the points in the window'], ['Shift + drag', 'select the points in a box'], ['d', 'distance of two points or places: click both, or Enter at the middle']],
+  Images: [['arrows, + −, 0', 'move, zoom, whole image'], ['Tab', 'to the next tool, then the next image'], ['n, p', 'next, previous tie by the size of its residual'], ['m', 'measure a point'], ['Enter', 'the place under the cross: select or measure'],
+    ['t', 'lines along the pane, downwards, or north up'], ['b', 'two images in one pane: blink'], ['w, [ ]', 'swipe between them, move the handle'], ['a', 'both in red and cyan'], ['o', 'orientation before or after the adjustment']],
+  Lists: [['arrows, Page, Home, End', 'the active row'], ['Enter, Space', 'select, mark the active row'], ['r, a, u', 'reject, accept, undecided (verdicts of a case): the marked rows, else the active one']],
+  Point: [['Enter', 'show the point of this name, store a place'], ['+ −', 'on a chip: zoom all chips'], ['Escape', 'give up a move or a measurement']],
+  Questions: [['Enter', 'ask the first question of the row']],
+};
 
 const byId = id => document.getElementById(id);
 const app = new App(byId('say'));
+app.work = new Work(app, byId('job'));
+app.verdict = new Verdict(app, byId('verdict'));
 window.studio = app; // for the browser's console and for tests
 const tabs = new Map();
 
@@ -67,27 +70,46 @@ function typing(target) {
   return target.closest?.('input, select, textarea, [contenteditable]') !== null;
 }
 
+const DOING = {u: 'undo', U: 'redo', d: 'difference', v: 'verdict'}; // the button of a key
+
 document.addEventListener('keydown', event => {
   if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target)) return;
   const panel = PANELS.find(([, , shortcut]) => shortcut === event.key);
   if (panel) show(panel[0]);
   else if (event.key === '?') help();
-  else if (event.key === 'u' && !byId('undo').hidden) app.undo();
+  else if (DOING[event.key] && !byId(DOING[event.key]).disabled && !byId(DOING[event.key]).hidden) byId(DOING[event.key]).click();
   else return;
   event.preventDefault();
 });
 
-function help() {
-  const dialog = byId('keys'), table = make('table');
-  for (const [keys, words] of KEYS) table.append(make('tr', {}, make('td', {}, make('kbd', {textContent: keys})), make('td', {textContent: words})));
-  const close = make('button', {type: 'button', textContent: 'Close'});
-  close.addEventListener('click', () => dialog.close());
-  dialog.replaceChildren(make('h2', {id: 'keys-title', textContent: 'Keys'}), table, close);
+// A dialog with a heading; what had the focus gets it back
+function open(dialog, title, ...parts) {
+  dialog.replaceChildren(make('h2', {id: `${dialog.id}-title`, textContent: title}), ...parts, make('button', {type: 'button', textContent: 'Close', onclick: () => dialog.close()}));
   dialog.showModal();
 }
+
+function help() {
+  const views = Object.entries(KEYS).map(([view, rows]) => make('section', {}, make('h3', {textContent: view}),
+    make('table', {}, ...rows.map(([keys, words]) => make('tr', {}, make('td', {}, make('kbd', {textContent: keys})), make('td', {textContent: words}))))));
+  open(byId('keys'), 'Keys', make('div', {className: 'key-views'}, ...views));
+}
 byId('help').addEventListener('click', help);
-byId('undo').addEventListener('click', () => app.undo());
-byId('take').addEventListener('click', () => app.change({kind: 'take over'}).catch(error => app.say(error.message, 'error')));
+for (const kind of ['undo', 'redo']) byId(kind).addEventListener('click', () => app.tryTo({kind}));
+
+byId('verdict').addEventListener('click', () => open(byId('reasons'), 'Verdict of the adjustment', app.verdict.parts(true)));
+
+// The selected point stands below, and the question about it and the one before
+function now() {
+  byId('now').textContent = app.selection && `Point ${app.selection}`;
+  byId('now').hidden = !app.selection;
+  byId('difference').textContent = `Height above ${app.before} (d)`;
+  byId('difference').hidden = !app.before || !app.scene?.adjusted;
+}
+app.addEventListener('selected', now);
+byId('now').addEventListener('click', () => show('point'));
+byId('difference').addEventListener('click', () => difference(app, app.before, app.selection).then(found => app.say(found), error => app.say(error.message, 'error')));
+
+byId('take').addEventListener('click', () => app.tryTo({kind: 'take over'}));
 
 function about() {
   const {scene} = app, count = scene.classes.filter(one => one.count).map(one => `${one.count} ${one.name} points`);
@@ -99,11 +121,14 @@ function about() {
   byId('warning').hidden = !scene.warning;
   byId('locked').firstElementChild.textContent = scene.lock || '';
   byId('locked').hidden = !scene.lock;
-  byId('undo').hidden = scene.kind !== 'project';
+  byId('about').title = byId('about').textContent;
+  for (const kind of ['undo', 'redo']) {
+    const reason = app.running ? `${scene.job.title} is running.` : scene.lock || (scene[kind] ? '' : `There is no change to ${kind}.`);
+    Object.assign(byId(kind), {hidden: scene.kind !== 'project', disabled: Boolean(reason), title: reason});
+  }
 }
-app.addEventListener('opened', about);
-app.addEventListener('renewed', about);
-app.addEventListener('changed', about);
+for (const name of ['opened', 'renewed']) app.addEventListener(name, () => app.verdict.read());
+for (const name of ['opened', 'renewed', 'changed', 'worked']) app.addEventListener(name, about);
 
 build();
 try {

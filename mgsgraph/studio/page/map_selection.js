@@ -36,9 +36,7 @@ export class MapSelection {
   }
 
   mark() {
-    const {selection} = this.map.app;
-    for (const one of this.names.querySelectorAll('button')) one.setAttribute('aria-current', String(one.dataset.point === selection));
-    if (selection && !this.map.element.hidden) this.map.app.say(`Point ${selection} is selected: key 5 shows its sheet.`);
+    for (const one of this.names.querySelectorAll('button')) one.setAttribute('aria-current', String(one.dataset.point === this.map.app.selection));
     this.map.render();
   }
 }

@@ -12,6 +12,18 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
+export const button = (textContent, onclick, more = {}) => make('button', {type: 'button', textContent, onclick, ...more});
+
+// A titled table of cells, texts or elements (numbers to the right); the words stand in the place of no rows
+export function table(title, columns, rows, words = '') {
+  const cell = one => make('td', {className: /^[−–\d]/.test(one) ? 'number' : ''}, ...[one].flat());
+  const head = make('tr', {}, ...columns.map(textContent => make('th', {scope: 'col', textContent})));
+  const body = rows.map(cells => make('tr', {}, ...cells.map(cell)));
+  return make('section', {}, title && make('h3', {textContent: title}), rows.length
+    ? make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), make('tbody', {}, ...body)))
+    : make('p', {className: 'caption', textContent: words}));
+}
+
 // An address in this page of what the server answers: pictures and links can't send the secret
 export async function blobOf(address) {
   return URL.createObjectURL(await (await ask(address)).blob());

@@ -1,42 +1,46 @@
 // Questions to the posterior: a point, two points, a place in an image, a line of an image, a new intersection; and what
-// to measure next, which the map then shows.
+// to measure next, which the map then shows. Examples with names of this block stand as buttons.
 
-import {make} from './plot.js';
+import {button, make, short, table} from './plot.js';
+
+// Height of the second of two points above the first, in a line
+export async function difference(app, first, second) {
+  const [{record}] = await app.request('/api/questions', {pairs: [[first, second]]});
+  return heightLine(record);
+}
+
+function heightLine({points: [first, second], height_difference_m: height, height_sigma_m: sigma, height_sigma_if_independent_m: apart}) {
+  return `Height of ${second} above ${first}: ${short(height)} m, sigma ${short(sigma)} m (ratio ${short(Math.abs(height) / sigma, 2)}; sigma without their correlation ${short(apart)} m).`;
+}
 
 export class Questions {
   constructor(app, element) {
-    Object.assign(this, {app, element});
-    this.answers = make('div');
+    Object.assign(this, {app, element, pixels: []});
+    this.answers = make('div', {className: 'answers'});
     this.points = make('input', {type: 'text', size: 30, placeholder: 'a point, or two: A, B'});
     this.image = make('select');
     this.line = make('input', {type: 'number', step: 'any', placeholder: 'line'});
     this.sample = make('input', {type: 'number', step: 'any', placeholder: 'sample'});
-    this.pixels = [];
     this.list = make('ul');
+    this.examples = make('div', {className: 'tools examples'});
     // Enter asks the first question of a row
     const row = (title, ...parts) => {
       const form = make('form', {}, make('fieldset', {}, make('legend', {textContent: title}), ...parts));
       form.addEventListener('submit', event => event.preventDefault());
-      form.addEventListener('keydown', event => {
-        if (event.key === 'Enter' && event.target.tagName === 'INPUT') form.querySelector('button').click();
-      });
+      form.addEventListener('keydown', event => { if (event.key === 'Enter' && event.target.tagName === 'INPUT') form.querySelector('button').click(); });
       return form;
-    };
-    const button = (textContent, act) => {
-      const one = make('button', {type: 'button', textContent});
-      one.addEventListener('click', act);
-      return one;
     };
     element.replaceChildren(
       make('div', {className: 'tools'},
         row('Ground points', this.points, button('How well known?', () => this.askPoints()), button('Is the height difference real?', () => this.askPair())),
+        row('Next', this.planning = button('What should I measure next?', () => this.plan())),
         row('Place in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
           button('Orientation at this line', () => this.askPose()),
-          button('Where is the selected point?', () => this.ask({projections: [[app.selection, this.image.value]]})),
-          button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels}))),
-        row('Next', button('What should I measure next?', () => this.plan()))),
-      this.list, this.answers);
+          button('Where is the selected point?', () => (app.selection ? this.ask({projections: [[app.selection, this.image.value]]}) : app.say('Select a point first.', 'error'))),
+          button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels})))),
+      this.examples, this.list, this.answers);
     app.addEventListener('opened', () => this.open());
+    app.addEventListener('renewed', () => this.offer());
     app.addEventListener('selected', () => this.take());
     app.addEventListener('placed', () => this.takePlace());
     if (app.scene) this.open();
@@ -46,14 +50,28 @@ export class Questions {
 
   open() {
     this.image.replaceChildren(...this.app.scene.images.map(one => make('option', {value: one.name, textContent: one.name})));
+    this.offer();
+  }
+
+  // Questions about this block, asked by a click
+  async offer() {
+    const {app} = this, [image] = app.scene.images;
+    const {examples: [a, b], reasons} = await app.request('/api/worst').catch(() => ({examples: [], reasons: {}}));
+    const line = image && Math.round(image.lines / 2);
+    const questions = Object.entries({
+      ...(b && {[`How well is ${a} known?`]: {points: [a]}, [`How much higher is ${b} than ${a}?`]: {pairs: [[a, b]]}, [`Where is ${a} in ${image.name}?`]: {projections: [[a, image.name]]}}),
+      ...(image && app.scene.adjusted && {[`Orientation of ${image.name} at line ${line}?`]: {poses: [[image.name, line]]}}),
+    });
+    this.examples.replaceChildren(make('span', {className: 'caption', textContent: questions.length ? 'Examples:' : 'Answers come from the covariances of an adjustment; nothing is adjusted yet.'}),
+      ...questions.map(([words, body]) => button(words, () => this.ask(body))));
+    if (reasons.plan) this.examples.append(make('span', {className: 'caption', textContent: `What should I measure next? ${reasons.plan}`}));
+    Object.assign(this.planning, {disabled: Boolean(reasons.plan), title: reasons.plan || 'Where one more tie point would help most'});
   }
 
   // The last selected points stand in the field: two of them for a difference
   take() {
-    const name = this.app.selection;
-    if (!name) return;
-    const [last] = this.names().slice(-1);
-    this.points.value = last && last !== name ? `${last}, ${name}` : name;
+    const {before, selection} = this.app, [last] = this.names().slice(-1), first = last || before;
+    if (selection) this.points.value = first && first !== selection ? `${first}, ${selection}` : selection;
   }
 
   // The place of an image that was clicked last
@@ -83,32 +101,27 @@ export class Questions {
   }
 
   askPose() {
-    if (Number.isNaN(this.number(this.line))) return this.app.say('Say the line.', 'error');
+    if (Number.isNaN(this.number(this.line))) return this.app.say('Give the line.', 'error');
     return this.ask({poses: [[this.image.value, this.number(this.line)]]});
   }
 
   add() {
     const place = {image: this.image.value, line: this.number(this.line), sample: this.number(this.sample)};
-    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Say line and sample of the place.', 'error');
+    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Give line and sample of the place.', 'error');
     this.pixels.push(place);
     return this.listRays();
   }
 
   listRays() {
-    this.list.replaceChildren(...this.pixels.map(one => {
-      const away = make('button', {type: 'button', textContent: '×', title: `Take the ray of ${one.image} away`});
-      away.addEventListener('click', () => {
-        this.pixels.splice(this.pixels.indexOf(one), 1);
-        this.listRays();
-      });
-      return make('li', {}, `${one.image}: line ${one.line}, sample ${one.sample} `, away);
-    }));
+    const away = one => () => { this.pixels.splice(this.pixels.indexOf(one), 1); this.listRays(); };
+    this.list.replaceChildren(...this.pixels.map(one => make('li', {}, `${one.image}: line ${one.line}, sample ${one.sample} `, button('×', away(one), {title: `Take the ray of ${one.image} away`}))));
   }
 
   async ask(body) {
     try {
       const found = await this.app.request('/api/questions', body);
-      this.answers.prepend(...found.map(one => make('pre', {textContent: one.text})));
+      this.answers.prepend(...found.map(({text, record}) => make('section', {className: 'answer'},
+        record.question === 'pair' ? make('strong', {textContent: heightLine(record)}) : '', make('pre', {textContent: text}))));
       this.app.say('');
     } catch (error) {
       this.app.say(error.message, 'error');
@@ -116,18 +129,19 @@ export class Questions {
   }
 
   async plan() {
-    this.app.say('Candidates are being judged …');
+    const {app} = this, places = one => one.images.map(({image, line, sample}) => `${image} (${line.toFixed(0)}, ${sample.toFixed(0)})`).join('; ');
+    app.say('Places are compared …');
     try {
-      const {sentence, candidates} = await this.app.request('/api/plan');
-      const list = make('ol');
-      for (const one of candidates) list.append(make('li', {textContent: one.text}));
-      const show = make('button', {type: 'button', textContent: 'Show them on the map'});
-      show.addEventListener('click', () => this.app.show('map'));
-      this.answers.prepend(make('p', {textContent: sentence}), list, show);
-      this.app.emit('candidates', candidates);
-      this.app.say('The map marks them by squares with numbers.');
+      const {sentence, candidates} = await app.request('/api/plan');
+      const found = table('What to measure next', ['', 'longitude (° E)', 'latitude (°)', 'height (m)', 'images (line, sample)', 'mean sigma then (m)', 'gain (%)', ''],
+        candidates.map((one, k) => [k + 1, one.longitude_deg.toFixed(5), short(one.latitude_deg, 7), short(one.height_m, 4), places(one), short(one.mean_sigma_m, 5), short(one.gain_percent, 2),
+          [button('Images', () => app.see(one.images)), ' ', button('Measure', () => app.see(one.images, '', 4).then(view => view.measuring.open()))]]), 'No further point would lower it.');
+      found.append(make('p', {className: 'caption', textContent: candidates[0]?.gain_percent < 0.1 ? `${sentence} Each gains less than 0.1 %.` : sentence}), button('Show them on the map', () => app.show('map')));
+      this.answers.prepend(found);
+      app.emit('candidates', candidates);
+      app.say('The map marks them by squares with numbers.');
     } catch (error) {
-      this.app.say(error.message, 'error');
+      app.say(error.message, 'error');
     }
   }
 }

@@ -2,20 +2,24 @@
 // change of it. Each change is stored at once, and the map and this sheet say what it did.
 
 import {Chips} from './chips.js';
-import {make, short} from './plot.js';
+import {button, make, short, table} from './plot.js';
+import {worst} from './start.js';
 
 export class Sheet {
   constructor(app, element) {
     Object.assign(this, {app, element});
-    this.name = make('input', {type: 'text', size: 28, placeholder: 'name of a point'});
-    const form = make('form', {className: 'tools'}, make('label', {}, 'Point ', this.name), make('button', {type: 'submit', textContent: 'Show'}));
+    this.known = make('datalist', {id: 'names-of-points'});
+    this.name = make('input', {type: 'text', size: 28, placeholder: 'name of a point, or a part of it'});
+    this.name.setAttribute('list', this.known.id);
+    this.name.addEventListener('input', () => this.propose());
+    const form = make('form', {className: 'tools'}, make('label', {}, 'Point ', this.name), this.known, make('button', {type: 'submit', textContent: 'Show'}));
     form.addEventListener('submit', event => {
       event.preventDefault();
       if (this.name.value.trim()) this.app.select(this.name.value.trim());
     });
     this.body = make('div');
     element.replaceChildren(form, this.body);
-    app.addEventListener('selected', () => this.show());
+    for (const name of ['opened', 'selected']) app.addEventListener(name, () => this.show());
     app.addEventListener('changed', () => this.show());
     this.show();
   }
@@ -24,10 +28,25 @@ export class Sheet {
     return `/api/point?${new URLSearchParams({name: this.app.selection})}`;
   }
 
+  // Names that contain what is typed
+  async propose() {
+    const part = this.name.value.trim();
+    const names = part ? await this.app.request(`/api/point/named?${new URLSearchParams({name: part})}`).catch(() => []) : [];
+    if (part === this.name.value.trim()) this.known.replaceChildren(...names.map(value => make('option', {value})));
+  }
+
+  // Without a selected point: the points to look at first
+  async offer() {
+    const words = make('p', {textContent: 'Select a point on the map, in an image or a list, or name it here. The worst:'});
+    this.body.replaceChildren(words);
+    const found = await this.app.request('/api/worst').catch(error => { words.textContent = error.message; });
+    if (found && !this.app.selection) this.body.append(worst(this.app, found));
+  }
+
   async show() {
     const name = this.app.selection;
     if (!name) {
-      this.body.replaceChildren(make('p', {textContent: 'Select a point on the map or in an image, or name it here.'}));
+      if (this.app.scene) this.offer();
       return;
     }
     this.name.value = name;
@@ -45,14 +64,14 @@ export class Sheet {
   }
 
   // Tests and correlations take longer: they come when they are there
-  async readMore(name) {
-    if (!this.sheet.answer) return;
-    const [tests, along] = await Promise.allSettled(['tests', 'correlations'].map(one => this.app.request(this.path.replace('?', `/${one}?`))));
-    if (name !== this.app.selection) return;
-    if (tests.status === 'fulfilled') this.showTests(tests.value);
-    else this.testWords.textContent = tests.reason.message;
-    if (along.status === 'fulfilled') this.showCorrelations(along.value);
-    else this.along.replaceChildren(make('p', {className: 'caption', textContent: along.reason.message}));
+  readMore(name) {
+    const {sheet} = this, more = {
+      answer: [found => { this.answer.textContent = found.answer.split('\n').slice(1).join('\n'); }, words => { this.answer.textContent = words; }],
+      tests: [found => this.showTests(found), words => { this.testWords.textContent = words; }],
+      correlations: [found => this.showCorrelations(found), words => this.along.replaceChildren(make('p', {className: 'caption', textContent: words}))],
+    };
+    for (const [key, [put, fail]] of sheet.adjusted ? Object.entries(more) : [])
+      this.app.request(this.path.replace('?', `/${key}?`)).then(found => name === this.app.selection && sheet === this.sheet && put(found), error => name === this.app.selection && fail(error.message));
   }
 
   draw() {
@@ -63,9 +82,9 @@ export class Sheet {
       const sigmas = sheet.sigmas_m ? `; sigma east ${short(sheet.sigmas_m[0])}, north ${short(sheet.sigmas_m[1])}, up ${short(sheet.sigmas_m[2])} m` : '';
       parts.push(make('p', {textContent: `Longitude ${east.toFixed(6)}° E, latitude ${north.toFixed(6)}° (planetocentric; ${graphic.toFixed(6)}° planetographic), ${height.toFixed(2)} m above the ellipsoid${sigmas}.`}));
     } else parts.push(make('p', {textContent: sheet.rays.length ? 'Nothing determines its place: it needs rays of two images.' : 'No measure of it takes part.'}));
-    if (sheet.answer) parts.push(make('pre', {textContent: sheet.answer}));
-    parts.push(this.rays(), this.testWords = make('p', {className: 'caption'}), this.setAside(), this.actions(), this.forms = make('div'), this.lastChange());
-    parts.push(make('h3', {textContent: 'Points most correlated with it'}), this.along = make('div', {}, make('p', {className: 'caption', textContent: sheet.answer ? 'being found …' : 'known after an adjustment'})));
+    const wait = sheet.adjusted ? 'computing …' : '';
+    parts.push(this.answer = make('pre', {textContent: wait}), this.rays(), this.testWords = make('p', {className: 'caption', textContent: wait && `tests: ${wait}`}), this.setAside(), this.actions(), this.forms = make('div'), this.lastChange());
+    parts.push(make('h3', {textContent: 'Points most correlated with it'}), this.along = make('div', {}, make('p', {className: 'caption', textContent: wait || 'known after an adjustment'})));
     this.body.replaceChildren(...parts);
   }
 
@@ -96,10 +115,7 @@ export class Sheet {
   }
 
   button(where, textContent, title, act) {
-    const one = make('button', {type: 'button', textContent, title, disabled: !this.app.scene.writable});
-    one.addEventListener('click', act);
-    where.append(one, ' ');
-    return one;
+    where.append(button(textContent, act, {title, disabled: !this.app.scene.writable}), ' ');
   }
 
   moving(ray, where) {
@@ -116,8 +132,7 @@ export class Sheet {
     form.setAttribute('aria-label', `Place in ${ray.image}`);
     let sigma = null;
     for (const other of this.sheet.rays.filter(one => ray.picture && one.image !== ray.image && one.picture)) {
-      const refine = make('button', {type: 'button', textContent: `Refine against ${other.image}`});
-      refine.addEventListener('click', async () => {
+      form.append(' ', button(`Refine against ${other.image}`, async () => {
         try {
           const found = await this.app.request('/api/refine', {
             reference: {image: other.image, line: other.line, sample: other.sample}, image: ray.image, line: Number(line.value), sample: Number(sample.value),
@@ -127,16 +142,11 @@ export class Sheet {
         } catch (error) {
           this.app.say(error.message, 'error');
         }
-      });
-      form.append(' ', refine);
+      }));
     }
     for (const one of [line, sample]) one.addEventListener('input', () => { sigma = null; });
-    const stop = make('button', {type: 'button', textContent: 'Cancel'});
-    stop.addEventListener('click', cancel);
-    form.append(' ', stop);
-    form.addEventListener('keydown', event => {
-      if (event.key === 'Escape') cancel();
-    });
+    form.append(' ', button('Cancel', cancel));
+    form.addEventListener('keydown', event => { if (event.key === 'Escape') cancel(); });
     form.addEventListener('submit', event => {
       event.preventDefault();
       store({line: Number(line.value), sample: Number(sample.value), ...(sigma ? {sigma_px: sigma} : {})});
@@ -174,18 +184,10 @@ export class Sheet {
   lastChange() {
     const found = this.app.last;
     if (!found?.moved?.length) return '';
-    const body = make('tbody');
-    for (const {name, vector_m: vector, sigmas} of found.moved.slice(0, 5)) {
-      const link = make('button', {type: 'button', textContent: name});
-      link.addEventListener('click', () => this.app.select(name));
-      const far = vector ? [...vector.map(one => short(one)), short(sigmas)] : ['new', '', '', ''];
-      body.append(make('tr', {}, make('td', {}, link), ...far.map(textContent => make('td', {className: 'number', textContent}))));
-    }
-    const head = make('tr', {}, ...['point', 'east (m)', 'north (m)', 'up (m)', 'of its sigmas'].map(textContent => make('th', {scope: 'col', textContent})));
     const more = found.moved.length > 5 ? ` ${found.moved.length - 5} more moved less.` : '';
-    return make('div', {className: 'last-change'}, make('h3', {textContent: 'What the last change moved'}),
-      make('p', {className: 'caption', textContent: found.sentences.join(' ') + more}),
-      make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)));
+    const rows = found.moved.slice(0, 5).map(({name, vector_m: vector, sigmas}) => [button(name, () => this.app.select(name)), ...(vector ? [...vector, sigmas].map(one => short(one)) : ['new', '', '', ''])]);
+    return make('div', {className: 'last-change'}, table('What the last change moved', ['point', 'east (m)', 'north (m)', 'up (m)', 'of its sigmas'], rows),
+      make('p', {className: 'caption', textContent: found.sentences.join(' ') + more}));
   }
 
   setAside() {
@@ -213,11 +215,9 @@ export class Sheet {
   // What every point has behind its changes
   last(box) {
     const {sheet} = this;
-    const look = make('button', {type: 'button', textContent: 'See it in the images'});
-    look.addEventListener('click', () => this.app.show('images').then(() => this.app.emit('selected', sheet.name)));
-    box.append(look);
-    if (this.app.scene.kind !== 'project') box.append(make('span', {className: 'caption', textContent: 'Only a project can be changed.'}));
-    else if (this.app.scene.lock) box.append(make('span', {className: 'caption', textContent: this.app.scene.lock}));
+    box.append(button('See it in the images', () => this.app.look({kind: 'point', name: sheet.name}, 'images')));
+    const {kind, lock} = this.app.scene;
+    if (kind !== 'project' || lock) box.append(make('span', {className: 'caption', textContent: lock || 'Only a project can be changed.'}));
     return box;
   }
 
@@ -240,19 +240,13 @@ export class Sheet {
       return this.change({kind: 'hold', ...Object.fromEntries([...form.querySelectorAll('input')].map(one => [one.dataset.key, Number(one.value)]))});
     });
     form.setAttribute('aria-label', `Hold ${this.sheet.name}`);
-    form.addEventListener('keydown', event => {
-      if (event.key === 'Escape') this.forms.replaceChildren();
-    });
+    form.addEventListener('keydown', event => { if (event.key === 'Escape') this.forms.replaceChildren(); });
     this.forms.replaceChildren(form);
     form.querySelector('input').focus();
   }
 
-  async change(body) {
-    try {
-      await this.app.change({point: this.sheet.name, ...body});
-    } catch (error) {
-      this.app.say(error.message, 'error');
-    }
+  change(body) {
+    return this.app.tryTo({point: this.sheet.name, ...body});
   }
 
   showTests({critical, alpha, rays}) {
@@ -269,14 +263,8 @@ export class Sheet {
 
   showCorrelations({axes, rows, distance_m: away, looked_at: count}) {
     if (!rows.length) return this.along.replaceChildren(make('p', {className: 'caption', textContent: 'No other point with a place.'}));
-    const head = make('tr', {}, ...['point', 'distance (m)', ...axes].map(textContent => make('th', {scope: 'col', textContent})));
-    const body = make('tbody');
-    for (const {name, correlation} of rows) {
-      const link = make('button', {type: 'button', textContent: name});
-      link.addEventListener('click', () => this.app.select(name));
-      body.append(make('tr', {}, make('td', {}, link), make('td', {className: 'number', textContent: short(away[name])}), ...correlation.map(one => make('td', {className: 'number', textContent: one.toFixed(3)}))));
-    }
-    return this.along.replaceChildren(make('div', {className: 'scroll', tabIndex: 0}, make('table', {}, make('thead', {}, head), body)),
+    const of = ({name, correlation}) => [button(name, () => this.app.select(name)), short(away[name]), ...correlation.map(one => one.toFixed(3).replace('-', '−'))];
+    return this.along.replaceChildren(table('', ['point', 'distance (m)', ...axes], rows.map(of)),
       make('p', {className: 'caption', textContent: `Of ${count} points that its images show, those whose coordinates are most correlated with its own: 1 = fully correlated errors.`}));
   }
 }
