@@ -157,7 +157,7 @@ GROUPS: dict[str, tuple[str, Callable[[Opened], object], float]] = {
 
 def _possible(opened: Opened) -> list[str]:
     pictures = sum(path is not None for path in opened.pictures.values())
-    is_possible = (True, opened.now.posterior is not None, pictures > 1)
+    is_possible = (opened.block().adjusted, opened.now.posterior is not None, pictures > 1)
     return [name for name, possible in zip(GROUPS, is_possible, strict=True) if possible]
 
 
@@ -197,6 +197,8 @@ def _points(opened: Opened, rays: ListedRays) -> Iterator[Column]:
         yield Column("correlation", correlation, meaning="of the chips, lowest of the point")
         yield Column("misfit", misfit, "px", "of the rays, less that of neighbors")
         yield Column("offset", offset, "px", "of the best match of the chips, largest of the point")
+    if not points.block.adjusted:
+        return
     yield Column("sigma", points.value("sigma"), "m", "3-D")
     for axis, name in enumerate(("east", "north", "up")):
         yield Column(f"sigma_{name}", np.sqrt(points.local[:, axis, axis]), "m")
@@ -206,7 +208,7 @@ def _points(opened: Opened, rays: ListedRays) -> Iterator[Column]:
 def _sizes(opened: Opened) -> tuple[Array, Array]:
     """(k,) sizes of the block's residuals, in px and in their sigmas."""
     residuals, sigmas = ray_residuals(opened), opened.block().network.ray_sigmas
-    return np.linalg.norm(residuals, axis=1), np.linalg.norm(residuals / sigmas, axis=1)
+    return np.hypot(*residuals.T), np.hypot(*(residuals / sigmas).T)
 
 
 def _measurements(opened: Opened, rays: ListedRays) -> Iterator[Column]:

@@ -199,7 +199,7 @@ def test_ties_of_a_case_are_judged(browser: Any, pictured_case: Path) -> None:
     with studio(pictured_case) as running:
         seen = Page(browser, running)
         seen.show("lists")
-        seen.until(f"{LISTS}.state.found?.columns.some(one => one.key === 'correlation')")
+        seen.until(f"{LISTS}?.state.found?.columns.some(one => one.key === 'correlation')")
         assert not file.exists()
         seen.tab.locator(".list-scroll").focus()
         names = seen.run(f"[0, 1, 2].map(k => {LISTS}.row(k)[0])")
@@ -239,7 +239,7 @@ def test_results_say_why_nothing_is_rejected(browser: Any, solved: Path) -> None
         seen = Page(browser, running)
         seen.show("lists")
         seen.tab.click("#lists button[value=measurements]")
-        seen.until(f"{LISTS}.name === 'measurements' && {LISTS}.state.found")
+        seen.until(f"{LISTS}?.name === 'measurements' && Boolean({LISTS}.state.found)")
         seen.until("document.querySelector('#lists button[value=reject]').disabled")
         assert "mgsgraph project init" in seen.tab.get_attribute("#lists button[value=reject]", "title")
         assert "mgsgraph project init" in seen.tab.inner_text("#lists")

@@ -58,9 +58,7 @@ class Lists {
     this.rejected.checked = Boolean(this.state.only);
   }
 
-  get ofPoints() {
-    return this.name === 'points' || this.name === 'measurements';
-  }
+  get ofPoints() { return this.name === 'points' || this.name === 'measurements'; }
 
   query(more = {}) {
     const {sort, only, filters} = this.state;
@@ -153,29 +151,18 @@ class Lists {
 
   // --- rows
 
-  get shown() {
-    return Math.max(1, Math.floor((this.grid.clientHeight - this.head.offsetHeight) / ROW));
-  }
+  // Rows in the window and beyond it, px to scroll for these, the first row in the window
+  get shown() { return Math.max(1, Math.floor((this.grid.clientHeight - this.head.offsetHeight) / ROW)); }
 
-  get beyond() {
-    return Math.max(0, (this.state.found?.count || 0) - this.shown); // rows that the window does not hold
-  }
+  get beyond() { return Math.max(0, (this.state.found?.count || 0) - this.shown); }
 
-  get far() {
-    return Math.min(ROW * this.beyond, TALLEST); // px to scroll for them
-  }
+  get far() { return Math.min(ROW * this.beyond, TALLEST); }
 
-  get first() {
-    return this.far ? Math.min(this.beyond, Math.round(this.grid.scrollTop / this.far * this.beyond)) : 0;
-  }
+  get first() { return this.far ? Math.min(this.beyond, Math.round(this.grid.scrollTop / this.far * this.beyond)) : 0; }
 
-  row(number = this.state.active) {
-    return this.state.blocks.get(Math.floor(number / BLOCK))?.[number % BLOCK];
-  }
+  row(number = this.state.active) { return this.state.blocks.get(Math.floor(number / BLOCK))?.[number % BLOCK]; }
 
-  cell(key, row = this.row()) {
-    return row?.[this.state.found.columns.findIndex(one => one.key === key)] ?? '';
-  }
+  cell(key, row = this.row()) { return row?.[this.state.found.columns.findIndex(one => one.key === key)] ?? ''; }
 
   draw() {
     const {found, active, marked} = this.state;
@@ -202,9 +189,7 @@ class Lists {
     return Object.assign(line, {number});
   }
 
-  keyOf(row) {
-    return this.name === 'measurements' ? `${row[0]}\n${row[1]}` : row[0];
-  }
+  keyOf(row) { return this.name === 'measurements' ? `${row[0]}\n${row[1]}` : row[0]; }
 
   // Make a row the active one, and bring it into sight
   go(number) {
