@@ -234,11 +234,11 @@ def _grouped(opened: Opened, rays: ListedRays, group: Index, count: int) -> Iter
         yield Column(key, np.bincount(group[is_counted], minlength=count)[:-1])
     if "residuals" in ready:
         squares = np.where(opened.block().used[:, None], ray_residuals(opened) ** 2, np.nan)
-        for axis, name in enumerate(("line", "sample")):
-            known = np.isfinite(squares[:, axis])
-            total, number = (np.bincount(own[known], weights, count)[:-1] for weights in (squares[known, axis], None))
+        for name, values in (("rms", squares.sum(axis=1)), ("rms_line", squares[:, 0]), ("rms_sample", squares[:, 1])):
+            known = np.isfinite(values)
+            total, number = (np.bincount(own[known], weights, count)[:-1] for weights in (values[known], None))
             rms = np.sqrt(np.divide(total, number, out=np.full(count - 1, np.nan), where=number > 0))
-            yield Column(f"rms_{name}", rms, "px", "of the residuals")
+            yield Column(name, rms, "px", "of the residuals")
     if "tests" in ready:
         yield Column("w", largest(ray_tests(opened)[0], own, count)[:-1], head="|w|", meaning="largest w-test")
 
@@ -270,23 +270,28 @@ def _passes(opened: Opened, rays: ListedRays) -> Iterator[Column]:
 def _profiles(opened: Opened, _: ListedRays) -> Iterator[Column]:
     block, solution, profiles = opened.block(), opened.now.solution, laser_profiles(opened.block())
     ranges, shifts = block.network.ranges, block.network.shifts
-    values = np.full((4, len(profiles)), np.nan)
+    values = np.full((5, len(profiles)), np.nan)
     for k, (name, points) in enumerate(profiles):
         rows = np.flatnonzero(np.isin(ranges.point, points))
         if solution is not None and rows.size:
             for row, residuals in enumerate((solution.range_residuals_before, solution.range_residuals)):
                 values[row, k] = np.sqrt(np.nanmean(residuals[rows] ** 2))
         if block.values is not None and shifts is not None and name in shifts.names:
-            east, north = block.values[len(block.images) + shifts.names.index(name)][:2]
+            number = shifts.names.index(name)
+            east, north = block.values[len(block.images) + number][:2]
             ends = block.network.points.places[points[[0, -1]]]
             track = (east_north_up(ends[:1])[0] @ (ends[1] - ends[0]))[:2]
             along = track / max(float(np.linalg.norm(track)), 1e-9)
-            values[2:, k] = east * along[0] + north * along[1], north * along[0] - east * along[1]
+            values[2:4, k] = east * along[0] + north * along[1], north * along[0] - east * along[1]
+            values[4, k] = np.hypot(east, north) / shifts.sigmas[number]
     yield Column("profile", Names.of([name for name, _ in profiles]))
     yield Column("shots", np.array([points.size for _, points in profiles], dtype=np.int64))
+    middles = np.array([points[points.size // 2] for _, points in profiles], dtype=np.int64)
+    yield Column("middle", block.network.points.ids[middles], meaning="shot in the middle")
     meanings = ("of the ranges' residuals", "of the ranges' residuals", "along the track", "across it, to the left")
     keys = ("rms_before", "rms_after", "shift_along", "shift_across")
     yield from (Column(key, values[k], "m", meanings[k]) for k, key in enumerate(keys))
+    yield Column("shift_sigmas", values[4], head="shift / sigma", meaning="horizontal shift over its a-priori sigma")
 
 
 _TABLES: dict[str, Callable[[Opened, ListedRays], Iterator[Column]]] = {

@@ -41,7 +41,7 @@ from mgsgraph.studio.map_points import (
 from mgsgraph.studio.marks import shots_of, ties_of
 from mgsgraph.studio.opened import Block, Opened
 from mgsgraph.studio.point_sheet import answer_of, chip, correlations, next_measures, point_sheet, refine, tests_of
-from mgsgraph.studio.start import names_with, verdict_record, worst_record
+from mgsgraph.studio.start import verdict_record, worst_record
 from mgsgraph.studio.tiles import Tiles
 from mgsgraph.studio.work import Work
 from mgsgraph.units import DEG
@@ -319,7 +319,6 @@ def _points(opened: Opened, views: Views) -> _Getting:
     return {
         "/api/point": lambda request: point_sheet(opened, _name(request)),
         "/api/point/answer": lambda request: answer_of(opened, _name(request)),
-        "/api/point/named": lambda request: names_with(opened, _name(request)),
         "/api/point/tests": lambda request: tests_of(opened, _name(request)),
         "/api/point/correlations": lambda request: correlations(opened, _name(request)),
         "/api/chip.png": picture,

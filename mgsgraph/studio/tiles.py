@@ -118,7 +118,7 @@ class Pyramid:
         """Grey value of the pixel at a place; None outside the picture, NaN where there is no pixel."""
         if not (0 <= line < self.lines and 0 <= sample < self.samples):
             return None
-        return float(self._pixels(0, slice(int(line), int(line) + 1), slice(int(sample), int(sample) + 1))[0, 0])
+        return float(self.pixels(0, slice(int(line), int(line) + 1), slice(int(sample), int(sample) + 1))[0, 0])
 
     def contrast(self, corners: Array) -> tuple[float, float]:
         """Black and white by the quantiles inside a window, [line, sample] of two opposite corners (2, 2)."""
@@ -127,7 +127,7 @@ class Pyramid:
         high = np.maximum(np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int), low + 1)
         level = min(int((high - low).max() // (2 * SIDE)).bit_length(), self.levels - 1)
         lines, samples = (slice(a >> level, -(-b >> level)) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-        return _contrast(self._pixels(level, lines, samples))[:2]
+        return _contrast(self.pixels(level, lines, samples))[:2]
 
     def require_unchanged(self) -> None:
         """Raise InputError where the file is gone or has been replaced."""

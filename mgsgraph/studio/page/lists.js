@@ -1,7 +1,8 @@
 // Points, image measurements, images, passes and profiles as tables. The server sorts and filters; the page asks for
 // the rows that it shows. Many rows are marked to reject or accept them in one change, or to save them.
 
-import {blobOf, download, make, short} from './plot.js';
+import {Chips} from './chips.js';
+import {button, download, make, short} from './plot.js';
 
 const TABLES = {points: 'Points', measurements: 'Measurements', images: 'Images', passes: 'Passes', profiles: 'Profiles'};
 const EMPTY = {passes: 'no passes: each image has an orientation of its own', profiles: 'no laser profiles'};
@@ -9,27 +10,21 @@ const ACTS = {r: ['reject', 'Reject'], a: ['accept', 'Accept'], u: ['undecided',
 const ROW = 26, TALLEST = 8e6; // px of a row, and of what a browser scrolls
 const BLOCK = 100, KEPT = 30, MOST = 200, WAIT = 250; // rows of a request, their blocks, rows of a change, ms
 
-const button = (textContent, title, act) => {
-  const one = make('button', {type: 'button', textContent, title});
-  one.addEventListener('click', act);
-  return one;
-};
-
 class Lists {
   constructor(app, element) {
     Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: '', pending: 0});
-    this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, '', () => { this.open(value); this.reload(app.selection); }), {value}));
+    this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, () => { this.open(value); this.reload(app.selection); }), {value}));
     this.rejected = make('input', {type: 'checkbox'});
     this.rejected.addEventListener('change', () => this.renew({only: this.rejected.checked ? 'rejected' : ''}));
     this.missing = make('span');
     this.words = make('span', {className: 'caption', role: 'status'});
-    this.acts = Object.entries(ACTS).map(([key, [value, title]]) => Object.assign(button(`${title} (${key})`, '', () => this.act(value)), {value}));
+    this.acts = Object.entries(ACTS).map(([key, [value, title]]) => Object.assign(button(`${title} (${key})`, () => this.act(value)), {value}));
     this.note = make('input', {type: 'text', size: 18, maxLength: 200, placeholder: 'note (n)', title: 'Note about the active row; Enter stores it'});
     this.note.addEventListener('keydown', event => { if (event.key === 'Enter') this.act(this.cell('verdict') || 'undecided', this.note.value); });
     this.reason = make('span', {className: 'caption'});
-    this.all = button('Mark all', '', () => this.markAll());
-    this.none = button('Unmark', 'No row is marked any more', () => { this.state.marked.clear(); this.draw(); });
-    this.save = button('', '', () => (this.state.marked.size ? this.saveMarked() : download(`/api/list/csv?${this.query()}`, `${this.name}.csv`)));
+    this.all = button('Mark all', () => this.markAll());
+    this.none = button('Unmark', () => { this.state.marked.clear(); this.draw(); }, {title: 'No row is marked any more'});
+    this.save = button('', () => (this.state.marked.size ? this.saveMarked() : download(`/api/list/csv?${this.query()}`, `${this.name}.csv`)));
     this.table = make('table', {}, this.widths = make('colgroup'), this.head = make('thead'), this.body = make('tbody'));
     this.whole = make('div', {className: 'list-all'}, this.table);
     this.grid = make('div', {className: 'list-scroll scroll', tabIndex: 0, role: 'grid', ariaMultiSelectable: 'true'}, this.whole);
@@ -106,9 +101,9 @@ class Lists {
   showMissing() {
     const {missing} = this.state.found;
     for (const one of missing) if (one.at_once && !this.failed.has(one.group)) this.compute(one.group);
-    this.missing.replaceChildren(...missing.map(({group, title}) => Object.assign(button(
-      this.computing.has(group) ? `computing ${title} …` : `Compute ${title}`, 'In a large block this takes minutes; go on working meanwhile',
-      () => { this.compute(group); this.showMissing(); }), {disabled: this.computing.has(group)})));
+    this.missing.replaceChildren(...missing.map(({group, title}) => button(
+      this.computing.has(group) ? `computing ${title} …` : `Compute ${title}`, () => { this.compute(group); this.showMissing(); },
+      {title: 'In a large block this takes minutes; go on working meanwhile', disabled: this.computing.has(group)})));
   }
 
   async compute(group) {
@@ -133,7 +128,7 @@ class Lists {
           clearTimeout(this.typing);
           this.typing = setTimeout(() => this.renew({}), WAIT);
         });
-        const title = button(one.title, `${one.meaning ? `${one.meaning}; ` : ''}click to sort`, () => this.sortBy(one));
+        const title = button(one.title, () => this.sortBy(one), {title: `${one.meaning ? `${one.meaning}; ` : ''}click to sort`});
         title.append(make('small', {textContent: one.unit}));
         this.head.rows[0].append(make('th', {scope: 'col', className: one.decimals === null ? '' : 'number'}, title));
         this.head.rows[1].append(make('th', {}, input));
@@ -314,12 +309,12 @@ class Lists {
     const {columns, rows} = await this.app.request(`/api/list?${new URLSearchParams({table: 'measurements', point: `=${point}`, count: 12})}`);
     if (point !== this.point) return;
     this.side.replaceChildren(make('strong', {textContent: point}), rows.length ? '' : make('p', {className: 'caption', textContent: 'No image measurement.'}));
+    const chips = new Chips(this.app);
     for (const row of rows) {
-      const {image, line, sample, state, residual_sigmas: residual} = Object.fromEntries(columns.map(({key}, k) => [key, row[k]]));
-      const picture = make('img', {width: 130, height: 130, alt: `Pixels of ${image} around the measurement`}), place = new URLSearchParams({image, line, sample});
-      if (pictured.has(image)) blobOf(`/api/chip.png?${place}`).then(src => Object.assign(picture, {src, onload: () => URL.revokeObjectURL(src)}), () => picture.remove());
-      const words = `${image}, ${state}${residual ? `, residual ${short(residual)} sigmas` : ''}`;
-      this.side.append(make('figure', {}, pictured.has(image) ? make('div', {className: 'chip'}, picture) : '', make('figcaption', {textContent: words})));
+      const {image, line, sample, state, residual_line: dl, residual_sample: ds, residual_sigmas: size} = Object.fromEntries(columns.map(({key}, k) => [key, row[k]]));
+      const words = `${image}, ${state}${size ? `, residual ${short(size)} sigmas` : ''}`, residual = Number.isFinite(dl) ? [dl, ds] : null;
+      const picture = pictured.has(image) && chips.of({image, line, sample, residual_px: residual, used: state === 'used'});
+      this.side.append(make('figure', {}, picture || '', make('figcaption', {textContent: words})));
     }
   }
 }

@@ -31,8 +31,8 @@ export class Sheet {
   // Names that contain what is typed
   async propose() {
     const part = this.name.value.trim();
-    const names = part ? await this.app.request(`/api/point/named?${new URLSearchParams({name: part})}`).catch(() => []) : [];
-    if (part === this.name.value.trim()) this.known.replaceChildren(...names.map(value => make('option', {value})));
+    const names = part ? (await this.app.request(`/api/list?${new URLSearchParams({id: part, count: 20})}`).catch(() => ({rows: []}))).rows : [];
+    if (part === this.name.value.trim()) this.known.replaceChildren(...names.map(([value]) => make('option', {value})));
   }
 
   // Without a selected point: the points to look at first

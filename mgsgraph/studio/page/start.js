@@ -84,13 +84,13 @@ export function worst(app, {measurements, points, images, profiles}) {
   const why = app.scene.writable ? (app.running ? 'A job is running.' : '') : app.scene.lock || 'Only a project can be changed.';
   const reject = ({point, image}) => button('Reject', () => app.tryTo({kind: 'reject', point, image}), {disabled: Boolean(why), title: why || `Take the measurement of ${point} in ${image} out`});
   return make('div', {className: 'worst'},
-    table('Measurements', ['point', 'image', 'residual (px)', 'in sigmas', ''], measurements.map(one => [look(one.point, 'point', 'point', one.point), one.image,
-      one.residual_px.map(value => short(value)).join(', '), short(one.sigmas), [...ways('point', one.point, {image: one.image}), ' ', reject(one)]]), 'No image measurement has a residual.'),
-    table('Points', ['point', '3-D sigma (m)', ''], points.map(one => [look(one.point, 'point', 'point', one.point), short(one.sigma_m), ways('point', one.point)]),
+    table('Measurements', ['point', 'image', 'residual of line, sample (px)', 'residual / sigma', ''], measurements.map(one => [look(one.point, 'point', 'point', one.point), one.image,
+      `${short(one.residual_line_px)}, ${short(one.residual_sample_px)}`, short(one.residual_sigmas), [...ways('point', one.point, {image: one.image}), ' ', reject(one)]]), 'No image measurement has a residual.'),
+    table('Points', ['point', '3-D sigma (m)', ''], points.map(one => [look(one.id, 'point', 'point', one.id), short(one.sigma_m), ways('point', one.id)]),
       app.scene.adjusted ? 'No point has a sigma.' : 'Sigmas are known after an adjustment.'),
     table('Images', ['image', 'rms residual (px)'], images.map(one => [look(one.image, 'images', 'image', one.image), short(one.rms_px)]), 'No image has residuals.'),
-    table('Laser profiles', ['profile', 'shift east, north (m)', 'in prior sigmas'], profiles.map(one => [look(one.profile, 'map', 'profile', one.profile, {point: one.point}),
-      one.shift_m.map(value => short(value)).join(', '), short(one.sigmas)]), 'No laser profile has an adjusted shift.'));
+    table('Laser profiles', ['profile', 'shift along, across (m)', 'shift / sigma'], profiles.map(one => [look(one.profile, 'map', 'profile', one.profile, {point: one.middle}),
+      `${short(one.shift_along_m)}, ${short(one.shift_across_m)}`, short(one.shift_sigmas)]), 'No laser profile has an adjusted shift.'));
 }
 
 export function panel(app, element) {
