@@ -97,17 +97,24 @@ export class App extends EventTarget {
     if (!this.scene || this.scene.kind !== 'project' || this.busy) return;
     const {revision, lock} = this.scene, found = await this.request('/api/state').catch(() => null);
     if (!found || this.busy) return;
-    Object.assign(this.scene, found);
+    this.take(found);
     if (found.job?.state === 'running') this.emit('job');
     if (found.revision === revision && found.lock === lock) return;
     if (found.revision === revision) this.emit('renewed');
     else await this.renew();
   }
 
+  // What the server says; of a job that runs its own watch knows more than answers that were under way
+  take(...found) {
+    const {running, scene: {job}} = this;
+    Object.assign(this.scene, ...found);
+    if (running) this.scene.job = job;
+  }
+
   async renew() {
     const began = performance.now();
     try {
-      Object.assign(this.scene, ...await Promise.all([this.request('/api/scene'), this.request('/api/state')]));
+      this.take(...await Promise.all([this.request('/api/scene'), this.request('/api/state')]));
     } catch (error) {
       this.say(error.message, 'error');
     }
