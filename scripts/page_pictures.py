@@ -3,6 +3,8 @@
 python scripts/page_pictures.py site SITE OUT     # every page of the built site at 1280 and 380 px: contact sheets to
     # look at, and what is wider than its screen; SITE: what sphinx-build has written, OUT: a folder for the sheets
 python scripts/page_pictures.py graph             # docs/pictures/factor_graph.png
+python scripts/page_pictures.py studio NAME OPENED  # all views of the studio of a project, results or case at 1280 x 800
+    # and 1920 x 1080: docs/pictures/studio_NAME_1280.jpg and _1920.jpg
 python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of the demo, made in FOLDER by
 
 mgsgraph demo --out mgsgraph-demo
@@ -58,6 +60,8 @@ _WIDER = """() => {
     return out.slice(0, 3);
 }"""
 """Elements beyond the right edge that do not scroll."""
+SCREENS = {(1280, 800): 0.7, (1920, 1080): 0.5}
+"""px; sizes of a screen, and scale of its views on a sheet."""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 
 
@@ -68,7 +72,7 @@ def main() -> None:
         return
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
-        {"demo": demo, "site": site}[what](browser, *(Path(folder).resolve() for folder in folders))
+        {"demo": demo, "site": site, "studio": views}[what](browser, *(Path(folder).resolve() for folder in folders))
         browser.close()
 
 
@@ -133,6 +137,32 @@ def factor_graph() -> None:
     axes.set_axis_off()
     figure.tight_layout(pad=0.1)
     figure.savefig(PICTURES / "factor_graph.png", dpi=140)
+
+
+# --- views of the studio
+
+
+def views(browser: Browser, name: Path, opened: Path) -> None:
+    sys.path.insert(0, str(PICTURES.parents[1] / "tests"))
+    from studio_server import PANELS, studio
+
+    with studio(opened) as running:
+        for (width, height), scale in SCREENS.items():
+            page, pictures = browser.new_page(viewport={"width": width, "height": height}), list[Image.Image]()
+            page.goto(running.root + running.entrance())
+            page.wait_for_timeout(8000)  # the verdict of a large block
+            page.evaluate("studio.request('/api/worst').then(one => studio.select(one.measurements[0]?.point ?? ''))")
+            for key in range(len(PANELS)):
+                page.evaluate("document.activeElement.blur()")
+                page.keyboard.press(str(key + 1))
+                page.wait_for_timeout(4000)
+                pictures.append(Image.open(BytesIO(page.screenshot())).convert("RGB"))
+            size = round(width * scale), round(height * scale)
+            sheet = Image.new("RGB", (2 * size[0] + 8, 3 * size[1] + 16), "grey")
+            for k, picture in enumerate(pictures):
+                at = (size[0] + 8) * (k % 2), (size[1] + 8) * (k // 2)
+                sheet.paste(picture.resize(size, Image.Resampling.LANCZOS), at)
+            sheet.save(PICTURES / f"studio_{name.name}_{width}.jpg", quality=64, optimize=True, progressive=True)
 
 
 # --- pages of the site

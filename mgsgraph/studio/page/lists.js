@@ -5,6 +5,7 @@ import {Chips} from './chips.js';
 import {button, download, make, short} from './plot.js';
 
 const TABLES = {points: 'Points', measurements: 'Measurements', images: 'Images', passes: 'Passes', profiles: 'Profiles'};
+const FIRST = {points: '-residual_sigmas', measurements: '-residual_sigmas', images: '-rms', profiles: '-shift_sigmas'}; // orders to begin with
 const EMPTY = {passes: 'no passes: each image has an orientation of its own', profiles: 'no laser profiles'};
 const ACTS = {r: ['reject', 'Reject'], a: ['accept', 'Accept'], u: ['undecided', 'Undecided']}; // by their keys
 const ROW = 26, TALLEST = 8e6; // px of a row, and of what a browser scrolls
@@ -47,7 +48,7 @@ class Lists {
 
   open(name) {
     this.name = name;
-    this.state = this.states[name] ??= {sort: '', only: '', filters: {}, active: 0, marked: new Map(), blocks: new Map(), found: null};
+    this.state = this.states[name] ??= {sort: FIRST[name] || '', only: '', filters: {}, active: 0, marked: new Map(), blocks: new Map(), found: null};
     for (const tab of this.tabs) tab.ariaPressed = String(tab.value === name);
     this.grid.ariaLabel = TABLES[name];
     this.rejected.checked = Boolean(this.state.only);
