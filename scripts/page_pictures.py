@@ -3,8 +3,8 @@
 python scripts/page_pictures.py site SITE OUT     # every page of the built site at 1280 and 380 px: contact sheets to
     # look at, and what is wider than its screen; SITE: what sphinx-build has written, OUT: a folder for the sheets
 python scripts/page_pictures.py graph             # docs/pictures/factor_graph.png
-python scripts/page_pictures.py studio NAME OPENED  # all views of the studio of a project, results or case at 1280 x 800
-    # and 1920 x 1080: docs/pictures/studio_NAME_1280.jpg and _1920.jpg
+python scripts/page_pictures.py studio NAME PATH  # all views of the studio of a project, results or case
+    # at 1280 x 800 and 1920 x 1080: docs/pictures/studio_NAME_1280.jpg and _1920.jpg
 python scripts/page_pictures.py demo FOLDER       # docs/pictures, of results of the demo, made in FOLDER by
 
 mgsgraph demo --out mgsgraph-demo

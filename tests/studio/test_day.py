@@ -85,13 +85,14 @@ class Day(Page):
         self.tab.click("#lists button[value=measurements]")
         self.timed("measurements", f"{LISTS}.name === 'measurements' && Boolean({LISTS}.row(0))")
         self.until(f"{LISTS}.state.found.columns.some(one => one.key === 'residual_sigmas')")
-        self.begin()
-        self.tab.locator("#lists thead button", has_text="residual / sigma").click()
-        self.timed("sort", f"""(() => {{
-          const view = {LISTS}, k = view.state.found.columns.findIndex(one => one.key === 'residual_sigmas');
-          const sizes = [...Array(10).keys()].map(n => view.row(n)?.[k]);
-          return sizes.every((one, n) => one >= (sizes[n + 1] ?? 0));
-        }})()""")
+        for title, key in (("sample", "sample"), ("residual / sigma", "residual_sigmas")):
+            self.begin()
+            self.tab.locator("#lists thead button", has_text=title).first.click()
+            self.timed("sort", f"""(() => {{
+              const view = {LISTS}, k = view.state.found.columns.findIndex(one => one.key === '{key}');
+              const sizes = [...Array(10).keys()].map(n => view.row(n)?.[k]);
+              return view.state.sort === '-{key}' && sizes.every((one, n) => one >= (sizes[n + 1] ?? 0));
+            }})()""")
         return [list(row) for row in self.run(f"[...Array(10).keys()].map(k => {LISTS}.row(k))")]
 
     def reject_two(self) -> None:
