@@ -27,11 +27,11 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network
 from mgsgraph.simulation.demo.demonstration import nees
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from mgsgraph.text import root_mean_square
 from mgsgraph.units import KM, MGON
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from mex_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
 from redraw import flight_sigmas, forward_intersection, node_squares
 
 CASES = {

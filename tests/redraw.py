@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mex_flight import drawn_nodes, pass_correction
 from nac_pair import powers
 
 from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
@@ -31,7 +32,6 @@ from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKin
 from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.passes import Pass, PolynomialPrior
 from mgsgraph.network.shared import image_effect
-from mgsgraph.simulation.hrsc_flight import drawn_nodes, pass_correction
 
 _HEIGHT_STEPS = 20
 

@@ -19,7 +19,7 @@ CEILINGS = {
     "fetch": (1363, 16570, 9),
     "project": (2679, 36057, 17),
     "export": (2667, 38377, 17),
-    "simulation": (3339, 50045, 24),
+    "simulation": (2882, 43039, 22),
     "results": (4246, 64404, 35),
     "registration": (1681, 25647, 12),
     "planning": (886, 13942, 6),
@@ -33,8 +33,8 @@ CEILINGS = {
     "geometry": (2892, 48407, 18),
     "factors": (867, 13743, 18),
     "single files": (862, 9946, 10),
-    "scripts": (6982, 111805, 51),
-    "tests": (37829, 570904, 206),
+    "scripts": (6984, 111863, 51),
+    "tests": (38287, 577949, 209),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

@@ -5,6 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from block_ground import TerrainErrors
+from mex_block import BlockSettings, simulate_hrsc_block
+from mex_flight import PointMatching
 from networks import network, pair
 from scipy.stats import chi2, kstest
 
@@ -16,9 +19,6 @@ from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
-from mgsgraph.simulation.observations import TerrainErrors
 
 LIMIT = SolverSettings(reject=4.0)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from explicit_form import by_gtsam
+from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import NODES, network, on_passes, pair, with_shift_and_surface
 from redraw import forward_intersection, redraw
 from sharing import with_all_kinds
@@ -28,7 +29,6 @@ from mgsgraph.geometry.camera import Detector
 from mgsgraph.geometry.orientation import OrientationPrior
 from mgsgraph.geometry.records import Array
 from mgsgraph.network import Network, NodePrior, PolynomialPrior, SharedKind, SharedUnknown
-from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 
 TIGHT = {"cost_tolerance": 1e-14, "step_tolerance": 1e-9}
 ROUND = NodePrior(np.array([80.0] * 3 + [2e-4] * 3), np.array([200.0] * 3 + [4e-4] * 3), np.zeros(6), 4.0)

@@ -8,6 +8,8 @@ import pytest
 from ctx_pair import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
 from hypothesis import given
 from hypothesis import strategies as st
+from mex_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
+from mex_flight import Jitter, PointMatching, pass_correction
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.factor_graph import factor_graph
@@ -37,8 +39,6 @@ from mgsgraph.network.corrections import (
 )
 from mgsgraph.network.passes import normalised
 from mgsgraph.results.spacing import nodes_section
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, pass_correction
 from mgsgraph.units import MGON
 
 PITCH = Jitter(4.0 * MGON, 0.06, "pitch")

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from block_ground import TerrainErrors
 from commands import call, rows_of
 from mex import CHANGES
+from mex_block import BlockSettings, simulate_hrsc_block
 from pass_files import block, write_block
 
 from mgsgraph.adjustment.adjust import adjust_network
@@ -23,8 +25,6 @@ from mgsgraph.results.archive import read_solution
 from mgsgraph.results.figures.orientation import pass_curve
 from mgsgraph.results.inventory import unsupported_nodes
 from mgsgraph.results.passes import calendar, nodes_table
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.observations import TerrainErrors
 from mgsgraph.units import ARCSEC, MGON
 
 
