@@ -54,10 +54,10 @@ def one_draw(case: str, seed: int) -> Draw:
     true = [block.true_nodes(k) for k in range(len(network.passes))]
     errors = [-np.concatenate(true), *(np.concatenate(s.nodes) - np.concatenate(true) for s in solutions)]
     (prior, *before), (_, _, after) = forward_intersection(without), forward_intersection(without, solutions[1])
-    freedom = sum(6 * len(pass_.nodes) for pass_ in network.passes)
+    freedom = sum(one.size for one in true)
     return {
         "nodes": [node_squares(one, true) / freedom for one in solutions], "freedom": freedom,
-        "points": [float(nees((s.places - block.true_points)[s.determined], s.covariances[s.determined]).mean()) / 3.0
+        "points": [nees((s.places - block.true_points)[s.determined], s.covariances[s.determined]).mean() / 3.0
                    for s in solutions],
         "points_freedom": [degrees_of_points(solution, np.flatnonzero(solution.determined)) for solution in solutions],
         "converged": all(solution.converged for solution in solutions),
