@@ -25,8 +25,6 @@ Cases and their adjustment
     Case                    what was read: a network, settings
     adjust                  adjusts a case
     adjust_network          adjusts a network, on a cluster, too
-    adjust_in_two_steps     without the terrain model, and then with it
-    two_step_statistics     what each step changed
     open_cluster            a cluster for adjust_network
     SolverSettings          line, loss, rejection of blunders, tolerances
 
@@ -141,7 +139,6 @@ if TYPE_CHECKING:
     from mgsgraph.adjustment.settings import SolverSettings as SolverSettings
     from mgsgraph.adjustment.solution import Solution as Solution
     from mgsgraph.adjustment.solution import orientation_profile as orientation_profile
-    from mgsgraph.adjustment.two_steps import adjust_in_two_steps as adjust_in_two_steps
     from mgsgraph.analysis.components import components as components
     from mgsgraph.analysis.components import iterated_components as iterated_components
     from mgsgraph.analysis.measures import MeasureKind as MeasureKind
@@ -150,7 +147,6 @@ if TYPE_CHECKING:
     from mgsgraph.analysis.posterior import Posterior as Posterior
     from mgsgraph.analysis.reliability import reliability as reliability
     from mgsgraph.analysis.statistics import pass_reports as pass_reports
-    from mgsgraph.analysis.two_step_statistics import two_step_statistics as two_step_statistics
     from mgsgraph.analysis.unexplained import unexplained as unexplained
     from mgsgraph.analysis.verdict import verdict as verdict
     from mgsgraph.analysis.weak import weak_directions as weak_directions
@@ -210,7 +206,6 @@ if TYPE_CHECKING:
 
 _HOME = {
     "adjust": "mgsgraph.case.reading",
-    "adjust_in_two_steps": "mgsgraph.adjustment.two_steps",
     "adjust_network": "mgsgraph.adjustment.adjust",
     "apply_verdicts": "mgsgraph.export.verdicts",
     "Archives": "mgsgraph.fetch.needs",
@@ -278,7 +273,6 @@ _HOME = {
     "to_geopandas": "mgsgraph.export.frames",
     "to_pandas": "mgsgraph.export.frames",
     "to_xarray": "mgsgraph.export.frames",
-    "two_step_statistics": "mgsgraph.analysis.two_step_statistics",
     "unexplained": "mgsgraph.analysis.unexplained",
     "verdict": "mgsgraph.analysis.verdict",
     "weak_directions": "mgsgraph.analysis.weak",

@@ -14,6 +14,7 @@ Exit status: 0 done, 2 bad input.
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from montecarlo import prepared
@@ -33,10 +34,12 @@ from mgsgraph.analysis.linearised import at_solution
 from mgsgraph.errors import MgsgraphError
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.network import Network, PointClass
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.pair import PairSettings, simulate_pair
 from mgsgraph.text import root_mean_square
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from mex_block import BlockSettings, simulate_hrsc_block
+from mex_flight import PointMatching
 
 PLANTED = (4.0, 6.0), (4.0, 8.0), (4.0, 12.0), (3.0, 6.0)
 """Limits, and errors of planted rays in sigmas of the observation."""

@@ -45,10 +45,12 @@ from mgsgraph.registration.relief_surfaces import AveragedPair, Cells, averaged_
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_site
 from mgsgraph.simulation.ground import grid_shift
-from mgsgraph.simulation.imagery import true_matches
 from mgsgraph.simulation.mgs_files import shot_names
 from mgsgraph.simulation.site import SimulatedSite, SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from true_matches import true_matches
 
 HEIGHT_SIGMA = 5.0
 """m, a-priori sigma of the model's height offset, which is drawn."""

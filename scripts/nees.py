@@ -33,12 +33,12 @@ from mgsgraph.network import Network, PointClass
 from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.simulation.demo.demonstration import nees
 from mgsgraph.simulation.files import write_site
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
 from mgsgraph.simulation.site import SimulationOptions, simulate_site
 from mgsgraph.simulation.sites import SITE_NAMES
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from mex_block import BlockSettings, simulate_hrsc_block
+from mex_flight import PointMatching
 from nac_pair import powers, simulate_nac_pair
 from redraw import Draw as Redrawn
 from redraw import polynomial_sigmas, redraw

@@ -14,11 +14,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from nees import STRIP, nees, prepared
-from redraw import common_noise, redraw
 from scipy.spatial import cKDTree
 from study import Blocks, Draw, cases, names_of, nees_cell, number, run, seeds_of, table
 
@@ -30,9 +30,12 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import Gaps
 from mgsgraph.network import Network, PointClass
 from mgsgraph.network.common import SPHERE, common_heights, common_matches, correlation
-from mgsgraph.simulation.hrsc_block import simulate_hrsc_block
-from mgsgraph.simulation.observations import TerrainErrors
 from mgsgraph.simulation.sites import SITE_NAMES
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from block_ground import TerrainErrors
+from mex_block import simulate_hrsc_block
+from redraw import common_noise, redraw
 
 CASES = tuple(f"{name}, {drawn}" for name in (*SITE_NAMES, "HRSC strip") for drawn in ("model", "exact"))
 STATED = ("ties", "heights", "means of 30", "squares")

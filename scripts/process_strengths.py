@@ -28,12 +28,12 @@ from mgsgraph.geometry.orientation import OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Mask
 from mgsgraph.network import Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.demo.demonstration import nees
-from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.units import KM
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from ctx_pair import PIXEL, CtxSettings, TrueJitter, image_times, simulate_ctx_pair
+from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
+from mex_flight import pass_correction
 
 CASES = ("HRSC 600 km, 3", "HRSC 300 km, 3", "CTX pair, 1", "CTX pair, 3", "CTX same motion, 1", "CTX same motion, 3",
          "Two strips, 1", "Two strips unlike, 1")  # fmt: skip

@@ -21,7 +21,7 @@ FLAGS = [
 ]  # fmt: skip
 PLAIN = (
     "simulation/test_site", "files/", "geometry/", "fetch/", "simulation/test_imagery", "simulation/test_terrain",
-    "simulation/test_hrsc_block", "registration/test_relief", "test_package", "network/", "simulation/test_pair",
+    "simulation/test_hrsc", "registration/test_relief", "test_package", "network/", "simulation/test_pair",
 )  # fmt: skip
 """Tests that need no large kernel: they begin while the kernels are compiled."""
 LONG = (

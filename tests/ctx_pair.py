@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from block_ground import TerrainErrors, terrain_model, tie_network
+from mex_flight import pass_correction
 from nac_pair import MountedCamera
 
 from mgsgraph.errors import InputError
@@ -25,8 +27,7 @@ from mgsgraph.geometry.records import Array
 from mgsgraph.network import ImageRays, Network, Pass, Process, ProcessPrior
 from mgsgraph.simulation.camera import interior_orientation
 from mgsgraph.simulation.ground import SiteTerrain, make_terrain
-from mgsgraph.simulation.hrsc_flight import pass_correction
-from mgsgraph.simulation.observations import MARGIN, TerrainErrors, project, terrain_model, tie_network
+from mgsgraph.simulation.observations import MARGIN, project
 from mgsgraph.simulation.orbit import GRAVITY, HEADING, MARS, CentralBody, CircularPass, body_matrix
 from mgsgraph.units import DEG, MM
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from mex_flight import pass_correction
 
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry import rotation
@@ -37,7 +38,6 @@ from mgsgraph.network.joining import mountings, seconds
 from mgsgraph.network.passes import PolynomialPrior
 from mgsgraph.network.shared import SharedKind, SharedUnknown
 from mgsgraph.simulation.camera import InstrumentErrors, as_taken, interior_orientation, line_image, one_rate
-from mgsgraph.simulation.hrsc_flight import pass_correction
 from mgsgraph.simulation.observations import Visible, well_inside
 from mgsgraph.simulation.orbit import (
     MOON,

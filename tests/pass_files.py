@@ -5,13 +5,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from mex_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
+from mex_flight import Readout
 
 from mgsgraph.files.networks.tie_points import TiePoints
 from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.network import Network
 from mgsgraph.simulation.case_files import json_text, support_data, tie_network_text
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Readout
 
 PASSES = """
 [[passes]]

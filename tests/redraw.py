@@ -4,13 +4,22 @@ Every orientation coefficient, shift, shared unknown and row is drawn from its s
 estimation errors of the adjustment must average to one: the test of whether its sigmas are honest.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from mex_flight import drawn_nodes, pass_correction
 from nac_pair import powers
 
+from mgsgraph.adjustment.covariances import point_covariances, prior_covariance
+from mgsgraph.adjustment.frames import flight_axes
+from mgsgraph.adjustment.graph import BundleGraph, lay_out
 from mgsgraph.adjustment.graph.variables import footprint_shifts
+from mgsgraph.adjustment.marginals import JointCovariance
+from mgsgraph.adjustment.rounds import all_rows, relinearized
+from mgsgraph.adjustment.settings import SolverSettings
+from mgsgraph.adjustment.solution import Solution
+from mgsgraph.analysis.statistics import sigmas_along
 from mgsgraph.errors import InputError
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north
@@ -18,11 +27,11 @@ from mgsgraph.geometry.intersection import intersect_rays
 from mgsgraph.geometry.orientation import Angles, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.stereo_surface import heights_above
+from mgsgraph.kernel.sweep import COSTS
 from mgsgraph.network import GroundPoints, ImageRays, Network, Ranges, SharedKind, Surface
 from mgsgraph.network.corrections import adjusted_image
 from mgsgraph.network.passes import Pass, PolynomialPrior
 from mgsgraph.network.shared import image_effect
-from mgsgraph.simulation.hrsc_flight import drawn_nodes, pass_correction
 
 _HEIGHT_STEPS = 20
 
@@ -314,3 +323,41 @@ def assert_unit_variance(normalised: np.ndarray) -> None:
     n = normalised.size
     assert abs(np.mean(normalised**2) - 1.0) < 4.5 * np.sqrt(2.0 / n)
     assert abs(np.mean(normalised)) < 4.5 / np.sqrt(n)
+
+
+def forward_intersection(network: Network, solution: Solution | None = None) -> tuple[JointCovariance, Array, Array]:
+    """A-priori covariance of a network's shared unknowns; with it, and the rays, covariances (n, 3, 3) of its points,
+    m^2; and their places (n, 3), m, with the nominal orientation, or that of a solution with a terrain model besides.
+    """
+    layout, selection = lay_out(network, SolverSettings()), all_rows(network)
+    joint, values = prior_covariance(layout), np.zeros(layout.columns)
+    assert joint is not None  # all sigmas are finite
+    if solution is not None:
+        model = solution.network.first_shared - 1
+        values = layout.variables.joined([*solution.values[:model], *solution.values[model + 1 :]])
+    begin = BundleGraph(layout, selection.rows(layout)).reduction(values, COSTS)
+    layout, reduction = relinearized(layout, selection, begin, COSTS)
+    places = reduction.points
+    covariances = point_covariances(layout, selection.rows(layout), values, places, joint)
+    return joint, layout.network_order(covariances), layout.network_order(places)
+
+
+def node_squares(solution: Solution, true: Sequence[Array]) -> float:
+    """Normalised square of the errors of all nodes, taking passes as independent; `true` (k, 6) of each pass."""
+    result = 0.0
+    for nodes, want, (pass_, first) in zip(solution.nodes, true, solution.network.numbered_passes, strict=True):
+        error, covariance = (nodes - want).ravel(), solution.joint_covariance.of(range(first, first + len(pass_.nodes)))
+        result += float(error @ np.linalg.solve(covariance, error))
+    return result
+
+
+def flight_sigmas(network: Network, covariances: Sequence[Array], places: Array) -> list[list[float]]:
+    """Mean sigmas (m) by covariances (n, 3, 3) of points, along the flight of the first image that sees each, across
+    and up.
+    """
+    points, first = np.unique(network.rays.point, return_index=True)
+    axes = np.stack([
+        flight_axes(place, network.images[network.rays.image[k]].pose(network.rays.places[[k], 0]).velocity[0])
+        for place, k in zip(places[points], first.tolist(), strict=True)
+    ])  # fmt: skip
+    return [sigmas_along(axes, one[points]).mean(axis=0).tolist() for one in covariances]

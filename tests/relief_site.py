@@ -8,6 +8,7 @@ import dem_site
 import numpy as np
 import pytest
 from once import once
+from true_matches import true_matches
 
 from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.solution import Solution
@@ -17,7 +18,6 @@ from mgsgraph.registration import relief_surfaces
 from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
 from mgsgraph.registration.relief import register_by_relief
 from mgsgraph.results.archive import write_archive
-from mgsgraph.simulation.imagery import true_matches
 
 NOISE = 0.1
 """pixels, of a match."""

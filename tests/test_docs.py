@@ -181,7 +181,7 @@ PYTHON: dict[str, tuple[Callable[[Path], dict[str, object]], str]] = {
     "docs/gtsam.md": (a_case, "posterior sigmas from the minimum"),
     "docs/matching.md": (pixels, "5 of 20 tie points"),
     "docs/files.md": (adjusted, "SIM/A"),
-    "docs/passes.md": (nothing, "HRSC/01: "),
+    "docs/passes.md": (nothing, "1999-09-10T13:08:40: 4 nodes"),
     "docs/projects.md": (nothing, "Check against batch"),
     "docs/terrain.md": (nothing, "with terrain: mean sigmas"),
 }

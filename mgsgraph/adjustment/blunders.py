@@ -161,9 +161,7 @@ _MOST_COLUMNS = 4000
 """Shared unknowns whose dense covariance (128 MB) is made to compare candidates: the others wait."""
 _MOST_CANDIDATES = 2000
 """Points that are compared at a time."""
-MEDIAN = 0.4549364
-"""Median of chi-square of one degree of freedom."""
-_MEDIANS = MEDIAN, 1.3862944
+_MEDIANS = 0.4549364, 1.3862944
 """Medians of chi-square of one and of two degrees of freedom."""
 _DECISIVE = 2.0 * math.log(100.0)
 """Difference of two tests that makes one of two observations of a point the blunder with odds of 100 to 1."""

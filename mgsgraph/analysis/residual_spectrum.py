@@ -32,7 +32,6 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.kernel.rows import IMAGE
 from mgsgraph.record import Record
 from mgsgraph.text import some
-from mgsgraph.workers import Count, no_progress
 
 Turn = Literal["pitch", "roll", "yaw"]
 """What moves rays: along lines, along samples, along lines at the image's left and right edge the opposite way."""
@@ -421,20 +420,17 @@ class ResidualVibrations(Record):
         return lines
 
 
-def residual_vibrations(
-    of: Solution | Linearised, false_alarms: float = FALSE_ALARMS, progress: Count = no_progress
-) -> ResidualVibrations:
+def residual_vibrations(of: Solution | Linearised, false_alarms: float = FALSE_ALARMS) -> ResidualVibrations:
     """Search the residuals of all images for vibrations, of which a share of `false_alarms` of calm turns has one.
 
-    What close orientation images have followed is no longer in residuals. `progress` is called with the number of
-    searches done, and of all at most. Raises InputError where no image has rays enough.
+    What close orientation images have followed is no longer in residuals. Raises InputError where no image has rays
+    enough.
     """
     residuals = residual_series(of, _FEWEST)
     able = [SeriesSpectrum(series) for series in residuals.series]
     search = _Search(residuals, able, false_alarms)
     while len(search.waves) < _MOST_NAMED and search.next():
-        progress(len(search.waves), _MOST_NAMED)
-    progress(_MOST_NAMED, _MOST_NAMED)
+        pass
     return ResidualVibrations(tuple(map(search.spectrum, range(len(able)))), tuple(search.vibrations))
 
 

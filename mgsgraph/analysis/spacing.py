@@ -212,11 +212,6 @@ class Choice:
         """s, what is chosen."""
         return self.candidates[self.chosen].spacing
 
-    @property
-    def chosen_network(self) -> Network:
-        """The network with the nodes chosen; all of its rays take part again."""
-        return respaced(self.network, self.spacing)
-
 
 def choose_spacing(
     network: Network,

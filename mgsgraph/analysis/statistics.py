@@ -15,18 +15,15 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from mgsgraph.adjustment.frames import camera_axes, flight_axes
-from mgsgraph.adjustment.marginals import JointCovariance
 from mgsgraph.adjustment.solution import Solution, orientation_profiles
 from mgsgraph.files.networks.tie_points import PointKind
 from mgsgraph.geometry.body import east_north_up
 from mgsgraph.geometry.orientation import COMPONENTS as AXES
 from mgsgraph.geometry.orientation import SUPPORT, Angles, Moments, OrientationCorrection
 from mgsgraph.geometry.records import Array, Index, Mask
-from mgsgraph.geometry.rotation import unit_vectors
 from mgsgraph.geometry.trajectory import Pose
 from mgsgraph.network import Network, NodePrior, Pass, PointClass
 from mgsgraph.network.connectivity import Connectivity, connectivity, network_footprints
-from mgsgraph.network.corrections import designs
 from mgsgraph.network.joining import nominal_poses, seconds, straightest
 from mgsgraph.record import Record
 from mgsgraph.text import root_mean_square
@@ -312,26 +309,6 @@ def span(values: Array) -> tuple[float, float]:
     return min(low, 0.0), max(high, 1e-12)
 
 
-
-_LEVEL = 1e-9
-"""Share of the velocity below which its level part says nothing."""
-
-
-def pose_sigmas(
-    network: Network, image: int, correction: OrientationCorrection, joint: JointCovariance, lines: Array
-) -> Array:
-    """(n, 6) m along, across and radial, and rad of roll, pitch and yaw, for sigma0 = 1: sigmas of an image with a
-    whole correction at lines (n,), of a joint covariance, a-priori or of a solution, with the network's variables.
-    """
-    picture = network.images[image]
-    moments, nominal = picture.moments(lines), picture.pose(lines)
-    turns, result = _turns(nominal, correction.axes(nominal, moments)), np.empty((lines.size, 6))
-    for k, partials in enumerate(designs(network, image, correction.angles, lines)):
-        design = turns[k] @ np.concatenate([np.zeros((6, 0)), *partials.values()], axis=1)
-        result[k] = np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", design, joint.of(partials), design), 0.0))
-    return result
-
-
 def pass_turns(network: Network, pass_number: int, times: Array, angles: Angles) -> Array:
     """(n, 6, 6) from the components of a pass's corrections, m and rad, to along, across and radial, roll, pitch and
     yaw of its flight, at times (n,) in s TDB past J2000.
@@ -353,16 +330,6 @@ def _turns(pose: Pose, axes: Array) -> Array:
         turns[k, :3, :3] = level
         turns[k, 3:, 3:] = camera_axes(pose.matrix[k] @ level[0]) @ axes[k]
     return turns
-
-
-def flight_axes_at(places: Array, velocities: Array) -> Array:
-    """(n, 3, 3) rows: unit vectors along, across (left) and up at many places (n, 3), as `frames.flight_axes`."""
-    up = unit_vectors(places)
-    along = velocities - up * np.einsum("ni,ni->n", up, velocities)[:, None]
-    size = np.linalg.norm(along, axis=1, keepdims=True)
-    some = size > _LEVEL * np.linalg.norm(velocities, axis=1, keepdims=True)
-    along = np.where(some, along / np.where(some, size, 1.0), np.nan)
-    return np.stack([along, np.cross(up, along), up], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -435,11 +402,8 @@ def pass_reports(solution: Solution) -> list[PassReport]:
 
     Examples
     --------
-    >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=60e3, points=30, terrain=None), seed=1)
-    >>> found = mgsgraph.pass_reports(mgsgraph.adjust_network(block.network, mgsgraph.SolverSettings()))
-    >>> [(one.name, one.nodes) for one in found]
-    [('HRSC/00', 8), ('HRSC/01', 11)]
+    >>> mgsgraph.pass_reports(solution)  # of two images, neither in a pass; an example with passes: docs/passes.md
+    []
     """
     return [_report(solution, k) for k in range(len(solution.network.passes))]
 

@@ -31,8 +31,6 @@ from mgsgraph.cli.options import (
 
 if TYPE_CHECKING:
     from mgsgraph.adjustment.cluster.connection import Connection
-    from mgsgraph.adjustment.settings import SolverSettings
-    from mgsgraph.case.reading import Case
     from mgsgraph.project.reading import CaseResults
     from mgsgraph.registration.minima import ReliefRegistration, ReliefSettings
     from mgsgraph.results.results import Overrides
@@ -70,18 +68,16 @@ def check(case: Path, no_laser: bool, ties: Path | None) -> None:
 @CLUSTER
 @INSECURE
 @TIES
-@click.option("--two-steps", is_flag=True, help="First without the terrain model, then with it; figures of both.")
 @overruling
 @DETAILS
 @click.pass_context
 def adjust(
-    ctx: click.Context, case: Path, out: Path | None, cluster: str | None, insecure: bool, two_steps: bool,
-    ties: Path | None, overrides: "Overrides",
+    ctx: click.Context, case: Path, out: Path | None, cluster: str | None, insecure: bool, ties: Path | None,
+    overrides: "Overrides",
 ) -> None:  # fmt: skip
     """Adjust CASE (a TOML file, see scripts/cases) and write the results to a folder.
 
-    Options overrule the case file. With --cluster the points lie with the workers, in partitions. With --two-steps
-    blunders are sought without the terrain model, and then the block is fitted to it: see docs/terrain.md.
+    Options overrule the case file. With --cluster the points lie with the workers, in partitions.
 
     The first line says whether the result is valid, SUSPECT (a test found what the stated sigmas don't explain) or
     INVALID. Exit status: 0 valid or suspect; 1 invalid: not converged, most of a kind of observations left out, an
@@ -96,8 +92,6 @@ def adjust(
     from mgsgraph.files.output.folders import require_replaceable
     from mgsgraph.results.results import write_results
 
-    if overrides.tables is not None and two_steps:
-        raise click.UsageError("--tables doesn't go with --two-steps")
     require_replaceable(out := folder_for(out, case, "adjust"))
     if cluster is not None:
         parse_cluster(cluster, insecure)
@@ -108,12 +102,10 @@ def adjust(
     print_sentences(*read.notes)
     settings = overrides.over(read.settings)
     estimating = read.vibrating or any(pass_.asks_for_strengths for pass_ in read.network.passes)
-    if estimating and (two_steps or cluster is not None):
-        raise click.UsageError("estimated strengths and vibrations go with neither --two-steps nor --cluster")
+    if estimating and cluster is not None:
+        raise click.UsageError("estimated strengths and vibrations don't go with --cluster")
     connection: AbstractContextManager[Connection | None]
     connection = open_cluster(cluster, insecure=insecure) if cluster is not None else nullcontext()
-    if two_steps:
-        ctx.exit(0 if _adjust_in_two_steps(read, settings, out, connection, overrides) else 1)
     with connection as workers, iteration_bar() as bar:
         solution, sentences = adjusted(read.network, settings, read.name, bar, read.vibrating, workers)
     solution = replace(solution, seconds=reading | dict(solution.seconds))
@@ -123,33 +115,6 @@ def adjust(
     print_sentences(*sentences)
     print_ended(f"Results are in {out}")
     ctx.exit(0 if is_valid(solution) else 1)
-
-
-def _adjust_in_two_steps(
-    read: "Case", settings: "SolverSettings", out: Path, connection: AbstractContextManager["Connection | None"],
-    overrides: "Overrides",
-) -> bool:  # fmt: skip
-    """Adjust in two steps and write the results; whether both steps converged and the result is valid."""
-    from mgsgraph.adjustment.two_steps import adjust_in_two_steps, require_terrain
-    from mgsgraph.analysis.two_step_statistics import two_step_statistics
-    from mgsgraph.analysis.verdict import is_valid
-    from mgsgraph.cli.progress import iteration_bar, stage_bar
-    from mgsgraph.results.results import write_results
-    from mgsgraph.results.two_steps import two_steps_section, write_two_steps
-
-    require_terrain(read.network, str(read.path))
-    with connection as workers, iteration_bar() as bar:
-        steps = adjust_in_two_steps(read.network, settings, read.name, bar, bar.begin, workers)
-    # store the adjustment first: it took longest
-    write_results(steps.fitted, out, figures=False, networks=read.networks)
-    with stage_bar(2) as stages:
-        with stages.stage("figures of merit"):
-            statistics = two_step_statistics(steps)
-        with stages.stage("tables and figures"):
-            write_two_steps(statistics, out, figures=overrides.figures, networks=read.networks)
-    print_brief(two_steps_section(statistics).text(None))
-    print_ended(f"Results are in {out}")
-    return steps.converged and is_valid(steps.fitted)
 
 
 @click.command()

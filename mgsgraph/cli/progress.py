@@ -156,14 +156,6 @@ class IterationBar:
         self.bar.set_postfix_str(f"cost {now.cost:.6g}{time_left}", refresh=False)
         self.bar.update()
 
-    def begin(self, label: str) -> None:
-        """Restart the count under another label, for the next of several adjustments."""
-        if self._verbose:
-            tqdm.write(label)
-        self._count, self._step, self._began = 0, math.inf, time.monotonic()
-        self.bar.reset()
-        self.bar.set_description_str(label)
-
 
 @contextmanager
 def stage_bar(count: int) -> Iterator[Stages]:

@@ -54,6 +54,7 @@ RENAMED = {
 """What verbs of version 0.2 are called now."""
 REMOVED = {
     "adjust --relief": "mgsgraph align CASE",
+    "adjust --two-steps": "two calls: of CASE with `control = false` in its [terrain], and of CASE (docs/terrain.md)",
     "align --reach": "--search",
     "align --solution": "mgsgraph align RESULT, with --case CASE where RESULT doesn't know it",
     "analyze --cell-m": "--post",

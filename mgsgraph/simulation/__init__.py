@@ -1,9 +1,8 @@
 """Simulated observations with known truth, written through the formats of real ones: the demo's default input.
 
 What is simulated, from small to large: a stereo `pair`, a `strip` of overlapping pairs, a study `site` (published
-numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; blocks of HRSC passes (`hrsc_block`, from
-passes in `hrsc_flight`); and an `archive` of up to a hundred thousand images (ties in `archive_ties`, files in
-`archive_files`).
+numbers in `sites` and ``data/sites.toml``) and three of them in one campaign; and an `archive` of up to a hundred
+thousand images (ties in `archive_ties`, files in `archive_files`).
 
 What all of them are made of:
 
@@ -17,8 +16,9 @@ What all of them are made of:
 
 Names of the package itself, imported on first use: the settings and functions in `_HOME`.
 
-Networks drawn anew, archives to fetch from, a CTX pair with jitter and passes of LROC's two cameras serve tests and
-scripts alone: `tests/redraw.py`, `tests/flaky_archive.py`, `tests/ctx_pair.py`, `tests/nac_pair.py`.
+Networks drawn anew, archives to fetch from, a CTX pair with jitter, passes of LROC's two cameras and blocks of HRSC
+passes serve tests and scripts alone: `tests/redraw.py`, `tests/flaky_archive.py`, `tests/ctx_pair.py`,
+`tests/nac_pair.py`, `tests/mex_block.py`.
 """
 
 from importlib import import_module
@@ -27,8 +27,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from mgsgraph.simulation.files import write_pair as write_pair
     from mgsgraph.simulation.files import write_site as write_site
-    from mgsgraph.simulation.hrsc_block import BlockSettings as BlockSettings
-    from mgsgraph.simulation.hrsc_block import simulate_hrsc_block as simulate_hrsc_block
     from mgsgraph.simulation.pair import PairSettings as PairSettings
     from mgsgraph.simulation.pair import simulate_pair as simulate_pair
     from mgsgraph.simulation.site import SimulationOptions as SimulationOptions
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
 
 _HOME = {
     "files": ("write_pair", "write_site"),
-    "hrsc_block": ("BlockSettings", "simulate_hrsc_block"),
     "pair": ("PairSettings", "simulate_pair"),
     "site": ("SimulationOptions", "simulate_site"),
     "strip": ("StripSettings", "simulate_strip"),

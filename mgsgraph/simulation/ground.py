@@ -1,10 +1,10 @@
 """The simulated ground: its height, slope and brightness anywhere, and where rays meet it.
 
-`SiteTerrain` is the ground of the study sites (`make_terrain`) and under the HRSC blocks (`block_terrain`). Its heights
-count along the radius, from the ellipsoid at the same planetocentric latitude (MOLA's planetary radius minus the
-ellipsoid's). It is the regional level (three waves of some 400 km) plus two periodic surfaces that are smooth: pictures
-show no facets, and there is no edge at which the ground ends. Levels of the sites are those of the MOLA grids
-megr90n000cb and megt90n000cb at the sites' centres, rounded to 10 m.
+`SiteTerrain` is the ground of the study sites (`make_terrain`). Its heights count along the radius, from the ellipsoid
+at the same planetocentric latitude (MOLA's planetary radius minus the ellipsoid's). It is the regional level (three
+waves of some 400 km) plus two periodic surfaces that are smooth: pictures show no facets, and there is no edge at which
+the ground ends. Levels of the sites are those of the MOLA grids megr90n000cb and megt90n000cb at the sites' centres,
+rounded to 10 m.
 
 Pair and strip have a sum of three sines instead (`sine_height`), which is exact and fast for millions of points.
 """
@@ -37,14 +37,6 @@ _BLOCK = 1 << 14
 """Points evaluated at once, so that the arrays between stay in the processor's cache."""
 _STEPS, _TOLERANCE = 40, 2e-5
 """Newton steps at most, and height (m) above the ground at which a ray has met it."""
-_BLOCK_LEVEL = -1500.0
-"""m, mean height of the ground under a block above the ellipsoid."""
-_COARSE, _FINE = 1000.0, 50.0
-"""m between the coefficients of a block's relief and detail."""
-_ROUGHNESS, _HURST = 600.0, 0.6
-"""m rms of a block's relief, over 1024 km, and its Hurst exponent; chosen (see `block_terrain`), not fitted to Mars."""
-_DETAIL, _DETAIL_HURST = 15.0, 0.2
-"""m rms of a block's detail, over 51 km, and its exponent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,31 +256,6 @@ def make_terrain(site_name: str, seed: int) -> SiteTerrain:
     )
 
 
-@lru_cache(maxsize=2)
-def block_terrain(longitude: float, latitude: float, seed: int) -> SiteTerrain:
-    """True ground about a longitude and latitude in rad; the same ones and the same seed give the same ground.
-
-    The relief is fractal down to a kilometre and doesn't repeat itself within a block; a finer one lies over it.
-    Amplitudes are such that a grid of 1/64 degree tells the ground to some 7 m between its posts (rms), so that with
-    the posts' noise of 10 m a point lies 10 m off it, rms; slopes are 2 degrees at the posts' distance: what a shift of
-    the grid shows by.
-    """
-    of_relief, of_detail = np.random.default_rng(seed).spawn(2)
-    ground = SiteGround(longitude, latitude, _BLOCK_LEVEL, 0.0, _ROUGHNESS, _HURST, 0.0, 0.0, 0.0, 0.0)
-    return SiteTerrain(
-        site="block",
-        seed=seed,
-        ellipsoid=MARS,
-        centre_lon=longitude,
-        centre_lat=latitude,
-        ground=ground,
-        waves=np.zeros((0, 4)),
-        relief=PeriodicSurface(_COARSE, np.float32(_ROUGHNESS) * fractal((4096, 1024), _HURST, of_relief)),
-        detail=PeriodicSurface(_FINE, np.float32(_DETAIL) * fractal((1024, 1024), _DETAIL_HURST, of_detail)),
-        brightness=PeriodicSurface(_FINE, np.ones((1, 1), dtype=np.float32)),
-    )
-
-
 def _waves(rng: np.random.Generator) -> Array:
     """Regional level: three waves, whole numbers of them about the body, of 350 to 600 km and at most 60 m each."""
     direction = rng.uniform(0.0, np.pi, 3)
@@ -336,10 +303,8 @@ GRID_PLANIMETRIC = 200.0
 GRID_VERTICAL = 10.0
 """m rms, noise of each post of a site's terrain grid."""
 
-_SITE_PARTS, _BLOCK_PARTS = 5, 3
-"""Points along and across a grid's cell whose mean is its post, of a study site and of a block."""
-_BEYOND = 6
-"""Posts by which a block's grid reaches beyond its points."""
+_PARTS = 5
+"""Points along and across a grid's cell whose mean is its post."""
 
 
 def grid_shift(terrain: SiteTerrain) -> Array:
@@ -358,33 +323,10 @@ def terrain_grid(terrain: SiteTerrain, ppd: int, reach: tuple[float, float] = (2
     shift, rng = grid_shift(terrain), _grid_stream(terrain)
     rng.standard_normal(2)  # taken by the shift
     centre, half = np.array([terrain.centre_lon, terrain.centre_lat]), np.array(reach) / terrain.metres_per_radian
-    lon, lat = _posts(centre - half, centre + half, DEG / ppd)
-    radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _SITE_PARTS)
+    lon, lat = posts_between(centre - half, centre + half, DEG / ppd)
+    radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _PARTS)
     radii += GRID_VERTICAL * rng.standard_normal(radii.shape)
-    return _grid(f"simulated {terrain.site}", ppd, lon, lat, radii, GRID_VERTICAL, GRID_PLANIMETRIC)
-
-
-def block_grid(
-    terrain: SiteTerrain,
-    points: Array,
-    ppd: int,
-    noise: float,
-    shift: Array,
-    missing: float,
-    rng: np.random.Generator,
-) -> TerrainGrid:
-    """A grid under the points (n, 3) of a block, m, body-fixed, and some posts beyond.
-
-    Its content lies off the truth by `shift` (2,) m east and north; each post has noise of `noise` m rms, and the share
-    `missing` of them is NaN.
-    """
-    lon, lat, _ = planetocentric(points).T
-    covered = np.stack([in_turn(lon, terrain.centre_lon), lat])
-    lon, lat = _posts(covered.min(axis=1), covered.max(axis=1), DEG / ppd, _BEYOND)
-    radii = cell_means(terrain, lon, lat, DEG / ppd, shift, _BLOCK_PARTS)
-    radii += noise * rng.standard_normal(radii.shape)
-    radii[rng.random(radii.shape) < missing] = np.nan
-    return _grid("simulated block", ppd, lon, lat, radii, noise or None, None)
+    return simulated_grid(f"simulated {terrain.site}", ppd, lon, lat, radii, GRID_VERTICAL, GRID_PLANIMETRIC)
 
 
 def areoid_under(terrain: SiteTerrain, grid: TerrainGrid) -> Array:
@@ -410,19 +352,20 @@ def cell_means(terrain: SiteTerrain, lon: Array, lat: Array, step: float, shift:
     return radii.reshape(shape)
 
 
-def _posts(low: Array, high: Array, step: float, beyond: int = 0) -> tuple[Array, Array]:
-    """Longitudes and latitudes (rows, columns) in rad of the posts that enclose `low` and `high` (2,), and of as many
-    rows and columns `beyond`; from the north, eastward.
+def posts_between(low: Array, high: Array, step: float) -> tuple[Array, Array]:
+    """Longitudes and latitudes (rows, columns) in rad of the posts that enclose `low` and `high` (2,); from the north,
+    eastward.
     """
-    west, south = np.floor(low / step - 0.5).astype(int) - beyond
-    east, north = np.ceil(high / step - 0.5).astype(int) + beyond
+    west, south = np.floor(low / step - 0.5).astype(int)
+    east, north = np.ceil(high / step - 0.5).astype(int)
     lon, lat = np.meshgrid((np.arange(west, east + 1) + 0.5) * step, (np.arange(north, south - 1, -1) + 0.5) * step)
     return lon, lat
 
 
-def _grid(
+def simulated_grid(
     source: str, ppd: int, lon: Array, lat: Array, radii: Array, vertical: float | None, planimetric: float | None
 ) -> TerrainGrid:
+    """Radii (rows, columns) in m at such posts, with their sigmas in m."""
     return TerrainGrid(
         source=f"{source} at {ppd} posts per degree",
         radii=radii,

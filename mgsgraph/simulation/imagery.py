@@ -14,7 +14,6 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection
 from mgsgraph.geometry.records import Array
 from mgsgraph.geometry.terrain import refined
-from mgsgraph.matching.dense import DenseMatches
 from mgsgraph.simulation.ground import SiteTerrain
 
 Picture = NDArray[np.uint8]
@@ -150,33 +149,3 @@ def _shade(east: _Single, north: _Single, terrain: SiteTerrain, sun: Array) -> _
     facing = s[2] - s[0] * by_east - s[1] * by_north
     facing /= np.sqrt(np.float32(1.0) + by_east * by_east + by_north * by_north)
     return np.asarray(terrain.albedo(east, north) * facing, dtype=np.float32)
-
-
-
-_EDGE = 12.0
-"""pixels from the edges of the first image, half a window, from which matches begin."""
-
-
-def true_matches(
-    terrain: SiteTerrain,
-    first: PushbroomImage,
-    second: PushbroomImage,
-    step: float,
-    noise: float,
-    rng: np.random.Generator,
-) -> DenseMatches:
-    """Matches of two images as they were taken, `step` pixels apart in the first, with `noise` (pixels) in the second;
-    the images are the first and second of their network.
-    """
-    lines, samples = np.meshgrid(
-        np.arange(_EDGE, first.lines, step), np.arange(_EDGE, first.samples, step), indexing="ij"
-    )
-    anchors = np.column_stack([lines.ravel(), samples.ravel()]) + 0.5
-    points = terrain.intersect(*first.sightlines(*anchors.T))
-    pixels = second.ground_to_image(points)[0]
-    visible = np.all((pixels > 0.5) & (pixels < np.array([second.lines, second.samples]) - 0.5), axis=1)
-    count = int(visible.sum())
-    spacing = float(np.linalg.norm(points[1] - points[0]))
-    covariances = np.broadcast_to(noise**2 * np.eye(2), (count, 2, 2))
-    drawn = pixels[visible] + rng.normal(0.0, noise, (count, 2))
-    return DenseMatches(0, 1, spacing, anchors.shape[0], anchors[visible], drawn, covariances, np.full(count, 0.9))

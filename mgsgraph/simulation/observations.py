@@ -14,20 +14,8 @@ from mgsgraph.geometry.image import PushbroomImage
 from mgsgraph.geometry.orientation import OrientationCorrection, OrientationPrior
 from mgsgraph.geometry.records import Array, Index, Mask
 from mgsgraph.names import Names, RepeatedNames
-from mgsgraph.network import (
-    GroundPoints,
-    ImageRays,
-    Network,
-    NodePrior,
-    Pass,
-    PointClass,
-    ProcessPrior,
-    Ranges,
-    Surface,
-)
-from mgsgraph.network.common import CommonErrors, common_heights
 from mgsgraph.record import Record
-from mgsgraph.simulation.ground import SiteTerrain, block_grid, rays_to_sines
+from mgsgraph.simulation.ground import rays_to_sines
 
 MARGIN = 30.0
 """pixels which true image points keep from the edges: six default sigmas of a footprint's measure."""
@@ -135,64 +123,6 @@ def free_points(
         measures=measures,
         measure_sigmas=np.broadcast_to(sigma, (k, 2)),
     )
-
-
-def tie_network(
-    images: Sequence[PushbroomImage], passes: Sequence[Pass], rays: ImageRays, count: int, surface: Surface | None,
-    heights: CommonErrors | None,
-) -> Network:  # fmt: skip
-    """Images whose orientation is that of their passes, `count` free tie points, their rays, a terrain model, and what
-    heights above it have in common.
-    """
-    prior = passes[0].prior
-    assert isinstance(prior, NodePrior | ProcessPrior)
-    own, none = OrientationPrior(prior.node_sigmas(np.zeros(1))), np.zeros(0)  # of no effect: passes have their own
-    return Network(
-        images=tuple(images),
-        priors=(own,) * len(images),
-        held=np.zeros(len(images), dtype=bool),
-        points=GroundPoints(
-            ids=Names.of(f"P{i:07d}" for i in range(count)),
-            classes=np.full(count, int(PointClass.TIE)),
-            kinds=np.full(count, int(PointKind.FREE)),
-            places=np.full((count, 3), np.nan),
-            covariances=np.zeros((count, 3, 3)),
-        ),
-        rays=rays,
-        ranges=Ranges(none.astype(np.int64), none.astype(np.int64), none, none, none),
-        surface=surface,
-        passes=tuple(passes),
-        common_heights=heights,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class TerrainErrors(Record):
-    """A terrain model like MOLA's and its errors."""
-
-    posts_per_degree: int = 64
-    """Resolution of the grid."""
-    vertical: float = 10.0
-    """m rms, noise of each post; and the stated sigma of a point's height above the model (see `block_terrain`)."""
-    planimetric: float = 200.0
-    """m, sigma eastward and northward of the common shift, which is an unknown of the network; 0 for none."""
-    missing: float = 0.0
-    """Share of posts that are missing."""
-
-
-def terrain_model(
-    errors: TerrainErrors | None, relief: SiteTerrain, points: Array, rng: np.random.Generator
-) -> tuple[Surface | None, CommonErrors | None, Array]:
-    """Terrain model as control of points (n, 3) in m, what their heights have in common, and what it lacks of the
-    truth, (1, 2) m east and north; no rows where posts miss, no shift (0, 2) without a model or where it has none.
-    """
-    if errors is None:
-        return None, None, np.zeros((0, 2))
-    shift = errors.planimetric * rng.standard_normal(2)
-    grid = block_grid(relief, points, errors.posts_per_degree, errors.vertical, -shift, errors.missing, rng)
-    sigmas = np.nan_to_num(grid.height_sigmas(points), nan=np.inf)
-    surface, common = common_heights(Surface(grid, sigmas, errors.planimetric), points)
-    return surface, common, shift[None][: 1 if errors.planimetric else 0]
 
 
 def project(

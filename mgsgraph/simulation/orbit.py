@@ -1,10 +1,9 @@
 """Orbits of the simulated spacecraft: position and attitude over time, and the tables that a trajectory has of them.
 
-All fly a Kepler orbit that is at an apse at its epoch (`Orbit`). There are three ways to say which one:
+All fly a Kepler orbit that is at an apse at its epoch (`Orbit`). There are two ways to say which one:
 
 * `circular_orbit` and `circular_trajectory`: a circle past a site (pair, strip, bridge image; rigs over the Moon);
-* `site_pass`: MGS over a study site, with the published emission angle and ground speed;
-* `hrsc_flight.PericentrePass`: Mars Express over a block of HRSC passes.
+* `site_pass`: MGS over a study site, with the published emission angle and ground speed.
 
 A camera at nadir turns with the orbit; one that looks aside is held in inertial space, as MGS did it. Truth is smooth;
 what is wrong with the kernels (`sites.KernelErrors`) is in the nominal trajectory of a study site alone.

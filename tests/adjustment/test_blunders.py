@@ -5,6 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from block_ground import TerrainErrors
+from mex_block import BlockSettings, simulate_hrsc_block
+from mex_flight import PointMatching
 from networks import network, pair
 from scipy.stats import chi2, kstest
 
@@ -14,9 +17,8 @@ from mgsgraph.adjustment.covariances import PointRows
 from mgsgraph.adjustment.settings import SolverSettings
 from mgsgraph.adjustment.solution import Solution
 from mgsgraph.analysis.linearised import at_solution
+from mgsgraph.geometry.body import east_north_up
 from mgsgraph.network import Network, PointClass
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import PointMatching
 
 LIMIT = SolverSettings(reject=4.0)
 
@@ -122,3 +124,28 @@ def test_a_unit_is_the_a_priori_one_unless_the_class_contradicts_it() -> None:
     assert squared_unit(0.25 * rng.chisquare(2, 4000) / chi2.median(2), 4000) == pytest.approx(0.25, rel=0.1)
     few = 4.0 * rng.chisquare(1, 2) / chi2.median(1)
     assert squared_unit(few, 2) == 1.0
+
+
+# above two seconds: adjusts a block of two passes twice
+def test_blunders_are_sought_without_the_terrain_and_then_with_it() -> None:
+    """The two steps of Spiegel et al. (2006): rays that contradict each other go in the first call, a point whose rays
+    all agree on a place 900 m above the ground in the second.
+    """
+    settings = BlockSettings(passes=2, length=80e3, points=140, matches=PointMatching(blunders=0.01),
+                             terrain=TerrainErrors(missing=0.01))  # fmt: skip
+    made, wrong = simulate_hrsc_block(settings, seed=4), 7
+    net, places = made.network, made.network.rays.places.copy()
+    own = np.flatnonzero(net.rays.point == wrong)
+    raised = made.true_points[[wrong]] + 900.0 * east_north_up(made.true_points[[wrong]])[0, 2]
+    for k, image in zip(own.tolist(), net.rays.image[own].tolist(), strict=True):
+        places[k] = net.images[image].ground_to_image(raised, made.corrections[image], places[[k], 0])[0][0]
+    net = replace(net, rays=replace(net.rays, places=places))
+    free = adjust_network(replace(net, surface=None), replace(LIMIT, starts=0))
+    assert rejected(free).tolist() == np.flatnonzero(made.blunders).tolist()
+    assert free.determined[wrong]
+    rest = replace(net, rays=net.rays.chosen(free.rays_used))
+    fitted = adjust_network(rest, replace(LIMIT, starts=0))
+    assert free.converged
+    assert fitted.converged
+    assert not fitted.determined[wrong]
+    assert set(rest.rays.point[rejected(fitted)].tolist()) == {wrong}

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from explicit_form import by_gtsam
+from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import NODES, network, on_passes, pair, with_shift_and_surface
+from redraw import forward_intersection, redraw
 from sharing import with_all_kinds
 
 from mgsgraph.adjustment import solution as of_solution
 from mgsgraph.adjustment.adjust import adjust_network
+from mgsgraph.adjustment.covariances import prior_covariance
 from mgsgraph.adjustment.graph import lay_out
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import orientation_profiles
@@ -210,3 +213,54 @@ def test_profiles_of_images_together_are_each_by_itself(
         np.testing.assert_allclose(found.rotation_sigma[at], sigmas, rtol=1e-9, atol=1e-15)
         one = posterior.pose(picture.name, float(lines[2])).covariance
         np.testing.assert_allclose(found.position_sigma[at][2], np.sqrt(np.diagonal(one))[:3], rtol=1e-6, atol=1e-9)
+
+
+# --- covariances a priori
+
+
+def test_an_image_of_which_nothing_is_known_has_no_a_priori_covariance() -> None:
+    net = network(pair())
+    unknown = OrientationPrior(np.full_like(net.priors[0].sigmas, np.inf))
+    net = replace(net, priors=(unknown, net.priors[1]))
+    assert prior_covariance(lay_out(net, SolverSettings())) is None
+
+
+@pytest.mark.parametrize(("share", "forgets"), [(1.0, 0.0), (1e-2, 60.0), (1e-6, 0.0), (1e-6, 60.0)])
+def test_a_priori_covariance_of_nodes_that_hardly_leave_their_trend(share: float, forgets: float) -> None:
+    """In closed form: bias, drift, and departures that are correlated by the time between them."""
+    errors = TrajectoryErrors()
+    errors = replace(errors, attitude_wander=share * errors.attitude_wander, correlation_time=forgets,
+                     position_wander=share * errors.position_wander)  # fmt: skip
+    settings = BlockSettings(passes=2, length=120e3, points=100, terrain=None, errors=errors)
+    net = simulate_hrsc_block(settings, seed=4).network
+    joint = prior_covariance(lay_out(net, SolverSettings()))
+    assert joint is not None
+    for pass_, first in zip(net.passes, net.first_of_passes.tolist(), strict=False):
+        times = pass_.nodes.times
+        ago = np.abs(times[:, None] - times)
+        along = 2.0 * (times - times[0]) / (times[-1] - times[0]) - 1.0
+        course = np.exp(-ago / forgets) if forgets else np.eye(times.size)
+        sizes = [(errors.position, errors.position_drift, errors.position_wander)] * 3
+        sizes += [(errors.attitude, errors.attitude_drift, errors.attitude_wander)] * 3
+        found = joint.of(range(first, first + times.size))
+        for axis, (bias, drift, wander) in enumerate(sizes):
+            want = bias**2 + drift**2 * np.multiply.outer(along, along) + wander**2 * course
+            np.testing.assert_allclose(found[axis::6, axis::6], want, rtol=1e-9)
+    first, second, end = net.first_of_passes.tolist()
+    assert not np.any(joint.of(range(first, end))[: joint.of(range(first, second)).shape[0], -6:])
+
+
+# above two seconds: every unknown is moved by itself
+
+
+# above two seconds: many draws
+def test_forward_intersection_carries_the_orientation_on() -> None:
+    """Covariances of points a priori, against places of the simulated truth and many others by the same prior."""
+    settings = BlockSettings(passes=2, length=40e3, points=20, spacing=20.0, terrain=None)
+    net, squares = simulate_hrsc_block(settings, seed=4).network, []
+    covariances = forward_intersection(net)[1]
+    for seed in range(30):
+        drawn = redraw(net, np.random.default_rng(seed))
+        error = forward_intersection(drawn.network)[2] - drawn.places
+        squares.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariances), error).mean() / 3.0)
+    assert np.mean(squares) == pytest.approx(1.0, abs=5.0 * np.std(squares) / np.sqrt(len(squares)))

@@ -17,7 +17,6 @@ from mgsgraph.adjustment.adjust import adjust_network
 from mgsgraph.adjustment.incremental.incremental import IncrementalAdjustment
 from mgsgraph.adjustment.settings import Angles, Line, SolverSettings
 from mgsgraph.adjustment.solution import Solution, orientation_profile
-from mgsgraph.adjustment.two_steps import without_terrain
 from mgsgraph.analysis.reliability import reliability
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import east_north
@@ -410,11 +409,6 @@ def test_parts_of_a_network_keep_what_they_consider() -> None:
     assert set(joined(parts).considered) == {"profile", TERRAIN}
     with pytest.raises(InputError, match="profile"):
         joined([select_points(net, shots[:2]), select_points(replace(net, considered=()), shots[2:])])
-
-
-def test_without_its_terrain_a_network_considers_the_rest() -> None:
-    net = replace(with_shift_and_surface(network(pair()), SHIFT), considered=("profile", TERRAIN))
-    assert without_terrain(net).considered == ("profile",)
 
 
 def test_names_of_no_unknowns_are_refused() -> None:

@@ -277,7 +277,7 @@ correlation_time_s = 1.0
     with pytest.raises(InputError, match="strengths or vibrations to be estimated"):
         group(["project", "init", str(tmp_path / "project"), "--case", str(path)], standalone_mode=False)
     with pytest.raises(click.UsageError, match="estimated strengths"):
-        group(["adjust", str(path), "--two-steps", "--out", str(tmp_path / "out")], standalone_mode=False)
+        group(["adjust", str(path), "--cluster", "local:1", "--out", str(tmp_path / "out")], standalone_mode=False)
 
 
 # --- [[mountings]] in a case file

@@ -339,10 +339,9 @@ def test_what_numba_compiles_is_said_once(capsys: pytest.CaptureFixture[str]) ->
 
 def test_a_bar_tells_how_long_shrinking_steps_will_take(monkeypatch: pytest.MonkeyPatch) -> None:
     said, clock = list[str](), iter(range(0, 1000, 10))
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     bar = progress.IterationBar(False)
     monkeypatch.setattr(bar.bar, "set_postfix_str", lambda text, refresh: said.append(text))
-    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(clock)))
-    bar.begin("anew")
     for step in (1.0, 1e-2, 1e-4, 1e-7):
         bar(SimpleNamespace(cost=2.0, step=step))  # type: ignore[arg-type]
     assert [re.findall(r"about (\d+) s", text) for text in said] == [[], ["10"], ["7"], []]

@@ -1,4 +1,4 @@
-"""Heights as a person uses them: `mgsgraph dem`, `adjust --two-steps`, `register` and `shots`; one line for errors."""
+"""Heights as a person uses them: `mgsgraph dem`, `adjust` with terrain, `footprints`; one line for errors."""
 
 import csv
 import json
@@ -12,19 +12,17 @@ import numpy as np
 import profiles
 import pytest
 import rasterio
-from click.testing import CliRunner
 from commands import call, refusal, refused, rows_of, run
 from rasterio.warp import transform
 
 import mgsgraph
-from mgsgraph.analysis import two_step_statistics
-from mgsgraph.cli import group
 from mgsgraph.errors import InputError
 from mgsgraph.files.altimetry.shots import read_shots
 from mgsgraph.files.networks.pvl import write_pvl_network
 from mgsgraph.files.networks.tie_points import control_network
 from mgsgraph.project.reading import oriented_images
 from mgsgraph.results import terrain_model
+from mgsgraph.results.archive import read_solution
 from mgsgraph.results.places import SELECTION
 from mgsgraph.units import DEG
 
@@ -137,7 +135,7 @@ def test_bad_input_writes_nothing(site: Path, tmp_path: Path, case_file: Path) -
     assert sorted(path.name for path in tmp_path.iterdir()) == ["case", "foreign"]
 
 
-# --- `mgsgraph adjust --two-steps` as a person uses it
+# --- `mgsgraph adjust` with a terrain model as a person uses it
 
 
 REFERENCE = 3_396_190.0
@@ -161,27 +159,18 @@ def add_terrain(case_file: Path, east: float = 0.0, missing: float = 0.0) -> Non
         file.write(f'\n[terrain]\nradius = "terrain.tif"\nreference_radius_m = {REFERENCE}\n')
 
 
-@pytest.mark.slow
-def test_from_a_case_to_the_page_and_the_map(case_file: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    done = run("adjust", case_file, "--two-steps", "--out", out)
-    assert done.returncode == 2
-    assert "no terrain model as control" in done.stderr
-    assert not out.exists()
-
+def test_two_steps_are_two_calls(case_file: Path, tmp_path: Path) -> None:
+    """As docs/terrain.md has them: of the case without its terrain model as control, and of the case."""
     add_terrain(case_file)
-    done = run("adjust", case_file, "--two-steps", "--reject", "5", "-v", "--out", out)
-    assert done.returncode == 0, done.stderr
-    names = {path.name for path in out.iterdir()}
-    assert {f"two_steps.{kind}" for kind in ("json", "csv")} <= names
-    assert {"heights.csv", "height_map_1.png", "solution.npz"} <= names
-    record = json.loads((out / "two_steps.json").read_text(encoding="utf-8"))
-    assert record["program"] == "mgsgraph"
-    assert all(one["converged"] for one in record["steps"])
-
-    again = run("adjust", case_file, "--out", out, "--no-figures")  # one step replaces it
-    assert again.returncode == 0, again.stderr
-    assert not any(path.name.startswith(("two_steps", "height")) for path in out.iterdir())
+    free = case_file.with_name("free.toml")
+    text = case_file.read_text(encoding="utf-8")
+    free.write_text(text.replace("[terrain]", "[terrain]\ncontrol = false"), encoding="utf-8")
+    for path, rows in ((free, False), (case_file, True)):
+        out = tmp_path / f"{path.stem}-out"
+        assert call("adjust", path, "--reject", 4, "--no-figures", "--out", out) == 0
+        solution = read_solution(out)
+        assert (solution.network.surface is not None) == rows
+        assert solution.rays_rejected is not None
 
 
 @pytest.mark.parametrize(
@@ -194,22 +183,8 @@ def test_terrain_without_points_is_told_in_a_line(
     add_terrain(case_file, east, missing)
     if not ties:
         case_file.write_text(re.sub(r"\[ties\][^\[]*", "", case_file.read_text(encoding="utf-8")), encoding="utf-8")
-    assert said in refusal("adjust", case_file, "--two-steps", "--no-figures", "--out", tmp_path / "out")
+    assert said in refusal("adjust", case_file, "--no-figures", "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_the_solution_outlives_its_merit(case_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(_: object) -> None:
-        raise KeyboardInterrupt
-
-    add_terrain(case_file)
-    monkeypatch.setattr(two_step_statistics, "two_step_statistics", fails)
-    out = tmp_path / "out"
-    told = CliRunner().invoke(group, ["adjust", str(case_file), "--two-steps", "--no-figures", "--out", str(out)])
-    assert told.exit_code != 0
-    assert json.loads((out / "solution.json").read_text(encoding="utf-8"))["program"] == "mgsgraph"
-    assert (out / "solution.npz").exists()
-    assert not (out / "two_steps.json").exists()
 
 
 # --- `mgsgraph footprints` as a person uses it: files, sentences, exit status, and nothing left over after b

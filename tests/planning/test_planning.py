@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from increments import NOISE, network_of, strip
+from mex_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from networks import network, pair, with_shift_and_surface
 from once import once
 
@@ -41,7 +42,6 @@ from mgsgraph.planning.state import (
     state_of_solution,
     updated,
 )
-from mgsgraph.simulation.hrsc_block import BlockSettings, TrajectoryErrors, simulate_hrsc_block
 from mgsgraph.simulation.strip import SimulatedStrip
 from mgsgraph.units import MGON
 

@@ -8,7 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from block_ground import TerrainErrors
 from mex import FOLDER
+from mex_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
+from mex_flight import (
+    HRSC_LINES,
+    HRSC_PIXELS,
+    STEREO,
+    Jitter,
+    PointMatching,
+    Readout,
+    correction_at,
+    drawn_nodes,
+    hrsc_interior,
+    true_correction,
+)
 from outside import require
 from redraw import assert_unit_variance
 
@@ -17,10 +31,7 @@ from mgsgraph.geometry.body import east_north, planetocentric
 from mgsgraph.geometry.orientation import OrientationCorrection, evenly_spaced
 from mgsgraph.network import Network, NodePrior
 from mgsgraph.network.passes import LinearFactor, normalised
-from mgsgraph.simulation.camera import HRSC_LINES, HRSC_PIXELS, STEREO, hrsc_interior
-from mgsgraph.simulation.hrsc_block import BlockSettings, SimulatedBlock, TrajectoryErrors, simulate_hrsc_block
-from mgsgraph.simulation.hrsc_flight import Jitter, PointMatching, Readout, correction_at, drawn_nodes, true_correction
-from mgsgraph.simulation.observations import MARGIN, TerrainErrors
+from mgsgraph.simulation.observations import MARGIN
 from mgsgraph.units import DEG, MGON, MM
 
 SMALL = BlockSettings(passes=3, crossing=1, length=300e3, points=1500)

@@ -49,7 +49,7 @@ TABLES = (
     DEMO, RECORD, "solution.npz", "summary.json", "points.csv", "points.parquet", "orientation.csv", "residuals.csv",
     "residuals.parquet", "connectivity.csv",
     "shared.csv", "passes.csv", "drivers.csv", "report.html",
-    "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",
+    "two_steps.txt", "two_steps.json", "two_steps.csv", "heights.csv", "height_cells.csv",  # of versions up to 0.2
     REGISTRATION, "registration.csv", "discrepancy.csv",
     PLAN, "plan.csv",
     ANALYSIS, "unexplained.csv", "vibrations.csv", "components.csv", "components_iterated.csv", "reliability.csv",

@@ -1,9 +1,5 @@
-"""A terrain model drawn: heights with shading, sigma, the laser shots that check it over the ortho image; and points
-above a terrain model before and after two steps.
-"""
+"""A terrain model drawn: heights with shading, sigma, the laser shots that check it over the ortho image."""
 
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +9,11 @@ from matplotlib.colors import LightSource, Normalize
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mgsgraph.analysis.two_step_statistics import TwoStepStatistics
 from mgsgraph.files.rasters.raster_file import open_raster, read_band
-from mgsgraph.geometry.body import centre_of, plane_coordinates
 from mgsgraph.geometry.records import Array, thinned
 from mgsgraph.registration.dem.checking import check_figures
 from mgsgraph.registration.dem.model import Dem
-from mgsgraph.results.figures.map import outlines_of, points_window, window_sheet
-from mgsgraph.results.figures.sheet import INK, MOST_MARKS, Sheet, limit, new_sheet, number, plain_style, sheet_name
+from mgsgraph.results.figures.sheet import INK, MOST_MARKS, Sheet, new_sheet, number, plain_style
 from mgsgraph.text import many, short, some
 from mgsgraph.units import KM
 
@@ -136,19 +129,3 @@ def _caption(dem: Dem) -> str:
         f"{number(differences['mean_m'])} m on the average, {number(differences['rms_m'])} m rms, "
         f"{number(differences['rms_by_sigma'], 2)} times what is stated."
     )
-
-
-
-def height_map_sheets(statistics: TwoStepStatistics) -> Iterator[Sheet]:
-    """Heights above the terrain model where the rays alone put the points, before and after both steps, on one scale of
-    colors.
-    """
-    solution, points = statistics.steps.fitted, statistics.points[statistics.used]
-    heights, centre = statistics.heights[:, statistics.used], centre_of(solution.places[points])
-    places, half_range = plane_coordinates(solution.places[points], centre), limit(heights)
-    outlines = outlines_of(solution, centre)
-    about = solution.name, centre, np.concatenate([places, *outlines.values()]), outlines
-    for k, (values, when) in enumerate(((heights[0], "before"), (heights[-1], "after step 2")), 1):
-        quantity, classes = (f"height above the terrain {when}", "m"), solution.network.points.classes[points]
-        shown = points_window(about, places, values, quantity, classes, scale=(-half_range, half_range))
-        yield replace(window_sheet(shown), name=sheet_name("height_map", k, 2))

@@ -120,14 +120,13 @@ def block_window(solution: Solution, connected: Connectivity | None = None) -> M
 def points_window(
     about: tuple[str, Array, Array, dict[str, Array]], places: Array, values: Array, quantity: tuple[str, str],
     classes: Index, covariances: Array | None = None, moved: Array | None = None,
-    scale: tuple[float, float] | None = None,
 ) -> MapWindow:  # fmt: skip
     """Points (n, 2), or cells of many, with a quantity (n,) and movements (n, 2); `about`: name, centre, places (k, 2)
     that the map holds, and outlines. Colors begin at zero: small differences look small.
     """
     name, centre, corners, outlines = about
     box = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)])
-    scale = scale or span(values)
+    scale = span(values)
     if len(places) <= MOST_MARKS:
         return MapWindow(name, centre, box, outlines, places, values, quantity, scale, len(places), classes,
                          covariances, moved, None, 0.0)  # fmt: skip

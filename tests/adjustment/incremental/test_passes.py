@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from increments import by_image
+from mex_block import BlockSettings, simulate_hrsc_block
 from nac_pair import NacSettings, PassErrors, simulate_nac_pair
 from networks import pair
 from stereo_pair import stereo_network
@@ -28,7 +29,6 @@ from mgsgraph.network import Network
 from mgsgraph.network.parts import pass_unknowns, select_points, without_images
 from mgsgraph.project.project import Project, open_project
 from mgsgraph.project.settings import ProjectSettings
-from mgsgraph.simulation.hrsc_block import BlockSettings, simulate_hrsc_block
 
 WITHIN = 0.01
 """Sigmas by which the two may differ, as for images with an orientation of their own."""

@@ -14,15 +14,10 @@ their sigmas count with.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-
-from mgsgraph.errors import InputError
-from mgsgraph.geometry.orientation import OrientationCorrection, OrientationImages, evenly_spaced
-from mgsgraph.geometry.records import Array, Mask
-from mgsgraph.network import ImageRays, Network, NodePrior, Pass
-from mgsgraph.record import Record
-from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO
-from mgsgraph.simulation.ground import SiteTerrain, block_terrain
-from mgsgraph.simulation.hrsc_flight import (
+from block_ground import TerrainErrors, block_terrain, terrain_model, tie_network
+from mex_flight import (
+    HRSC_PIXELS,
+    STEREO,
     FlownPass,
     Jitter,
     PericentrePass,
@@ -32,7 +27,14 @@ from mgsgraph.simulation.hrsc_flight import (
     pass_images,
     true_correction,
 )
-from mgsgraph.simulation.observations import TerrainErrors, Visible, terrain_model, tie_network
+
+from mgsgraph.errors import InputError
+from mgsgraph.geometry.orientation import OrientationCorrection, OrientationImages, evenly_spaced
+from mgsgraph.geometry.records import Array, Mask
+from mgsgraph.network import ImageRays, Network, NodePrior, Pass
+from mgsgraph.record import Record
+from mgsgraph.simulation.ground import SiteTerrain
+from mgsgraph.simulation.observations import Visible
 from mgsgraph.simulation.orbit import MARS
 from mgsgraph.units import DEG, MGON
 
@@ -89,14 +91,7 @@ class TrajectoryErrors(Record):
 
 @dataclass(frozen=True, slots=True)
 class BlockSettings(Record):
-    """What block to simulate.
-
-    Examples
-    --------
-    >>> from mgsgraph.simulation import BlockSettings
-    >>> BlockSettings(passes=2).length  # m
-    600000.0
-    """
+    """What block to simulate."""
 
     passes: int = 4
     """Number of passes."""
@@ -185,13 +180,6 @@ def simulate_hrsc_block(settings: BlockSettings | None = None, seed: int = 1) ->
     ------
     InputError
         Where passes are too narrow or short for the points asked for.
-
-    Examples
-    --------
-    >>> from mgsgraph.simulation import BlockSettings, simulate_hrsc_block
-    >>> block = simulate_hrsc_block(BlockSettings(passes=2, length=60e3, points=30, terrain=None), seed=1)
-    >>> print(block.network)
-    Network(10 images, 30 points (30 tie), 149 rays, 0 ranges)
     """
     settings = settings or BlockSettings()
     of_orientation, of_points, of_terrain = np.random.default_rng(seed).spawn(3)

@@ -3,15 +3,24 @@
 The camera's +Z looks to Mars' centre and its +Y follows the motion over the turning ground, so that all lines pass over
 the same swath. Each line begins when it sees the first ground of the nadir image and ends with the last. The line
 period is constant between changes, which all lines of a pass make at the same times, and follows height and speed.
+
+The camera has no distortion. Its numbers are those of ISIS' addendum hrscAddendum004.ti (FOCAL_LENGTH, ITRANSL,
+ITRANSS), written as what they are made of: each line is turned by theta in the focal plane of MEX_HRSC_HEAD and crosses
+its +Y axis (the flight direction; +X is across, against the samples) at Y0, at detector sample So:
+
+    x = -c p (sample - So),  y = Y0 + s p (sample - So),  c, s = cos, sin theta,  p = 7 um.
+
+Y0 over the focal length is the angle by which a line looks ahead: 18.9 deg for S1 and S2, 12.75 deg for P1 and P2.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from mgsgraph.errors import InputError
 from mgsgraph.geometry.body import intersect_ellipsoid, planetocentric
+from mgsgraph.geometry.camera import InteriorOrientation
 from mgsgraph.geometry.image import LineTiming, PushbroomImage
 from mgsgraph.geometry.orientation import Angles, Moments, OrientationCorrection, OrientationImages, evenly_spaced
 from mgsgraph.geometry.records import Array, Index, Mask, assign, frozen
@@ -20,11 +29,61 @@ from mgsgraph.geometry.trajectory import Trajectory
 from mgsgraph.network import NodePrior
 from mgsgraph.network.passes import normalised
 from mgsgraph.record import Record
-from mgsgraph.simulation.camera import HRSC_PIXELS, STEREO, hrsc_interior, line_image, one_rate
+from mgsgraph.simulation.camera import interior_orientation, line_image, one_rate
 from mgsgraph.simulation.ground import SiteTerrain
 from mgsgraph.simulation.observations import MARGIN, Visible, well_inside
 from mgsgraph.simulation.orbit import MARS, MERIDIAN, Orbit, body_matrix, sampled_trajectory
-from mgsgraph.units import DEG
+from mgsgraph.units import DEG, MM
+
+
+class DetectorLine(NamedTuple):
+    """One of HRSC's nine lines of detectors."""
+
+    focal_length: float
+    """mm."""
+    offset: float
+    """mm, Y0: ahead of the lens's axis."""
+    rotation: float
+    """rad, theta."""
+    crossing: float
+    """So: detector sample, first pixel's centre at 1, at which the line crosses the axis of flight."""
+
+
+HRSC_LINES: dict[str, DetectorLine] = {
+    "S1": DetectorLine(174.87, 59.9869, 0.00048, 2595.9317),
+    "IR": DetectorLine(174.82, 49.7918, 0.00044, 2594.8517),
+    "P1": DetectorLine(174.80, 39.5531, 0.00021, 2597.1421),
+    "GREEN": DetectorLine(175.23, 10.2130, 0.00095, 2598.8432),
+    "ND": DetectorLine(175.01, -0.0055, -0.00006, 2597.3376),
+    "BLUE": DetectorLine(175.01, -10.2417, 0.00019, 2602.0075),
+    "P2": DetectorLine(174.74, -39.5483, -0.00034, 2589.3140),
+    "RED": DetectorLine(174.61, -49.7678, -0.00004, 2585.3891),
+    "S2": DetectorLine(174.80, -59.9927, 0.00011, 2588.7635),
+}
+"""From the one that looks farthest ahead to the one that looks farthest back."""
+STEREO = ("S1", "P1", "ND", "P2", "S2")
+"""The five that tie points are matched in."""
+HRSC_PIXELS = 5184
+"""Active pixels of a line."""
+
+_HRSC_PITCH_MM, _HRSC_MIDDLE = 0.007, 2592.5
+"""mm between pixels; detector sample, first pixel's centre at 1, of the lens's axis."""
+
+
+def hrsc_interior(name: str, macropixel: int = 1) -> InteriorOrientation:
+    """Interior orientation of an HRSC line whose samples are means of `macropixel` detector pixels each."""
+    if name not in HRSC_LINES:
+        raise InputError("HRSC", f"line {name!r}", f"one of {', '.join(HRSC_LINES)}")
+    line, pitch = HRSC_LINES[name], _HRSC_PITCH_MM * MM
+    sine, cosine, ahead = np.sin(line.rotation), np.cos(line.rotation), line.offset / _HRSC_PITCH_MM
+    return replace(
+        interior_orientation(line.focal_length * MM, pitch, _HRSC_MIDDLE - 0.5, summing=float(macropixel)),
+        to_pixel=np.array([
+            [-cosine * ahead, sine / pitch, cosine / pitch],
+            [line.crossing - _HRSC_MIDDLE - sine * ahead, -cosine / pitch, sine / pitch],
+        ]),
+    )  # fmt: skip
+
 
 _ANGLE = 12.5 / 265e3
 """rad along track of a line without macropixels: 12.5 m at 265 km. (Across track the optics have 10.6 m there.)"""
