@@ -201,7 +201,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
         view = "document.getElementById('images').view"
         for k, (first, _) in enumerate(given.values()):  # around places that the ties show
             place = first + rng.uniform(-15.0, 15.0, 2)
-            seen.run(f"place => {{ {view}.zoomTo(2); {view}.centre = place; {view}.request(); }}", place.tolist())
+            seen.run(f"place => {{ {view}.zoomTo(2); {view}.center = place; {view}.request(); }}", place.tolist())
             seen.tab.wait_for_timeout(700)
             seen.run(f"{view}.panes[0].canvas.focus()")
             seen.tab.keyboard.press("m")
@@ -393,7 +393,7 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
     press(seen, "Release")
     seen.until("studio.last.kind === 'release'")
     seen.until("document.querySelector('#point h2').textContent.includes('tie point, free')")
-    press(seen, "Take it out")
+    press(seen, "Remove")
     seen.until("studio.last.kind === 'remove'")
     for _ in range(6):
         revision = seen.run("studio.last.revision")

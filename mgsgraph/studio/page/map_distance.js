@@ -1,7 +1,7 @@
 // Distances on the map: two clicks, or Enter for the middle of the window; points have sigmas, free places have none.
 
-import {make, short} from './plot.js';
-import {trace, write} from './map_frame.js';
+import {write} from './map_frame.js';
+import {make, short, trace} from './plot.js';
 
 export class MapDistance {
   constructor(map) {
