@@ -479,4 +479,4 @@ def test_questions_by_keys(seen: Page, tie: str) -> None:
     seen.until("document.querySelectorAll('#questions tbody tr').length > 0")
     press(seen, "Show them on the map")
     seen.until("!document.getElementById('map').hidden")
-    assert seen.run("document.getElementById('map').view.candidates.every(one => one.map_m.every(Number.isFinite))")
+    assert seen.run("studio.candidates.every(one => one.map_m.every(Number.isFinite))")

@@ -1,7 +1,8 @@
 // What all panels share: what is open, the selected point, requests, changes, and the line that says what happened.
-// Events: "opened" (the scene is there), "selected" (a point), "placed" (a place in an image), "changed" (a change was
-// stored; event.detail says what), "renewed" (what the whole block says is to be read anew: at once, or where that takes
-// long, when no other change has come for a while), "job" (another browser's), "worked" (a job has begun or ended).
+// Events: "opened" (the scene is there; panels are made after it), "shown" (a panel), "selected" (a point), "placed" (a
+// position in an image), "changed" (a change was stored; event.detail says what), "renewed" (all that depends on the block
+// is to be read again: at once, or where that takes long, when no other change has come for a while), "job" (another
+// browser's), "worked" (a job has begun or ended), "judged" (the verdict is there), "candidates" (of the next measurement).
 
 const SOON = 700, CALM = 2500, LOOK = 5000, PATIENCE = 200; // ms
 const QUIET = ['/api/state', '/api/work', '/api/verdict']; // asked in the background
@@ -30,7 +31,8 @@ export const withModifier = event => event.ctrlKey || event.metaKey || event.alt
 export class App extends EventTarget {
   constructor(saying) {
     super();
-    Object.assign(this, {saying, views: {}, scene: null, selection: '', before: '', placed: null, last: null, browser: identity(), busy: 0, reading: 0, waiting: 0});
+    Object.assign(this, {saying, views: {}, scene: null, selection: '', before: '', placed: null, last: null, candidates: []});
+    Object.assign(this, {browser: identity(), busy: 0, reading: 0, waiting: 0});
     const look = () => { if (!document.hidden) this.notice(); };
     setInterval(look, LOOK);
     window.addEventListener('focus', look);
@@ -155,7 +157,7 @@ export class App extends EventTarget {
     return point && this.orSay(Promise.resolve(view.lookAt?.(point, image)));
   }
 
-  // A place of an image that was clicked: {image, line, sample}
+  // A position in an image that was clicked: {image, line, sample}
   place(found) {
     this.placed = found;
     this.emit('placed', found);

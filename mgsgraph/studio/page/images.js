@@ -276,7 +276,7 @@ class Images {
     this.asked.next = true;
     if (this.asked.running) return;
     this.asked.running = true;
-    while (this.asked.next) {
+    while (this.asked.next && this.fitted()) {
       this.asked.next = false;
       const {name, image} = this.frame, cross = this.crossPlace;
       const place = [Math.max(0, Math.min(image.lines, cross[0])), Math.max(0, Math.min(image.samples, cross[1]))];

@@ -209,14 +209,14 @@ class Lists {
     this.draw();
   }
 
-  // A point is selected for all views; an image is shown by those that hear of it
+  // A point is selected for all views; Enter and a double click show an image
   select(whole = false) {
     const row = this.row();
     if (!row) return;
     this.selecting = true;
     if (this.ofPoints) this.app.select(row[0]);
     this.selecting = false;
-    if (this.name === 'images') (whole ? this.app.show('images') : Promise.resolve()).then(() => this.app.emit('image', row[0]));
+    if (this.name === 'images' && whole) this.app.look({kind: 'image', name: row[0]}, 'images');
     this.draw();
   }
 

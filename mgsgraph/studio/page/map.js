@@ -32,7 +32,7 @@ class MapPanel {
     app.addEventListener('changed', event => this.changed(event.detail));
     app.hear(element, ['renewed'], () => { this.layers = {}; this.checked = false; this.offer(); this.readOutlines(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
-    app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
+    app.addEventListener('candidates', () => this.render());
     app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
     this.offer();
     this.value.value = app.scene.adjusted ? 'sigma' : 'rays';

@@ -14,7 +14,7 @@ export class MapPicture {
 
   // All layers that are shown, from below upwards; pen: {context, x, y: m to pixels, width, height, ink, moved, strong}
   draw(pen) {
-    const {shown, layers, app, candidates, outlines} = this.map, {points} = layers, single = points?.form === 'points';
+    const {shown, layers, app, outlines} = this.map, {points} = layers, single = points?.form === 'points';
     if (shown.sigmas && layers.sigmas) this.drawSigmas(pen, layers.sigmas);
     if (shown.footprints && outlines) this.drawOutlines(pen, outlines);
     if (shown.points && points) single ? this.drawMarks(pen, points) : this.drawCells(pen, points);
@@ -25,7 +25,7 @@ export class MapPicture {
     }
     if (shown.residuals && layers.residuals) this.factors.residuals = this.arrows(pen, layers.residuals.places, layers.residuals.vectors, 30);
     if (shown.changes && app.last?.moved) this.drawChange({...pen, ink: pen.moved}, app.last.moved.filter(one => one.map_m));
-    if (shown.candidates && candidates) this.drawCandidates(pen, candidates.filter(one => one.map_m));
+    if (shown.candidates) this.drawCandidates(pen, app.candidates.filter(one => one.map_m));
     this.drawSelection(pen);
   }
 

@@ -20,9 +20,10 @@ export class MapSelection {
   async ask(which, words) {
     const {app, value} = this.map;
     const asked = new URLSearchParams({...which, value: value.value, classes: this.map.asked().get('classes')});
-    this.found = await app.orSay(app.request(`/api/select?${asked}`)) || this.found;
-    if (!this.found) return;
-    const {count, names, values, order, unit} = this.found;
+    const found = await app.orSay(app.request(`/api/select?${asked}`));
+    if (!found) return;
+    this.found = found;
+    const {count, names, values, order, unit} = found;
     this.words.textContent = `${count} points ${words}${count > names.length ? `, the ${names.length} of the largest ${order} are listed` : ''}; ${order} in ${unit}.`;
     this.names.replaceChildren(...names.map((name, k) => {
       const one = button('', () => app.select(name), {value: name});

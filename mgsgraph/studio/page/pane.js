@@ -171,7 +171,7 @@ export class Pane {
 
   tieWords(k) {
     const {ties} = this.image, residual = ties.residuals[k], sigma = ties.sigmas[k];
-    const off = residual ? `residual ${short(residual[0], 2)} and ${short(residual[1], 2)} px` : 'no place';
+    const off = residual ? `residual ${short(residual[0], 2)} and ${short(residual[1], 2)} px` : 'no predicted position';
     return `${ties.kinds[k]} ${ties.names[k]}${ties.used[k] ? '' : ', rejected'}: ${off} in line and sample, `
       + `sigma ${short(sigma[0], 2)} and ${short(sigma[1], 2)} px`;
   }

@@ -142,7 +142,8 @@ class Questions {
     ]), 'No further point would lower it.');
     best.append(caption(candidates[0]?.gain_percent < 0.1 ? `${sentence} Each gains less than 0.1 %.` : sentence), button('Show them on the map', () => app.show('map')));
     this.answers.prepend(best);
-    app.emit('candidates', candidates);
+    app.candidates = candidates;
+    app.emit('candidates');
     app.say('The map marks them by squares with numbers.');
   }
 }

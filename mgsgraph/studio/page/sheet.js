@@ -1,4 +1,4 @@
-// The sheet of the selected point: its place and sigmas, every ray with chip, residual and tests; what a person may
+// The sheet of the selected point: its position and sigmas, each measurement with chip, residual and tests; what a user may
 // change of it. Each change is stored at once, and the map and this sheet say what it did.
 
 import {Chips} from './chips.js';
@@ -116,7 +116,8 @@ class Sheet {
   }
 
   moving(ray, where) {
-    this.open(where, this.placing(ray, ({line, sample}) => this.change({kind: 'move', image: ray.image, line, sample}), () => this.draw()));
+    const buttons = [...where.childNodes];
+    this.open(where, this.placing(ray, ({line, sample}) => this.change({kind: 'move', image: ray.image, line, sample}), () => where.replaceChildren(...buttons)));
   }
 
   // A form in its place, its first field in focus
