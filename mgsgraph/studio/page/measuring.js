@@ -80,7 +80,7 @@ export class Measuring {
     this.list.replaceChildren(...items);
     this.storing.disabled = !this.places.size;
     this.sentence.textContent = this.places.size
-      ? 'Store measures the point in these images, in one change that can be undone.'
+      ? 'Store: one change, which can be undone.'
       : 'Click the point in each image, or bring it under the cross and press Enter.';
     this.images.request();
   }

@@ -33,7 +33,7 @@ class Questions {
       make('div', {className: 'tools'},
         row('Ground points', this.points, button('How well known?', () => this.askPoints()), button('Is the height difference real?', () => this.askPair())),
         row('Next', this.planning = button('What should I measure next?', () => this.plan())),
-        row('Place in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
+        row('Position in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
           button('Orientation at this line', () => this.askPose()),
           button('Where is the selected point?', () => this.askProjection()),
           button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels})))),
@@ -109,7 +109,7 @@ class Questions {
 
   add() {
     const place = {image: this.image.value, line: this.number(this.line), sample: this.number(this.sample)};
-    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Give line and sample of the place.', 'error');
+    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Give line and sample of the position.', 'error');
     this.pixels.push(place);
     return this.listRays();
   }
