@@ -368,6 +368,11 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
         before = point_state(project, tie)
     assert before is not None
     show(seen, tie)
+    tests = "document.querySelectorAll('#point table.rays .number span').length"
+    seen.until(f"{tests} > 0")
+    press(seen, "Move")
+    seen.tab.keyboard.press("Escape")
+    assert seen.run(tests) > 0  # a move that is given up leaves what the sheet says
     press(seen, "Move")
     line = seen.run("Number(document.activeElement.value)")
     seen.tab.keyboard.type(f"{line + 1.5}")  # what has the focus is chosen whole
@@ -440,6 +445,18 @@ def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder:
     assert {(one.image, one.line, one.sample) for one in found.measures} == {
         (one.image, one.line, one.sample) for one in (first, second)
     }
+
+
+def test_a_hidden_sheet_asks_when_it_is_shown(seen: Page, tie: str) -> None:
+    show(seen, tie)
+    seen.show("questions")
+    seen.asked.clear()
+    other = seen.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
+    seen.run("names => names.forEach(one => studio.select(one))", [other, tie, other])
+    seen.tab.wait_for_timeout(300)
+    assert [one for one in seen.asked if "/api/point" in one] == []
+    seen.show("point")
+    seen.until("name => document.querySelector('#point h2')?.textContent.startsWith(`${name}:`)", other)
 
 
 def test_questions_by_keys(seen: Page, tie: str) -> None:

@@ -204,8 +204,9 @@ class Lists {
   }
 
   async markAll() {
-    const found = await this.app.orSay(this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`));
-    for (const row of found?.rows || []) this.state.marked.set(this.keyOf(row), row);
+    const {state} = this, found = await this.app.orSay(this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`));
+    if (state !== this.state) return;
+    for (const row of found?.rows || []) state.marked.set(this.keyOf(row), row);
     this.draw();
   }
 
