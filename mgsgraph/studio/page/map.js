@@ -50,9 +50,10 @@ class MapPanel {
     this.distanceButton = button('Distance', () => this.distance.toggle(), {title: 'Key d: between two points, with sigmas, or free positions'});
     const save = make('select', {title: 'Save this view as a figure with its caption', onchange: () => this.save(save)},
       ...options([['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]));
-    const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), button('+', () => this.zoom(1.5), {title: 'Zoom in', ariaLabel: 'Zoom in'}),
-      button('−', () => this.zoom(1 / 1.5), {title: 'Zoom out', ariaLabel: 'Zoom out'}), button('Whole block', () => this.whole(), {title: 'Key 0'}), this.distanceButton,
-      this.boxing, button('Select in window', () => this.selection.inside(this.box()), {title: 'Key b'}), this.selection.form, save);
+    const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), this.selection.form,
+      button('+', () => this.zoom(1.5), {title: 'Zoom in', ariaLabel: 'Zoom in'}), button('−', () => this.zoom(1 / 1.5), {title: 'Zoom out', ariaLabel: 'Zoom out'}),
+      button('Whole block', () => this.whole(), {title: 'Key 0'}), this.distanceButton, this.boxing,
+      button('Select in window', () => this.selection.inside(this.box()), {title: 'Key b'}), save);
     const pictured = this.app.scene.images.filter(one => one.picture).length;
     this.classBox = make('fieldset', {}, make('legend', {textContent: 'Points'}));
     const layers = make('fieldset', {}, make('legend', {textContent: 'Layers'}), ...LAYERS.map(([key, words, on]) => {
@@ -61,7 +62,7 @@ class MapPanel {
     }));
     const drawn = make('details', {open: window.innerWidth >= 1000}, make('summary', {textContent: 'What is drawn'}),
       make('div', {className: 'tools'}, layers, this.classBox, make('label', {}, 'Image on top ', this.top),
-        make('label', {}, 'Residuals of ', this.image), make('label', {}, 'Vectors and ellipses × (0: automatic) ', this.factor)));
+        make('label', {}, 'Residuals of ', this.image), make('label', {}, 'Enlargement (0: automatic) ', this.factor)));
     this.canvas = make('canvas', {className: 'map-canvas', tabIndex: 0, role: 'application', ariaLabel: LABEL});
     [this.where, this.words, this.under] = ['', '', ''].map(caption);
     [this.legend, this.impact] = [make('div'), make('div')];

@@ -9,7 +9,7 @@ export class MapSelection {
     this.names = make('ul', {className: 'names', ariaLabel: 'Selected points'});
     this.least = make('input', {type: 'number', step: 'any', title: 'Least value of what the points are colored by', required: true});
     const select = () => this.ask({least: this.least.value}, `of at least ${this.least.value}`);
-    this.form = form('', 'Select by value', select, () => {}, make('label', {}, 'Value at least ', this.least), ' ',
+    this.form = form('', 'Select by value', select, () => {}, make('label', {}, 'at least ', this.least), ' ',
       make('button', {type: 'submit', textContent: 'Select'}));
   }
 
