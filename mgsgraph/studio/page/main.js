@@ -21,7 +21,7 @@ const KEYS = {
     ['v', 'verdict and its reasons'], ['?', 'these keys'], ['Escape', 'close what is open']],
   Map: [
     ['arrows, + −, 0', 'move, zoom, whole block'], ['c', 'select the point nearest to the middle'], ['b', 'select the points in the window'],
-    ['Shift + drag', 'select the points in a box'], ['d', 'distance of two points or positions: click both, or Enter at the middle']],
+    ['Shift + drag', 'select the points in a box'], ['d', 'distance: click two points or positions, or Enter at the middle']],
   Images: [
     ['arrows, + −, 0', 'move, zoom, whole image'], ['Tab', 'to the next tool, then the next image'], ['n, p', 'next, previous tie by the size of its residual'],
     ['m', 'measure a point'], ['Enter', 'select or measure at the cross'], ['t', 'lines along the pane, downwards, or north up'],
@@ -29,7 +29,7 @@ const KEYS = {
     ['o', 'orientation before or after the adjustment']],
   Lists: [
     ['arrows, Page, Home, End', 'the active row'], ['Enter, Space', 'select, mark the active row'],
-    ['r, a, u', 'reject, accept, undecided (verdicts of a case): the marked rows, else the active one'], ['n', 'note about the active row (verdicts of a case)']],
+    ['r, a, u', 'reject, accept, undecided (verdicts of a case): the marked rows, else the active one']],
   Point: [['Enter', 'show the point of this name, store a position'], ['+ −', 'on a chip: zoom all chips'], ['Escape', 'cancel a move or a measurement']],
   Questions: [['Enter', 'ask the first question of the row']],
 };
