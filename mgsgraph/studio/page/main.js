@@ -29,7 +29,7 @@ const KEYS = {
     ['o', 'orientation before or after the adjustment']],
   Lists: [
     ['arrows, Page, Home, End', 'the active row'], ['Enter, Space', 'select, mark the active row'],
-    ['r, a, u', 'reject, accept, undecided (verdicts of a case): the marked rows, else the active one']],
+    ['r, a, u', 'reject, accept, undecided: marked rows or the active one']],
   Point: [['Enter', 'show the point of this name, store a position'], ['+ −', 'on a chip: zoom all chips'], ['Escape', 'cancel a move or a measurement']],
   Questions: [['Enter', 'ask the first question of the row']],
 };
@@ -70,7 +70,7 @@ async function show(key) {
   one.made ??= opening.then(() => import(one.module)).then(({Panel}) => { app.views[key] = one.element.view = new Panel(app, one.element); });
   await one.made;
   app.emit('shown', key);
-  if (key === 'map' && document.activeElement === document.body) app.views.map.canvas.focus({preventScroll: true});
+  if (document.activeElement === document.body) one.element.querySelector('[role=application]')?.focus({preventScroll: true}); // its keys
   return app.views[key];
 }
 app.show = show;
