@@ -134,7 +134,7 @@ export class App extends EventTarget {
     this.emit('renewed');
   }
 
-  // What was promised; where it is refused, the reason is said below and there is nothing
+  // The answer of a request; undefined where it fails, and the line below says why
   orSay(promise) {
     return promise.catch(error => this.say(error.message, 'error'));
   }

@@ -249,7 +249,7 @@ class Lists {
   get refusal() {
     const {kind, verdicts, writable, lock} = this.app.scene, {size} = this.state.marked;
     if (kind !== 'project' && !verdicts) return 'To reject, make a project: mgsgraph project init PROJECT --case CASE. For verdicts, start the studio with --case CASE.';
-    if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements, make a project: mgsgraph project init PROJECT --case CASE.';
+    if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements: mgsgraph project init PROJECT --case CASE.';
     if (kind === 'project' && !writable) return lock;
     return size > MOST ? `At most ${MOST} rows at a time; ${size} are marked.` : '';
   }

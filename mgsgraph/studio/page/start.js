@@ -91,7 +91,8 @@ export function worst(app, {measurements, points, images, profiles}) {
   const profile = one => [look(one.profile, 'map', 'profile', one.profile, {point: one.middle}),
     `${short(one.shift_along_m)}, ${short(one.shift_across_m)}`, short(one.shift_sigmas)];
   return make('div', {className: 'worst'},
-    table('Measurements', ['point', 'image', 'residual of line, sample (px)', 'residual / sigma', ''], measurements.map(measurement), 'No image measurement has a residual.'),
+    table('Measurements', ['point', 'image', 'residual of line, sample (px)', 'residual / sigma', ''],
+      measurements.map(measurement), 'No image measurement has a residual.'),
     table('Points', ['point', '3-D sigma (m)', ''], points.map(one => [look(one.id, 'point', 'point', one.id), short(one.sigma_m), ways('point', one.id)]),
       app.scene.adjusted ? 'No point has a sigma.' : 'Sigmas are known after an adjustment.'),
     table('Images', ['image', 'rms residual (px)'], images.map(one => [look(one.image, 'images', 'image', one.image), short(one.rms_px)]), 'No image has residuals.'),
