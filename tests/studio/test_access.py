@@ -122,13 +122,13 @@ def test_reload_and_second_tab_work_and_another_port_gets_the_cookie_alone(
     context = browser.new_context()
     tab = context.new_page()
     tab.goto(page.as_uri())
-    tab.wait_for_selector("#map[data-ready]")
+    tab.wait_for_selector("#start .worst")
     assert tab.url == f"{running.root}/"
     tab.reload()
-    tab.wait_for_selector("#map[data-ready]")
+    tab.wait_for_selector("#start .worst")
     second = context.new_page()
     second.goto(running.root)
-    second.wait_for_selector("#map[data-ready]")
+    second.wait_for_selector("#start .worst")
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other) as other:
         threading.Thread(target=other.serve_forever, daemon=True).start()
         third = context.new_page()

@@ -137,10 +137,10 @@ def test_everything_by_keys(seen: Callable[..., Images]) -> None:
             break
         page.tab.keyboard.press("Tab")
     assert page.run("view.active === view.panes[0]")
-    before, zoom = page.run("[view.centre, view.zoom]")
+    before, zoom = page.run("[view.center, view.zoom]")
     for key in ("ArrowRight", "ArrowDown", "+"):
         page.tab.keyboard.press(key)
-    after, larger = page.run("[view.centre, view.zoom]")
+    after, larger = page.run("[view.center, view.zoom]")
     assert after[0] > before[0]
     assert after[1] < before[1]  # lines go right, samples up
     assert larger == pytest.approx(1.25 * zoom)
@@ -149,7 +149,7 @@ def test_everything_by_keys(seen: Callable[..., Images]) -> None:
     assert page.run("view.zoom") == pytest.approx(zoom, rel=0.05)
     page.tab.keyboard.press("Shift+ArrowRight")
     page.settled()
-    assert page.run("view.centre[0]") - before[0] == pytest.approx(1.0, abs=1e-6)
+    assert page.run("view.center[0]") - before[0] == pytest.approx(1.0, abs=1e-6)
     for _ in range(20):
         page.tab.keyboard.press("Tab")
         if page.run("view.active === view.panes[1]"):
@@ -206,7 +206,7 @@ def test_a_tie_is_chosen_by_a_click_and_shown_when_chosen_elsewhere(seen: Callab
     page = seen()
     page.run("studio.select(view.panes[0].image.ties.names[3])")
     page.run("view.zoomTo(1)")
-    page.run("view.centreOn(view.panes[0], view.panes[0].image.ties.measured[3]); studio.select('')")
+    page.run("view.centerOn(view.panes[0], view.panes[0].image.ties.measured[3]); studio.select('')")
     page.settled()
     box = page.tab.locator(".image-canvas").first.bounding_box()
     page.tab.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -220,8 +220,8 @@ def test_panes_come_and_go(seen: Callable[..., Images]) -> None:
     page.settled()
     first, third = page.run("[view.mapping(view.panes[0]).scale, view.mapping(view.panes[2]).scale]")
     assert third == pytest.approx(first, rel=0.2)
-    page.tab.get_by_title("Take this image away").first.click()
-    page.tab.get_by_title("Take this image away").first.click()
+    page.tab.get_by_title("Remove this image").first.click()
+    page.tab.get_by_title("Remove this image").first.click()
     assert page.run("view.panes.length") == 1
     page.settled()
 
@@ -245,7 +245,7 @@ def test_two_images_in_one_pane(seen: Callable[..., Images]) -> None:
     page = seen()
     page.run("{ for (const key of Object.keys(view.shown)) if (key !== 'turned') view.shown[key] = false; }")
     page.run("view.zoomTo(16); view.panes[0].canvas.focus()")
-    page.run("view.centre = view.centre.map(one => Math.floor(one) + 0.5); view.cursor = [0, 0]; view.ask()")
+    page.run("view.center = view.center.map(one => Math.floor(one) + 0.5); view.cursor = [0, 0]; view.ask()")
 
     def shades() -> tuple[list[float], list[float]]:
         page.settled()
@@ -302,7 +302,7 @@ def test_marks_thin_out_and_the_worst_stay(seen: Callable[..., Images]) -> None:
     page.run("studio.select('x7')")
     page.settled()
     assert page.run("view.panes[0].seen.some(one => view.panes[0].image.ties.names[one.k] === 'x7')")
-    page.run("view.centreOn(view.panes[0], [2500, 500]); view.zoomTo(64)")
+    page.run("view.centerOn(view.panes[0], [2500, 500]); view.zoomTo(64)")
     page.settled()
     assert page.run("view.panes[0].seen.length === view.panes[0].seen.all")
 

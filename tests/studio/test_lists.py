@@ -191,6 +191,12 @@ def test_rows_by_keys(page: Page) -> None:
     with page.tab.expect_download() as download:
         page.tab.get_by_text("Save table …").click()
     assert len(list(csv.DictReader(io.StringIO(Path(download.value.path()).read_text())))) == 56
+    page.tab.click("#lists button[value=images]")
+    page.until(f"{LISTS}.name === 'images' && Boolean({LISTS}.state.found && {LISTS}.row(0))")
+    page.tab.locator(".list-scroll").focus()
+    for key in ("End", "Enter"):
+        page.tab.keyboard.press(key)
+    page.until("document.getElementById('images').view?.panes[0]?.name === studio.scene.images.at(-1).name")
 
 
 def test_ties_of_a_case_are_judged(browser: Any, pictured_case: Path) -> None:

@@ -195,7 +195,7 @@ def test_a_person_measures_the_real_moc_pair(browser: Any, shared_data: Path, tm
         view = "document.getElementById('images').view"
         for k, (first, _) in enumerate(given.values()):  # around places that the ties show
             place = first + rng.uniform(-15.0, 15.0, 2)
-            seen.run(f"place => {{ {view}.zoomTo(2); {view}.centre = place; {view}.request(); }}", place.tolist())
+            seen.run(f"place => {{ {view}.zoomTo(2); {view}.center = place; {view}.request(); }}", place.tolist())
             seen.tab.wait_for_timeout(700)
             seen.run(f"{view}.panes[0].canvas.focus()")
             seen.tab.keyboard.press("m")
@@ -287,6 +287,11 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
         before = point_state(project, tie)
     assert before is not None
     show(seen, tie)
+    tests = "document.querySelectorAll('#point table.rays .number span').length"
+    seen.until(f"{tests} > 0")
+    press(seen, "Move")
+    seen.tab.keyboard.press("Escape")
+    assert seen.run(tests) > 0  # a move that is given up leaves what the sheet says
     press(seen, "Move")
     line = seen.run("Number(document.activeElement.value)")
     seen.tab.keyboard.type(f"{line + 1.5}")  # what has the focus is chosen whole
@@ -312,7 +317,7 @@ def test_every_change_by_keys_and_all_of_them_undone(seen: Page, folder: Path, t
     press(seen, "Release")
     seen.until("studio.last.kind === 'release'")
     seen.until("document.querySelector('#point h2').textContent.includes('tie point, free')")
-    press(seen, "Take it out")
+    press(seen, "Remove")
     seen.until("studio.last.kind === 'remove'")
     for _ in range(6):
         revision = seen.run("studio.last.revision")
@@ -361,6 +366,18 @@ def test_a_measure_more_begins_where_geometry_puts_the_point(seen: Page, folder:
     }
 
 
+def test_a_hidden_sheet_asks_when_it_is_shown(seen: Page, tie: str) -> None:
+    show(seen, tie)
+    seen.show("questions")
+    seen.asked.clear()
+    other = seen.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
+    seen.run("names => names.forEach(one => studio.select(one))", [other, tie, other])
+    seen.tab.wait_for_timeout(300)
+    assert [one for one in seen.asked if "/api/point" in one] == []
+    seen.show("point")
+    seen.until("name => document.querySelector('#point h2')?.textContent.startsWith(`${name}:`)", other)
+
+
 def test_questions_by_keys(seen: Page, tie: str) -> None:
     other = seen.run("studio.request('/api/select?value=sigma&classes=tie').then(one => one.names[0])")
     seen.run("names => names.forEach(one => studio.select(one))", [tie, other])
@@ -398,4 +415,4 @@ def test_questions_by_keys(seen: Page, tie: str) -> None:
     seen.until("document.querySelectorAll('#questions tbody tr').length > 0")
     press(seen, "Show them on the map")
     seen.until("!document.getElementById('map').hidden")
-    assert seen.run("document.getElementById('map').view.candidates.every(one => one.map_m.every(Number.isFinite))")
+    assert seen.run("studio.candidates.every(one => one.map_m.every(Number.isFinite))")

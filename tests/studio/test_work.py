@@ -231,7 +231,7 @@ def test_a_height_difference_by_two_clicks(folder: Path, browser: Any) -> None:
         seen = Page(browser, running)
         found = seen.run("studio.request('/api/worst')")
         seen.show("start")
-        names = [one["point"] for one in found["points"][:2]]
+        names = [one["id"] for one in found["points"][:2]]
         for name in names:
             seen.run("name => studio.select(name)", name)
         asked = Browser.json(running.browser(), "/api/questions", {"pairs": [names]})[0]["record"]

@@ -1,5 +1,5 @@
 // Where the pixels of an image lie on its canvas: an affine mapping, in CSS pixels.
-// Places are [line, sample], the first pixel's centre at [0.5, 0.5]; on the canvas x goes right and y goes down.
+// Places are [line, sample], the first pixel's center at [0.5, 0.5]; on the canvas x goes right and y goes down.
 
 export class Affine {
   // x = at.x + a (sample - place[1]) + b (line - place[0]);  y = at.y + c (sample - place[1]) + d (line - place[0])
@@ -31,10 +31,10 @@ export class Affine {
   }
 }
 
-// The first image, whose own pixels make the frame of all others: `centre` is in the middle of the canvas; `axes` are
+// The first image, whose own pixels make the frame of all others: `center` is in the middle of the canvas; `axes` are
 // a, b, c and d for a sample of about one CSS pixel.
-export function ofFrame(centre, zoom, axes, width, height) {
-  return new Affine(centre, [width / 2, height / 2], ...axes.map(one => zoom * one));
+export function ofFrame(center, zoom, axes, width, height) {
+  return new Affine(center, [width / 2, height / 2], ...axes.map(one => zoom * one));
 }
 
 // Another image so that the same ground is at the same point of its canvas, exactly at a linked place and about it by

@@ -1,7 +1,8 @@
 // What all panels share: what is open, the selected point, requests, changes, and the line that says what happened.
-// Events: "opened" (the scene is there), "selected" (a point), "placed" (a place in an image), "changed" (a change was
-// stored; event.detail says what), "renewed" (what the whole block says is to be read anew: at once, or where that takes
-// long, when no other change has come for a while), "job" (another browser's), "worked" (a job has begun or ended).
+// Events: "opened" (the scene is there; panels are made after it), "shown" (a panel), "selected" (a point), "placed" (a
+// position in an image), "changed" (a change was stored; event.detail says what), "renewed" (all that depends on the block
+// is to be read again: at once, or where that takes long, when no other change has come for a while), "job" (another
+// browser's), "worked" (a job has begun or ended), "judged" (the verdict is there), "candidates" (of the next measurement).
 
 const SOON = 700, CALM = 2500, LOOK = 5000, PATIENCE = 200; // ms
 const QUIET = ['/api/state', '/api/work', '/api/verdict']; // asked in the background
@@ -24,10 +25,14 @@ export async function ask(path, {headers, ...options} = {}) {
   throw Object.assign(new Error(found || `The studio answered with ${answer.status}.`), {status: answer.status});
 }
 
+// Whether a key is pressed with another one, which makes it one of the browser's
+export const withModifier = event => event.ctrlKey || event.metaKey || event.altKey;
+
 export class App extends EventTarget {
   constructor(saying) {
     super();
-    Object.assign(this, {saying, scene: null, selection: '', before: '', placed: null, last: null, browser: identity(), busy: 0, reading: 0, waiting: 0});
+    Object.assign(this, {saying, views: {}, scene: null, selection: '', before: '', placed: null, last: null, candidates: []});
+    Object.assign(this, {browser: identity(), busy: 0, reading: 0, waiting: 0});
     const look = () => { if (!document.hidden) this.notice(); };
     setInterval(look, LOOK);
     window.addEventListener('focus', look);
@@ -38,6 +43,13 @@ export class App extends EventTarget {
     return this.scene?.job?.state === 'running';
   }
 
+  // Why nothing can be changed now; empty where it can
+  get refusal() {
+    const {kind, lock, job} = this.scene;
+    if (kind !== 'project') return 'Only a project can be changed: make one with mgsgraph project init.';
+    return this.running ? `${job.title} is running.` : lock || '';
+  }
+
   async open() {
     const [scene, state] = await Promise.all([this.request('/api/scene'), this.request('/api/state')]);
     this.scene = Object.assign(scene, state);
@@ -46,6 +58,17 @@ export class App extends EventTarget {
 
   emit(name, detail) {
     this.dispatchEvent(new CustomEvent(name, {detail}));
+  }
+
+  // What a panel does at events; while it is hidden not at once, but when it is shown again
+  hear(element, names, act) {
+    let missed = false;
+    const heard = () => {
+      missed = element.hidden;
+      if (!missed) act();
+    };
+    for (const name of names) this.addEventListener(name, heard);
+    this.addEventListener('shown', () => missed && heard());
   }
 
   // The answer of the server as an object; an Error with its sentence where it refuses
@@ -113,18 +136,18 @@ export class App extends EventTarget {
 
   async renew() {
     const began = performance.now();
-    try {
-      this.take(...await Promise.all([this.request('/api/scene'), this.request('/api/state')]));
-    } catch (error) {
-      this.say(error.message, 'error');
-    }
+    this.take(...await this.orSay(Promise.all([this.request('/api/scene'), this.request('/api/state')])) || []);
     this.reading = performance.now() - began;
     this.emit('renewed');
   }
 
-  // A change whose refusal is said below
+  // The answer of a request; undefined where it fails, and the line below says why
+  orSay(promise) {
+    return promise.catch(error => this.say(error.message, 'error'));
+  }
+
   tryTo(body) {
-    return this.change(body).catch(error => this.say(error.message, 'error'));
+    return this.orSay(this.change(body));
   }
 
   select(name) {
@@ -134,43 +157,14 @@ export class App extends EventTarget {
   }
 
   // A view of an image, a profile or a point: {kind, name; image of a point, point of a profile}
-  async look({kind, name, image, point = kind === 'point' ? name : ''}, view) {
-    if (kind === 'image') return this.see([{image: name}]);
+  async look({kind, name, image, point = kind === 'point' ? name : ''}, key) {
     if (point) this.select(point);
-    if (view === 'images') {
-      const {rays} = await this.request(`/api/point?${new URLSearchParams({name: point})}`);
-      return rays.length ? this.see([...rays].sort((a, b) => (b.image === image) - (a.image === image)), point) : this.say(`${point} is measured in no image.`, 'error');
-    }
-    await this.show(view);
-    const map = document.getElementById('map').view;
-    if (view !== 'map' || !point || !map.view) return undefined;
-    const {map_m: place} = await this.request(`/api/point?${new URLSearchParams({name: point})}`);
-    if (!place || place.includes(null)) return this.say(`${point} has no place.`, 'error');
-    [map.view.x, map.view.y] = place;
-    return map.touched();
+    const view = await this.show(key);
+    if (kind === 'image') return view.see([{image: name}]);
+    return point && this.orSay(Promise.resolve(view.lookAt?.(point, image)));
   }
 
-  // Images side by side, the first one's place in the middle: [{image, line, sample}]
-  async see(places, point = '', most = 2) {
-    await this.show('images');
-    const {view} = document.getElementById('images');
-    const ready = () => view.fitted() && view.panes.length >= Math.min(2, this.scene.images.length) && view.panes.every(one => one.image);
-    for (let k = 0; k < 100 && !ready(); k += 1) await new Promise(done => { setTimeout(done, 50); });
-    for (const [k, {image}] of places.slice(0, most).entries()) {
-      const pane = view.panes[k];
-      if (!pane) await view.addPane(image);
-      else if (pane.name !== image) await pane.choose(pane.chooser.value = image);
-    }
-    const [{line, sample}] = places;
-    if (line !== undefined) {
-      view.zoomTo(1);
-      view.centreOn(view.frame, [line, sample]);
-    }
-    if (point) this.emit('selected', point);
-    return view;
-  }
-
-  // A place of an image that was clicked: {image, line, sample}
+  // A position in an image that was clicked: {image, line, sample}
   place(found) {
     this.placed = found;
     this.emit('placed', found);

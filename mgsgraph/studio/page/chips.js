@@ -28,7 +28,7 @@ export class Chips {
     canvas.addEventListener('keydown', zoomed);
     new ResizeObserver(() => this.draw()).observe(canvas);
     this.all.push(chip);
-    this.read(chip).catch(error => this.app.say(error.message, 'error'));
+    this.app.orSay(this.read(chip));
     return canvas;
   }
 

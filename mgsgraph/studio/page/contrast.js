@@ -1,6 +1,6 @@
 // Black and white of a picture: a window on its histogram, moved by its two handles, as a whole, or set by buttons.
 
-import {make, pageColours, prepared, short} from './plot.js';
+import {button, make, pageColors, prepared, short} from './plot.js';
 
 const SOON = 120; // ms without a further step, after which tiles are asked for
 
@@ -13,7 +13,6 @@ export class Contrast {
     this.canvas = make('canvas', {className: 'histogram', title: 'Drag to move the window'});
     this.canvas.onpointerdown = event => this.canvas.setPointerCapture(event.pointerId);
     this.canvas.onpointermove = event => event.buttons && this.set(this.window.map(one => one + event.movementX * span / this.canvas.clientWidth));
-    const button = (textContent, onclick) => make('button', {type: 'button', textContent, onclick});
     this.words = make('output');
     this.element = make('div', {className: 'contrast'}, this.words, make('div', {className: 'histogram-box'}, this.canvas, ...this.handles),
       button('Whole range', () => this.set([least, most])), button('0.5 to 99.5 %', () => this.set([low, high])), button('This view', () => this.ofView()));
@@ -25,7 +24,7 @@ export class Contrast {
     this.window = window;
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.pane.layer?.setContrast(...window), SOON);
-    this.words.textContent = `Grey ${short(window[0])} black, ${short(window[1])} white`;
+    this.words.textContent = `Gray ${short(window[0])} black, ${short(window[1])} white`;
     return this.draw();
   }
 
@@ -35,12 +34,8 @@ export class Contrast {
     const bounds = owner.mapping(this.pane, canvas)?.bounds(canvas.clientWidth, canvas.clientHeight);
     if (!bounds) return;
     const asked = new URLSearchParams({name, line0: bounds[0][0], line1: bounds[0][1], sample0: bounds[1][0], sample1: bounds[1][1]});
-    try {
-      const {low, high} = await owner.app.request(`/api/image/contrast?${asked}`);
-      this.set([low, high]);
-    } catch (error) {
-      owner.app.say(error.message, 'error');
-    }
+    const found = await owner.app.orSay(owner.app.request(`/api/image/contrast?${asked}`));
+    if (found) this.set([found.low, found.high]);
   }
 
   draw() {
@@ -50,7 +45,7 @@ export class Contrast {
     context.clearRect(0, 0, width, height);
     context.fillStyle = 'rgba(86, 180, 233, 0.25)';
     context.fillRect(toX(this.window[0]), 0, toX(this.window[1]) - toX(this.window[0]), height);
-    context.fillStyle = pageColours(this.canvas).ink;
+    context.fillStyle = pageColors(this.canvas).ink;
     counts.forEach((one, k) => context.fillRect(k * width / counts.length, height, width / counts.length, -height * one / most));
   }
 }

@@ -1,28 +1,19 @@
 // What is drawn on an image's canvas: frame, grid, ties with residuals, shots before and after, ellipses, the cross.
 
-import {roundBelow, short, ticks} from './plot.js';
+import {label, roundBelow, short, ticks} from './plot.js';
 
-export const COLOURS = {
+export const COLORS = {
   tie: '#F0E442', rejected: '#FF7A45', before: '#E69F00', after: '#56B4E9', ellipse: '#FFFFFF', measured: '#00E5A0', other: '#C9A7FF',
 };
 const MARK = 4; // CSS pixels, half a mark
 const TIES = 24, SHOTS = 40; // CSS pixels, about: cells of the screen with one mark each
 
-// Strokes twice, dark and wide beneath: to be seen on any grey
-function stroke(context, path, colour, width = 1.5, rim = 0.75) {
-  context.strokeStyle = `rgba(0, 0, 0, ${rim})`;
-  context.lineWidth = width + 2;
-  context.stroke(path);
-  context.strokeStyle = colour;
-  context.lineWidth = width;
-  context.stroke(path);
-}
-
-// Text with a dark rim
-export function label(context, words, x, y, colour = '#ffffff') {
-  Object.assign(context, {lineWidth: 3, strokeStyle: 'rgba(0, 0, 0, 0.75)', fillStyle: colour});
-  context.strokeText(words, x, y);
-  context.fillText(words, x, y);
+// Strokes twice, dark and wide beneath: to be seen on any gray
+function stroke(context, path, color, width = 1.5, rim = 0.75) {
+  for (const [strokeStyle, lineWidth] of [[`rgba(0, 0, 0, ${rim})`, width + 2], [color, width]]) {
+    Object.assign(context, {strokeStyle, lineWidth});
+    context.stroke(path);
+  }
 }
 
 // The edges of an image, with pixels or without; of another image than the canvas has, with its name
@@ -35,13 +26,12 @@ export function drawFrame(context, mapping, image, other = '') {
     context.fillStyle = '#404850';
     context.fill(path);
   }
-  context.strokeStyle = other ? COLOURS.other : '#9a9a9a';
-  context.lineWidth = 1;
+  Object.assign(context, {strokeStyle: other ? COLORS.other : '#9a9a9a', lineWidth: 1});
   context.stroke(path);
   if (!other) return;
   const [x, y] = corners.map(one => mapping.toCanvas(...one)).sort((one, next) => one[0] - next[0] || one[1] - next[1])[0];
   Object.assign(context, {font: '11px sans-serif', textAlign: 'left', textBaseline: 'bottom'});
-  label(context, other, x, y, COLOURS.other);
+  label(context, other, x, y, COLORS.other);
 }
 
 // Round lines and samples, in place of pixels; each has its number where it is first seen
@@ -93,6 +83,18 @@ function segments(path, ...ends) {
   }
 }
 
+function circle(path, x, y, radius) {
+  path.moveTo(x + radius, y);
+  path.arc(x, y, radius, 0, 7);
+}
+
+function triangle(path, x, y) {
+  path.moveTo(x, y - MARK);
+  path.lineTo(x + MARK, y + 0.8 * MARK);
+  path.lineTo(x - MARK, y + 0.8 * MARK);
+  path.closePath();
+}
+
 export function drawTies(context, mapping, ties, seen, factor, chosen) {
   const marks = new Path2D(), out = new Path2D(), vectors = new Path2D(), own = new Path2D();
   for (const {k, x, y} of seen) {
@@ -103,28 +105,23 @@ export function drawTies(context, mapping, ties, seen, factor, chosen) {
       const [line, sample] = ties.measured[k];
       segments(vectors, [x, y, ...mapping.toCanvas(line + factor * residual[0], sample + factor * residual[1])]);
     }
-    if (ties.names[k] === chosen) {
-      own.moveTo(x + 9, y);
-      own.arc(x, y, 9, 0, 7);
-    }
+    if (ties.names[k] === chosen) circle(own, x, y, 9);
   }
-  if (factor) stroke(context, vectors, COLOURS.tie, 1.2);
-  stroke(context, marks, COLOURS.tie);
-  stroke(context, out, COLOURS.rejected);
-  stroke(context, own, COLOURS.measured, 2);
+  if (factor) stroke(context, vectors, COLORS.tie, 1.2);
+  stroke(context, marks, COLORS.tie);
+  stroke(context, out, COLORS.rejected);
+  stroke(context, own, COLORS.measured, 2);
 }
 
 // Names beside the ties, of the first ones where they are many
 export function drawNames(context, ties, seen) {
-  context.font = '11px sans-serif';
-  context.textAlign = 'left';
-  context.textBaseline = 'middle';
-  for (const {k, x, y} of seen.slice(0, 300)) label(context, ties.names[k], x + 7, y - 7, COLOURS.tie);
+  Object.assign(context, {font: '11px sans-serif', textAlign: 'left', textBaseline: 'middle'});
+  for (const {k, x, y} of seen.slice(0, 300)) label(context, ties.names[k], x + 7, y - 7, COLORS.tie);
 }
 
 // Shots before and after, one in a cell; returns how many of those on the canvas
 export function drawShots(context, mapping, shots, width, height, near) {
-  const before = new Path2D(), after = new Path2D(), between = new Path2D(), isFirst = firstInCell(mapping, SHOTS);
+  const before = new Path2D(), after = new Path2D(), between = new Path2D(), ring = new Path2D(), isFirst = firstInCell(mapping, SHOTS);
   const counts = {drawn: 0, all: 0};
   for (const profile of shots.profiles)
     profile.names.forEach((_, k) => {
@@ -135,28 +132,15 @@ export function drawShots(context, mapping, shots, width, height, near) {
       const isNear = near && near.profile === profile && near.k === k;
       if (!isFirst(...(profile.after[k] || profile.before[k])) && !isNear) return;
       counts.drawn += 1;
-      if (ends[0]) {
-        before.moveTo(ends[0][0] + MARK, ends[0][1]);
-        before.arc(...ends[0], MARK, 0, 7);
-      }
-      if (ends[1]) {
-        after.moveTo(ends[1][0], ends[1][1] - MARK);
-        after.lineTo(ends[1][0] + MARK, ends[1][1] + 0.8 * MARK);
-        after.lineTo(ends[1][0] - MARK, ends[1][1] + 0.8 * MARK);
-        after.closePath();
-      }
+      if (ends[0]) circle(before, ...ends[0], MARK);
+      if (ends[1]) triangle(after, ...ends[1]);
       if (ends[0] && ends[1]) segments(between, ends.flat());
-      if (isNear && ends[1]) {
-        const ring = new Path2D();
-        ring.arc(...ends[1], 10, 0, 7);
-        stroke(context, ring, COLOURS.after, 2);
-      }
+      if (isNear && ends[1]) circle(ring, ...ends[1], 10);
     });
-  context.strokeStyle = 'rgba(255, 255, 255, 0.45)';
-  context.lineWidth = 1;
-  context.stroke(between);
-  stroke(context, before, COLOURS.before);
-  stroke(context, after, COLOURS.after);
+  stroke(context, between, 'rgba(255, 255, 255, 0.45)', 1, 0);
+  stroke(context, before, COLORS.before);
+  stroke(context, after, COLORS.after);
+  stroke(context, ring, COLORS.after, 2);
   return counts;
 }
 
@@ -169,7 +153,7 @@ export function drawEllipse(context, mapping, place, ellipse) {
     const line = along * Math.sin(turn) + across * Math.cos(turn);
     path[k ? 'lineTo' : 'moveTo'](...mapping.toCanvas(place[0] + line, place[1] + sample));
   }
-  stroke(context, path, COLOURS.ellipse, 1.4);
+  stroke(context, path, COLORS.ellipse, 1.4);
 }
 
 export function drawCross(context, x, y, width, height) {
@@ -185,16 +169,14 @@ export function drawScale(context, metres, width, height) {
   const path = new Path2D(), x = 12, y = height - 12;
   segments(path, [x, y - 6, x, y], [x, y, x + pixels, y], [x + pixels, y, x + pixels, y - 6]);
   stroke(context, path, '#ffffff', 1.6);
-  context.font = '12px sans-serif';
-  context.textAlign = 'left';
-  context.textBaseline = 'bottom';
+  Object.assign(context, {font: '12px sans-serif', textAlign: 'left', textBaseline: 'bottom'});
   label(context, length >= 1000 ? `${length / 1000} km` : `${Number(length.toPrecision(2))} m`, x + 4, y - 3);
 }
 
 // A place measured just now, not yet stored
 export function drawMeasured(context, mapping, place) {
   const [x, y] = mapping.toCanvas(...place), path = new Path2D();
-  path.arc(x, y, 7, 0, 7);
+  circle(path, x, y, 7);
   segments(path, [x - 11, y, x + 11, y], [x, y - 11, x, y + 11]);
-  stroke(context, path, COLOURS.measured, 1.6);
+  stroke(context, path, COLORS.measured, 1.6);
 }

@@ -1,12 +1,13 @@
 // Images side by side over the same ground. The first one's pixels are the frame; the others follow by the Jacobian of
 // the last answer of the server, at once, and by the next answer exactly.
 
+import {withModifier} from './app.js';
 import {likeFrame, ofFrame, ofOther} from './affine.js';
 import {drawFrame, worstFirst} from './image_marks.js';
 import {drawLaser, nearestShot} from './laser_plot.js';
 import {Measuring} from './measuring.js';
-import {LATE, Pane} from './pane.js';
-import {make, short} from './plot.js';
+import {Pane} from './pane.js';
+import {button, caption, check, make, options, refill, short} from './plot.js';
 
 const MOST = 4; // panes
 const SHOWN = [
@@ -18,56 +19,49 @@ const COMPARED = [['', 'Side by side'], ['blink', 'Blink (b)'], ['swipe', 'Swipe
 const LONG = 2; // times as long as wide: such images stand one above the other
 const STEP = 60; // CSS pixels by which an arrow key moves
 
-export class Images {
+class Images {
   constructor(app, element) {
-    Object.assign(this, {app, element, panes: [], centre: null, zoom: 0, link: null, known: null, cursor: [0, 0], shown: {}});
+    Object.assign(this, {app, element, panes: [], center: null, zoom: 0, link: null, known: null, cursor: [0, 0], shown: {}});
     Object.assign(this, {compare: '', blinked: false, handle: 0.5, layout: localStorage.layout || 'along'});
     this.statistics = {draws: 0, milliseconds: 0};
     this.asked = {running: false, next: null};
     element.classList.add('images');
     this.build();
     this.measuring = new Measuring(app, this, this.dialogPlace);
-    app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
-    app.addEventListener('renewed', () => this.refresh());
+    app.hear(element, ['renewed'], () => this.refresh());
     app.addEventListener('selected', () => this.showPoint(app.selection));
     element.addEventListener('keydown', event => this.key(event));
     new ResizeObserver(() => this.isWhole || !this.fitted() ? this.whole() : this.request()).observe(this.row);
-    if (app.scene) this.open();
+    this.opening = this.open();
   }
 
   build() {
-    const check = (key, words, checked, act) => {
+    const mark = (key, words, checked, act) => {
       this.shown[key] = checked;
-      const onchange = event => {
-        this.shown[key] = event.target.checked;
-        act();
-      };
-      return make('label', {className: `mark-${key}`}, make('input', {type: 'checkbox', checked, onchange}), ` ${words}`);
+      return check(words, checked, on => { this.shown[key] = on; act(); }, {className: `mark-${key}`});
     };
-    const choice = (ariaLabel, options, act) => make('select', {ariaLabel, title: ariaLabel, onchange: event => act(event.target.value)},
-      ...options.map(([value, textContent]) => make('option', {value, textContent})));
-    const button = (textContent, onclick, title) => make('button', {type: 'button', textContent, onclick, title});
+    const choice = (ariaLabel, pairs, act) => make('select', {ariaLabel, title: ariaLabel, onchange: event => act(event.target.value)}, ...options(pairs));
     this.layouts = choice('Direction of the lines (t)', LAYOUTS, key => this.setLayout(key));
     this.layouts.value = this.layout;
     this.comparing = choice('Compare with the second image', COMPARED, key => this.setCompare(key));
     this.swiper = make('input', {type: 'range', min: 0, max: 1, step: 0.01, className: 'swiper', title: 'Swipe ([ and ])', ariaLabel: 'Swipe'});
     this.swiper.oninput = () => this.swipe(Number(this.swiper.value));
-    this.before = check('before', 'Before the adjustment', false, () => this.ask());
-    this.adder = button('Add an image', () => this.addPane(), 'One more image over the same ground');
+    this.before = mark('before', 'Before the adjustment', false, () => this.ask());
+    this.adder = button('Add an image', () => this.addPane(), {title: 'One more image over the same ground'});
     const tools = make('div', {className: 'image-tools', role: 'group', ariaLabel: 'Images'}, this.layouts, this.comparing, this.before, this.adder,
-      button('Whole image', () => this.whole(), 'Show the whole first image (0)'),
-      button('Pixels 1 : 1', () => this.zoomTo(1), 'One pixel of the first image on one of the screen'),
-      button('Measure', () => this.measuring.open(), 'Measure a point in these images (m)'),
-      check('side', 'Contrast, marks, profile', true, () => { this.element.dataset.side = this.shown.side; }));
+      button('Whole image', () => this.whole(), {title: 'Show the whole first image (0)'}),
+      button('Pixels 1 : 1', () => this.zoomTo(1), {title: 'One pixel of the first image on one of the screen'}),
+      button('Measure', () => this.measuring.open(), {title: 'Measure a point in these images (m)'}),
+      mark('side', 'Contrast, marks, profile', true, () => { this.element.dataset.side = this.shown.side; }));
     this.factor = make('input', {type: 'number', min: 1, max: 10000, value: 20, className: 'factor', ariaLabel: 'Residuals times', oninput: () => this.request()});
     const marks = make('div', {className: 'image-marks', role: 'group', ariaLabel: 'What is drawn on the images'},
-      ...SHOWN.map(one => check(...one, () => this.request())));
+      ...SHOWN.map(one => mark(...one, () => this.request())));
     marks.querySelector('.mark-residuals').append(this.factor);
     this.row = make('div', {className: 'image-panes'});
     this.dialogPlace = make('div', {className: 'image-dialog'});
     this.contrastPlace = make('div');
-    this.place = make('p', {className: 'caption', textContent: 'Move over an image to see its ground.'});
+    this.place = caption('Move over an image to see its ground.');
     [this.laser, this.differences] = ['', 'differences'].map(name => make('canvas',
       {className: `laser-profile ${name}`, tabIndex: 0, role: 'img', onclick: event => this.pickShot(event)}));
     this.laserWords = make('span');
@@ -83,27 +77,21 @@ export class Images {
   }
 
   async open() {
-    const names = this.app.scene.images.map(one => one.name);
-    this.sizes = new Map(this.app.scene.images.map(one => [one.name, one]));
-    this.before.control.disabled = !this.app.scene.adjusted;
-    this.before.title = this.app.scene.adjusted ? 'Nominal orientation of all images (o)' : 'Nothing has been adjusted';
-    this.panes.forEach(one => one.close());
-    this.panes = [];
-    this.row.replaceChildren();
-    this.link = this.known = null;
-    this.zoom = 0;
-    if (!names.length) return;
-    await this.addPane(names[0]);
-    if (names.length === 1) return;
-    const {lines, samples} = this.frame.image || {};
-    let second = names[1];
-    try {
-      const found = await this.ground(names[0], [lines / 2, samples / 2], []);
-      second = Object.keys(found.others)[0] || second;
-    } catch (error) {
-      this.app.say(error.message, 'error');
-    }
-    await this.addPane(second);
+    this.offer();
+    const [first, second] = this.app.scene.images.map(one => one.name);
+    if (first) await this.addPane(first);
+    if (!second) return;
+    const {lines, samples} = this.frame.image || {}, found = await this.app.orSay(this.ground(first, [lines / 2, samples / 2], []));
+    await this.addPane(Object.keys(found?.others || {})[0] || second);
+  }
+
+  // What is known of the images of the block
+  offer() {
+    const {images, adjusted} = this.app.scene;
+    this.sizes = new Map(images.map(one => [one.name, one]));
+    for (const {chooser} of this.panes) refill(chooser, images.map(one => [one.name]));
+    this.before.control.disabled = !adjusted;
+    this.before.title = adjusted ? 'Nominal orientation of all images (o)' : 'Nothing has been adjusted';
   }
 
   async addPane(name) {
@@ -184,22 +172,23 @@ export class Images {
   }
 
   async refresh() {
+    this.offer();
     this.link = null;
-    await Promise.all(this.panes.map(one => one.load(true)));
+    await Promise.all(this.panes.map(one => one.load()));
     this.changedPanes();
   }
 
   // --- the common view
 
   fitted() {
-    return this.zoom > 0 && this.centre && this.frame?.image;
+    return this.zoom > 0 && this.center && this.frame?.image;
   }
 
   whole() {
     const {image, canvas} = this.frame || {};
     if (!image || !canvas.clientWidth) return;
     const {lines, samples} = image, {clientWidth: width, clientHeight: height} = canvas;
-    this.centre = [lines / 2, samples / 2];
+    this.center = [lines / 2, samples / 2];
     const [a, b, c, d] = this.axes.map(Math.abs);
     this.zoom = 0.95 * Math.min(width / (a * samples + b * lines), height / (c * samples + d * lines));
     this.isWhole = true;
@@ -220,7 +209,7 @@ export class Images {
   // Where the pixels of a pane's image lie on its canvas, or on that of the first pane
   mapping(pane, canvas = pane.canvas) {
     if (!this.fitted()) return null;
-    const frame = ofFrame(this.centre, this.zoom, this.axes, canvas.clientWidth, canvas.clientHeight);
+    const frame = ofFrame(this.center, this.zoom, this.axes, canvas.clientWidth, canvas.clientHeight);
     if (pane === this.frame) return frame;
     if (!this.link) return null;
     const same = pane.name === this.frame.name ? {...this.link, jacobian: [[1, 0], [0, 1]]} : null;
@@ -231,7 +220,7 @@ export class Images {
 
   // Edges of the other images that show the ground under the cross, as they lie about it
   outlines(context, name, width, height) {
-    const frame = ofFrame(this.centre, this.zoom, this.axes, width, height);
+    const frame = ofFrame(this.center, this.zoom, this.axes, width, height);
     if (name !== this.frame.name) drawFrame(context, frame, this.frame.image, this.frame.name);
     for (const [other, one] of Object.entries(this.link?.others || {})) {
       const mapping = other !== name && ofOther(frame, this.link, one);
@@ -247,7 +236,7 @@ export class Images {
 
   pan(dx, dy) {
     const {clientWidth: width, clientHeight: height} = this.frame.canvas;
-    this.centre = this.mapping(this.frame).toImage(width / 2 - dx, height / 2 - dy);
+    this.center = this.mapping(this.frame).toImage(width / 2 - dx, height / 2 - dy);
     this.isWhole = false;
     this.request();
   }
@@ -257,7 +246,7 @@ export class Images {
     const least = 0.2 * Math.min(...['lines', 'samples'].map(key => 100 / this.frame.image[key])), before = this.crossPlace;
     this.zoom = Math.max(least, Math.min(64, this.zoom * factor));
     const after = this.crossPlace;
-    this.centre = this.centre.map((one, k) => one + before[k] - after[k]);
+    this.center = this.center.map((one, k) => one + before[k] - after[k]);
     this.isWhole = false;
     this.request();
   }
@@ -287,12 +276,11 @@ export class Images {
     this.asked.next = true;
     if (this.asked.running) return;
     this.asked.running = true;
-    while (this.asked.next) {
+    while (this.asked.next && this.fitted()) {
       this.asked.next = false;
       const {name, image} = this.frame, cross = this.crossPlace;
       const place = [Math.max(0, Math.min(image.lines, cross[0])), Math.max(0, Math.min(image.samples, cross[1]))];
       const beside = place[0] !== cross[0] || place[1] !== cross[1];
-      const late = setTimeout(() => { this.place.textContent = 'Reading the ground …'; }, LATE);
       try {
         const found = await this.ground(name, place, this.panes.slice(1).map(one => one.name));
         if (name !== this.frame.name) continue;
@@ -305,8 +293,6 @@ export class Images {
         this.place.textContent = found.sentence || (beside ? 'At the edge of the first image: ' : '') + this.groundWords(found);
       } catch (error) {
         this.place.textContent = error.message;
-      } finally {
-        clearTimeout(late);
       }
       this.request();
     }
@@ -368,13 +354,13 @@ export class Images {
   pickShot(event) {
     const found = event.target.nearest?.(event.offsetX);
     const place = found && (found.profile.after[found.k] || found.profile.before[found.k]);
-    if (place) this.centreOn(this.active, place);
+    if (place) this.centerOn(this.active, place);
   }
 
   // --- going to places
 
   // Bring a place of a pane's image to the middle
-  centreOn(pane, place) {
+  centerOn(pane, place) {
     const mapping = this.mapping(pane);
     if (!mapping) return;
     const [x, y] = mapping.toCanvas(...place), {clientWidth: width, clientHeight: height} = pane.canvas;
@@ -383,13 +369,38 @@ export class Images {
     this.ask();
   }
 
+  // Images side by side, a position of the first one in the middle: [{image, line, sample}]
+  async see(positions, point = '', most = 2) {
+    await this.opening;
+    if (!this.fitted()) this.whole();
+    for (const [k, {image}] of positions.slice(0, most).entries()) {
+      const pane = this.panes[k];
+      if (!pane) await this.addPane(image);
+      else if (pane.name !== image) await pane.choose(pane.chooser.value = image);
+    }
+    const [{line, sample}] = positions;
+    if (line !== undefined) {
+      this.zoomTo(1);
+      this.centerOn(this.frame, [line, sample]);
+    }
+    this.showPoint(point);
+    return this;
+  }
+
+  // A point in two of its images, of which one can be named
+  async lookAt(point, image) {
+    const {rays} = await this.app.request(`/api/point?${new URLSearchParams({name: point})}`);
+    if (!rays.length) return this.app.say(`${point} is measured in no image.`, 'error');
+    return this.see([...rays].sort((a, b) => (b.image === image) - (a.image === image)), point);
+  }
+
   showPoint(name) {
     if (!name) return this.request();
     for (const pane of this.panes) {
       const k = pane.image ? pane.image.ties.names.indexOf(name) : -1;
       if (k < 0 || !this.mapping(pane)) continue;
       if (this.element.offsetParent === null || !pane.near(pane.image.ties.measured[k]))
-        this.centreOn(pane, pane.image.ties.measured[k]);
+        this.centerOn(pane, pane.image.ties.measured[k]);
       break;
     }
     this.request();
@@ -397,11 +408,11 @@ export class Images {
 
   // The tie of the active image with the next smaller (or larger) residual in units of its sigma
   nextTie(step) {
-    const {ties, order} = this.active.image;
+    const {ties, order} = this.active.image || {order: []};
     if (!order.length) return this.app.say('No tie is measured in this image.', 'error');
     const now = order.findIndex(k => ties.names[k] === this.app.selection);
     const k = order[(now < 0 ? (step > 0 ? 0 : order.length - 1) : now + step + order.length) % order.length];
-    this.centreOn(this.active, ties.measured[k]);
+    this.centerOn(this.active, ties.measured[k]);
     this.choose(this.active, k);
   }
 
@@ -413,45 +424,47 @@ export class Images {
   // --- keyboard
 
   key(event) {
-    if (event.target.matches('input:not([type=checkbox]), select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (!this.fitted() || !this.act(event)) return;
+    if (event.target.matches('input:not([type=checkbox]), select, textarea') || withModifier(event) || !this.fitted()) return;
+    const act = this.acts(event)[event.key];
+    if (!act) return;
     event.preventDefault();
     event.stopPropagation();
+    act();
   }
 
-  act(event) {
-    const compared = {b: 'blink', w: 'swipe', a: 'red'};
-    const ways = {ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}, way = ways[event.key];
-    if (way) {
-      const step = event.shiftKey ? this.zoom : STEP;
-      this.cursor = [0, 0];
-      this.pan(way[0] * step, way[1] * step);
-      this.ask();
-    } else if (event.key === '+' || event.key === '=') this.zoomBy(1.25);
-    else if (event.key === '-') this.zoomBy(0.8);
-    else if (event.key === '0') this.whole();
-    else if (event.key === 'm') this.measuring.open();
-    else if (event.key === 't') this.setLayout(LAYOUTS[(LAYOUTS.findIndex(([key]) => key === this.layout) + 1) % LAYOUTS.length][0]);
-    else if (event.key === 'b' && this.compare === 'blink') {
-      this.blinked = !this.blinked;
-      this.activate();
-      this.request();
-    } else if (compared[event.key]) this.setCompare(compared[event.key]);
-    else if (event.key === 'o') this.before.control.click();
-    else if (event.key === '[' || event.key === ']') this.swipe(this.handle + (event.key === '[' ? -0.02 : 0.02));
-    else if (event.key === 'n' || event.key === 'p') this.nextTie(event.key === 'n' ? 1 : -1);
-    else if (event.key === 'Enter' && event.target.tagName === 'CANVAS') this.take(this.active);
-    else if (event.key === 'Escape' && this.measuring.running) this.measuring.close();
-    else if (event.key === 'Escape' && this.compare) this.setCompare('');
-    else return false;
-    return true;
+  // What keys do
+  acts({target, shiftKey}) {
+    const next = LAYOUTS[(LAYOUTS.findIndex(([key]) => key === this.layout) + 1) % LAYOUTS.length][0], step = shiftKey ? this.zoom : STEP;
+    return {
+      ArrowLeft: () => this.step(step, 0), ArrowRight: () => this.step(-step, 0), ArrowUp: () => this.step(0, step), ArrowDown: () => this.step(0, -step),
+      '+': () => this.zoomBy(1.25), '=': () => this.zoomBy(1.25), '-': () => this.zoomBy(0.8), 0: () => this.whole(),
+      n: () => this.nextTie(1), p: () => this.nextTie(-1), m: () => this.measuring.open(),
+      t: () => this.setLayout(next), o: () => this.before.control.click(),
+      b: () => (this.compare === 'blink' ? this.blink() : this.setCompare('blink')), w: () => this.setCompare('swipe'), a: () => this.setCompare('red'),
+      '[': () => this.swipe(this.handle - 0.02), ']': () => this.swipe(this.handle + 0.02),
+      ...target.tagName === 'CANVAS' && {Enter: () => this.take(this.active)},
+      ...this.compare && {Escape: () => this.setCompare('')}, ...this.measuring.running && {Escape: () => this.measuring.close()},
+    };
+  }
+
+  // Pan by a key, with the cross in the middle
+  step(dx, dy) {
+    this.cursor = [0, 0];
+    this.pan(dx, dy);
+    this.ask();
+  }
+
+  blink() {
+    this.blinked = !this.blinked;
+    this.activate();
+    this.request();
   }
 
   // The place at the cross of a pane: measured, or the tie there chosen
   take(own) {
     const {canvas} = own, pane = (this.blinked && this.over(own)) || own;
     const mapping = this.mapping(pane, canvas), at = [canvas.clientWidth / 2 + this.cursor[0], canvas.clientHeight / 2 + this.cursor[1]];
-    if (!mapping) return;
+    if (!mapping || !pane.image) return;
     const [line, sample] = mapping.toImage(...at), tie = pane.tieNear(at);
     if (this.measuring.running) return this.measuring.take(pane, [line, sample]);
     this.app.place({image: pane.name, line, sample});
@@ -459,7 +472,4 @@ export class Images {
   }
 }
 
-export function panel(app, element) {
-  element.view = new Images(app, element);
-  return element.view;
-}
+export {Images as Panel};

@@ -3,7 +3,6 @@
 import {axes, range, short} from './plot.js';
 
 const NEAR = 30; // CSS pixels, from a shot that is marked
-const INK = {before: '#d55e00', after: '#2a84c8'}; // darker than on images: on light and dark pages
 
 // The shot of a pane's image nearest to the cross; null where none is near
 export function nearestShot(pane, mapping, cursor) {
@@ -49,15 +48,15 @@ function plot(canvas, profile, before, after, line, yLabel, mark) {
     Object.assign(context, {strokeStyle: style, lineWidth: width});
     context.stroke(found);
   };
-  paint(drawn.colours.ink, 1.2, path(line, (found, px, py) => found.lineTo(px, py)));
-  paint(INK.before, 1.5, path(before, (found, px, py) => { found.moveTo(px + 2, py); found.arc(px, py, 2, 0, 7); }));
-  paint(INK.after, 1, path(after, (found, px, py, k) => {
+  paint(drawn.colors.ink, 1.2, path(line, (found, px, py) => found.lineTo(px, py)));
+  paint(drawn.colors.before, 1.5, path(before, (found, px, py) => { found.moveTo(px + 2, py); found.arc(px, py, 2, 0, 7); }));
+  paint(drawn.colors.after, 1, path(after, (found, px, py, k) => {
     const high = (sigma[k] || 0) * (toY(0) - toY(1));
     found.moveTo(px, py - high);
     found.lineTo(px, py + high);
     found.rect(px - 1, py - 1, 2, 2);
   }));
-  if (mark !== null) paint(drawn.colours.ink, 1.5, path([y[0], y[1]], (found, _, py, k) => found[k ? 'lineTo' : 'moveTo'](toX(along[mark]), py)));
+  if (mark !== null) paint(drawn.colors.ink, 1.5, path([y[0], y[1]], (found, _, py, k) => found[k ? 'lineTo' : 'moveTo'](toX(along[mark]), py)));
   canvas.nearest = px => {
     const [at] = drawn.inverse(px, 0);
     return {profile, k: along.reduce((best, one, k) => Math.abs(one - at) < Math.abs(along[best] - at) ? k : best, 0)};

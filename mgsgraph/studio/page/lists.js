@@ -1,8 +1,9 @@
 // Points, image measurements, images, passes and profiles as tables. The server sorts and filters; the page asks for
 // the rows that it shows. Many rows are marked to reject or accept them in one change, or to save them.
 
+import {withModifier} from './app.js';
 import {Chips} from './chips.js';
-import {button, download, make, short} from './plot.js';
+import {button, caption, check, download, make, short} from './plot.js';
 
 const TABLES = {points: 'Points', measurements: 'Measurements', images: 'Images', passes: 'Passes', profiles: 'Profiles'};
 const FIRST = {points: '-residual_sigmas', measurements: '-residual_sigmas', images: '-rms', profiles: '-shift_sigmas'}; // orders to begin with
@@ -15,17 +16,17 @@ class Lists {
   constructor(app, element) {
     Object.assign(this, {app, element, states: {}, version: 0, computing: new Set(), failed: new Set(), point: '', pending: 0});
     this.tabs = Object.entries(TABLES).map(([value, title]) => Object.assign(button(title, () => { this.open(value); this.reload(app.selection); }), {value}));
-    this.rejected = make('input', {type: 'checkbox'});
-    this.rejected.addEventListener('change', () => this.renew({only: this.rejected.checked ? 'rejected' : ''}));
+    this.only = check('only rejected', false, on => this.renew({only: on ? 'rejected' : ''}));
     this.missing = make('span');
     this.words = make('span', {className: 'caption', role: 'status'});
     this.acts = Object.entries(ACTS).map(([key, [value, title]]) => Object.assign(button(`${title} (${key})`, () => this.act(value)), {value}));
-    this.note = make('input', {type: 'text', size: 18, maxLength: 200, placeholder: 'note (n)', title: 'Note about the active row; Enter stores it'});
+    const about = 'Note about the active row; Enter stores it';
+    this.note = make('input', {type: 'text', size: 18, maxLength: 200, placeholder: 'note (n)', title: about, ariaLabel: about});
     this.note.addEventListener('keydown', event => { if (event.key === 'Enter') this.act(this.cell('verdict') || 'undecided', this.note.value); });
     this.reason = make('span', {className: 'caption'});
     this.all = button('Mark all', () => this.markAll());
     this.none = button('Unmark', () => { this.state.marked.clear(); this.draw(); }, {title: 'No row is marked any more'});
-    this.save = button('', () => (this.state.marked.size ? this.saveMarked() : download(`/api/list/csv?${this.query()}`, `${this.name}.csv`)));
+    this.save = button('', () => (this.state.marked.size ? this.saveMarked() : app.orSay(download(`/api/list/csv?${this.query()}`, `${this.name}.csv`))));
     this.table = make('table', {}, this.widths = make('colgroup'), this.head = make('thead'), this.body = make('tbody'));
     this.whole = make('div', {className: 'list-all'}, this.table);
     this.grid = make('div', {className: 'list-scroll scroll', tabIndex: 0, role: 'grid', ariaMultiSelectable: 'true'}, this.whole);
@@ -37,10 +38,10 @@ class Lists {
     new ResizeObserver(() => this.draw()).observe(this.grid);
     element.classList.add('lists');
     element.replaceChildren(
-      make('div', {className: 'tools'}, ...this.tabs, this.only = make('label', {}, this.rejected, 'only rejected'), this.missing, this.words),
+      make('div', {className: 'tools'}, ...this.tabs, this.only, this.missing, this.words),
       make('div', {className: 'tools'}, ...this.acts, this.note, this.all, this.none, this.save, this.reason),
       make('div', {className: 'list-middle'}, this.grid, this.side));
-    for (const event of ['opened', 'renewed']) app.addEventListener(event, () => this.reload());
+    app.addEventListener('renewed', () => this.reload());
     app.addEventListener('selected', ({detail}) => { if (!this.selecting) this.reload(detail); });
     app.addEventListener('shown', ({detail}) => { if (detail === 'lists') this.reload(app.selection).then(() => this.grid.focus({preventScroll: true})); });
     this.open('points');
@@ -51,7 +52,7 @@ class Lists {
     this.state = this.states[name] ??= {sort: FIRST[name] || '', only: '', filters: {}, active: 0, marked: new Map(), blocks: new Map(), found: null};
     for (const tab of this.tabs) tab.ariaPressed = String(tab.value === name);
     this.grid.ariaLabel = TABLES[name];
-    this.rejected.checked = Boolean(this.state.only);
+    this.only.control.checked = Boolean(this.state.only);
   }
 
   get ofPoints() { return this.name === 'points' || this.name === 'measurements'; }
@@ -70,9 +71,8 @@ class Lists {
 
   // All rows anew, with a point in sight where it is named
   async reload(find = '') {
-    if (!this.app.scene || this.element.hidden) return;
+    if (this.element.hidden) return;
     const version = ++this.version, {state} = this, {active} = state, block = Math.floor(this.first / BLOCK);
-    const late = setTimeout(() => { this.words.textContent = 'reading …'; }, 200);
     try {
       const found = await this.app.request(`/api/list?${this.query({first: BLOCK * block, count: BLOCK, find})}`);
       if (version !== this.version || this.pending) return;
@@ -82,8 +82,6 @@ class Lists {
       this.showMissing();
     } catch (error) {
       if (version === this.version) this.words.textContent = error.message;
-    } finally {
-      clearTimeout(late);
     }
   }
 
@@ -118,12 +116,14 @@ class Lists {
   showHead() {
     const {found: {columns, rows}, sort, filters} = this.state, keys = `${this.name} ${columns.map(one => one.key)}`;
     if (keys !== this.keys) {
-      const width = (one, k) => Math.max(7, ...`${one.title} ${one.unit}`.split(' ').map(word => word.length + 3), ...(one.decimals === null ? rows.map(row => Math.min(34, row[k].length + 2)) : []));
+      const longest = k => Math.max(...rows.map(row => Math.min(34, row[k].length + 2)));
+      const width = (one, k) => Math.max(7, ...`${one.title} ${one.unit}`.split(' ').map(word => word.length + 3), one.decimals === null ? longest(k) : 0);
       this.widths.replaceChildren(...columns.map((one, k) => make('col', {style: `width: ${width(one, k)}ch`})));
       this.whole.style.minWidth = `${columns.reduce((sum, one, k) => sum + width(one, k), 0)}ch`;
       this.head.replaceChildren(make('tr'), make('tr', {className: 'list-filters'}));
       for (const one of columns) {
-        const input = make('input', {type: 'text', placeholder: one.decimals === null ? 'text' : '> 3', maxLength: 60, value: filters[one.key] || '', ariaLabel: `Filter of ${one.title}`});
+        const input = make('input', {type: 'text', placeholder: one.decimals === null ? 'text' : '> 3', maxLength: 60, value: filters[one.key] || ''});
+        input.ariaLabel = `Filter of ${one.title}`;
         input.addEventListener('input', () => {
           filters[one.key] = input.value.trim();
           clearTimeout(this.typing);
@@ -169,18 +169,21 @@ class Lists {
     this.body.replaceChildren(...Array.from({length: Math.max(0, last - first)}, (_, k) => this.line(first + k)));
     Object.assign(this.grid, {ariaRowCount: String(found.count)}).setAttribute('aria-activedescendant', `list-row-${active}`);
     const [count, total] = [found.count, found.total].map(one => one.toLocaleString('en'));
-    this.words.textContent = found.total ? `${count}${count === total ? '' : ` of ${total}`} rows${marked.size ? `, ${marked.size} marked` : ''}` : EMPTY[this.name] || 'none';
+    const words = `${count}${count === total ? '' : ` of ${total}`} rows${marked.size ? `, ${marked.size} marked` : ''}`;
+    this.words.textContent = found.total ? words : EMPTY[this.name] || 'none';
     this.showActs();
     this.showSide();
   }
 
   line(number) {
     const row = this.row(number), {found, active, marked} = this.state;
-    const line = make('tr', {id: `list-row-${number}`, className: number === active ? 'active' : '', ariaRowIndex: String(number + 1), ariaSelected: String(Boolean(row) && marked.has(this.keyOf(row)))});
+    const line = make('tr', {id: `list-row-${number}`, className: number === active ? 'active' : '', ariaRowIndex: String(number + 1)});
+    line.ariaSelected = String(Boolean(row) && marked.has(this.keyOf(row)));
     if (row && row[0] === this.app.selection) line.ariaCurrent = 'true';
     line.append(...found.columns.map(({key, decimals}, k) => {
-      const value = row?.[k] ?? '', text = decimals === null || value === '';
-      return make('td', {className: decimals === null ? '' : 'number', title: value, textContent: text ? value : value.toFixed(/^(line|sample)$/.test(key) ? 2 : decimals).replace('-', '−')});
+      const value = row?.[k] ?? '', places = /^(line|sample)$/.test(key) ? 2 : decimals;
+      const textContent = decimals === null || value === '' ? value : value.toFixed(places).replace('-', '−');
+      return make('td', {className: decimals === null ? '' : 'number', title: value, textContent});
     }));
     return Object.assign(line, {number});
   }
@@ -202,19 +205,20 @@ class Lists {
   }
 
   async markAll() {
-    const {rows} = await this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`);
-    for (const row of rows) this.state.marked.set(this.keyOf(row), row);
+    const {state} = this, found = await this.app.orSay(this.app.request(`/api/list?${this.query({first: 0, count: MOST})}`));
+    if (state !== this.state) return;
+    for (const row of found?.rows || []) state.marked.set(this.keyOf(row), row);
     this.draw();
   }
 
-  // A point is selected for all views; an image is shown by those that hear of it
+  // A point is selected for all views; Enter and a double click show an image
   select(whole = false) {
     const row = this.row();
     if (!row) return;
     this.selecting = true;
     if (this.ofPoints) this.app.select(row[0]);
     this.selecting = false;
-    if (this.name === 'images') (whole ? this.app.show('images') : Promise.resolve()).then(() => this.app.emit('image', row[0]));
+    if (this.name === 'images' && whole) this.app.look({kind: 'image', name: row[0]}, 'images');
     this.draw();
   }
 
@@ -228,7 +232,7 @@ class Lists {
   }
 
   key(event) {
-    if (event.target !== this.grid || !this.state.found || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target !== this.grid || !this.state.found || withModifier(event)) return;
     const {active, found} = this.state, {shown} = this, steps = {ArrowDown: 1, ArrowUp: -1, PageDown: shown, PageUp: -shown, Home: -active, End: found.count};
     const act = event.key === 'u' && !this.app.scene.verdicts ? null : ACTS[event.key]; // u: undo of a project
     if (event.key in steps) this.go(active + steps[event.key]);
@@ -246,7 +250,7 @@ class Lists {
   get refusal() {
     const {kind, verdicts, writable, lock} = this.app.scene, {size} = this.state.marked;
     if (kind !== 'project' && !verdicts) return 'To reject, make a project: mgsgraph project init PROJECT --case CASE. For verdicts, start the studio with --case CASE.';
-    if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements, make a project: mgsgraph project init PROJECT --case CASE.';
+    if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements: mgsgraph project init PROJECT --case CASE.';
     if (kind === 'project' && !writable) return lock;
     return size > MOST ? `At most ${MOST} rows at a time; ${size} are marked.` : '';
   }
@@ -303,13 +307,13 @@ class Lists {
     if (point === this.point) return;
     this.point = point;
     clearTimeout(this.waiting);
-    if (point) this.waiting = setTimeout(() => this.chips(point, pictured).catch(error => this.app.say(error.message, 'error')), 80);
+    if (point) this.waiting = setTimeout(() => this.app.orSay(this.chips(point, pictured)), 80);
   }
 
   async chips(point, pictured) {
     const {columns, rows} = await this.app.request(`/api/list?${new URLSearchParams({table: 'measurements', point: `=${point}`, count: 12})}`);
     if (point !== this.point) return;
-    this.side.replaceChildren(make('strong', {textContent: point}), rows.length ? '' : make('p', {className: 'caption', textContent: 'No image measurement.'}));
+    this.side.replaceChildren(make('strong', {textContent: point}), rows.length ? '' : caption('No image measurement.'));
     const chips = new Chips(this.app);
     for (const row of rows) {
       const {image, line, sample, state, residual_line: dl, residual_sample: ds, residual_sigmas: size} = Object.fromEntries(columns.map(({key}, k) => [key, row[k]]));
@@ -320,7 +324,4 @@ class Lists {
   }
 }
 
-export function panel(app, element) {
-  element.view = new Lists(app, element);
-  return element.view;
-}
+export {Lists as Panel};

@@ -1,8 +1,8 @@
-// The page: its tabs and keys. Each panel is a module with a function panel(app, element); it is made when it is first
-// shown and hears of what happens by the app's events.
+// The page: its tabs and keys. Each panel is a module with a class Panel; app.views has one of it from when it is first
+// shown, which hears of what happens by the app's events.
 
-import {App} from './app.js';
-import {make} from './plot.js';
+import {App, withModifier} from './app.js';
+import {button, make} from './plot.js';
 import {difference} from './questions.js';
 import {Verdict} from './verdict.js';
 import {Work} from './work.js';
@@ -16,12 +16,21 @@ const PANELS = [
   ['questions', 'Questions', '6', './questions.js'],
 ];
 const KEYS = {
-  Everywhere: [['1 … 6', 'the views'], ['u, U', 'undo, redo a change of the project'], ['d', 'height difference of the last two selected points'], ['v', 'verdict and its reasons'], ['?', 'these keys'], ['Escape', 'close what is open']],
-  Map: [['arrows, + −, 0', 'move, zoom, whole block'], ['c', 'select the point nearest to the middle'], ['b', 'select the points in the window'], ['Shift + drag', 'select the points in a box'], ['d', 'distance of two points or places: click both, or Enter at the middle']],
-  Images: [['arrows, + −, 0', 'move, zoom, whole image'], ['Tab', 'to the next tool, then the next image'], ['n, p', 'next, previous tie by the size of its residual'], ['m', 'measure a point'], ['Enter', 'the place under the cross: select or measure'],
-    ['t', 'lines along the pane, downwards, or north up'], ['b', 'two images in one pane: blink'], ['w, [ ]', 'swipe between them, move the handle'], ['a', 'both in red and cyan'], ['o', 'orientation before or after the adjustment']],
-  Lists: [['arrows, Page, Home, End', 'the active row'], ['Enter, Space', 'select, mark the active row'], ['r, a, u', 'reject, accept, undecided (verdicts of a case): the marked rows, else the active one']],
-  Point: [['Enter', 'show the point of this name, store a place'], ['+ −', 'on a chip: zoom all chips'], ['Escape', 'give up a move or a measurement']],
+  Everywhere: [
+    ['1 … 6', 'the views'], ['u, U', 'undo, redo a change of the project'], ['d', 'height difference of the last two selected points'],
+    ['v', 'verdict and its reasons'], ['?', 'these keys'], ['Escape', 'close what is open']],
+  Map: [
+    ['arrows, + −, 0', 'move, zoom, whole block'], ['c', 'select the point nearest to the middle'], ['b', 'select the points in the window'],
+    ['Shift + drag', 'select the points in a box'], ['d', 'distance: click two points or positions, or Enter at the middle']],
+  Images: [
+    ['arrows, + −, 0', 'move, zoom, whole image'], ['Tab', 'to the next tool, then the next image'], ['n, p', 'next, previous tie by the size of its residual'],
+    ['m', 'measure a point'], ['Enter', 'select or measure at the cross'], ['t', 'lines along the pane, downwards, or north up'],
+    ['b', 'two images in one pane: blink'], ['w, [ ]', 'swipe between them, move the handle'], ['a', 'both in red and cyan'],
+    ['o', 'orientation before or after the adjustment']],
+  Lists: [
+    ['arrows, Page, Home, End', 'the active row'], ['Enter, Space', 'select, mark the active row'],
+    ['r, a, u', 'reject, accept, undecided: marked rows or the active one']],
+  Point: [['Enter', 'show the point of this name, store a position'], ['+ −', 'on a chip: zoom all chips'], ['Escape', 'cancel a move or a measurement']],
   Questions: [['Enter', 'ask the first question of the row']],
 };
 
@@ -34,11 +43,10 @@ const tabs = new Map();
 
 function build() {
   for (const [key, title, shortcut, module] of PANELS) {
-    const tab = make('button', {type: 'button', id: `tab-${key}`, role: 'tab', textContent: title, title: `Key ${shortcut}`});
+    const tab = button(title, () => show(key), {id: `tab-${key}`, role: 'tab', title: `Key ${shortcut}`});
     tab.setAttribute('aria-controls', key);
     const element = make('section', {id: key, role: 'tabpanel', hidden: true});
     element.setAttribute('aria-labelledby', tab.id);
-    tab.addEventListener('click', () => show(key));
     tab.addEventListener('keydown', event => {
       const step = {ArrowRight: 1, ArrowLeft: -1}[event.key];
       if (!step) return;
@@ -52,17 +60,18 @@ function build() {
   }
 }
 
-export async function show(key) {
+async function show(key) {
   for (const [name, {tab, element}] of tabs) {
     tab.setAttribute('aria-selected', String(name === key));
     tab.tabIndex = name === key ? 0 : -1;
     element.hidden = name !== key;
   }
   const one = tabs.get(key);
-  one.made ??= import(one.module).then(module => module.panel(app, one.element));
+  one.made ??= opening.then(() => import(one.module)).then(({Panel}) => { app.views[key] = one.element.view = new Panel(app, one.element); });
   await one.made;
   app.emit('shown', key);
-  if (key === 'map' && document.activeElement === document.body) one.element.view.canvas.focus({preventScroll: true});
+  if (document.activeElement === document.body) one.element.querySelector('[role=application]')?.focus({preventScroll: true}); // its keys
+  return app.views[key];
 }
 app.show = show;
 
@@ -73,7 +82,7 @@ function typing(target) {
 const DOING = {u: 'undo', U: 'redo', d: 'difference', v: 'verdict'}; // the button of a key
 
 document.addEventListener('keydown', event => {
-  if (event.ctrlKey || event.metaKey || event.altKey || typing(event.target)) return;
+  if (withModifier(event) || typing(event.target)) return;
   const panel = PANELS.find(([, , shortcut]) => shortcut === event.key);
   if (panel) show(panel[0]);
   else if (event.key === '?') help();
@@ -84,7 +93,7 @@ document.addEventListener('keydown', event => {
 
 // A dialog with a heading; what had the focus gets it back
 function open(dialog, title, ...parts) {
-  dialog.replaceChildren(make('h2', {id: `${dialog.id}-title`, textContent: title}), ...parts, make('button', {type: 'button', textContent: 'Close', onclick: () => dialog.close()}));
+  dialog.replaceChildren(make('h2', {id: `${dialog.id}-title`, textContent: title}), ...parts, button('Close', () => dialog.close()));
   dialog.showModal();
 }
 
@@ -107,7 +116,7 @@ function now() {
 }
 app.addEventListener('selected', now);
 byId('now').addEventListener('click', () => show('point'));
-byId('difference').addEventListener('click', () => difference(app, app.before, app.selection).then(found => app.say(found), error => app.say(error.message, 'error')));
+byId('difference').addEventListener('click', () => app.orSay(difference(app, app.before, app.selection).then(found => app.say(found))));
 
 byId('take').addEventListener('click', () => app.tryTo({kind: 'take over'}));
 
@@ -123,7 +132,7 @@ function about() {
   byId('locked').hidden = !scene.lock;
   byId('about').title = byId('about').textContent;
   for (const kind of ['undo', 'redo']) {
-    const reason = app.running ? `${scene.job.title} is running.` : scene.lock || (scene[kind] ? '' : `There is no change to ${kind}.`);
+    const reason = app.refusal || (scene[kind] ? '' : `There is no change to ${kind}.`);
     Object.assign(byId(kind), {hidden: scene.kind !== 'project', disabled: Boolean(reason), title: reason});
   }
 }
@@ -131,10 +140,5 @@ for (const name of ['opened', 'renewed']) app.addEventListener(name, () => app.v
 for (const name of ['opened', 'renewed', 'changed', 'worked']) app.addEventListener(name, about);
 
 build();
-try {
-  const first = show('start');
-  await app.open();
-  await first;
-} catch (error) {
-  app.say(error.message, 'error');
-}
+const opening = app.open();
+app.orSay(show('start'));

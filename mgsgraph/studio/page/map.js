@@ -2,12 +2,13 @@
 // drawn last follows the hand at once (a picture that is moved and scaled); when the hand rests, it is drawn anew from the
 // server's answer.
 
+import {withModifier} from './app.js';
 import {MapDistance} from './map_distance.js';
 import {MapFrame} from './map_frame.js';
 import {MapPicture} from './map_picture.js';
 import {MapSelection} from './map_selection.js';
 import {MapTiles} from './map_tiles.js';
-import {download, make, short} from './plot.js';
+import {button, caption, check, download, make, options, prepared, refill, short} from './plot.js';
 
 const LAYERS = [
   ['images', 'Images', true], ['relief', 'Relief', true], ['graticule', 'Graticule', true],
@@ -18,48 +19,52 @@ const LAYERS = [
 const REST = 120; // ms after the last movement before it is drawn anew
 const MARGIN = 0.25; // of the window, drawn on each side beside it
 const NEAR = 12; // CSS pixels around a mark that belong to it
-const LABEL = 'Map of the block: arrow keys move, plus and minus zoom, 0 shows all, c selects the point nearest to the middle, b all points in the window, d measures a distance';
+const LABEL = 'Map of the block: arrow keys move, plus and minus zoom, 0 shows all, c selects the point nearest to the middle, '
+  + 'b all points in the window, d measures a distance';
 const MOST_IMAGES = 60; // with pixels, that are shown without being asked for
 
-export class MapPanel {
+class MapPanel {
   constructor(app, element) {
     Object.assign(this, {app, element, shown: {}, layers: {}, view: null, drawn: null, pending: null, hidden: new Set()});
     Object.assign(this, {picture: new MapPicture(this), selection: new MapSelection(this), distance: new MapDistance(this)});
     Object.assign(this, {frame: new MapFrame(this), tiles: new MapTiles(this), statistics: {frames: 0}});
     this.build();
-    app.addEventListener('opened', () => this.open());
     app.addEventListener('changed', event => this.changed(event.detail));
-    app.addEventListener('renewed', () => { this.layers = {}; this.checked = false; this.readOutlines(); this.ask(); });
+    app.hear(element, ['renewed'], () => { this.layers = {}; this.checked = false; this.offer(); this.readOutlines(); this.ask(); });
     app.addEventListener('selected', () => this.selection.mark());
-    app.addEventListener('candidates', event => { this.candidates = event.detail; this.render(); });
+    app.addEventListener('candidates', () => this.render());
     app.addEventListener('shown', event => { if (event.detail === 'map') this.fit(); });
-    if (app.scene) this.open();
+    this.offer();
+    this.value.value = app.scene.adjusted ? 'sigma' : 'rays';
+    this.fit();
+    this.readOutlines();
   }
 
   // --- its parts
 
   build() {
-    const button = (textContent, title, onclick) => make('button', {type: 'button', textContent, title, onclick});
     [this.value, this.image, this.top] = ['What points are colored by', 'Image whose residuals are drawn', 'Where images overlap, this one is shown']
       .map(title => make('select', {title, onchange: () => this.ask()}));
-    this.factor = make('input', {type: 'number', min: 0.01, step: 'any', value: 0, title: 'Enlargement of vectors and ellipses; 0: by itself', oninput: () => this.render()});
-    this.boxing = button('Select in a box', 'Then drag a box; or drag with the Shift key', () => this.toggleBox());
-    this.distanceButton = button('Distance', 'Key d: between two points, with sigmas, or free places', () => this.distance.toggle());
-    const save = make('select', {title: 'Save this view as a figure with its caption', onchange: () => this.save(save)});
-    for (const [value, words] of [['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]) save.append(new Option(words, value));
-    const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), button('+', 'Zoom in', () => this.zoom(1.5)),
-      button('−', 'Zoom out', () => this.zoom(1 / 1.5)), button('Whole block', 'Key 0', () => this.whole()), this.distanceButton,
-      this.boxing, button('Select in window', 'Key b', () => this.selection.inside(this.box())), this.selection.form, save);
+    this.factor = make('input', {type: 'number', min: 0, step: 'any', value: 0, oninput: () => this.render()});
+    this.boxing = button('Select in a box', () => this.toggleBox(), {title: 'Then drag a box; or drag with the Shift key'});
+    this.distanceButton = button('Distance', () => this.distance.toggle(), {title: 'Key d: between two points, with sigmas, or free positions'});
+    const save = make('select', {title: 'Save this view as a figure with its caption', onchange: () => this.save(save)},
+      ...options([['', 'Save figure …'], ['svg', 'SVG'], ['png', 'PNG'], ['pdf', 'PDF']]));
+    const tools = make('div', {className: 'tools'}, make('label', {}, 'Color ', this.value), this.selection.form,
+      button('+', () => this.zoom(1.5), {title: 'Zoom in', ariaLabel: 'Zoom in'}), button('−', () => this.zoom(1 / 1.5), {title: 'Zoom out', ariaLabel: 'Zoom out'}),
+      button('Whole block', () => this.whole(), {title: 'Key 0'}), this.distanceButton, this.boxing,
+      button('Select in window', () => this.selection.inside(this.box()), {title: 'Key b'}), save);
+    const pictured = this.app.scene.images.filter(one => one.picture).length;
     this.classBox = make('fieldset', {}, make('legend', {textContent: 'Points'}));
     const layers = make('fieldset', {}, make('legend', {textContent: 'Layers'}), ...LAYERS.map(([key, words, on]) => {
-      this.shown[key] = on;
-      return this.check(words, on, checked => { this.shown[key] = checked; }, `layer-${key}`);
+      this.shown[key] = on && (key !== 'images' || pictured <= MOST_IMAGES);
+      return this.check(words, this.shown[key], checked => { this.shown[key] = checked; }, `layer-${key}`);
     }));
     const drawn = make('details', {open: window.innerWidth >= 1000}, make('summary', {textContent: 'What is drawn'}),
       make('div', {className: 'tools'}, layers, this.classBox, make('label', {}, 'Image on top ', this.top),
-        make('label', {}, 'Residuals of ', this.image), make('label', {}, 'Vectors × (0: automatic) ', this.factor)));
+        make('label', {}, 'Residuals of ', this.image), make('label', {}, 'Enlargement (0: automatic) ', this.factor)));
     this.canvas = make('canvas', {className: 'map-canvas', tabIndex: 0, role: 'application', ariaLabel: LABEL});
-    [this.where, this.words, this.under] = ['', '', ''].map(() => make('p', {className: 'caption'}));
+    [this.where, this.words, this.under] = ['', '', ''].map(caption);
     [this.legend, this.impact] = [make('div'), make('div')];
     const side = make('div', {className: 'map-side'}, this.distance.words, this.where, this.legend, this.under, drawn, this.words, this.impact,
       this.selection.words, this.selection.names);
@@ -67,15 +72,17 @@ export class MapPanel {
     this.hear();
   }
 
-  check(words, checked, act, id = '') {
-    return make('label', {}, make('input', {type: 'checkbox', checked, id, onchange: ({target}) => { act(target.checked); this.ask(); }}), words);
+  check(words, on, act, id = '') {
+    const label = check(words, on, checked => { act(checked); this.ask(); });
+    label.control.id = id;
+    return label;
   }
 
   save(menu) {
     const kind = menu.value, asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
     menu.value = '';
     for (const [key, value] of Object.entries({layers, factor: this.factor.value || 0, top: this.top.value, kind})) asked.set(key, value);
-    if (kind) download(`/api/map/figure?${asked}`, `map.${kind}`).catch(error => this.app.say(error.message, 'error'));
+    if (kind) this.app.orSay(download(`/api/map/figure?${asked}`, `map.${kind}`));
   }
 
   hear() {
@@ -116,7 +123,7 @@ export class MapPanel {
     for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, release);
     canvas.addEventListener('pointerleave', () => { this.hover = null; this.draw(); });
     canvas.addEventListener('keydown', event => {
-      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (withModifier(event)) return;
       const act = {
         ArrowLeft: () => this.move(-60, 0), ArrowRight: () => this.move(60, 0), ArrowUp: () => this.move(0, 60),
         ArrowDown: () => this.move(0, -60), '+': () => this.zoom(1.5), '=': () => this.zoom(1.5), '-': () => this.zoom(1 / 1.5),
@@ -148,7 +155,7 @@ export class MapPanel {
   }
 
   fit() {
-    if (this.app.scene && this.canvas.clientWidth) this.touchedOnce ? this.ask() : this.whole();
+    if (this.canvas.clientWidth) this.touchedOnce ? this.ask() : this.whole();
   }
 
   whole() {
@@ -182,26 +189,23 @@ export class MapPanel {
 
   // --- what the server is asked
 
-  open() {
-    const {scene} = this.app, pictured = scene.images.filter(one => one.picture).length;
-    this.value.replaceChildren(...scene.values.map(one => new Option(`${one.title} (${one.unit})`, one.name)));
-    this.value.value = scene.adjusted ? 'sigma' : 'rays';
-    this.image.replaceChildren(...scene.images.map(one => new Option(one.name)));
-    this.classBox.querySelectorAll('label').forEach(one => one.remove());
-    for (const {name, count} of scene.classes.filter(one => one.count))
-      this.classBox.append(this.check(`${name} (${count})`, true, on => { on ? this.hidden.delete(name) : this.hidden.add(name); }));
-    this.allow('relief', scene.terrain, 'no terrain model', true);
-    this.allow('images', pictured, 'no image has pixels', pictured <= MOST_IMAGES);
-    for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet', false);
+  // What the block has to choose from; a choice that was made stays where it can
+  offer() {
+    const {scene} = this.app;
+    refill(this.value, scene.values.map(one => [one.name, `${one.title} (${one.unit})`]));
+    refill(this.image, scene.images.map(one => [one.name]));
+    this.classBox.replaceChildren(this.classBox.firstElementChild, ...scene.classes.filter(one => one.count).map(({name, count}) =>
+      this.check(`${name} (${count})`, !this.hidden.has(name), on => { on ? this.hidden.delete(name) : this.hidden.add(name); })));
+    this.allow('relief', scene.terrain, 'no terrain model');
+    this.allow('images', scene.images.some(one => one.picture), 'no image has pixels');
+    for (const key of ['ellipses', 'moved', 'sigmas', 'residuals']) this.allow(key, scene.adjusted, 'nothing adjusted yet');
     this.words.textContent = `Map in ${scene.map.frame}.`;
-    this.fit();
-    this.readOutlines();
   }
 
   // A layer that can't be shown is disabled, and says why
-  allow(key, possible, reason, on) {
+  allow(key, possible, reason) {
     const box = document.getElementById(`layer-${key}`), [, words] = LAYERS.find(([one]) => one === key);
-    Object.assign(box, {disabled: !possible, checked: Boolean(possible && on)});
+    Object.assign(box, {disabled: !possible, checked: Boolean(possible && this.shown[key])});
     box.nextSibling.textContent = possible ? words : `${words} (${reason})`;
     this.shown[key] = box.checked;
   }
@@ -210,7 +214,7 @@ export class MapPanel {
     const words = one => (one.sigmas === null ? 'new' : `${short(Math.hypot(...one.vector_m))} m, ${short(one.sigmas)} of its sigmas`);
     const moved = (found.moved || []).slice(0, 8).map(one => make('li', {textContent: `${one.name}: ${words(one)}`}));
     this.impact.replaceChildren(make('h2', {textContent: 'What the last change did'}),
-      make('p', {className: 'caption', textContent: found.sentences.join(' ')}), make('ul', {className: 'moved-list'}, ...moved));
+      caption(found.sentences.join(' ')), make('ul', {className: 'moved-list'}, ...moved));
     this.render();
   }
 
@@ -227,13 +231,10 @@ export class MapPanel {
     this.again = true;
     if (this.asking) return;
     this.asking = true;
-    const slow = setTimeout(() => { this.slow = 'Reading the points …'; this.draw(); }, 200);
     while (this.again) {
       this.again = false;
       await Promise.all(Object.entries(this.addresses()).map(([key, address]) => this.read(key, address)));
       this.legend.replaceChildren(...this.picture.legend());
-      clearTimeout(slow);
-      this.slow = '';
       this.render();
     }
     this.asking = false;
@@ -256,7 +257,7 @@ export class MapPanel {
       this.layers[key] = Object.assign(await this.app.request(address), {address});
     } catch (error) {
       this.app.say(error.message, 'error');
-      if (key === 'sigmas') this.allow(key, false, error.message, false);
+      if (key === 'sigmas') this.allow(key, false, error.message);
     }
   }
 
@@ -275,9 +276,7 @@ export class MapPanel {
   async readImages() {
     this.checked = true;
     const {names, count, unreadable} = await this.app.request('/api/map/images').catch(error => ({names: [], unreadable: [error.message]}));
-    const chosen = this.top.value;
-    this.top.replaceChildren(new Option('the finest', ''), ...names.map(name => new Option(name)));
-    this.top.value = names.includes(chosen) ? chosen : '';
+    refill(this.top, [['', 'the finest'], ...names.map(name => [name])]);
     this.absent = [names.length < count && `${count - names.length} of ${count} images have no pixels.`, ...unreadable].filter(Boolean).join(' ');
     this.draw();
   }
@@ -295,10 +294,7 @@ export class MapPanel {
 
   // Of an empty canvas of this size in CSS pixels: its context, places of m on the map in pixels, colors
   pen(canvas, width, height) {
-    const {view} = this, density = window.devicePixelRatio || 1, context = canvas.getContext('2d'), style = getComputedStyle(this.canvas);
-    const size = {width: Math.round(width * density), height: Math.round(height * density)};
-    if (canvas.width !== size.width || canvas.height !== size.height) Object.assign(canvas, size);
-    context.setTransform(density, 0, 0, density, 0, 0);
+    const {view} = this, {context, density} = prepared(canvas, width, height), style = getComputedStyle(this.canvas);
     context.clearRect(0, 0, width, height);
     context.font = `12px ${style.fontFamily}`;
     const [x, y] = [one => width / 2 + (one - view.x) * view.scale, one => height / 2 - (one - view.y) * view.scale];
@@ -324,7 +320,7 @@ export class MapPanel {
     }
     if (this.tiles.complete && !this.checked) this.readImages();
     const {unnamed} = this.frame, names = this.shown.footprints && unnamed && `Names of ${unnamed} images have no room: zoom in, or point at an image.`;
-    const words = [this.slow, !this.tiles.complete && 'Loading the ground …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
+    const words = [this.tiles.late && 'Reading pixels …', this.shown.images && this.absent, names].filter(Boolean).join(' ');
     if (words !== this.under.textContent) this.under.textContent = words;
   }
 
@@ -351,6 +347,14 @@ export class MapPanel {
       const found = await this.app.request(`/api/map/where?${new URLSearchParams({x: east, y: north})}`).catch(() => null);
       if (found) this.where.textContent = `${place}: longitude ${found.longitude_deg.toFixed(5)}° E, latitude ${found.latitude_deg.toFixed(5)}° (planetocentric)`;
     }, REST);
+  }
+
+  // A point in the middle of the window
+  async lookAt(name) {
+    const {map_m: position} = await this.app.request(`/api/point?${new URLSearchParams({name})}`);
+    if (!position || position.includes(null)) return this.app.say(`${name} has no position.`, 'error');
+    [this.view.x, this.view.y] = position;
+    return this.touched();
   }
 
   placeOf(name) {
@@ -381,7 +385,4 @@ export class MapPanel {
   }
 }
 
-export function panel(app, element) {
-  element.view = new MapPanel(app, element);
-  return element.view;
-}
+export {MapPanel as Panel};

@@ -1,7 +1,7 @@
 // Distances on the map: two clicks, or Enter for the middle of the window; points have sigmas, free places have none.
 
-import {make, short} from './plot.js';
-import {trace, write} from './map_frame.js';
+import {write} from './map_frame.js';
+import {make, short, trace} from './plot.js';
 
 export class MapDistance {
   constructor(map) {
@@ -12,7 +12,7 @@ export class MapDistance {
     Object.assign(this, {on, ends: []});
     this.map.distanceButton.setAttribute('aria-pressed', String(on));
     this.map.canvas.classList.toggle('boxing', on);
-    this.words.textContent = on ? 'Distance: click two points or places (Enter: the middle of the map; Escape ends).' : '';
+    this.words.textContent = on ? 'Distance: click two points or positions (Enter: the middle of the map; Escape ends).' : '';
     this.map.draw();
   }
 
@@ -25,7 +25,7 @@ export class MapDistance {
     this.words.textContent = 'Computing the distance …';
     try {
       const found = await this.map.app.request(`/api/map/distance?${asked}`);
-      this.words.textContent = `${from.name || 'Free place'} – ${to.name || 'free place'}: ${found.sentence}`;
+      this.words.textContent = `${from.name || 'Free position'} – ${to.name || 'free position'}: ${found.sentence}`;
       to.words = `${short(found.distance_m, 5)} m`;
     } catch (error) {
       this.words.textContent = error.message;

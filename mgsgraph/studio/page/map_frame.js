@@ -1,6 +1,6 @@
 // What frames the map: graticule with labels, scale bar, names of images; texts avoid each other and the edges.
 
-import {roundBelow} from './plot.js';
+import {label, roundBelow, trace} from './plot.js';
 
 const MOST_NAMED = 40; // images in the window of which names are shown
 const HIGH = 15; // CSS pixels of a text
@@ -46,14 +46,14 @@ export class MapFrame {
   }
 
   // A meridian or parallel, its label where it crosses the edge of the window
-  drawLine(pen, {label, places}) {
-    const {context, x, y, width, height} = pen, wide = context.measureText(label).width, edge = ([a, b]) => a < 0 || a > width || b < 0 || b > height;
+  drawLine(pen, {label: name, places}) {
+    const {context, x, y, width, height} = pen, wide = context.measureText(name).width, edge = ([a, b]) => a < 0 || a > width || b < 0 || b > height;
     const line = places.map(([east, north]) => [x(east), y(north)]);
     Object.assign(context, {strokeStyle: 'rgba(128, 128, 128, 0.6)', lineWidth: 1});
     trace(context, line);
     const corner = ([a, b]) => [Math.max(3, Math.min(a + 3, width - wide - 3)), Math.max(3, Math.min(b - 16, height - 18))];
     const fits = line.find((one, k) => k && edge(one) !== edge(line[k - 1]) && this.hasRoom(pen, ...corner(one), wide));
-    if (fits) write(pen, label, corner(fits)[0], corner(fits)[1] + 12);
+    if (fits) write(pen, name, corner(fits)[0], corner(fits)[1] + 12);
   }
 
   // Names of images and where they stand: to the right of their outlines, the image on top first
@@ -71,18 +71,8 @@ export class MapFrame {
   }
 }
 
-export function trace(context, places) {
-  context.beginPath();
-  for (const place of places) context.lineTo(...place);
-  context.stroke();
-}
-
-// A text that can be read on any ground
-export function write({context, ink, paper}, words, left, base) {
-  Object.assign(context, {strokeStyle: paper, fillStyle: ink, lineWidth: 3, lineJoin: 'round'});
-  context.strokeText(words, left, base);
-  context.fillText(words, left, base);
-}
+// A text in the colors of the page
+export const write = ({context, ink, paper}, words, left, base) => label(context, words, left, base, ink, paper);
 
 // Whether an outline runs around a place: the sides to its right are odd in number
 function contains(outline, [x, y]) {

@@ -1,7 +1,6 @@
 // What the map shows, drawn on a canvas: outlines, points one by one or in cells, vectors, ellipses, and the legend.
 
-import {trace} from './map_frame.js';
-import {make, palette, roundBelow, short} from './plot.js';
+import {caption, make, palette, roundBelow, short, trace} from './plot.js';
 
 const SIGNED = ['moved_up'];
 const ELLIPSE = Math.sqrt(5.991); // 95 % of two dimensions
@@ -15,7 +14,7 @@ export class MapPicture {
 
   // All layers that are shown, from below upwards; pen: {context, x, y: m to pixels, width, height, ink, moved, strong}
   draw(pen) {
-    const {shown, layers, app, candidates, outlines} = this.map, {points} = layers, single = points?.form === 'points';
+    const {shown, layers, app, outlines} = this.map, {points} = layers, single = points?.form === 'points';
     if (shown.sigmas && layers.sigmas) this.drawSigmas(pen, layers.sigmas);
     if (shown.footprints && outlines) this.drawOutlines(pen, outlines);
     if (shown.points && points) single ? this.drawMarks(pen, points) : this.drawCells(pen, points);
@@ -26,15 +25,15 @@ export class MapPicture {
     }
     if (shown.residuals && layers.residuals) this.factors.residuals = this.arrows(pen, layers.residuals.places, layers.residuals.vectors, 30);
     if (shown.changes && app.last?.moved) this.drawChange({...pen, ink: pen.moved}, app.last.moved.filter(one => one.map_m));
-    if (shown.candidates && candidates) this.drawCandidates(pen, candidates.filter(one => one.map_m));
+    if (shown.candidates) this.drawCandidates(pen, app.candidates.filter(one => one.map_m));
     this.drawSelection(pen);
   }
 
   drawSigmas({context, x, y}, layer) {
-    const {colour} = this.scale(layer);
+    const {color} = this.scale(layer);
     context.globalAlpha = 0.75;
     layer.corners.forEach((one, k) => {
-      context.fillStyle = colour(layer.values[k]);
+      context.fillStyle = color(layer.values[k]);
       context.beginPath();
       for (let c = 0; c < 8; c += 2) context.lineTo(x(one[c]), y(one[c + 1]));
       context.fill();
@@ -51,26 +50,26 @@ export class MapPicture {
 
   // Ends of the color scale, and the color of a value
   scale({value, low, high} = this.map.layers.points) {
-    const signed = SIGNED.includes(value), most = Math.max(Math.abs(low), Math.abs(high)), colours = palette(signed);
+    const signed = SIGNED.includes(value), most = Math.max(Math.abs(low), Math.abs(high)), colors = palette(signed);
     const [first, last] = signed ? [-most, most] : [low, high];
     const step = one => Math.min(Math.max(Math.floor(64 * (one - first) / (last - first || 1)), 0), 63);
-    return {first, last, colours, colour: one => (one === null ? '#888' : colours[step(one)])};
+    return {first, last, colors, color: one => (one === null ? '#888' : colors[step(one)])};
   }
 
   drawCells({context, x, y}, {columns, rows, box, cells, values}) {
-    const {colour} = this.scale(), wide = (x(box[2]) - x(box[0])) / columns, high = (y(box[1]) - y(box[3])) / rows;
+    const {color} = this.scale(), wide = (x(box[2]) - x(box[0])) / columns, high = (y(box[1]) - y(box[3])) / rows;
     cells.forEach((cell, k) => {
-      context.fillStyle = colour(values[k]);
+      context.fillStyle = color(values[k]);
       context.fillRect(x(box[0]) + (cell % columns) * wide, y(box[1]) - (Math.floor(cell / columns) + 1) * high, Math.max(wide, 1), Math.max(high, 1));
     });
   }
 
   drawMarks({context, x, y, ink}, {x: east, y: north, values, classes}) {
-    const {colour} = this.scale(), size = east.length > 1500 ? 2 : 3.5;
+    const {color} = this.scale(), size = east.length > 1500 ? 2 : 3.5;
     Object.assign(context, {strokeStyle: ink, lineWidth: 0.5});
     east.forEach((one, k) => {
       const shape = SHAPES[MARKS[classes[k]]];
-      context.fillStyle = colour(values[k]);
+      context.fillStyle = color(values[k]);
       context.beginPath();
       if (shape) for (const [right, down] of shape) context.lineTo(x(one) + size * right, y(north[k]) + size * down);
       else context.arc(x(one), y(north[k]), size, 0, 2 * Math.PI);
@@ -142,11 +141,11 @@ export class MapPicture {
     }
   }
 
-  // What the colours, marks and lengths mean
+  // What the colors, marks and lengths mean
   legend() {
     const {shown, layers: {points, residuals, sigmas}, app} = this.map, {factors} = this;
     if (!points) return [];
-    const {first, last, colours} = this.scale(), bar = make('div', {className: 'legend-bar', style: `background: linear-gradient(to right, ${colours})`});
+    const {first, last, colors} = this.scale(), bar = make('div', {className: 'legend-bar', style: `background: linear-gradient(to right, ${colors})`});
     const enlarged = [
       shown.ellipses && points.form === 'points' && `ellipses × ${short(factors.ellipses)}`, shown.moved && `corrections × ${short(factors.moved)}`,
       shown.residuals && residuals && `residuals of ${residuals.image} on the ground × ${short(factors.residuals)}, median ${short(residuals.median_px)} px`,
@@ -155,7 +154,8 @@ export class MapPicture {
     return [
       make('strong', {textContent: `${points.title} (${points.unit})`}), bar,
       make('div', {className: 'legend-ends'}, make('span', {textContent: short(first)}), make('span', {textContent: short(last)})),
-      make('p', {className: 'caption', textContent: `${points.count} points in and around the window${points.form === 'cells' ? ', medians of cells' : ''}; colors end at the 98 % quantile of the block. Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${enlarged && ` ${enlarged}.`}`}),
+      caption(`${points.count} points in and around the window${points.form === 'cells' ? ', medians of cells' : ''}; colors end at the 98 % quantile of the block. `
+        + `Marks: ● tie, ▲ laser, ■ control, ◆ post of a terrain model.${enlarged && ` ${enlarged}.`}`),
     ];
   }
 }

@@ -1,10 +1,10 @@
 // Measuring a point by hand: its name, a click in each image, least-squares refinement where the server offers it.
 
-import {make, short} from './plot.js';
+import {button, caption, check, form, make, remover, short} from './plot.js';
 
 export class Measuring {
   constructor(app, images, place) {
-    Object.assign(this, {app, images, place, running: false, places: new Map()});
+    Object.assign(this, {app, images, place, running: false, places: new Map(), refining: true});
   }
 
   // [line, sample] measured in an image
@@ -14,27 +14,15 @@ export class Measuring {
 
   open() {
     if (this.running) return this.name.focus();
-    if (this.app.scene.writable === false) {
-      const {lock} = this.app.scene;
-      return this.app.say(lock || 'Only a project can be changed: make one with mgsgraph project init.', 'error');
-    }
+    if (this.app.refusal) return this.app.say(this.app.refusal, 'error');
     this.running = true;
     this.places.clear();
     this.name = make('input', {type: 'text', value: this.freeName(), maxLength: 200});
-    this.refine = make('input', {type: 'checkbox', checked: true});
     this.list = make('ul', {className: 'measured-places'});
-    this.sentence = make('p', {className: 'caption'});
+    this.sentence = caption('');
     this.storing = make('button', {type: 'submit', textContent: 'Store', disabled: true});
-    const cancel = make('button', {type: 'button', textContent: 'Cancel', onclick: () => this.close()});
-    const form = make('form', {className: 'measuring', ariaLabel: 'Measure a point'},
-      make('label', {}, 'Point ', this.name), make('label', {}, this.refine, ' Refine by least squares'),
-      this.list, this.storing, cancel, this.sentence);
-    form.addEventListener('submit', event => {
-      event.preventDefault();
-      this.store();
-    });
-    form.addEventListener('keydown', event => { if (event.key === 'Escape') this.close(); });
-    this.place.replaceChildren(form);
+    this.place.replaceChildren(form('measuring', 'Measure a point', () => this.store(), () => this.close(), make('label', {}, 'Point ', this.name),
+      check('Refine by least squares', this.refining, on => { this.refining = on; }), this.list, this.storing, button('Cancel', () => this.close()), this.sentence));
     this.show();
     this.name.focus();
     this.name.select();
@@ -59,11 +47,11 @@ export class Measuring {
   async take(pane, at) {
     const {lines, samples} = pane.image;
     if (at[0] < 0 || at[1] < 0 || at[0] > lines || at[1] > samples)
-      return this.app.say(`${pane.name}: this place lies beside the image.`, 'error');
+      return this.app.say(`${pane.name}: this position is outside the image.`, 'error');
     this.places.set(pane.name, {at, words: 'by hand'});
     this.show();
     const [first] = this.places.keys();
-    if (this.refine.checked && first !== pane.name && pane.layer) await this.refined(first, pane.name, at);
+    if (this.refining && first !== pane.name && pane.layer) await this.refined(first, pane.name, at);
   }
 
   async refined(first, name, at) {
@@ -79,21 +67,20 @@ export class Measuring {
         sigma: found.sigma_px,
       });
     } catch (error) {
-      this.app.say(`${error.message} The place stays as it was clicked.`, 'error');
+      this.app.say(`${error.message} The position stays where it was clicked.`, 'error');
     }
     this.show();
   }
 
   show() {
     const items = [...this.places].map(([name, one]) => {
-      const away = make('button', {type: 'button', textContent: '×', title: `Take the place in ${name} away`});
-      away.onclick = () => this.places.delete(name) && this.show();
+      const away = remover(`Remove the position in ${name}`, () => this.places.delete(name) && this.show());
       return make('li', {}, `${name}: line ${one.at[0].toFixed(2)}, sample ${one.at[1].toFixed(2)} (${one.words}) `, away);
     });
     this.list.replaceChildren(...items);
     this.storing.disabled = !this.places.size;
     this.sentence.textContent = this.places.size
-      ? 'Store measures the point in these images, in one change that can be undone.'
+      ? 'Store: one change, which can be undone.'
       : 'Click the point in each image, or bring it under the cross and press Enter.';
     this.images.request();
   }

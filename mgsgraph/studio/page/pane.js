@@ -2,21 +2,21 @@
 
 import {Contrast} from './contrast.js';
 import {
-  drawCross, drawEllipse, drawFrame, drawGrid, drawMeasured, drawNames, drawScale, drawShots, drawTies, label, tiesSeen, worstFirst,
+  drawCross, drawEllipse, drawFrame, drawGrid, drawMeasured, drawNames, drawScale, drawShots, drawTies, tiesSeen, worstFirst,
 } from './image_marks.js';
-import {make, prepared, short} from './plot.js';
+import {label, make, options, prepared, remover, short} from './plot.js';
 import {TileLayer} from './tile_layer.js';
 
 const CLOSE = 9; // CSS pixels, from a tie that is chosen
 const STILL = 4; // CSS pixels, up to which a press is a click
-export const LATE = 200; // ms, after which it is said that something is being read
 
 export class Pane {
   constructor(owner, name) {
     Object.assign(this, {owner, name, image: null, layer: null, pointers: new Map()});
     this.chooser = make('select', {title: 'Image', ariaLabel: 'Image', onchange: () => this.choose(this.chooser.value)},
-      ...owner.app.scene.images.map(one => make('option', {value: one.name, textContent: one.name, selected: one.name === name})));
-    const away = make('button', {type: 'button', textContent: '×', title: 'Take this image away', onclick: () => owner.removePane(this)});
+      ...options(owner.app.scene.images.map(one => [one.name])));
+    this.chooser.value = name;
+    const away = remover('Remove this image', () => owner.removePane(this));
     this.canvas = make('canvas', {tabIndex: 0, className: 'image-canvas', role: 'application'});
     this.words = make('figcaption');
     this.box = make('div', {className: 'image-box'}, this.canvas);
@@ -27,31 +27,26 @@ export class Pane {
 
   async choose(name) {
     this.name = name;
-    const first = this.owner.frame === this;
-    if (first) Object.assign(this.owner, {link: null, known: null, isWhole: true});
+    this.close();
+    Object.assign(this, {image: null, layer: null});
+    if (this.owner.frame === this) Object.assign(this.owner, {link: null, known: null, isWhole: true});
     await this.load();
     this.owner.changedPanes();
   }
 
-  // Read what is known of the image; `again` after a change: the picture's tiles stay
-  async load(again = false) {
-    const name = this.name, late = setTimeout(() => {
-      this.late = `Reading ${name} …`;
-      this.owner.request();
-    }, again ? 1e6 : LATE);
-    try {
-      const image = await this.owner.app.request(`/api/image?${new URLSearchParams({name})}`);
-      if (name !== this.name) return;
-      const same = again && this.layer && image.picture?.version === this.image?.picture?.version;
-      this.image = Object.assign(image, {order: worstFirst(image.ties)});
-      this.canvas.setAttribute('aria-label', `Image ${name}: arrows move, plus and minus zoom, m measures`);
-      if (!same) this.openLayer();
-    } catch (error) {
-      this.owner.app.say(error.message, 'error');
-    } finally {
-      clearTimeout(late);
-      if (name === this.name) this.late = '';
-    }
+  // Read what is known of the image; tiles of the same picture stay
+  async load() {
+    const {name, owner: {app}} = this;
+    this.state = `Reading ${name} …`;
+    this.owner.request();
+    const image = await app.orSay(app.request(`/api/image?${new URLSearchParams({name})}`));
+    if (name !== this.name) return;
+    this.state = '';
+    if (!image) return;
+    const same = this.layer && image.picture?.version === this.image.picture?.version;
+    this.image = Object.assign(image, {order: worstFirst(image.ties)});
+    this.canvas.ariaLabel = `Image ${name}: arrows move, plus and minus zoom, m measures`;
+    if (!same) this.openLayer();
   }
 
   openLayer() {
@@ -76,7 +71,7 @@ export class Pane {
     context.fillRect(0, 0, width, height);
     this.drawn = mapping;
     if (!width) return;
-    if (this.late || !this.image || !mapping) return this.say(context, width, height);
+    if (!this.image || !mapping) return this.say(context, width, height);
     const other = owner.over(this), there = other && owner.mapping(other, this.canvas), blinked = there && owner.blinked;
     if (!blinked) this.pixels(context, mapping, width, height, density);
     if (there) this.beside(context, other, there, width, height, density);
@@ -122,11 +117,9 @@ export class Pane {
   }
 
   say(context, width, height) {
-    context.fillStyle = '#dddddd';
-    context.font = '14px sans-serif';
-    context.textAlign = 'center';
-    const words = this.owner.link ? 'This image does not show the ground under the cross.' : '';
-    context.fillText(this.late || words, width / 2, height / 2, width - 20);
+    const words = this.image && this.owner.link ? 'This image does not show the ground under the cross.' : this.state;
+    Object.assign(context, {fillStyle: '#dddddd', font: '14px sans-serif', textAlign: 'center'});
+    context.fillText(words, width / 2, height / 2, width - 20);
     this.words.textContent = '';
   }
 
@@ -158,10 +151,10 @@ export class Pane {
   tell([line, sample], predicted, tie, counts) {
     const {link} = this.owner, grey = link?.grey?.[this.name];
     const parts = [`line ${line.toFixed(2)}, sample ${sample.toFixed(2)}`];
-    if (grey !== null && grey !== undefined) parts.push(`grey ${short(grey)}`);
+    if (grey !== null && grey !== undefined) parts.push(`gray ${short(grey)}`);
     if (this === this.owner.frame && link) parts.push(this.owner.position(link));
     if (predicted?.ellipse_px) parts.push(`predicted within ${predicted.ellipse_px.semi_axes_px.map(one => short(one, 2)).join(' × ')} px (95 %)`);
-    else if (predicted && !predicted.inside) parts.push('the ground under the cross lies beside this image');
+    else if (predicted && !predicted.inside) parts.push('the ground under the cross is outside this image');
     if (tie !== null) parts.push(this.tieWords(tie));
     if (counts.length) parts.push(`drawn: ${counts.join('; ')}`);
     if (this.layer?.late) parts.push('reading pixels …');
@@ -178,7 +171,7 @@ export class Pane {
 
   tieWords(k) {
     const {ties} = this.image, residual = ties.residuals[k], sigma = ties.sigmas[k];
-    const off = residual ? `residual ${short(residual[0], 2)} and ${short(residual[1], 2)} px` : 'no place';
+    const off = residual ? `residual ${short(residual[0], 2)} and ${short(residual[1], 2)} px` : 'no predicted position';
     return `${ties.kinds[k]} ${ties.names[k]}${ties.used[k] ? '' : ', rejected'}: ${off} in line and sample, `
       + `sigma ${short(sigma[0], 2)} and ${short(sigma[1], 2)} px`;
   }
@@ -209,8 +202,7 @@ export class Pane {
       if (known && event.type === 'pointerup' && this.travelled < STILL) owner.take(this);
       owner.ask();
     };
-    canvas.addEventListener('pointerup', up);
-    canvas.addEventListener('pointercancel', up);
+    for (const kind of ['pointerup', 'pointercancel']) canvas.addEventListener(kind, up);
     canvas.addEventListener('wheel', event => {
       event.preventDefault();
       if (owner.fitted()) owner.zoomBy(Math.exp(-Math.max(-300, Math.min(300, event.deltaY)) / 400));

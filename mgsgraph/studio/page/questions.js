@@ -1,7 +1,7 @@
 // Questions to the posterior: a point, two points, a place in an image, a line of an image, a new intersection; and what
 // to measure next, which the map then shows. Examples with names of this block stand as buttons.
 
-import {button, make, short, table} from './plot.js';
+import {button, caption, make, refill, remover, short, table} from './plot.js';
 
 // Height of the second of two points above the first, in a line
 export async function difference(app, first, second) {
@@ -10,14 +10,15 @@ export async function difference(app, first, second) {
 }
 
 function heightLine({points: [first, second], height_difference_m: height, height_sigma_m: sigma, height_sigma_if_independent_m: apart}) {
-  return `Height of ${second} above ${first}: ${short(height)} m, sigma ${short(sigma)} m (ratio ${short(Math.abs(height) / sigma, 2)}; sigma without their correlation ${short(apart)} m).`;
+  return `Height of ${second} above ${first}: ${short(height)} m, sigma ${short(sigma)} m `
+    + `(ratio ${short(Math.abs(height) / sigma, 2)}; sigma without their correlation ${short(apart)} m).`;
 }
 
-export class Questions {
+class Questions {
   constructor(app, element) {
     Object.assign(this, {app, element, pixels: []});
     this.answers = make('div', {className: 'answers'});
-    this.points = make('input', {type: 'text', size: 30, placeholder: 'a point, or two: A, B'});
+    this.points = make('input', {type: 'text', size: 30, placeholder: 'a point, or two: A, B', ariaLabel: 'Points'});
     this.image = make('select');
     this.line = make('input', {type: 'number', step: 'any', placeholder: 'line'});
     this.sample = make('input', {type: 'number', step: 'any', placeholder: 'sample'});
@@ -25,46 +26,42 @@ export class Questions {
     this.examples = make('div', {className: 'tools examples'});
     // Enter asks the first question of a row
     const row = (title, ...parts) => {
-      const form = make('form', {}, make('fieldset', {}, make('legend', {textContent: title}), ...parts));
-      form.addEventListener('submit', event => event.preventDefault());
-      form.addEventListener('keydown', event => { if (event.key === 'Enter' && event.target.tagName === 'INPUT') form.querySelector('button').click(); });
-      return form;
+      parts.find(one => one.tagName === 'BUTTON').type = 'submit';
+      return make('form', {onsubmit: event => event.preventDefault()}, make('fieldset', {}, make('legend', {textContent: title}), ...parts));
     };
     element.replaceChildren(
       make('div', {className: 'tools'},
         row('Ground points', this.points, button('How well known?', () => this.askPoints()), button('Is the height difference real?', () => this.askPair())),
         row('Next', this.planning = button('What should I measure next?', () => this.plan())),
-        row('Place in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
+        row('Position in an image', make('label', {}, 'image ', this.image), make('label', {}, 'line ', this.line), make('label', {}, 'sample ', this.sample),
           button('Orientation at this line', () => this.askPose()),
-          button('Where is the selected point?', () => (app.selection ? this.ask({projections: [[app.selection, this.image.value]]}) : app.say('Select a point first.', 'error'))),
+          button('Where is the selected point?', () => this.askProjection()),
           button('Add as a ray', () => this.add()), button('Intersect the rays', () => this.ask({pixels: this.pixels})))),
       this.examples, this.list, this.answers);
-    app.addEventListener('opened', () => this.open());
-    app.addEventListener('renewed', () => this.offer());
+    app.hear(element, ['renewed'], () => this.offer());
     app.addEventListener('selected', () => this.take());
     app.addEventListener('placed', () => this.takePlace());
-    if (app.scene) this.open();
+    this.offer();
     this.take();
     this.takePlace();
   }
 
-  open() {
-    this.image.replaceChildren(...this.app.scene.images.map(one => make('option', {value: one.name, textContent: one.name})));
-    this.offer();
-  }
-
   // Questions about this block, asked by a click
   async offer() {
-    const {app} = this, [image] = app.scene.images;
+    const {app} = this, {images, adjusted} = app.scene, [image] = images;
+    refill(this.image, images.map(one => [one.name]));
     const {examples: [a, b], reasons} = await app.request('/api/worst').catch(() => ({examples: [], reasons: {}}));
     const line = image && Math.round(image.lines / 2);
     const questions = Object.entries({
-      ...(b && {[`How well is ${a} known?`]: {points: [a]}, [`How much higher is ${b} than ${a}?`]: {pairs: [[a, b]]}, [`Where is ${a} in ${image.name}?`]: {projections: [[a, image.name]]}}),
-      ...(image && app.scene.adjusted && {[`Orientation of ${image.name} at line ${line}?`]: {poses: [[image.name, line]]}}),
+      ...(b && {
+        [`How well is ${a} known?`]: {points: [a]}, [`How much higher is ${b} than ${a}?`]: {pairs: [[a, b]]},
+        [`Where is ${a} in ${image.name}?`]: {projections: [[a, image.name]]},
+      }),
+      ...(image && adjusted && {[`Orientation of ${image.name} at line ${line}?`]: {poses: [[image.name, line]]}}),
     });
-    this.examples.replaceChildren(make('span', {className: 'caption', textContent: questions.length ? 'Examples:' : 'Answers come from the covariances of an adjustment; nothing is adjusted yet.'}),
+    this.examples.replaceChildren(caption(questions.length ? 'Examples:' : 'Answers come from the covariances of an adjustment; nothing is adjusted yet.'),
       ...questions.map(([words, body]) => button(words, () => this.ask(body))));
-    if (reasons.plan) this.examples.append(make('span', {className: 'caption', textContent: `What should I measure next? ${reasons.plan}`}));
+    if (reasons.plan) this.examples.append(caption(`What should I measure next? ${reasons.plan}`));
     Object.assign(this.planning, {disabled: Boolean(reasons.plan), title: reasons.plan || 'Where one more tie point would help most'});
   }
 
@@ -105,48 +102,50 @@ export class Questions {
     return this.ask({poses: [[this.image.value, this.number(this.line)]]});
   }
 
+  askProjection() {
+    const {app} = this;
+    return app.selection ? this.ask({projections: [[app.selection, this.image.value]]}) : app.say('Select a point first.', 'error');
+  }
+
   add() {
     const place = {image: this.image.value, line: this.number(this.line), sample: this.number(this.sample)};
-    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Give line and sample of the place.', 'error');
+    if (Number.isNaN(place.line) || Number.isNaN(place.sample)) return this.app.say('Give line and sample of the position.', 'error');
     this.pixels.push(place);
     return this.listRays();
   }
 
   listRays() {
     const away = one => () => { this.pixels.splice(this.pixels.indexOf(one), 1); this.listRays(); };
-    this.list.replaceChildren(...this.pixels.map(one => make('li', {}, `${one.image}: line ${one.line}, sample ${one.sample} `, button('×', away(one), {title: `Take the ray of ${one.image} away`}))));
+    this.list.replaceChildren(...this.pixels.map(one => make('li', {}, `${one.image}: line ${one.line}, sample ${one.sample} `,
+      remover(`Remove the ray of ${one.image}`, away(one)))));
   }
 
   async ask(body) {
-    try {
-      const found = await this.app.request('/api/questions', body);
-      this.answers.prepend(...found.map(({text, record}) => make('section', {className: 'answer'},
-        record.question === 'pair' ? make('strong', {textContent: heightLine(record)}) : '', make('pre', {textContent: text}))));
-      this.app.say('');
-    } catch (error) {
-      this.app.say(error.message, 'error');
-    }
+    const found = await this.app.orSay(this.app.request('/api/questions', body));
+    if (!found) return;
+    this.answers.prepend(...found.map(({text, record}) => make('section', {className: 'answer'},
+      record.question === 'pair' ? make('strong', {textContent: heightLine(record)}) : '', make('pre', {textContent: text}))));
+    this.app.say('');
   }
 
   async plan() {
     const {app} = this, places = one => one.images.map(({image, line, sample}) => `${image} (${line.toFixed(0)}, ${sample.toFixed(0)})`).join('; ');
-    app.say('Places are compared …');
-    try {
-      const {sentence, candidates} = await app.request('/api/plan');
-      const found = table('What to measure next', ['', 'longitude (° E)', 'latitude (°)', 'height (m)', 'images (line, sample)', 'mean sigma then (m)', 'gain (%)', ''],
-        candidates.map((one, k) => [k + 1, one.longitude_deg.toFixed(5), short(one.latitude_deg, 7), short(one.height_m, 4), places(one), short(one.mean_sigma_m, 5), short(one.gain_percent, 2),
-          [button('Images', () => app.see(one.images)), ' ', button('Measure', () => app.see(one.images, '', 4).then(view => view.measuring.open()))]]), 'No further point would lower it.');
-      found.append(make('p', {className: 'caption', textContent: candidates[0]?.gain_percent < 0.1 ? `${sentence} Each gains less than 0.1 %.` : sentence}), button('Show them on the map', () => app.show('map')));
-      this.answers.prepend(found);
-      app.emit('candidates', candidates);
-      app.say('The map marks them by squares with numbers.');
-    } catch (error) {
-      app.say(error.message, 'error');
-    }
+    const see = (one, most) => app.show('images').then(view => view.see(one.images, '', most));
+    app.say('Positions are compared …');
+    const found = await app.orSay(app.request('/api/plan'));
+    if (!found) return;
+    const {sentence, candidates} = found;
+    const columns = ['', 'longitude (° E)', 'latitude (°)', 'height (m)', 'images (line, sample)', 'mean sigma then (m)', 'gain (%)', ''];
+    const best = table('What to measure next', columns, candidates.map((one, k) => [
+      k + 1, one.longitude_deg.toFixed(5), short(one.latitude_deg, 7), short(one.height_m, 4), places(one), short(one.mean_sigma_m, 5), short(one.gain_percent, 2),
+      [button('Images', () => see(one)), ' ', button('Measure', () => see(one, 4).then(view => view.measuring.open()))],
+    ]), 'No further point would lower it.');
+    best.append(caption(candidates[0]?.gain_percent < 0.1 ? `${sentence} Each gains less than 0.1 %.` : sentence), button('Show them on the map', () => app.show('map')));
+    this.answers.prepend(best);
+    app.candidates = candidates;
+    app.emit('candidates');
+    app.say('The map marks them by squares with numbers.');
   }
 }
 
-export function panel(app, element) {
-  element.view = new Questions(app, element);
-  return element.view;
-}
+export {Questions as Panel};

@@ -1,6 +1,6 @@
 // The first screen: what is wrong with the block, the worst of each kind, and what to do next.
 
-import {button, make, short, table} from './plot.js';
+import {button, caption, check, form, make, short, table} from './plot.js';
 
 const WORK = [
   ['solve', 'Solve', 'Adjust everything by batch and test the result'], ['match', 'Match', 'Find tie points in all images'],
@@ -9,16 +9,16 @@ const WORK = [
   ['add', 'Add …', 'Add images and control networks'],
 ];
 
-export class Start {
+class Start {
   constructor(app, element) {
-    Object.assign(this, {app, element, verdict: make('div'), next: make('div', {className: 'next'}), files: make('form', {className: 'files'})});
-    this.worst = make('div', {}, make('p', {className: 'caption', textContent: 'loading …'}));
+    Object.assign(this, {app, element, verdict: make('div'), next: make('div', {className: 'next'})});
+    this.files = form('files', 'Files to add', () => this.add(), () => this.files.replaceChildren());
+    this.worst = make('div', {}, caption('loading …'));
     element.append(this.verdict, make('h2', {textContent: 'What to do next'}), this.next, this.files, make('h2', {textContent: 'The worst'}), this.worst);
-    this.files.addEventListener('submit', event => { event.preventDefault(); this.add(); });
-    for (const name of ['opened', 'renewed']) app.addEventListener(name, () => this.read());
+    app.hear(element, ['renewed'], () => this.read());
     for (const name of ['worked', 'shown']) app.addEventListener(name, ({detail}) => this.found && (!detail || detail === 'start') && this.draw());
     app.addEventListener('judged', () => this.verdict.replaceChildren(app.verdict.parts()));
-    if (app.scene) this.read();
+    this.read();
   }
 
   async read() {
@@ -35,10 +35,10 @@ export class Start {
   refusal(kind) {
     const {app, found: {reasons}, listed} = this, own = reasons[kind === 'window' ? 'match' : kind];
     if (kind === 'plan' || own) return own;
-    if (app.running) return `${app.scene.job.title} is running.`;
-    if (kind === 'window' && !document.getElementById('map').view?.view) return 'Open the map and show the ground.';
+    if (app.refusal) return app.refusal;
+    if (kind === 'window' && !app.views.map?.view) return 'Open the map and show the ground.';
     if (kind === 'add' && !listed.length) return 'Start the studio with --from FOLDER, a folder of images and control networks.';
-    return app.scene.lock || '';
+    return '';
   }
 
   draw() {
@@ -49,8 +49,8 @@ export class Start {
       return button(words, () => this.act(kind), {title: reason || title, disabled: Boolean(reason), className: kind === found.next ? 'first' : ''});
     });
     this.next.replaceChildren(make('div', {className: 'tools'}, ...buttons));
-    for (const [reason, kinds] of refused) this.next.append(make('p', {className: 'caption', textContent: `${kinds.join(', ')}: ${reason}`}));
-    const copy = () => navigator.clipboard.writeText(found.command).then(() => app.say('Copied.'), error => app.say(error.message, 'error'));
+    for (const [reason, kinds] of refused) this.next.append(caption(`${kinds.join(', ')}: ${reason}`));
+    const copy = () => app.orSay(navigator.clipboard.writeText(found.command).then(() => app.say('Copied.')));
     if (found.command) this.next.append(make('p', {}, 'To make a project of it: ', make('code', {textContent: found.command}), ' ', button('Copy', copy)));
     this.worst.replaceChildren(worst(app, found));
   }
@@ -58,20 +58,22 @@ export class Start {
   act(kind) {
     const {app} = this;
     if (kind === 'add') return this.list();
-    if (kind === 'plan') return app.show('questions').then(() => document.getElementById('questions').view.plan());
-    const [x0, y0, x1, y1] = kind === 'window' ? document.getElementById('map').view.box() : [];
+    if (kind === 'plan') return app.show('questions').then(view => view.plan());
+    const [x0, y0, x1, y1] = kind === 'window' ? app.views.map.box() : [];
     return app.work.start(kind === 'window' ? {kind: 'match', x0, y0, x1, y1} : {kind});
   }
 
   // Files of the folder that the studio was started with
   list() {
-    const boxes = this.listed.map((one, k) => make('label', {}, make('input', {type: 'checkbox', value: k}), ` ${one.name} (${one.is_image ? 'image' : 'network'})`));
+    const choose = k => on => { on ? this.chosen.add(k) : this.chosen.delete(k); };
+    const boxes = this.listed.map((one, k) => check(`${one.name} (${one.is_image ? 'image' : 'network'})`, false, choose(k)));
+    this.chosen = new Set();
     this.files.replaceChildren(...boxes, make('button', {type: 'submit', textContent: 'Add the chosen files'}), button('Close', () => this.files.replaceChildren()));
-    boxes[0].querySelector('input').focus();
+    boxes[0].control.focus();
   }
 
   add() {
-    const files = [...this.files.querySelectorAll('input:checked')].map(one => Number(one.value));
+    const files = [...this.chosen].sort((one, other) => one - other);
     if (files.length) this.files.replaceChildren();
     return files.length ? this.app.work.start({kind: 'add', files}) : this.app.say('Choose one file at least.', 'error');
   }
@@ -81,19 +83,20 @@ export class Start {
 export function worst(app, {measurements, points, images, profiles}) {
   const look = (words, view, kind, name, more = {}) => button(words, () => app.look({kind, name, ...more}, view));
   const ways = (...link) => [look('Images', 'images', ...link), ' ', look('Map', 'map', ...link)];
-  const why = app.scene.writable ? (app.running ? 'A job is running.' : '') : app.scene.lock || 'Only a project can be changed.';
-  const reject = ({point, image}) => button('Reject', () => app.tryTo({kind: 'reject', point, image}), {disabled: Boolean(why), title: why || `Take the measurement of ${point} in ${image} out`});
+  const why = app.refusal;
+  const reject = ({point, image}) => button('Reject', () => app.tryTo({kind: 'reject', point, image}),
+    {disabled: Boolean(why), title: why || `Reject the measurement of ${point} in ${image}`});
+  const measurement = one => [look(one.point, 'point', 'point', one.point), one.image, `${short(one.residual_line_px)}, ${short(one.residual_sample_px)}`,
+    short(one.residual_sigmas), [...ways('point', one.point, {image: one.image}), ' ', reject(one)]];
+  const profile = one => [look(one.profile, 'map', 'profile', one.profile, {point: one.middle}),
+    `${short(one.shift_along_m)}, ${short(one.shift_across_m)}`, short(one.shift_sigmas)];
   return make('div', {className: 'worst'},
-    table('Measurements', ['point', 'image', 'residual of line, sample (px)', 'residual / sigma', ''], measurements.map(one => [look(one.point, 'point', 'point', one.point), one.image,
-      `${short(one.residual_line_px)}, ${short(one.residual_sample_px)}`, short(one.residual_sigmas), [...ways('point', one.point, {image: one.image}), ' ', reject(one)]]), 'No image measurement has a residual.'),
+    table('Measurements', ['point', 'image', 'residual of line, sample (px)', 'residual / sigma', ''],
+      measurements.map(measurement), 'No image measurement has a residual.'),
     table('Points', ['point', '3-D sigma (m)', ''], points.map(one => [look(one.id, 'point', 'point', one.id), short(one.sigma_m), ways('point', one.id)]),
       app.scene.adjusted ? 'No point has a sigma.' : 'Sigmas are known after an adjustment.'),
     table('Images', ['image', 'rms residual (px)'], images.map(one => [look(one.image, 'images', 'image', one.image), short(one.rms_px)]), 'No image has residuals.'),
-    table('Laser profiles', ['profile', 'shift along, across (m)', 'shift / sigma'], profiles.map(one => [look(one.profile, 'map', 'profile', one.profile, {point: one.middle}),
-      `${short(one.shift_along_m)}, ${short(one.shift_across_m)}`, short(one.shift_sigmas)]), 'No laser profile has an adjusted shift.'));
+    table('Laser profiles', ['profile', 'shift along, across (m)', 'shift / sigma'], profiles.map(profile), 'No laser profile has an adjusted shift.'));
 }
 
-export function panel(app, element) {
-  element.view = new Start(app, element);
-  return element.view;
-}
+export {Start as Panel};

@@ -86,7 +86,7 @@ export class TileLayer extends Tiles {
     return `/api/image/tile.png?${asked}`;
   }
 
-  // Grey values that are black and white
+  // Gray values that are black and white
   setContrast(low, high) {
     if (!(low < high) || (low === this.low && high === this.high)) return;
     this.low = low;

@@ -1,6 +1,6 @@
 // The verdict of the adjustment: its state in the head of the page, its reasons with what they are about.
 
-import {button, make} from './plot.js';
+import {button, caption, make} from './plot.js';
 
 const WORDS = {valid: 'valid', suspect: 'SUSPECT', invalid: 'INVALID', 'not adjusted': 'not adjusted', 'not tested': 'not tested'};
 const VIEWS = {point: 'point', image: 'images', profile: 'map'};
@@ -33,6 +33,6 @@ export class Verdict {
     const link = one => button(one.name, go(one), {title: `Show ${one.kind} ${one.name}`});
     return make('div', {className: 'verdict'}, make('p', {}, make('strong', {textContent: `The adjustment is ${WORDS[state]}`}), reasons.length ? ':' : '.'),
       make('ul', {}, ...reasons.map(({sentence, links}) => make('li', {}, sentence, ' ', make('span', {className: 'links'}, ...links.map(link))))),
-      make('details', {open: open || state.startsWith('not')}, make('summary', {textContent: 'What was tested, and what no test shows'}), ...sentences.map(textContent => make('p', {className: 'caption', textContent}))));
+      make('details', {open: open || state.startsWith('not')}, make('summary', {textContent: 'What was tested, and what no test shows'}), ...sentences.map(caption)));
   }
 }

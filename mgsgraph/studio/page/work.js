@@ -13,7 +13,7 @@ export class Work {
 
   // Begin or cancel a job, or look at it
   start(body) {
-    return this.app.request(body ? '/api/work' : '/api/state', body).then(({job}) => this.show(job), error => this.app.say(error.message, 'error'));
+    return this.app.orSay(this.app.request(body ? '/api/work' : '/api/state', body).then(({job}) => this.show(job)));
   }
 
   show(job) {
