@@ -421,8 +421,6 @@ last three are refused: the pair has no pixels.
 def _commands() -> Iterator[Reader]:
     """Every verb with odd words, and some with damaged files."""
     for verb, (line, more) in _LINES.items():
-        if verb == "studio":  # it would start a server
-            continue
         seed = partial(_command_seed, verb, line, more, seeds.WORDS)
         yield Reader(f"mgsgraph {verb}", seeds.obeyed, seed, "words", patience=60.0)
     damaged = (
@@ -431,7 +429,7 @@ def _commands() -> Iterator[Reader]:
         ("project solve", *_PROJECT, "sqlite"), ("project solve", *_PROJECT, "bit"),
         ("report", "result/solution.npz", "npz"), ("analyze", "result/solution.npz", "bit"),
         ("export", "result/solution.json", "json"), ("footprints", "shots.csv", "csv"), ("locate", "places.csv", "csv"),
-        ("studio", "verdicts.csv", "csv"), ("new", "network.pvl", "pvl"),
+        ("convert", "verdicts.csv", "csv"), ("new", "network.pvl", "pvl"),
     )  # fmt: skip
     for verb, name, form in damaged:
         seed = partial(_command_seed, verb, *_LINES[verb], name)
