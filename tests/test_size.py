@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 CEILINGS = {
     "cli": (1408, 14611, 11),
-    "studio": (2449, 39124, 19),
+    "studio": (2453, 39218, 19),
     "fetch": (1363, 16570, 9),
     "project": (2711, 36654, 17),
     "export": (2765, 39906, 18),
@@ -33,8 +33,8 @@ CEILINGS = {
     "geometry": (2892, 48407, 18),
     "factors": (867, 13743, 18),
     "single files": (869, 10102, 10),
-    "scripts": (7004, 112227, 51),
-    "tests": (39008, 588027, 216),
+    "scripts": (7002, 112220, 51),
+    "tests": (39014, 588095, 216),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

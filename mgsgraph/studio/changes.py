@@ -103,7 +103,8 @@ def _sigmas(row: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _move(project: Project, content: Mapping[str, Any]) -> Changed:
-    return edits.move(project, text_of(content, "point"), *place_of(content))
+    sigmas = _sigmas(content) if "sigma_px" in content else None
+    return edits.move(project, text_of(content, "point"), *place_of(content), sigmas)
 
 
 def _measures(content: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -29,7 +29,7 @@ from mgsgraph.geometry.records import Array, Index
 from mgsgraph.geometry.terrain import TerrainGrid
 from mgsgraph.network.corrections import designs
 from mgsgraph.studio.opened import Block
-from mgsgraph.text import many
+from mgsgraph.text import many, two
 from mgsgraph.units import DEG, KM
 
 _NEIGHBOURS = 5
@@ -136,8 +136,8 @@ class GroundModel:
         height = float(weights @ heights)
         spread = float(np.sqrt(weights @ (heights - height) ** 2 + weights @ sigmas**2))
         kind = "adjusted point" if self._block.adjusted else "a-priori place"
-        surface = f"at the height of the nearest {many(count, kind)}, {height:.0f} m with a sigma of {spread:.2g} m"
-        return height, spread, f"{surface}; the next one is {distances.min() / KM:.2g} km away"
+        surface = f"at the height of the nearest {many(count, kind)}, {height:.0f} m with a sigma of {two(spread)} m"
+        return height, spread, f"{surface}; the next one is {two(distances.min() / KM)} km away"
 
     def _ground(self, point: Array, slopes: Array, directions: Array, sigma: float, surface: str) -> Ground:
         up = east_north_up(point)[0, 2]

@@ -224,7 +224,7 @@ def _measurements(opened: Opened, rays: ListedRays) -> Iterator[Column]:
     if "tests" in ready:
         test, redundancy = ray_tests(opened)
         yield Column("w", test, head="|w|", meaning="larger w-test of line and sample")
-        yield Column("redundancy", redundancy, meaning="smaller redundancy number of line and sample")
+        yield Column("redundancy", redundancy, meaning="redundancy number of the same coordinate")
 
 
 def _grouped(opened: Opened, rays: ListedRays, group: Index, count: int) -> Iterator[Column]:

@@ -210,15 +210,17 @@ def ray_residuals(opened: Opened) -> Array:
 
 
 def ray_tests(opened: Opened) -> tuple[Array, Array]:
-    """Of all image measurements (k,) the larger |w| of line and sample and the smaller redundancy number; NaN where
-    they have none.
+    """Of all image measurements (k,) the larger |w| of line and sample, and the redundancy number of the same one; NaN
+    where they have none.
     """
 
     def make() -> tuple[Array, Array]:
         measures = reliability(opened.posterior().linearised).measures
         rays = np.flatnonzero(measures.kind == MeasureKind.RAY)
-        row, count = measures.row[rays].astype(np.int64), opened.block().network.rays.point.size
-        return largest(np.abs(measures.test[rays]), row, count), -largest(-measures.redundancy[rays], row, count)
+        test, found = np.abs(measures.test[rays]), np.full((2, opened.block().network.rays.point.size), np.nan)
+        rays, test = rays[order := np.argsort(np.nan_to_num(test, nan=-1.0))], test[order]
+        found[:, measures.row[rays].astype(np.int64)] = test, measures.redundancy[rays]  # the last one stays
+        return found[0], found[1]
 
     return opened.once("ray tests", make)
 

@@ -340,7 +340,7 @@ def _asked(opened: Opened, views: Views) -> _Posting:
         match = refine(views.linked, opened.pictures, fixed, clicked)
         line, sample = match.place.tolist()
         sentence = (f"Refined against {fixed[0]}: line {line:.2f}, sample {sample:.2f}, sigma {match.sigma:.2g} px, "
-                 f"correlation {match.correlation:.2f}.")  # fmt: skip
+                 f"correlation {match.correlation:.2f}; Store keeps it.")  # fmt: skip
         return {"line": line, "sample": sample, "sigma_px": match.sigma, "correlation": match.correlation,
                 "sentence": sentence}  # fmt: skip
 

@@ -33,6 +33,8 @@ _IMAGES, _NETWORKS = (".json", ".isd", ".img", ".lbl", ".cub", ".toml"), (".net"
 _MOST_FILES, _LINES, _LONGEST, _MOST_CELLS = 200, 12, 4000, 4000
 """Files of the folder that are listed; lines of an output that are shown; characters of it; cells of a match."""
 _CONTROL = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
+_BAR = re.compile(r":?\s*(\|.*|\d*it \[.*)$")
+"""Of a line of progress all but its words and its share."""
 _TERMINAL = 'exec "$@" <"$0"'
 """Of the shell, which opens the terminal: from then on that of its session. When the studio ends, even by a kill, the
 system closes the studio's side and ends the session."""
@@ -90,7 +92,7 @@ class Job:
                 while data := os.read(terminal, 4096):
                     said = (said + _CONTROL.sub("", data.decode(errors="replace")))[-_LONGEST:]
                     self._lines = [line for text in re.split("[\r\n]", said) if (line := text.strip())]
-                    self._stage = self._lines[-1] if self._lines else ""
+                    self._stage = _BAR.sub("", self._lines[-1]).strip() if self._lines else ""
             os.close(terminal)
             done = self._process.wait() in (0, 1) and "Traceback" not in said
             printed.seek(0)

@@ -33,7 +33,7 @@ class Images {
     app.addEventListener('selected', () => this.showPoint(app.selection));
     element.addEventListener('keydown', event => this.key(event));
     new ResizeObserver(() => this.isWhole || !this.fitted() ? this.whole() : this.request()).observe(this.row);
-    this.opening = this.open();
+    this.opening = this.open().then(() => this.showPoint(app.selection));
   }
 
   build() {
@@ -383,7 +383,11 @@ class Images {
       this.zoomTo(1);
       this.centerOn(this.frame, [line, sample]);
     }
+    const twin = this.panes.find(({name}, k) => this.panes.findIndex(one => one.name === name) < k);
+    const other = twin && this.app.scene.images.find(one => this.panes.every(pane => pane.name !== one.name));
+    if (other) await twin.choose(twin.chooser.value = other.name);
     this.showPoint(point);
+    this.frame.canvas.focus({preventScroll: true});
     return this;
   }
 

@@ -81,7 +81,10 @@ class Lists {
       this.go(state.active === active ? found.at ?? active : state.active); // keys may have gone on meanwhile
       this.showMissing();
     } catch (error) {
-      if (version === this.version) this.words.textContent = error.message;
+      if (version !== this.version) return;
+      Object.assign(state, {found: state.found && {...state.found, count: 0}, blocks: new Map()}); // no rows of another filter
+      this.draw();
+      this.words.textContent = error.message;
     }
   }
 
@@ -248,10 +251,10 @@ class Lists {
 
   // Why rows can't be rejected or accepted, and what to do; empty where they can
   get refusal() {
-    const {kind, verdicts, writable, lock} = this.app.scene, {size} = this.state.marked;
+    const {kind, verdicts} = this.app.scene, {size} = this.state.marked;
     if (kind !== 'project' && !verdicts) return 'To reject, make a project: mgsgraph project init PROJECT --case CASE. For verdicts, start the studio with --case CASE.';
     if (kind !== 'project' && this.name !== 'points') return 'Verdicts are about points. To reject measurements: mgsgraph project init PROJECT --case CASE.';
-    if (kind === 'project' && !writable) return lock;
+    if (kind === 'project' && this.app.refusal) return this.app.refusal;
     return size > MOST ? `At most ${MOST} rows at a time; ${size} are marked.` : '';
   }
 
@@ -303,9 +306,10 @@ class Lists {
   showSide() {
     const pictured = new Set(this.app.scene.images.filter(one => one.picture).map(one => one.name));
     const point = pictured.size && this.ofPoints ? this.row()?.[0] ?? '' : '';
-    this.side.hidden = !point;
+    this.side.hidden = !(pictured.size && this.ofPoints);
     if (point === this.point) return;
     this.point = point;
+    if (!point) this.side.replaceChildren();
     clearTimeout(this.waiting);
     if (point) this.waiting = setTimeout(() => this.app.orSay(this.chips(point, pictured)), 80);
   }

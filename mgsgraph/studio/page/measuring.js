@@ -50,6 +50,7 @@ export class Measuring {
       return this.app.say(`${pane.name}: this position is outside the image.`, 'error');
     this.places.set(pane.name, {at, words: 'by hand'});
     this.show();
+    if (pane === this.images.frame) this.images.centerOn(pane, at); // the others then show its ground, not that beside it
     const [first] = this.places.keys();
     if (this.refining && first !== pane.name && pane.layer) await this.refined(first, pane.name, at);
   }
@@ -67,7 +68,8 @@ export class Measuring {
         sigma: found.sigma_px,
       });
     } catch (error) {
-      this.app.say(`${error.message} The position stays where it was clicked.`, 'error');
+      if (this.places.get(name)?.at !== at) return;
+      this.places.set(name, {at, words: `by hand; ${error.message}`});
     }
     this.show();
   }

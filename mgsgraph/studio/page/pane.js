@@ -100,6 +100,7 @@ export class Pane {
     if (compare === 'red') {
       const copy = new OffscreenCanvas(this.canvas.width, this.canvas.height), second = copy.getContext('2d');
       second.scale(density, density);
+      fill(second, '#000000', 'source-over');
       other.pixels(second, there, width, height, density);
       fill(context, '#ff0000', 'multiply');
       fill(second, '#00ffff', 'multiply');

@@ -84,7 +84,7 @@ export function worst(app, {measurements, points, images, profiles}) {
   const look = (words, view, kind, name, more = {}) => button(words, () => app.look({kind, name, ...more}, view));
   const ways = (...link) => [look('Images', 'images', ...link), ' ', look('Map', 'map', ...link)];
   const why = app.refusal;
-  const reject = ({point, image}) => button('Reject', () => app.tryTo({kind: 'reject', point, image}),
+  const reject = ({point, image}) => button('Reject', ({target}) => { target.disabled = true; app.tryTo({kind: 'reject', point, image}); },
     {disabled: Boolean(why), title: why || `Reject the measurement of ${point} in ${image}`});
   const measurement = one => [look(one.point, 'point', 'point', one.point), one.image, `${short(one.residual_line_px)}, ${short(one.residual_sample_px)}`,
     short(one.residual_sigmas), [...ways('point', one.point, {image: one.image}), ' ', reject(one)]];

@@ -13,7 +13,10 @@ export class Work {
 
   // Begin or cancel a job, or look at it
   start(body) {
-    return this.app.orSay(this.app.request(body ? '/api/work' : '/api/state', body).then(({job}) => this.show(job)));
+    if (body && this.starting) return undefined; // a double click
+    this.starting ||= Boolean(body);
+    const answer = this.app.request(body ? '/api/work' : '/api/state', body).then(({job}) => this.show(job));
+    return this.app.orSay(answer).finally(() => { this.starting &&= !body; });
   }
 
   show(job) {
