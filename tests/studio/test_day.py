@@ -215,7 +215,8 @@ def measure_in_three(day: Day) -> None:
         names,
     )
     assert place is not None
-    day.run("([names, place]) => studio.see(names.map(image => ({image, ...place})), '', 3)", [names, place])
+    see = f"([names, place]) => {VIEW}.see(names.map(image => ({{image, ...place}})), '', 3).then(() => null)"
+    day.run(see, [names, place])
     day.until(f"{VIEW}.panes.length === 3 && {VIEW}.panes.every(one => {VIEW}.mapping(one))")
     day.tab.wait_for_timeout(600)
     day.run(f"{VIEW}.panes[0].canvas.focus()")
