@@ -82,7 +82,9 @@ class MapPanel {
     const kind = menu.value, asked = this.asked(), layers = LAYERS.map(([key]) => key).filter(key => this.shown[key]);
     menu.value = '';
     for (const [key, value] of Object.entries({layers, factor: this.factor.value || 0, top: this.top.value, kind})) asked.set(key, value);
-    if (kind) this.app.orSay(download(`/api/map/figure?${asked}`, `map.${kind}`));
+    if (!kind) return;
+    this.app.say('The figure is being drawn …');
+    this.app.orSay(download(`/api/map/figure?${asked}`, `map.${kind}`).then(() => this.app.say(`map.${kind} is saved.`)));
   }
 
   hear() {
