@@ -34,7 +34,7 @@ CEILINGS = {
     "factors": (867, 13743, 18),
     "single files": (869, 10102, 10),
     "scripts": (7002, 112220, 51),
-    "tests": (39015, 588105, 216),
+    "tests": (39015, 588101, 216),
     "docs": (157, 1791, 4),
 }  # fmt: skip
 """Room: lines of code, nodes, files."""

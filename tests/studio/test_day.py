@@ -130,11 +130,11 @@ class Day(Page):
         assert self.run("studio.scene.job.state") == "done", self.run("studio.scene.job.lines")
 
     def undo(self) -> None:
-        revision = self.run("studio.scene.revision")
         self.until("!document.getElementById('undo').disabled")
+        self.run("() => { window.earlier = studio.last; }")
         self.begin()
         self.key("u")
-        self.timed("undo", "revision => studio.scene.revision > revision", revision)
+        self.timed("undo", "studio.last !== window.earlier")
 
     def height_difference(self, points: list[str]) -> None:
         """Of two points, with its sigma, by the key d."""
